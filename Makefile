@@ -114,6 +114,7 @@ docs: setup
 	$(PIP) --group docs
 	$(BIN)/python scripts/write_docs.py
 	$(BIN)/zensical build --clean
+	$(BIN)/python scripts/live/write_live.py site
 
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist

@@ -4,7 +4,7 @@ cosmic-ray writes the mutants; a copy of the working tree holds them. A mutant i
 fails that passes on the original, or takes five times as long as there and exceeds the limit.
 Prints each survivor as a diff, and exits 1 if fewer mutants than the bar are killed. A run that
 was stopped goes on where it was: outcomes are kept in a file, those of survivors until a test of
-theirs changes.
+theirs changes. mutation/survivors.toml has the reasons of survivors that no test can kill.
 
     .venv/bin/python scripts/mutants.py --count 300 --seed 0 --minutes 90
 """
@@ -19,18 +19,20 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from py_compile import PycInvalidationMode
+from typing import Any
 
 from mutation.forks import CPU_SECONDS, CollectedTests, FreshTests, TestRun, prepare
 from mutation.patching import changed_functions
 from mutation.sampling import PACKAGES, Mutant, draw
-from mutation.selection import Tests
+from mutation.selection import SuiteFiles
 
 ROOT = Path(__file__).resolve().parents[1]
 BAR = 0.9
-MOST_BAD_TESTS = 4
+MOST_BAD_TESTS = 8
 """Tests that fail on the original, too, before a mutant is given up."""
 OUTCOMES = ("killed", "survived", "without tests", "tests fail")
 
@@ -42,10 +44,11 @@ class Judge:
         known: Processor time of the tests that ran so far, in seconds.
     """
 
-    def __init__(self, copy: Path) -> None:
+    def __init__(self, copy: Path, seconds: Path) -> None:
         self.copy = copy
-        self.tests = Tests(copy)
-        self.known: dict[str, float] = {}
+        self.tests = SuiteFiles(copy)
+        self._file = seconds
+        self.known: dict[str, float] = read_outcomes(seconds)
         self._good: set[str] = set()
         """Tests that pass on the original."""
         prepare(copy)
@@ -67,7 +70,8 @@ class Judge:
                 return "survived"
             if self._passes_on_original(node, is_slow=run.failure is None):
                 return "killed"
-            self.known[node] = float("inf")  # this test does not run again
+            print(f"     fails on the original, and runs no more: {node}", flush=True)
+            self.known[node.partition("[")[0]] = float("inf")
         return "tests fail"
 
     def _run(self, mutant: Mutant, original: str, target: str, files: Sequence[str]) -> TestRun:
@@ -76,6 +80,8 @@ class Judge:
         if run is None:  # code that runs at import, or a module that no test file imports
             run = self._fresh.run(files, self.known)
         self.known |= run.seconds
+        with self._file.open("a", encoding="utf-8") as file:
+            file.writelines(json.dumps(entry) + "\n" for entry in run.seconds.items())
         return run
 
     def _passes_on_original(self, node: str, *, is_slow: bool) -> bool:
@@ -99,7 +105,8 @@ def main() -> int:
     results: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     known = read_outcomes(options.results)
     with tempfile.TemporaryDirectory(prefix="gsgen-mutants-") as name:
-        judge = Judge(copy_of_tree(Path(name)))
+        seconds = options.results.with_suffix(".seconds.jsonl")
+        judge = Judge(copy_of_tree(Path(name)), seconds)
         for number in range(options.first, options.first + options.count):
             if time.monotonic() > deadline:
                 break
@@ -108,7 +115,7 @@ def main() -> int:
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
             if known.get(key) != "killed":
                 key += f" {_digest(files, judge.copy)}"
-            if key not in known:
+            if known.get(key, "tests fail") == "tests fail":
                 known[key] = judge.outcome(mutant, files) if files else "without tests"
                 saved = key if known[key] != "killed" else key.rpartition(" ")[0]
                 with options.results.open("a", encoding="utf-8") as file:
@@ -116,7 +123,7 @@ def main() -> int:
             results[known[key]] += 1
             print(f"{number:>4} {known[key]:<14}{mutant.path} {mutant.operator}", flush=True)
             if known[key] != "killed":
-                print(f"{mutant.diff}\n     {' '.join(files)}", flush=True)
+                print(f"{mutant.diff}\n     {reason(mutant) or ' '.join(files)}", flush=True)
         judge.close()
     total = sum(results.values()) - results["tests fail"]
     share = results["killed"] / total if total else 0.0
@@ -135,11 +142,21 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def read_outcomes(path: Path) -> dict[str, str]:
-    """Return the outcomes of earlier runs by mutant; create the result file's folder."""
+def read_outcomes(path: Path) -> dict[str, Any]:
+    """Return what earlier runs wrote, by mutant or test; create the file's folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = path.read_text("utf-8").splitlines() if path.exists() else []
     return dict(map(json.loads, lines))
+
+
+def reason(mutant: Mutant) -> str | None:
+    """Return why a mutant is known to survive, from scripts/mutation/survivors.toml."""
+    document = tomllib.loads((ROOT / "scripts/mutation/survivors.toml").read_text("utf-8"))
+    lines = {line.strip("+ ") for line in mutant.diff.splitlines() if line.startswith("    +")}
+    for entry in document["survivor"]:
+        if entry["path"] == mutant.path.as_posix() and entry["line"] in lines:
+            return str(entry["reason"])
+    return None
 
 
 def _digest(tests: Sequence[str], root: Path) -> str:

@@ -7,10 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator, operator_names
-
 PACKAGES = ("contract", "sdk", "runtime", "reference_plugins")
 SKIPPED_OPERATORS = ("BitOr", "ExceptionReplacer")
 """Parts of names. Most `|` join types in annotations, where every mutant fails at import; the
@@ -44,6 +40,10 @@ def draw(seed: int, number: int, root: Path) -> Mutant:
     Choices are the smallest hash of what there is to choose from, so that a module that is added
     or changed elsewhere leaves most of the sample as it was.
     """
+    from cosmic_ray.ast import ast_nodes, get_ast
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator, operator_names
+
     modules = [file for package in PACKAGES for file in (root / package / "gsgen").rglob("*.py")]
     rooms = sorted({file.parent.relative_to(root).as_posix() for file in modules})
     names = [name for name in operator_names() if not any(x in name for x in SKIPPED_OPERATORS)]
@@ -145,7 +145,7 @@ class _Essence(ast.NodeTransformer):
         return node
 
     def visit_If(self, node: ast.If) -> ast.AST:
-        is_static = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        is_static = "TYPE_CHECKING" in ast.dump(node.test)
         return ast.Pass() if is_static else self.generic_visit(node)  # Case 6
 
 

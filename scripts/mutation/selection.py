@@ -9,6 +9,8 @@ from pathlib import Path
 from mutation.sampling import PACKAGES, Mutant
 
 MOST_FILES = 8
+STEP_SCORES = (0.0, 6.0, 4.0, 2.5, 1.5, 0.5)
+"""Scores of a test file by the number of imports between it and the module."""
 SLOW_FOLDERS = tuple(
     f"tests/{name}/"
     for name in ("bench", "cli/house_rules", "docs", "fuzz", "packaging", "support", "web")
@@ -17,7 +19,7 @@ SLOW_FOLDERS = tuple(
 
 
 @dataclass(frozen=True)
-class Tests:
+class SuiteFiles:
     """The test files of a tree.
 
     Attributes:
@@ -43,29 +45,60 @@ class Tests:
         files = [x for package in PACKAGES for x in (self.root / package / "gsgen").rglob("*.py")]
         return {file.relative_to(self.root): file.read_text("utf-8") for file in files}
 
-    def nearest(self, mutant: Mutant) -> list[str]:
-        """Return the nearest test files, by names of functions, modules, importers and subject."""
-        dotted = ".".join(mutant.path.with_suffix("").parts[1:])
-        names = definitions_at(self._modules[mutant.path], mutant.diff)
-        importers = {
-            path.stem
-            for path, text in self._modules.items()
-            if re.search(rf"\b{re.escape(dotted)}\b", text) and path.stem != "__init__"
+    @cached_property
+    def _distances(self) -> dict[str, dict[str, int]]:
+        """The number of imports between each test file and the modules that it reaches."""
+        names = {".".join(path.with_suffix("").parts[1:]): path for path in self._modules}
+        support = {
+            ".".join(file.relative_to(self.root / "tests").with_suffix("").parts): file
+            for file in (self.root / "tests").rglob("*.py")
         }
+        texts = {name: self._modules[path] for name, path in names.items()}
+        texts |= {name: file.read_text("utf-8") for name, file in support.items()}
+        graph = {name: _named(text) & texts.keys() for name, text in texts.items()}
+        return {
+            file: _steps(file.removeprefix("tests/").removesuffix(".py").replace("/", "."), graph)
+            for file in self.texts
+        }
+
+    def nearest(self, mutant: Mutant) -> list[str]:
+        """Return the nearest test files, by names of functions, imports and subject."""
+        dotted = ".".join(mutant.path.with_suffix("").parts[1:])
+        mentions = [
+            {file for file, text in self.texts.items() if re.search(rf"\b{re.escape(x)}\b", text)}
+            for x in definitions_at(self._modules[mutant.path], mutant.diff)
+        ]
         words, stem_words = _words(mutant.path), _words(Path(mutant.path.stem))
         scores = {}
-        for name, text in self.texts.items():
+        for name in self.texts:
             stem = Path(name).stem.removeprefix("test_")
+            steps = self._distances[name].get(dotted, len(STEP_SCORES))
             scores[name] = (
-                8 * (stem == mutant.path.stem.lstrip("_"))
-                + 4 * (dotted in text)
-                + 3 * any(re.search(rf"\b{re.escape(x)}\b", text) for x in names)
-                + 2 * (stem in importers)
+                8.0 * (stem == mutant.path.stem.lstrip("_"))
+                + sum(STEP_SCORES[steps : steps + 1])
+                + sum(10 / (1 + len(files)) for files in mentions if name in files)
                 + 0.5 * len(words & _words(Path(name)))
                 + 1.0 * len(stem_words & _words(Path(stem)))
             )
         nearest = sorted(scores, key=lambda name: -scores[name])[:MOST_FILES]
         return [name for name in nearest if scores[name] > 0]
+
+
+def _named(text: str) -> set[str]:
+    """Return the dotted names in a module, with what `from a.b import c` may name."""
+    names = set(re.findall(r"\b(?:gsgen|support)(?:\.\w+)+", text))
+    for module, imported in re.findall(r"from ([\w.]+) import \(?([\w, \n]+)", text):
+        names |= {f"{module}.{name}" for name in re.findall(r"\w+", imported)}
+    return names
+
+
+def _steps(start: str, graph: dict[str, set[str]]) -> dict[str, int]:
+    """Return the number of steps from a module to all that it reaches in fewer than the limit."""
+    steps, front = {start: 0}, [start]
+    for count in range(1, len(STEP_SCORES)):
+        front = list({name for module in front for name in graph[module]} - steps.keys())
+        steps |= dict.fromkeys(front, count)
+    return steps
 
 
 def definitions_at(code: str, diff: str) -> set[str]:

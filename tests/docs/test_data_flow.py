@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from gsgen.runtime.renderer import frame_plan, weighted_plan
+from gsgen.runtime.renderer import frame_plan, tile_lists, weighted_plan
 from support.commands import ROOT
 
 
@@ -26,7 +26,7 @@ def script() -> ModuleType:
 
 def stages() -> set[str]:
     """Return the names of all stages that plans record."""
-    text = inspect.getsource(frame_plan) + inspect.getsource(weighted_plan)
+    text = "".join(inspect.getsource(part) for part in (frame_plan, tile_lists, weighted_plan))
     named = re.findall(r'stages\["([\w ]+)"\]', text)
     begun = re.findall(
         r'^ *(?:stages = \{|return \{)?"([\w ]+)": (?:self\._project|self\.slabs|recorded\})',

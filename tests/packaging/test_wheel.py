@@ -14,6 +14,7 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from support.commands import ROOT
+from support.web.packages import package
 
 ACME = Path(__file__).parent / "acme"
 Acme = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -148,6 +149,18 @@ def test_a_consumer_s_types_are_checked(fresh: Path, tmp_path: Path) -> None:
     assert wrong.returncode == 1, wrong.stdout
     assert "[arg-type]" in wrong.stdout
     assert "[attr-defined]" in wrong.stdout
+
+
+def test_pyright_agrees(fresh: Path) -> None:
+    pyright = package("pyright-1.1.414", needs_node=True) / "index.js"
+    files = [Path(__file__).parent / "consumer" / name for name in ("consumer.py", "wrong.py")]
+    command = ["node", pyright, "--outputjson", "--pythonpath", fresh / "python"]
+    report = json.loads(run(*command, *files, cwd=fresh).stdout)
+    errors = [(Path(entry["file"]).name, entry["rule"]) for entry in report["generalDiagnostics"]]
+    assert sorted(errors) == [
+        ("wrong.py", "reportArgumentType"),
+        ("wrong.py", "reportAttributeAccessIssue"),
+    ]
 
 
 def test_packed_rows_export_without_torch(fresh: Path, tmp_path: Path) -> None:

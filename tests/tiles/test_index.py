@@ -115,3 +115,14 @@ def test_box_numbers_are_centre_and_half_axes() -> None:
 
 def test_the_sketch_has_one_leaf_more_than_levels() -> None:
     assert len(explicit_sketch().document["root"]["children"]) == 2
+
+
+def test_up_is_a_unit_vector_in_the_root_s_frame(tmp_path: Path) -> None:
+    path = tmp_path / "tileset.json"
+    write_tileset(path, record(0, (0, 0, 0)), source_splats=0, sh_degree=0)
+    tileset = open_tileset(path)
+    turned = np.eye(4)
+    turned[:3, :3] = 2 * np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # y becomes z, twice as large
+    np.testing.assert_allclose(replace(tileset, transform=turned).up, [0, 1, 0], atol=1e-12)
+    turned[:3, 3] = 0, 6.4e6, 0  # on the globe
+    np.testing.assert_allclose(replace(tileset, transform=turned).up, [0, 0, -1], atol=1e-12)

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsgen.contract.spec.severity import Level
-from gsgen.contract.validation.settings import Settings
-from gsgen.reference_plugins.people.gauhuman_plugin import build
-from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_motion
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
-from gsgen.sdk import export
 from support.browser import serving
 from support.commands import ROOT
 from support.web.pages import CLIENT
+from support.web.steady_frames import steady_frames
 
 _GUIDE = ROOT / "docs/guides/models-in-a-page.md"
 _ELEMENT = "document.querySelector('gsgen-model')"
@@ -34,21 +30,14 @@ _PAGE = """<!doctype html>
 
 
 @pytest.fixture(scope="module")
-def article(
-    browser: Any, ort_folder: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Any]:
+def article(browser: Any, ort_folder: Path, walking_person: bytes) -> Iterator[Any]:
     """The page with the model's first frame drawn, its time paused."""
-    folder = tmp_path_factory.mktemp("article")
-    write_gauhuman(folder / "run", PersonOptions(count=1200, vertices=600))
-    generator = build(folder / "run", motion=write_motion(folder / "walk.npz", frames=24))
-    settings = Settings(level=Level.STATIC)
-    export(generator, folder / "walk.onnx", target="webgpu", settings=settings)
     copied = re.search(r"```html\n(.*?)```", _GUIDE.read_text("utf-8"), re.DOTALL)
     assert copied is not None
     assert copied[1].count("\n") <= 5
     contents = {f"/gsgen/ort/{name}": (ort_folder / name).read_bytes() for name in ORT_FILES}
     contents["/article.html"] = _PAGE.format(lines=copied[1]).encode()
-    contents["/walk.onnx"] = (folder / "walk.onnx").read_bytes()
+    contents["/walk.onnx"] = walking_person
     with serving({"gsgen": CLIENT}, contents) as address:
         context = browser.new_context(viewport={"width": 360, "height": 340}, has_touch=True)
         page = context.new_page()
@@ -142,6 +131,13 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
     assert turned[9] == before[9]
     drag(((-20, 0), (20, 0)), ((-30, 0), (30, 0)), ((-60, 0), (60, 0)))
     assert article.evaluate(f"{_ELEMENT}._orbit.distance") < 0.6 * turned[9]
+
+
+def test_two_hundred_frames_leave_nothing_behind(article: Any) -> None:
+    """Of a moving camera and a moving person, only encoders, passes and commands are made."""
+    result = steady_frames(article, 200, are_executed=False)
+    assert result.made == {}
+    assert result.heap_growth < 1 << 20
 
 
 def test_reduced_motion_is_respected(article: Any) -> None:

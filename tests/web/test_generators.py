@@ -6,7 +6,7 @@ import pytest
 
 from gsgen.conformance.viewer_kit.case import KitCase
 from gsgen.conformance.viewer_kit.write import kit_cases
-from support.web.generators import assert_same_pictures, drawn_frames
+from support.web.generators import assert_same_pictures, described_frames, drawn_frames
 from support.web.pages import WebSite
 
 _TOLERANCE = 1e-4  # SwiftShader's trigonometry; sums alone are good to 5e-6
@@ -28,3 +28,15 @@ def test_a_page_draws_the_viewer_kit(case: KitCase, site: WebSite, tmp_path: Pat
     has_inputs = any(frame.values for frame in case.frames) or "camera" in case.name
     if has_inputs and case.name not in {"camera-lens"}:
         assert result["isCaptured"]
+
+
+def test_generators_of_a_page_are_opened_at_the_same_time(site: WebSite, tmp_path: Path) -> None:
+    """ONNX Runtime refuses a session while it creates another: one waits for the other."""
+    case = next(case for case in kit_cases() if any(frame.values for frame in case.frames))
+    path = tmp_path / "twice.onnx"
+    case.spec().write(path)
+    site.contents["/twice.onnx"] = path.read_bytes()
+    result = site.call("openTwice", "/twice.onnx", described_frames(case.frames)[-1])
+    assert result["errors"] == []
+    first, second = result["extents"]
+    assert first == second

@@ -53,6 +53,7 @@ def test_formulas_have_the_values_of_python(site: WebSite) -> None:
         "slot",
         "cells",
         "set_cells",
+        "slots",
     )
     document = json.loads(written_plans())
     formulas = [

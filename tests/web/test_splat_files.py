@@ -1,11 +1,14 @@
 """Splat files that a page reads, beside what Python reads."""
 
+import io
+import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gsgen.formats import Splats, open_splats, write_ply, write_spz
+from gsgen.formats import Splats, open_splats, write_ply, write_sog, write_spz
 from gsgen.formats.glb.nodes import moved
 from gsgen.runtime.scene.splat_data import SplatData
 from support.web.pages import WebSite, unpacked
@@ -60,6 +63,39 @@ def test_an_spz_is_read_as_python_reads_it(
     same_as_python(site, path)
 
 
+@pytest.mark.parametrize("degree", range(4))
+def test_a_sog_is_read_as_python_reads_it(degree: int, site: WebSite, tmp_path: Path) -> None:
+    """A byte that the browser's decoder changed would be another number of a codebook."""
+    path = tmp_path / f"degree-{degree}.sog"
+    splats = random_splats(degree)
+    # Colours of pixels whose alpha is 0 or 1 survive only where nothing is multiplied by alpha.
+    splats.logit_opacity[:40] = np.repeat([-9, -5.5], 20)
+    write_sog(path, splats)
+    same_as_python(site, path)
+
+
+def test_a_sog_of_deflated_files_is_read(site: WebSite, tmp_path: Path) -> None:
+    write_sog(tmp_path / "stored.sog", random_splats(1))
+    path = tmp_path / "deflated.sog"
+    stored = zipfile.ZipFile(tmp_path / "stored.sog")
+    with stored, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in stored.namelist():
+            archive.writestr(name, stored.read(name))
+    same_as_python(site, path)
+
+
+_GROUPS = {name: {"files": ["a.webp"]} for name in ("means", "scales", "quats", "sh0")}
+
+
+def sog_of(**changes: object) -> bytes:
+    """Return a zip archive that holds nothing but a meta.json."""
+    stream = io.BytesIO()
+    meta = {"version": 2, "count": 1, **changes}
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("meta.json", json.dumps(meta))
+    return stream.getvalue()
+
+
 def header(*lines: str) -> bytes:
     return "\n".join(["ply", *lines, "end_header", ""]).encode()
 
@@ -67,10 +103,15 @@ def header(*lines: str) -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"glTF----", "is neither PLY nor SPZ"),
-        (b"", "is neither PLY nor SPZ"),
+        (b"glTF----", "is neither PLY nor SPZ nor SOG"),
+        (b"", "is neither PLY nor SPZ nor SOG"),
         (b"\x1f\x8bnothing", "cannot be unpacked"),
         (b"NGSP", "ends within the header"),
+        (b"PK\x03\x04" + bytes(40), "zip archive without a directory"),
+        (sog_of(version=1), "version 1 of SOG"),
+        (sog_of(**_GROUPS), "has no file a.webp"),
+        (sog_of()[:-6] + b"\xff\xff\xff\x0f\0\0", "cannot be read"),
+        (sog_of(means=3), "cannot be read"),
         (b"NGSP\x04" + bytes(40), "version 4 of SPZ"),
         (header("format ascii 1.0", "element vertex 1"), "is not binary_little_endian"),
         (

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from gsgen.formats import Splats, write_spz
+from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from support.browser import serving
 from support.commands import ROOT
 from support.web.packages import package
@@ -41,30 +42,27 @@ _PLANES = """async () => {
 
 
 @pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """A large white Gaussian, and a standing ellipsoid of some in place of a person."""
-    folder = tmp_path_factory.mktemp("models")
-    rng = np.random.default_rng(0)
-    position = rng.normal(size=(300, 3)) * [0.2, 0.8, 0.2]
-    counts = {"white.spz": np.zeros((1, 3)), "person.spz": position}
-    for name, centers in counts.items():
-        count, scale = len(centers), np.log(0.08 if len(centers) > 1 else 4.0)
-        splats = Splats(
-            position=centers.astype(np.float32),
-            rotation=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-            log_scale=np.full((count, 3), scale, np.float32),
-            logit_opacity=np.full(count, 6, np.float32),
-            sh=np.full((count, 1, 3), 0.5 / _C0, np.float32),
-        )
-        write_spz(folder / name, splats)
-    return {name: (folder / name).read_bytes() for name in counts}
+def white_gaussian(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("models") / "white.spz"
+    splats = Splats(
+        position=np.zeros((1, 3), np.float32),
+        rotation=np.float32([[1, 0, 0, 0]]),
+        log_scale=np.full((1, 3), np.log(4), np.float32),
+        logit_opacity=np.full(1, 6, np.float32),
+        sh=np.full((1, 1, 3), 0.5 / _C0, np.float32),
+    )
+    write_spz(path, splats)
+    return path.read_bytes()
 
 
 @pytest.fixture(scope="module", params=VERSIONS)
-def page(browser: Any, request: Any, models: dict[str, bytes]) -> Iterator[Any]:
+def page(
+    browser: Any, request: Any, ort_folder: Path, walking_person: bytes, white_gaussian: bytes
+) -> Iterator[Any]:
     """The example's page, with its first frame drawn."""
     folders = {"gsgen": CLIENT, "three": package(request.param)}
-    contents: dict[str, bytes] = {f"/{name}": data for name, data in models.items()}
+    contents = {f"/gsgen/ort/{name}": (ort_folder / name).read_bytes() for name in ORT_FILES}
+    contents |= {"/walk.onnx": walking_person, "/white.spz": white_gaussian}
     for path in _EXAMPLE.iterdir():
         contents[f"/{path.name}"] = path.read_bytes()
     with serving(folders, contents) as address:
@@ -76,8 +74,8 @@ def page(browser: Any, request: Any, models: dict[str, bytes]) -> Iterator[Any]:
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)
-        page.goto(f"{address}/index.html?src=person.spz")
-        page.wait_for_function("window.isDrawn")
+        page.goto(f"{address}/index.html")
+        page.wait_for_function("window.person")
         assert [text for text in errors if "404" not in text] == []
         yield page
         context.close()
@@ -105,22 +103,41 @@ def test_surfaces_hide_gaussians_and_are_hidden(page: Any) -> None:
         np.testing.assert_allclose(image[pixel][3], 1, atol=1e-3)
 
 
-def test_the_example_has_shadows_and_a_person(page: Any, tmp_path: Path) -> None:
-    """See the picture with --basetemp."""
+def test_a_person_walks_and_casts_a_shadow(page: Any, tmp_path: Path) -> None:
+    """Three pictures at three times: see them with --basetemp."""
     # three.js draws the shadows of a light once in a frame of the browser.
-    script = """async (hidden) => {
-      for (const name of hidden) window[name].castShadow = false;
+    script = """async ([share, isShadowed]) => {
+      shadow.strength.value = Number(isShadowed);
+      box.castShadow = isShadowed;
       for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
-      await draw(0);
+      walkTo(share * person.model.time.seconds);
+      await compositor.render(scene, camera);
       return [...await compositor.gaussians.readImage("color")];
     }"""
-    images = [
-        np.array(page.evaluate(script, hidden)).reshape(80, 160, 4)[..., :3]
-        for hidden in ([], ["proxy"], ["box"])
+
+    def picture(share: float, *, has_shadows: bool = True) -> np.ndarray:
+        numbers = page.evaluate(script, [share, has_shadows])
+        return np.array(numbers).reshape(80, 160, 4)[..., :3]
+
+    pictures = [picture(number / 3) for number in range(3)]
+    for number, image in enumerate(pictures):
+        bytes_of_image = (255 * np.clip(image, 0, 1)).astype(np.uint8)
+        Image.fromarray(bytes_of_image).save(tmp_path / f"walk-{number}.png")
+    shadows = [
+        (picture(number / 3, has_shadows=False) - pictures[number] > 0.05).all(axis=2)
+        for number in range(2)
     ]
-    picture = (255 * np.clip(images[0], 0, 1)).astype(np.uint8)
-    Image.fromarray(picture).save(tmp_path / "scene.png")
-    lit = [np.subtract(images[i + 1], images[i]).max(axis=2) > 0.05 for i in range(2)]
-    assert all(part.mean() > 0.002 for part in lit)  # the ground without shadows is brighter
-    white = (images[0] > 0.8).all(axis=2)
-    assert white[20:60, 70:90].any()  # the person stands in the middle
+    # 1. The ground is darker behind the person, and left of the box, which stands still.
+    for shadow in shadows:
+        assert shadow[48:60, 40:80].sum() > 20
+        assert shadow[62:, 48:60].sum() > 5
+    assert (shadows[0] ^ shadows[1])[48:60].sum() > 5
+    assert (shadows[0] ^ shadows[1])[64:, :58].sum() <= 1
+    # 2. The person walks: limbs move, the shirt stays in the middle.
+    change = np.abs(pictures[1] - pictures[0]).max(axis=2) > 0.1
+    assert (change & ~shadows[0] & ~shadows[1]).sum() > 20
+    for image in pictures:
+        rows, columns = np.nonzero(image[..., 2] > image[..., 0] + 0.3)
+        assert len(rows) > 20
+        assert 70 < columns.mean() < 90
+        assert rows.mean() < 48

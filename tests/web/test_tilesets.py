@@ -1,6 +1,7 @@
 """Tilesets in a page: the tiles that Python selects, from servers that are slow or wrong."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -122,6 +123,29 @@ def test_a_damaged_tile_is_told_and_the_rest_is_drawn(
     [frame] = result["frames"]
     assert frame["live"] > 0
     assert uri not in frame["drawn"]
+
+
+def test_a_tile_may_hold_another_tileset(folder: Path, site: WebSite, tmp_path: Path) -> None:
+    """Of a tileset that a tile moves, a page draws what it draws of the tileset alone."""
+    shutil.copytree(folder, tmp_path / "inner")
+    inner = json.loads((folder / "tileset.json").read_text("utf-8"))
+    moved = Camera.look_at([3, -9, 2], [3, 0, 0], up=(0, 0, 1), **_SIZE)
+    root = {
+        "boundingVolume": {"sphere": [0, 0, 0, 9]},
+        "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 3, 0, 0, 1],
+        "geometricError": 1e-3,
+        "refine": "REPLACE",
+        "content": {"uri": "inner/tileset.json"},
+    }
+    outer = {"asset": inner["asset"], "geometricError": inner["geometricError"], "root": root}
+    (tmp_path / "tileset.json").write_text(json.dumps(outer), "utf-8")
+    with served(tmp_path) as address, served(folder) as alone:
+        [frame] = frames_of(site, address, [moved])["frames"]
+        [expected] = frames_of(site, alone, CAMERAS[:1])["frames"]
+    assert frame["drawn"] == expected["drawn"]
+    pictures = [unpacked(text, np.float32) for text in (frame["image"], expected["image"])]
+    assert np.ptp(pictures[1]) > 0.1
+    np.testing.assert_allclose(*pictures, atol=1e-4)
 
 
 @pytest.mark.parametrize(

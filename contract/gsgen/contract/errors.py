@@ -108,7 +108,7 @@ class LayoutMismatch(GsgenError):
 
 
 class UnknownName(ConfigInvalid):
-    """Raised if no rule, validation target, input role or plugin has the given name."""
+    """Raised if no rule, target runtime, input role or plugin has the given name."""
 
     @classmethod
     def among(cls, noun: str, name: str, known: Iterable[str], where: str = "") -> "UnknownName":

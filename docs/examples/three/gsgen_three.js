@@ -8,7 +8,7 @@
 import * as THREE from "three/webgpu";
 
 import { download } from "gsgen/download.js";
-import { storageBuffer } from "gsgen/gpu_buffers.js";
+import { storageBuffer, uniformBuffer } from "gsgen/gpu_buffers.js";
 import { encodePass } from "gsgen/host.js";
 import { composed, transposed4 } from "gsgen/matrices.js";
 import { openModel } from "gsgen/model.js";
@@ -22,6 +22,8 @@ const COPY_ALIGNMENT = 256; // bytes of a copied texture's rows, as WebGPU deman
 const [COLOR_BYTES, DEPTH_BYTES] = [8, 4]; // of a pixel: rgba16float, depth32float
 // three.js looks along −z with y up; gsgen's cameras look along +z with y down.
 const CAMERA_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
+const SHADOW_SIDE = 256; // pixels: the side of a shadow's images, a multiple of 16
+const SHADOW_OUTPUTS = ["color", "depth"];
 
 /** Gaussians in a three.js scene: a splat file, or a generator whose inputs are `values`. */
 export class GsgenObject extends THREE.Object3D {
@@ -39,6 +41,58 @@ export class GsgenObject extends THREE.Object3D {
     const [, y, z] = model.up;
     if (y < 0) this.rotation.x = Math.PI;
     else if (z > 0) this.rotation.x = -Math.PI / 2;
+  }
+}
+
+/** The shadow of all Gaussians of a scene in a directional light: two images from the light. */
+export class GsgenShadow {
+  constructor(kernels, three, light) {
+    this._three = three;
+    this._light = light;
+    this._gaussians = new Renderer(kernels);
+    const pixels = new Float32Array(4 * SHADOW_SIDE ** 2);
+    this._textures = SHADOW_OUTPUTS.map(() => {
+      return new THREE.DataTexture(pixels, SHADOW_SIDE, SHADOW_SIDE, THREE.RGBAFormat, THREE.FloatType);
+    });
+    for (const texture of this._textures) texture.needsUpdate = true;
+    /** How dark the shadow is: 0 to 1. */
+    this.strength = sharedUniform(1);
+  }
+
+  /** Let the shadow fall on node materials, whose meshes receive shadows of the light. */
+  fallOn(...materials) {
+    const { positionWorld, texture, vec2, vec4 } = THREE.TSL;
+    const { matrix, camera } = this._light.shadow;
+    const place = sharedUniform(matrix).mul(vec4(positionWorld, 1));
+    const distance = sharedUniform(camera.matrixWorldInverse).mul(vec4(positionWorld, 1)).z.negate();
+    const [colors, depths] = this._textures.map((map) => texture(map, vec2(place.x, place.y.oneMinus())));
+    // Half of the light ends before the median depth; surfaces nearer to the light are lit.
+    const isBehind = distance.greaterThan(depths.y).toFloat();
+    const lit = colors.a.mul(isBehind).mul(this.strength).oneMinus();
+    for (const material of materials) material.receivedShadowNode = (shadow) => shadow.mul(lit);
+  }
+
+  /** Draw sets of Gaussians from the light. */
+  async draw(sets, isChanged) {
+    const { shadow } = this._light;
+    shadow.updateMatrices(this._light);
+    if (isChanged) this._gaussians.setScene(sets);
+    const view = gsgenCamera(shadow.camera, SHADOW_SIDE, SHADOW_SIDE);
+    await this._gaussians.drawWhole(view, { outputs: SHADOW_OUTPUTS });
+    const { host, device } = this._gaussians;
+    const encoder = device.createCommandEncoder({ label: "shadow" });
+    this._textures.forEach((texture, index) => {
+      this._three.initTexture(texture);
+      const source = { buffer: host.image(SHADOW_OUTPUTS[index]), bytesPerRow: 16 * SHADOW_SIDE };
+      const target = { texture: this._three.backend.get(texture).texture };
+      encoder.copyBufferToTexture(source, target, [SHADOW_SIDE, SHADOW_SIDE]);
+    });
+    device.queue.submit([encoder.finish()]);
+  }
+
+  destroy() {
+    for (const texture of this._textures) texture.dispose();
+    this._gaussians.destroy();
   }
 }
 
@@ -67,6 +121,17 @@ export class GsgenCompositor {
     this._sets = "";
     /** @type {any[]} Translucent surfaces, then opaque ones: front to back. */
     this._layers = [];
+    /** @type {GsgenShadow[]} */
+    this._shadows = [];
+  }
+
+  /**
+   * Return the shadow that the Gaussians cast in a light.
+   * @param {THREE.DirectionalLight} light Its shadow camera says how far the shadow reaches.
+   */
+  addShadow(light) {
+    this._shadows.push(new GsgenShadow(this._kernels, this.three, light));
+    return this._shadows[this._shadows.length - 1];
   }
 
   /**
@@ -79,10 +144,10 @@ export class GsgenCompositor {
     this._resize(width, height);
     scene.updateMatrixWorld();
     camera.updateMatrixWorld();
-    this._renderLayer(this._layers[0], scene, camera, { isTranslucent: true });
-    this._renderLayer(this._layers[1], scene, camera, { isTranslucent: false });
     const view = gsgenCamera(camera, width, height);
     await this._place(scene, view);
+    this._renderLayer(this._layers[0], scene, camera, { isTranslucent: true });
+    this._renderLayer(this._layers[1], scene, camera, { isTranslucent: false });
     await this.gaussians.drawWhole(view, {
       layers: this._layers.length,
       encodeLayers: (encoder, host) => this._encodeLayers(encoder, host, camera),
@@ -100,11 +165,10 @@ export class GsgenCompositor {
     this._layers = Array.from({ length: plans.layers.count }, (_, index) => {
       const depthTexture = new THREE.DepthTexture(width, height, THREE.FloatType);
       const options = { type: THREE.HalfFloatType, depthTexture };
-      const usage = GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST;
       return {
         index, colorRow, depthRow,
         target: new THREE.RenderTarget(width, height, options),
-        uniform: device.createBuffer({ label: "picture", size: plans.uniforms.picture.size, usage }),
+        uniform: uniformBuffer(device, "picture", plans.uniforms.picture.size),
         colors: storageBuffer(device, "copied colors", colorRow * height),
         depths: storageBuffer(device, "copied depths", depthRow * height),
         groups: null,
@@ -139,7 +203,7 @@ export class GsgenCompositor {
     }
   }
 
-  /** Give the renderer the Gaussians of a scene at their present places. */
+  /** Give the renderers the Gaussians of a scene at their present places, and draw the shadows. */
   async _place(scene, view) {
     const objects = [];
     scene.traverseVisible((object) => object instanceof GsgenObject && objects.push(object));
@@ -155,8 +219,10 @@ export class GsgenCompositor {
       return model.sets.map((set) => ({ ...set, transform: composed(world, set.transform) }));
     });
     const key = objects.map(({ uuid, matrixWorld }) => [uuid, ...matrixWorld.elements]).join();
-    if (key !== this._sets || changed.some(Boolean)) this.gaussians.setScene(sets);
+    const isChanged = key !== this._sets || changed.some(Boolean);
+    if (isChanged) this.gaussians.setScene(sets);
     this._sets = key;
+    for (const shadow of this._shadows) await shadow.draw(sets, isChanged);
   }
 
   /** Copy three's textures into the layers of the frame plan. */
@@ -167,17 +233,15 @@ export class GsgenCompositor {
     for (const layer of this._layers) {
       const { width, height } = layer.target;
       const picture = new UniformWriter(plans.uniforms.picture);
-      picture.set("size", [width, height]);
-      picture.set("color_row", layer.colorRow / COLOR_BYTES);
-      picture.set("depth_row", layer.depthRow / DEPTH_BYTES);
-      picture.set("first", layer.index * width * height);
-      picture.set("empty", reversedDepth ? 0 : 1);
-      picture.set("slope", elements[10]);
-      picture.set("offset", elements[14]);
+      const size = [width, height];
+      picture.write({
+        size, slope: elements[10], offset: elements[14], empty: reversedDepth ? 0 : 1,
+        color_row: layer.colorRow / COLOR_BYTES, depth_row: layer.depthRow / DEPTH_BYTES,
+        first: layer.index * width * height,
+      });
       device.queue.writeBuffer(layer.uniform, 0, picture.bytes);
       // Handles of textures are private in three.js, so tests pin the versions that have them here.
       const texture = (each) => this.three.backend.get(each).texture;
-      const size = [width, height];
       encoder.copyTextureToBuffer(
         { texture: texture(layer.target.texture) },
         { buffer: layer.colors, bytesPerRow: layer.colorRow }, size,
@@ -215,24 +279,32 @@ export class GsgenCompositor {
   /** Release all GPU objects. */
   destroy() {
     this._releaseLayers();
+    for (const shadow of this._shadows) shadow.destroy();
     this.gaussians.destroy();
     this._presenter.destroy();
     this.three.dispose();
   }
 }
 
-/** Return gsgen's camera for a perspective camera of three.js. */
-function gsgenCamera({ matrixWorldInverse, projectionMatrix, near }, width, height) {
-  const { elements } = projectionMatrix;
+/** Return a uniform that is written in every picture, though the objects that read it stand still. */
+function sharedUniform(value) {
+  return THREE.TSL.uniform(value).setGroup(THREE.TSL.renderGroup);
+}
+
+/** Return gsgen's camera for a perspective or an orthographic camera of three.js. */
+function gsgenCamera({ matrixWorldInverse, projectionMatrix, near, isOrthographicCamera }, width, height) {
+  const e = projectionMatrix.elements;
+  // Where the image's centre is: the third column counts depth, the fourth is constant.
+  const [right, up] = isOrthographicCamera ? [e[12], e[13]] : [-e[8], -e[9]];
   return {
     view: composed(CAMERA_AXES, transposed4(matrixWorldInverse.elements)),
-    fx: (elements[0] * width) / 2,
-    fy: (elements[5] * height) / 2,
-    cx: ((1 - elements[8]) * width) / 2,
-    cy: ((1 + elements[9]) * height) / 2,
+    fx: (e[0] * width) / 2,
+    fy: (e[5] * height) / 2,
+    cx: ((1 + right) * width) / 2,
+    cy: ((1 - up) * height) / 2,
     width,
     height,
     near,
-    kind: /** @type {const} */ ("pinhole"),
+    kind: /** @type {const} */ (isOrthographicCamera ? "orthographic" : "pinhole"),
   };
 }

@@ -1,4 +1,4 @@
-"""Finds the content files of tiles at several qualities, which sibling tilesets name."""
+"""Finds each tile's content files at several qualities, in tilesets beside the main one."""
 
 __all__ = ["QualityLadder", "load_ladder"]
 

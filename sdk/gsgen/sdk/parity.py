@@ -243,7 +243,7 @@ def _compare_probe(
     roundings: int,
     nearby: Nearby | None,
 ) -> tuple[list[FieldParity], int]:
-    """Return largest errors of fields for test inputs, and how many rows match nearby inputs."""
+    """Return fields' largest errors, and how many rows agree only at slightly changed inputs."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0

@@ -123,6 +123,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("nowhere.onnx",), 4, "nowhere.onnx"),
         (("FILE", "-o", "a.xyz"), 2, "has the unknown suffix '.xyz'\n  Known: .png"),
         (("FILE", "--frames", "2"), 2, "is one picture, expected a video or a folder for 2"),
+        (("FILE", "-o", "a.exr", "--frames", "2"), 2, "is one picture, expected a video or a"),
         (("FILE", "--time", "0.5"), 2, "--time: the time is 0.5, but no scene has a time"),
         (("FILE", "--background", "puce"), 2, "'puce' is not a colour"),
         (("FILE", "--fov", "180"), 2, "--fov: is 180.0 degrees"),

@@ -131,7 +131,7 @@ def test_pictures_without_a_camera_are_named_and_none_at_all_is_an_error(trained
     ("options", "words"),
     [
         (("--from", "renders"), "--from, --cameras: are only used together"),
-        (("--from", "nowhere", "--cameras", "transforms.json"), "is not a folder of pictures"),
+        (("--from", "nowhere", "--cameras", "transforms.json"), "is not a folder, expected one of"),
         (
             ("--from", "renders", "--cameras", "transforms.json", "--probe", "time=9"),
             "--probe: unknown probe 'time=9'",

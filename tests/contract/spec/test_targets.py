@@ -130,7 +130,7 @@ def test_a_third_party_can_add_a_target(registered, name):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("absent", "the validation target cannot be loaded: KeyError('absent')"),
+        ("absent", "the target runtime's definition cannot be loaded: KeyError('absent')"),
         ("make_nothing", "the entry point returns None, expected a Target"),
     ],
 )

@@ -175,6 +175,9 @@ def test_statistics_are_those_of_numpy(tmp_path):
     # The highest bar of x, of 90 pixels, stands above its base.
     bar = 18 + 3 * int(counts.argmax())
     assert (picture[20:108, bar] == (0x34, 0x65, 0xA4)).all()
+    assert (picture[108, 18 : 18 + 3 * 80] == 0).all()  # the axis
+    assert (picture[20:, :17] == 255).all()  # the margin
+    assert (picture[20:108, 20 : 18 + 3 * 80 : 3] == 255).all()  # a column between two bars
 
 
 def test_infinite_values_do_not_count():

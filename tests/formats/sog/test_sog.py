@@ -169,7 +169,7 @@ def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
         (
             b"[" * 100_000,
             NotRecognised,
-            "meta.json: the file has invalid JSON (maximum recursion depth",
+            "meta.json: the file has invalid JSON (it nests too deeply)",
         ),
     ],
 )

@@ -427,3 +427,7 @@ def test_a_damaged_conditioning_is_refused_by_its_name(cut: int, tmp_path: Path)
     np.savez(path, prompt_embeds=np.array(["a", "b"]))
     with pytest.raises(ConfigInvalid, match="prompt_embeds holds <U1, expected numbers"):
         read_embeddings(path)
+    for count in (0, 2):
+        np.savez(path, **{f"array_{index}": np.ones((1, 5, 4)) for index in range(count)})
+        with pytest.raises(ConfigInvalid, match=f"has {count} arrays, expected one"):
+            read_embeddings(path)

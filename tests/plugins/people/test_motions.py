@@ -84,7 +84,7 @@ def test_lhm_s_frames_are_read_one_by_one_or_all_together(single: bool, tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[]", "holds no frames"),
+        ("[]", "has no frames of poses, expected at least one"),
         ("{", "cannot be read"),
         ("[3]", "frame 0: is a int"),
         ("[{}]", "root_pose is missing"),

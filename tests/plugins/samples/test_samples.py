@@ -117,3 +117,12 @@ def test_the_sway_loops_and_zero_is_the_rest(folder: Path) -> None:
     np.testing.assert_allclose(start, end, atol=1e-5)
     decoded = decode(start, colors, "rgb")
     assert (decoded.opacity > 0.9).all()
+
+
+def test_cameras_stand_on_an_arc_around_the_scene(folder: Path) -> None:
+    documents = json.loads((folder / "cameras.json").read_text("utf-8"))
+    views = np.array([document["view"] for document in documents])
+    eyes = -np.einsum("nji,nj->ni", views[:, :3, :3], views[:, :3, 3])
+    np.testing.assert_allclose(np.hypot(eyes[:, 0], eyes[:, 2]), 3.9, rtol=1e-5)
+    np.testing.assert_allclose(eyes[:, 1], -1.75, rtol=1e-5)
+    np.testing.assert_allclose(eyes[:, 0], -eyes[::-1, 0], atol=1e-5)

@@ -126,7 +126,7 @@ def change(run: Path, index: int, value: Any) -> None:
         (1, torch.zeros(3, 2), "position is [3, 2], expected [3, 3]"),
         (14, torch.full((3, 1), float("nan")), "log_temporal_scale holds NaN"),
         (3, torch.zeros(3, 20, 3), "21 SH coefficients"),
-        (0, 4, "of which degree 4 is active"),
+        (0, 4, "and the active degree 4"),
         (16, 1.0, "value 16 of capture() is a float, expected bool"),
         (18, 3, "time degree 3 does not fit 48"),
     ],

@@ -12,6 +12,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.formats import PackedRows, PointCloud, open_splats, write_ply
 from gsgen.reference_plugins.static.static import from_content, neighbour_scale
+from gsgen.reference_plugins.static.static_plugin import _write_demo
 from gsgen.reference_plugins.synthetic import torus_knot
 from support.commands import gsgen_here, shared
 from support.models.static_scenes import write_scene
@@ -157,3 +158,8 @@ def test_the_real_splats_export_and_conform(tmp_path: Path) -> None:
     ran = gsgen_here("export", "static", source, "-o", tmp_path / "three.onnx")
     assert ran.code == 0, ran.err
     assert validate(tmp_path / "three.onnx").capacity == 3
+
+
+def test_the_demo_names_the_file_that_it_writes(tmp_path: Path) -> None:
+    (name,) = _write_demo(tmp_path)
+    assert len(open_splats(name)) == 20_000

@@ -341,7 +341,7 @@ WRONG = {
     '{"w": 2, "h": 2, "camera_angle_x": 0, "frames": [{"transform_matrix": '
     "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}": "camera_angle_x is 0.0, expected radians",
     '{"w": 2, "h": 2, "frames": [{"transform_matrix": '
-    "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}": "lacks fl_x and camera_angle_x",
+    "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}": "has neither fl_x nor camera_angle_x",
     '{"w": 2, "h": 2, "fl_x": 3, "frames": [{"transform_matrix": '
     "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}": "not a rigid transform",
     '[{"rotation": [[1,0],[0,1]], "position": [0,0,0]}]': "rotation is .* expected 3×3 finite",

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec.spherical_harmonics import basis
+from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project import project
 from gsgen.runtime.kernels.project.normals import normals_reference
 from gsgen.runtime.kernels.project.project import Projected, project_reference
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT, TILE, source
+from gsgen.runtime.kernels.shared.shader import ABSENT, source
 from gsgen.runtime.kernels.tiles.bin_tiles import touched_reference
 from gsgen.runtime.kernels.tiles.blend_tiles import blend_reference
+from gsgen.runtime.kernels.tiles.list_tiles import window_tiles
 from gsgen.runtime.kernels.tiles.tile_ranges import ranges_reference
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
@@ -96,57 +98,80 @@ def test_project(renderer: Renderer, name: str) -> None:
     np.testing.assert_allclose(colors[drawn, :3], wanted.color[drawn], atol=1e-5)
 
 
+def tile_renderer(device: Device, lists: bool) -> Renderer:
+    """Return a renderer that lists splats by tile, or one that sorts pairs of both, as on GPUs."""
+    renderer = Renderer(device, rasteriser="tiles")
+    renderer._kernels.lists = lists
+    return renderer
+
+
+@pytest.mark.parametrize("lists", [True, False], ids=["lists", "pairs"])
 @pytest.mark.parametrize(
     "name", ["many", "needles", "huge", "principal_point_outside", "panorama_seam", "panorama_huge"]
 )
-def test_bins_hold_every_tile_that_a_splat_reaches(renderer: Renderer, name: str) -> None:
+def test_tiles_list_every_splat_that_reaches_them(device: Device, name: str, lists: bool) -> None:
+    renderer = tile_renderer(device, lists)
     scene, small = SCENES[name]()
     seen_by = small.scaled(150, 90)
     run(renderer, scene, seen_by)  # the plan may have to be made
-    plan = run(renderer, scene, seen_by, "project", "sort", "bin")
-    n = len(scene)
+    plan = run(renderer, scene, seen_by, "project", "sort", "bin", "group")
+    n, tiles = len(scene), 10 * 6
     counts = words(renderer, plan, "counts", 4)
     pairs, visible = int(counts[Counts.PAIRS]), int(counts[Counts.VISIBLE])
     assert pairs == counts[Counts.WANTED_PAIRS] > 0
-    tiles = words(renderer, plan, "keys of pairs a", pairs)
-    members = words(renderer, plan, "values of pairs a", pairs)
-    touched = floats(renderer, plan, "colors", n)[:, 3]
-    keys = words(renderer, plan, "keys of Gaussians a", visible)
-    # As many were listed as were counted, nearest splat first.
-    np.testing.assert_array_equal(
-        np.bincount(members, minlength=n)[np.unique(members)], touched[np.unique(members)]
-    )
-    order = members[np.append(True, np.diff(members.astype(np.int64)) != 0)]
-    assert len(order) == visible
-    assert (np.diff(keys.view(np.float32)) >= 0).all()
+    ranges = words(renderer, plan, "ranges", 2 * tiles).reshape(tiles, 2)
+    tile_of = np.repeat(np.arange(tiles), ranges[:, 1] - ranges[:, 0])
+    assert len(tile_of) == pairs
+    # 60 tiles are six bits, which one pass sorts: its result is on the other side.
+    name_of_lists = "splats of tiles" if lists else "values of pairs b"
+    members = words(renderer, plan, name_of_lists, pairs)
+    np.testing.assert_array_equal(ranges, ranges_reference(tile_of.astype(np.uint32), tiles))
     shapes, weights = (floats(renderer, plan, part, n) for part in ("shapes", "weights"))
+    for first, end in ranges:  # nearest first
+        assert (np.diff(weights[members[first:end], 2]) >= 0).all()
+    listed = np.zeros((n, tiles), bool)
+    listed[members, tile_of] = True
+    assert listed.sum() == pairs
+    # As many were listed as were counted.
+    drawn = listed.any(axis=1)
+    if lists:
+        both = words(renderer, plan, "lows", plan.buffers["lows"].size // 4)
+        windows = both[len(both) // 2 :]  # remainders of depths are before them
+        for i in np.flatnonzero(drawn):
+            rows, columns = np.divmod(np.flatnonzero(listed[i]), 10)
+            if windows[i] == ABSENT:  # larger than a window, but for rows that it misses
+                assert seen_by.period or np.ptp(rows) > 1 or np.ptp(columns) > 3
+            else:
+                assert window_tiles(int(windows[i]), 10) == np.flatnonzero(listed[i]).tolist()
+    else:
+        touched = floats(renderer, plan, "colors", n)[:, 3]
+        np.testing.assert_array_equal(listed.sum(axis=1)[drawn], touched[drawn])
     origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
-    across = -(-seen_by.width // TILE)
     needed = 0
-    for i in order:
+    assert drawn.sum() <= visible
+    for i in np.flatnonzero(drawn):
         conic = np.float64([shapes[i, 2], shapes[i, 3], weights[i, 0]])
         mean = shapes[i, :2].astype(np.float64) + origin
         strength = float(weights[i, 1])
         must = touched_reference(mean, conic, strength, (150, 90), seen_by.period)
-        listed = np.zeros(must.size, bool)
-        listed[tiles[members == i]] = True
-        assert not (must.ravel() & ~listed).any()
-        assert len(must[0]) == across
+        assert not (must.ravel() & ~listed[i]).any()
         needed += int(must.sum())
     assert pairs <= 1.1 * needed + 5  # little is listed for nothing
 
 
-def test_ranges(renderer: Renderer) -> None:
-    scene, seen_by = SCENES["many"]()
-    run(renderer, scene, seen_by)
-    plan = run(renderer, scene, seen_by, "project", "sort", "bin", "group")
-    pairs = int(words(renderer, plan, "counts", 3)[Counts.PAIRS])
-    count = 4 * 3
-    ranges = words(renderer, plan, "ranges", 2 * count).reshape(count, 2)
-    # Four bits of tiles are sorted in one pass: the result is on the other side.
-    tiles = words(renderer, plan, "keys of pairs b", pairs)
-    assert (np.diff(tiles.astype(np.int64)) >= 0).all()
-    np.testing.assert_array_equal(ranges, ranges_reference(tiles, count))
+@pytest.mark.parametrize("name", ["many", "huge", "panorama_seam", "nothing"])
+def test_lists_are_those_of_sorted_pairs(device: Device, name: str) -> None:
+    """Pictures are the same, bit by bit, and so is what memory is read by 64 or 32 bits."""
+    scene, seen_by = SCENES[name]()
+    narrow = Device(device.raw)
+    narrow.wide = False
+    variants = [tile_renderer(device, True), tile_renderer(device, False), Renderer(narrow)]
+    frames = [each.render(scene, seen_by, outputs=("color", "depth")) for each in variants]
+    assert (frames[0].visible > 0) == (name != "nothing")
+    for other in frames[1:]:
+        np.testing.assert_array_equal(frames[0].rgba, other.rgba)
+        np.testing.assert_array_equal(frames[0].ids, other.ids)
+        assert (other.pairs, other.visible) == (frames[0].pairs, frames[0].visible)
 
 
 @pytest.mark.parametrize("name", ["many", "huge", "same_depths"])

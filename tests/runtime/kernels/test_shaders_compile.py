@@ -23,6 +23,8 @@ CONSTANTS: dict[str, int | float | bool] = {
     **COUNT_CONSTANTS,
     "THREADS": 8,
     "RUN": 4,
+    "RUNS": 8,
+    "LISTS": True,
     "BLOCK": 32,
     "SHARE": 1,
     "DIGITS": 16,
@@ -81,6 +83,8 @@ VARIANTS: dict[str, dict[str, int | float | bool]] = {
         "MASKED": False,
         "HALF_APPEARANCE": False,
         "HALF_TARGET": False,
+        "LISTS": False,
+        "WINDOWS": True,
     },
 }
 
@@ -91,6 +95,8 @@ def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) ->
     """wgpu raises for a name that neither the file nor its includes declare."""
     if "subgroup" in SHADERS[name] and not device.subgroups:
         pytest.skip("the device has no subgroups")
+    if "u64" in SHADERS[name] and not device.wide:
+        pytest.skip("the device reads no 64 bits at a time")
     declared = set(re.findall(r"^const (\w+)", SHADERS[name], re.MULTILINE))
     constants = {
         key: value for key, value in (CONSTANTS | VARIANTS[variant]).items() if key not in declared

@@ -7,6 +7,7 @@ import pytest
 
 from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import allocate_pool_page
 from gsgen.runtime.kernels.project import project
 from gsgen.runtime.kernels.project.cull_slots import seen_reference
 from gsgen.runtime.kernels.project.slots import slot_table
@@ -17,7 +18,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool, pool_row_bytes
 from support.rendering.splat_scenes import camera, cloud, turned
 
 OUTPUTS: tuple[Output, ...] = ("color", "depth", "normal")
@@ -348,3 +349,46 @@ def test_a_culled_slot_has_no_splat_in_the_image(renderer: Renderer) -> None:
         pooled = renderer.render(Scene([], pools=[filled(sorted_data, count=9)]), camera())
         single = renderer.render(Scene([sorted_data]), camera())
         np.testing.assert_array_equal(pooled.rgba, single.rgba)
+
+
+def test_a_pool_beyond_the_device_is_refused_before_it_takes_memory(device: Device) -> None:
+    small = Device(device.raw)
+    small.largest_binding = 16 * 3000
+    data = cloud(300, 5, degree=0)
+    pool = filled(data, spare=40)
+    renderer = Renderer(small, rasteriser="tiles")
+    with pytest.raises(CapacityExceeded) as caught:
+        renderer.render(Scene([data], pools=[pool]), camera())
+    message = str(caught.value)
+    assert f"{len(pool):,} streamed Gaussians makes {len(pool) + 300:,} in all" in message
+    assert "at most 3,000" in message
+    assert "--budget" in message
+    assert pool.take_writes()  # nothing was uploaded
+    renderer.render(Scene([data]), camera())
+
+
+def test_parts_of_a_tile_are_written_from_slot_to_slot() -> None:
+    data = cloud(300, 5, degree=0)
+    rows, appearance = data.rows.astype(np.float32), data.appearance.astype(np.float32)
+    pool = SplatPool(4 * SLOT, 3, slot_rows=SLOT)
+    pool.insert(3, rows[:SLOT], appearance[:SLOT], np.zeros(3), reserved_rows=300)
+    assert pool.free_slots == 1
+    assert pool.live.tolist() == [SLOT, 0, 0, 0]
+    pool.extend(3, rows[SLOT:], appearance[SLOT:], np.zeros(3), first_row=SLOT)
+    assert pool.live.tolist() == [SLOT, SLOT, 300 - 2 * SLOT, 0]
+    written = {write.first: write.rows for write in pool.take_writes()}
+    np.testing.assert_array_equal(np.concatenate([written[key] for key in sorted(written)]), rows)
+    for first_row, end in ((1, 40), (2 * SLOT, 300 + SLOT)):
+        part = np.resize(rows, (end - first_row, 10)), np.resize(appearance, (end - first_row, 3))
+        with pytest.raises(SceneInvalid, match=f"rows {first_row} to {end}"):
+            pool.extend(3, *part, np.zeros(3), first_row=first_row)
+    with pytest.raises(SceneInvalid, match="tile 4"):
+        pool.extend(4, rows, appearance, np.zeros(3), first_row=0)
+
+
+@pytest.mark.parametrize(("channels", "size"), [(3, 56), (12, 88), (27, 152), (48, 232)])
+def test_a_row_of_a_pool_has_the_bytes_of_its_buffers(
+    device: Device, channels: int, size: int
+) -> None:
+    page = allocate_pool_page(device, SplatPool(SLOT, channels, slot_rows=SLOT), 0, 1, half=False)
+    assert pool_row_bytes(channels) == size == (page.rows.size + page.appearance.size) / SLOT

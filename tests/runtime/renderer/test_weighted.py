@@ -205,7 +205,7 @@ def test_cells_that_do_not_fit() -> None:
     for wrong in (data.cells[:3], data.cells[:, :9], data.cells.astype(np.float64)):
         with pytest.raises(SceneInvalid, match=r"cells: .* expected float16 or float32"):
             SplatData(data.rows, data.appearance, "rgb", cells=wrong, per_cell=5)
-    with pytest.raises(SceneInvalid, match="expected float32 as before"):
+    with pytest.raises(SceneInvalid, match="expected float32 as in the frame before"):
         data.update(cells=data.cells.astype(np.float16))
-    with pytest.raises(SceneInvalid, match="expected none as before"):
+    with pytest.raises(SceneInvalid, match="expected no cells as in the frame before"):
         SplatData(data.rows, data.appearance, "rgb").update(cells=np.repeat(data.cells, 5, 0))

@@ -161,7 +161,7 @@ HOSTILE = {
     "text.glb": (b"hello there", "begins with the bytes 68 65 6c 6c, expected a mesh"),
     "short.glb": (b"glTF\2\0\0\0", "cannot be read as GLB"),
     "deep.glb": (glb({"a": 1})[:-8] + b"[" * 8, "cannot be read as GLB"),
-    "list.glb": (glb([1]), "JSON: is a list, expected an object"),
+    "list.glb": (glb([1]), "JSON: the glTF document is a list, expected an object"),
     "many.glb": (
         glb({"accessors": [{"count": 10**12}]}),
         r"accessors\[0\]\.count: is 1000000000000, expected at most \d+ by the size of the file",

@@ -148,6 +148,17 @@ export async function generatorFrames(path, frames) {
   return result;
 }
 
+/** Open a generator twice at the same time, run both, and return what is wrong. */
+export async function openTwice(path, { camera, values }) {
+  const { errors, kernels } = await opening();
+  const data = await (await fetch(path)).arrayBuffer();
+  const models = await Promise.all([0, 1].map(() => openModel(kernels, data.slice(0), path)));
+  await Promise.all(models.map((model) => model.update(values, camera)));
+  const extents = models.map(({ extent }) => extent);
+  for (const model of models) model.destroy();
+  return { extents, errors: errors.splice(0) };
+}
+
 /** Draw a tileset from cameras, each once its tiles have arrived. */
 export async function tilesetFrames(address, cameras, options) {
   const { device, errors, kernels } = await opening();

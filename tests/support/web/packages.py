@@ -1,4 +1,4 @@
-"""Packages of npm that tests of the browser client use; scripts/browser_packages.sh fetches them."""
+"""Packages of npm that tests use; scripts/browser_packages.sh fetches them."""
 
 import os
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Partitions, and which splats they hold."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from gsgen.tiles.build.plan import (
     partition_of,
 )
 from gsgen.tiles.build.scan import anchor_depths, location_codes
+from gsgen.tiles.build.source import BLOCK_ROWS, _ranges
 
 
 def location_oracle(code: int, anchor: int, depth: int) -> int:
@@ -79,3 +82,13 @@ def test_large_splats_are_anchored_where_tiles_are_twice_their_reach():
         assert 3 * size > side / 4 * (1 - 1e-5) or depth == DEPTH
     flat = np.full((1, 3), -np.inf, np.float32)
     assert anchor_depths(flat, cube).tolist() == [DEPTH]
+
+
+@pytest.mark.parametrize(("chunk_blocks", "step"), [(0.5, 1), (1, 1), (2.9, 2), (100, 4)])
+def test_chunks_are_whole_blocks_of_rows(chunk_blocks, step):
+    count, row_bytes = 3 * BLOCK_ROWS + 5, 62 * 4
+    file = SimpleNamespace(count=count, table=SimpleNamespace(row_bytes=row_bytes))
+    ranges = list(_ranges(file, int(chunk_blocks * row_bytes * BLOCK_ROWS)))
+    assert [first for first, _ in ranges] == list(range(0, count, step * BLOCK_ROWS))
+    assert sum(rows for _, rows in ranges) == count
+    assert list(_ranges(SimpleNamespace(count=count, table=None), 1)) == [(0, count)]

@@ -168,7 +168,7 @@ def other_model(model: bytes) -> Callable[[Path], None]:
         (no_file, "does not exist"),
         (other_digest, "expected"),
         (other_model(b"no model"), "a Gaussian Generator"),
-        (other_model(leaving()), "t/0.onnx breaks G"),
+        (other_model(leaving()), "breaks the rules G"),
         (declare(splats_max=3), "20 or more"),
         (declare(splats_max=1 << 23), "the budget"),
     ],

@@ -15,13 +15,15 @@ from gsgen.formats import write_ply
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.leaves import read_tile_content
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.loading import load_tileset, open_tileset
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.serving.server import serve_folder
 from gsgen.tiles.stores import http_store
 from gsgen.tiles.stores.folder_store import FolderStore
+from gsgen.tiles.streaming.clock import SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.events import ReplayLink, read_events
 from gsgen.tiles.streaming.session import SessionOptions, TilesetSession, open_session
@@ -68,13 +70,26 @@ class Pool:
     def __init__(self, session: TilesetSession) -> None:
         protocol: StreamingSession = session
         self.session, self.slots = protocol, {}
+        self.rows: dict[int, int] = {}  # uploaded, of tiles that are not whole
+        self.parts = 0
 
     def take(self, frame: SessionFrame) -> None:
         for tile in frame.evicted:
             del self.slots[tile]
+            assert tile not in self.rows
         sizes = [arrival.upload_bytes for arrival in frame.arrivals]
-        assert len(sizes) <= 1 or sum(sizes) <= self.session.upload_budget
+        assert sum(sizes) <= self.session.upload_budget or (
+            len(sizes) == 1
+            and frame.arrivals[0].end_row - frame.arrivals[0].first_row <= self.session.slot_rows
+        )
         for arrival in frame.arrivals:
+            assert self.rows.pop(arrival.tile, 0) == arrival.first_row
+            if not arrival.is_last:
+                self.rows[arrival.tile] = arrival.end_row
+                self.parts += 1
+                assert arrival.end_row % self.session.slot_rows == 0
+            if arrival.first_row:
+                continue
             assert arrival.tile not in self.slots
             assert arrival.rows.dtype == arrival.appearance.dtype == np.float32
             assert arrival.appearance.shape == (len(arrival.rows), 3 * 4)
@@ -82,7 +97,7 @@ class Pool:
         assert sum(self.slots.values()) <= self.session.pool_slots
         tiles = [entry.tile for entry in frame.drawn]
         assert tiles == sorted(set(tiles))
-        assert set(tiles) <= self.slots.keys()
+        assert set(tiles) <= self.slots.keys() - self.rows.keys()
         assert all(0 < entry.fade <= 1 for entry in frame.drawn)
 
 
@@ -198,6 +213,54 @@ def test_a_small_pool_draws_a_coarser_cut_and_never_overflows(town: Path) -> Non
     assert last.is_complete
     assert 0 < sum(session.tree.splats[entry.tile] for entry in last.drawn) <= 4000
     session.close()
+
+
+def test_a_tile_beyond_the_upload_budget_arrives_in_parts(town: Path) -> None:
+    """No frame exceeds the budget, no part is drawn, and the same tiles are drawn in the end."""
+    whole, last, _ = fly(town, OPTIONS)
+    whole.close()
+    budget = 3 * OPTIONS.slot_rows * 88
+    session = open_session(town, replace(OPTIONS, upload_budget=budget))
+    assert (session.tree.splats * 88 > budget).any()
+    pool = Pool(session)
+    for frustum in cameras(40):
+        pool.take(session.frame(frustum))
+        session.wait(0.01)
+    parted = complete(session, cameras(40)[-1], pool)
+    session.close()
+    assert pool.parts > 5
+    assert not pool.rows
+    assert [entry.tile for entry in parted.drawn] == [entry.tile for entry in last.drawn]
+
+
+def test_a_camera_inside_all_tiles_completes_in_a_small_pool(town: Path) -> None:
+    """Tiles around a camera have an infinite error; levels that do not fit are left out."""
+    tree = TileTree.of_tileset(open_tileset(town))
+    inside = tree.center[0] + 1e-3
+    surrounds = (np.abs(inside - tree.center) <= np.abs(tree.half_axes).sum(axis=1)).all(axis=1)
+    slots = -(-tree.splats[surrounds] // OPTIONS.slot_rows)
+    assert len(slots) > 1
+    too_few = OPTIONS.slot_rows * (int(slots.sum()) - 1)
+    session = open_session(town, replace(OPTIONS, max_splats=too_few, predictor="none"))
+    view = Camera.look_at(inside, np.add(inside, (0, 9, 0)), up=(0, 0, 1), width=64, height=48)
+    last = complete(session, Frustum.from_camera(view), Pool(session))
+    assert last.drawn
+    session.close()
+
+
+def test_a_pool_is_no_larger_than_the_whole_tileset(town: Path) -> None:
+    session = open_session(town, replace(OPTIONS, max_splats=10_000_000))
+    slots = -(-session.tree.splats // OPTIONS.slot_rows)
+    assert session.tree.is_counted
+    assert session.pool_slots == slots.sum() < 10_000_000 / OPTIONS.slot_rows
+    session.close()
+    # Where the numbers of splats are estimates, tiles may need more than those.
+    tree = replace(session.tree, is_counted=False)
+    link = ReplayLink(lambda tile: pytest.fail(f"{tile} is not asked for"), 6)
+    unknown = TilesetSession(
+        tree, link, SystemClock(), replace(OPTIONS, max_splats=10_000_000), sh_degree=1
+    )
+    assert unknown.pool_slots == -(-10_000_000 // OPTIONS.slot_rows)
 
 
 def test_a_tile_that_another_one_displaces_in_its_own_frame_is_not_uploaded(town: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,6 +61,43 @@ def test_a_complete_cut_of_leaves_is_the_picture_of_all_splats(
     assert frame.visible == expected.visible
     assert psnr(frame.rgba, expected.rgba) > 60
     source.close()
+
+
+def test_no_frame_writes_more_than_the_upload_budget(
+    town: Path, renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tiles larger than the budget arrive in parts: the bytes of all queue writes are counted."""
+    writes: list[int] = []
+    write = Device.write
+
+    def count(self: Device, buffer: Any, data: np.ndarray, offset: int = 0) -> None:
+        if buffer.label in {"rows of a pool", "appearance of a pool"}:
+            writes.append(data.nbytes)
+        write(self, buffer, data, offset)
+
+    monkeypatch.setattr(Device, "write", count)
+    pictures, most = [], []
+    for budget in (3 * 128 * (40 + 48), 4 << 20):
+        options = SessionOptions(
+            max_error=0.01, cache_bytes=0, slot_rows=128, upload_budget=budget, fade_seconds=0
+        )
+        session = open_session(town, options)
+        source = TilesSource("town", session, up=(0, 0, 1), extent=(np.zeros(3), 1.0), wait=0)
+        player, sizes = Player([source], renderer=renderer), []
+        for _ in range(600):
+            frame = player.render(FrameRequest(VIEW))
+            sizes.append(sum(writes))
+            writes.clear()
+            if not source.is_streaming:
+                break
+            session.wait(0.05)
+        assert max(sizes) <= budget
+        assert sum(sizes) == session.tree.splats[session.resident].sum() * (40 + 48)
+        pictures.append(frame.rgba)
+        most.append(max(sizes))
+        source.close()
+    assert most[0] < most[1]
+    np.testing.assert_array_equal(pictures[0], pictures[1])
 
 
 def test_a_coarse_cut_draws_fewer_splats_and_nearly_the_same_picture(

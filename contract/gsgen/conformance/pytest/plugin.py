@@ -123,7 +123,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Shorten the report of a conformance class whose model cannot be validated."""
+    """Shorten pytest's failure report of a conformance test whose model cannot be validated."""
     report = yield
     if call.when == "setup" and report.failed and _CLASSES in sys.modules:
         from gsgen.conformance.pytest.skipped import note, wants_model

@@ -20,7 +20,7 @@ _CHATTER = "DEBUG    torch."  # log lines of torch's exporter for its own develo
 
 
 def wants_model(item: pytest.Item) -> bool:
-    """Return whether a test belongs to a conformance class and needs its model validated."""
+    """Return whether a test of a ``GeneratorConformance`` class uses a validation result."""
     module = sys.modules.get("gsgen.conformance.pytest.generator")
     test_class = getattr(item, "cls", None)
     if (
@@ -40,7 +40,7 @@ def skip_if_noted(item: pytest.Item) -> None:
 
 
 def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
-    """Record that a model cannot be validated, and shorten the report to the author's own code."""
+    """Record that a model cannot be validated, and cut library code from the pytest traceback."""
     assert call.excinfo is not None
     if "conformance" in getattr(item, "funcargs", {}):
         return  # the model was validated, and the rule crashed

@@ -80,7 +80,7 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
 
 
 def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, Any]]:
-    """Return the most specific viewer faults for which every test case has failed."""
+    """Return the viewer faults whose test cases all failed, unless another explains more."""
     whole = {
         fault["id"]: set(fault["cases"])
         for fault in index["faults"]

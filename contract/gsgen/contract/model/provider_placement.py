@@ -1,4 +1,4 @@
-"""Predicts from operator tables where a WebGPU provider runs each node of a graph."""
+"""Predicts where a WebGPU provider runs each graph node, from tables of supported operators."""
 
 __all__ = ["SIZED_BY_DATA", "Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
 
@@ -169,7 +169,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 
 
 def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
-    """Return the variant (such as ``5d``) under which operator tables list a node, or empty."""
+    """Return a node's case in tables of supported operators, such as ``5d``; empty if usual."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:

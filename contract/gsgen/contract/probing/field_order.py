@@ -81,7 +81,7 @@ def suspect_order(
     planes: Float[np.ndarray, "n 10"] | None = None,
     smallest: float = 0.0,
 ) -> FieldOrder | None:
-    """Return the column layout that nearly all Gaussians fit, if many miss the declared one.
+    """Return the column layout that fits nearly all Gaussians, if the declared layout does not.
 
     Args:
         rows: Packed rows as stored, [n, 10], float64.

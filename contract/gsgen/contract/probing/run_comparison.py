@@ -99,12 +99,12 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return a copy of the model runs for one rule, whose list of unfinished runs is empty."""
+        """Copy the results of all model runs for one rule, with no run noted as unfinished."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The model outputs at the test inputs of output-value rules, except all-zero inputs."""
+        """The outputs that the rules about values check, except those of all-zero test inputs."""
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
@@ -114,7 +114,7 @@ class Behaviour:
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The model runs with the test inputs of rules about output values, in order."""
+        """The model runs whose outputs the rules about values check, in the order of inputs."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
@@ -126,7 +126,7 @@ class Behaviour:
 
     @property
     def seconds(self) -> list[float]:
-        """The seconds of each model run with the test inputs of rules about output values."""
+        """The duration, in seconds, of each run whose outputs the rules about values check."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[ProbeRun]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from stat import S_ISREG
 
 from gsgen.contract.model.graph import tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
@@ -62,19 +63,22 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
             f"leads out of the model's folder (weight {ref.tensor!r})",
             "a relative path below it",
         )
+    absent = f"no such file (weight {ref.tensor!r})", "a file beside the model"
     try:
         path = (root / ref.location).resolve()
         if not path.is_relative_to(root):
             return f"is a link to {path}", "a file below the model's folder"
-        if not path.is_file():
-            return f"no such file (weight {ref.tensor!r})", "a file beside the model"
-        size = path.stat().st_size
+        status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
+    except (FileNotFoundError, NotADirectoryError):
+        return absent
     except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
         reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
         return f"cannot be looked up: {reason}", "a file beside the model"
+    if not S_ISREG(status.st_mode):
+        return absent
     needed = ref.offset + (payload if ref.length is None else ref.length)
-    if needed > size:
-        return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
+    if needed > status.st_size:
+        return f"has {status.st_size} bytes (weight {ref.tensor!r})", f"at least {needed}"
     if payload and ref.length not in (None, payload):
         return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     return None

@@ -43,17 +43,17 @@ class Target:
 
     @property
     def runs_natively(self) -> bool:
-        """Whether the validation level `live` runs this target's browser runtime natively."""
+        """Whether running a model in the native WebGPU backend shows what this target supports."""
         return not self.operators or any(name.startswith("ep-") for name in self.operators)
 
     @property
     def label(self) -> str:
-        """The name and version of the validation target, as reports show them."""
+        """The name and version of the target runtime, as validation reports show them."""
         return f"{self.name}@{self.version}"
 
 
 def target_from_json(text: str, where: str) -> Target:
-    """Parse the JSON data file of a validation target.
+    """Parse the JSON data file that defines a target runtime or viewer.
 
     Raises:
         ConfigInvalid: It is not such a file.
@@ -73,13 +73,13 @@ def target_from_json(text: str, where: str) -> Target:
         )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise ConfigInvalid(
-            f"the file is not a valid data file of a validation target: {error!r}", where=where
+            f"the file does not define a target runtime or viewer: {error!r}", where=where
         ) from error
 
 
 @cache
 def _own_targets() -> dict[str, Target]:
-    """Return the validation targets that come with gsgen."""
+    """Return the definitions of target runtimes and viewers that are part of gsgen."""
     folder = resources.files("gsgen.contract").joinpath("targets_data")
     files = sorted(folder.iterdir(), key=lambda entry: entry.name)
     targets = [
@@ -92,7 +92,7 @@ def _own_targets() -> dict[str, Target]:
 
 @cache
 def known_targets() -> dict[str, Target]:
-    """Return every installed validation target by name; those of third parties come last.
+    """Return every installed definition of a target runtime by name; third parties' come last.
 
     A third party registers a :class:`Target`, or a function without arguments that returns one,
     under the entry point group ``gsgen.targets``. It may build on ours with :func:`load_target`.
@@ -114,7 +114,7 @@ def _loaded(point: EntryPoint) -> Target:
         target = loaded() if callable(loaded) else loaded
     except Exception as error:  # a third party's code may fail in any way
         raise ConfigInvalid(
-            f"the validation target cannot be loaded: {error!r}", where=where
+            f"the target runtime's definition cannot be loaded: {error!r}", where=where
         ) from error
     if not isinstance(target, Target):
         raise ConfigInvalid(f"the entry point returns {target!r}, expected a Target", where=where)
@@ -122,7 +122,7 @@ def _loaded(point: EntryPoint) -> Target:
 
 
 def load_target(name: str, where: str = "--target") -> Target:
-    """Return the validation target called ``name`` or ``name@version``.
+    """Return the definition of the target runtime called ``name`` or ``name@version``.
 
     Raises:
         UnknownName: No target has that name.

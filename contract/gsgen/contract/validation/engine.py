@@ -297,7 +297,7 @@ class _Validation:
                     self.results.settle([rule], items=context.items)
 
     def _settle_remaining(self) -> None:
-        """Record all validation rules and levels that were not reached as skipped."""
+        """Mark every validation rule and level that was not executed as skipped."""
         requested_level = self.settings.level
         settled = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():

@@ -200,7 +200,7 @@ class Finding:
 
     @property
     def counts(self) -> bool:
-        """Whether the finding counts against the model: it is neither waived nor known."""
+        """Whether the finding counts against the model: neither waived nor in the baseline."""
         return not (self.waived or self.known)
 
     @property

@@ -57,7 +57,7 @@ class FindingCounter:
     samples: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
-        """Count one rule violation; ``start`` is the row number at which its chunk begins."""
+        """Count one rule violation; ``start`` is the index of the first of the checked rows."""
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
         self.statistic = self.statistic or violation.statistic
@@ -89,7 +89,7 @@ class FindingCounter:
             self.worst = _example(violation.values, worst, probe, start)
 
     def _sample(self, violation: Violation) -> None:
-        """Keep evenly spaced checked values of a chunk of rows, for a histogram."""
+        """Keep evenly spaced values of the checked rows, for a histogram."""
         values, invalid = violation.values, violation.invalid_rows
         if values is not None and invalid is not None and values.ndim == 1:
             step = -(-len(values) // _SAMPLED)

@@ -214,7 +214,7 @@ class Report:
         return confirmed and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
-        """Return the number of findings of a severity that are neither waived nor known."""
+        """Return the number of findings of a severity, except waived and baseline findings."""
         return sum(f.severity == severity and f.counts for f in self.findings)
 
     @property

@@ -192,7 +192,7 @@ def rules_in(module: ModuleType) -> list[Rule]:
 
 
 def backends_in(module: ModuleType) -> list[LevelBackend]:
-    """Return the validation level backends that a Python module defines, in their order."""
+    """Return the backends, which run validation levels, that a Python module defines, in order."""
     return [value for value in vars(module).values() if isinstance(value, LevelBackend)]
 
 

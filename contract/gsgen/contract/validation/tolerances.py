@@ -37,7 +37,7 @@ def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
 
 
 def as_tolerances(subject: InspectedModel) -> Tolerances:
-    """Return the effective tolerances as the manifest's dataclass."""
+    """Return a model's tolerances in effect as one object with a value for each field."""
     return Tolerances(
         **{tolerance.field: tolerance.value for tolerance in effective_tolerances(subject)}
     )

@@ -149,7 +149,7 @@ class AnchorGenerator(GaussianGenerator):
         )
 
     def placements(self) -> tuple[Tensor, ...]:
-        """Return the centres of the anchors' Gaussians, then tensors that a subclass computes."""
+        """Return the Gaussians' centres, and in subclasses more tensors, such as scale limits."""
         tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
         return tensors
 

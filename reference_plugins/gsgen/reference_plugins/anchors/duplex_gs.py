@@ -39,7 +39,7 @@ BLENDS: tuple[Blend, ...] = ("alpha", "wsr")
 
 
 class _Bounded(nn.Module):
-    """Computes Gaussian centres within their ellipsoidal cell, and the largest scale it allows."""
+    """Computes Gaussian centres inside ellipsoidal cells, and each Gaussian's largest scale."""
 
     offset: Tensor
 
@@ -117,7 +117,7 @@ class DuplexGS(AnchorGenerator):
     def renderer_opacity(
         self, opacity: Float[Tensor, "n k"], frame: Decoding
     ) -> Float[Tensor, "n k"]:
-        """Multiply opacities by the cell's visibility and depth weight, in the weighted mode."""
+        """For weighted blending, multiply opacities by the cells' visibility and depth falloff."""
         if not self.weighted:
             return opacity
         opacity = opacity * self._visibility(frame)

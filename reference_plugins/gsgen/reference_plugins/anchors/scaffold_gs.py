@@ -20,5 +20,5 @@ class ScaffoldGS(AnchorGenerator):
     """Scaffold-GS as a generator model whose anchors are visible from every camera."""
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> None:
-        """Return None in place of shares: every anchor of Scaffold-GS is fully visible."""
+        """Return None, because every anchor of Scaffold-GS is fully visible from all cameras."""
         return

@@ -212,7 +212,7 @@ def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
         shifts.append(_json_numbers(where, frame, "trans", 3))
         expressions.append(np.asarray(frame.get("expr", ()), np.float64).ravel())
     if not poses:
-        raise CheckpointInvalid("holds no frames", where=str(path))
+        raise CheckpointInvalid("has no frames of poses, expected at least one", where=str(path))
     pose = _convert_poses(path, np.stack(poses), joints)
     expression = None
     if len({len(values) for values in expressions}) == 1 and len(expressions[0]):

@@ -132,7 +132,7 @@ def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
 def _tubes(
     joint_positions: Float[np.ndarray, "j 3"],
 ) -> tuple[Float[np.ndarray, "j 3"], Float[np.ndarray, "j 3"], Float[np.ndarray, " j"]]:
-    """Return begin, end and radius of the tube around each bone of the stick figure."""
+    """Return begin, end and radius of the tube (limb) around each bone of the stick figure."""
     begin = joint_positions[np.maximum(np.array(_PARENTS[len(joint_positions)]), 0)]
     end = joint_positions.copy()
     begin[_HEAD], end[_HEAD] = joint_positions[_HEAD], joint_positions[_HEAD] + _CROWN
@@ -146,7 +146,7 @@ def _tubes(
 def _chosen_tubes(
     joint_positions: Float[np.ndarray, "j 3"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, " n"]:
-    """Sample random tubes of the body, with probability proportional to their surface."""
+    """Choose random limbs (tubes) of the synthetic body, in proportion to their surface."""
     begin, end, radius = _tubes(joint_positions)
     surface = radius * (np.linalg.norm(end - begin, axis=1) + 0.3 * radius)
     return rng.choice(len(joint_positions), count, p=surface / surface.sum())
@@ -155,7 +155,7 @@ def _chosen_tubes(
 def _tube_points(
     joint_positions: Float[np.ndarray, "j 3"], tube: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Sample random points on the surface of the tubes of a synthetic body."""
+    """Sample random points on the surface of the limbs (tubes) of a synthetic body."""
     begin, end, radius = (values[tube] for values in _tubes(joint_positions))
     along = end - begin
     length = np.linalg.norm(along, axis=1, keepdims=True)

@@ -124,7 +124,7 @@ def _quaternion_product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor
 
 
 def _static_share(canonical: Canonical, nets: HexPlaneNets) -> Float[Tensor, "n 1"]:
-    """Interpolate the factor of each Gaussian's canonical attributes in a voxel grid; 0 outside."""
+    """Interpolate factors that scale each Gaussian's canonical attributes in a voxel grid."""
     assert nets.voxels is not None
     grid, low, high = nets.voxels
     position = (canonical.position - low) / (high - low) * 2 - 1

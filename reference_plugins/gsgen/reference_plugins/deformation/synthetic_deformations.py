@@ -182,7 +182,7 @@ def write_sc_gs(
 def _time_network(
     prefix: str, embedded: int, width: int, noise: torch.Generator
 ) -> dict[str, Tensor]:
-    """Return weights of eight layers over encoded point and time; Blender scenes add two layers."""
+    """Return random weights of a deformation MLP: eight layers; Blender scenes have two more."""
     state: dict[str, Tensor] = {}
     for layer in range(8):
         inputs = {0: embedded, 5: width + embedded}.get(layer, width)

@@ -51,7 +51,7 @@ class GaussianAvatarsCheckpoint:
 def read_gaussian_avatars(
     folder: Path, iteration: int | None = None, body: Path | None = None
 ) -> GaussianAvatarsCheckpoint:
-    """Read a checkpoint of GaussianAvatars; FLAME is ``body``, or lies in ``assets`` of the run."""
+    """Read a GaussianAvatars checkpoint, and FLAME from ``body`` or the run's folder ``assets``."""
     run = open_run("gaussian-avatars", folder, iteration)
     canonical, binding = _read_bound(run.files / "point_cloud.ply")
     path = run.files / "flame_param.npz"

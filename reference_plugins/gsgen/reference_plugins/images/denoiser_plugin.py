@@ -222,7 +222,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 
 def _with_noise(picture: "np.ndarray") -> "np.ndarray":
-    """Add diffusion noise of the demo's timestep to a uint8 image [H, W, 3]."""
+    """Add diffusion noise to a uint8 image [H, W, 3], as a demonstration input for a denoiser."""
     import numpy as np
 
     from gsgen.reference_plugins.images.diffusers_writer import SCHEDULE

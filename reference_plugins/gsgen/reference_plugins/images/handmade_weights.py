@@ -64,7 +64,8 @@ def set_outline_weights(network: Stylise) -> None:
     """
     channels = network.last.in_channels
     if channels < 6:
-        raise ConfigInvalid(f"has {channels} channels, expected at least 6", where="channels")
+        message = f"the network's last layer has {channels} channels, expected at least 6"
+        raise ConfigInvalid(message, where="channels")
     weights = Weights(network)
     weights("down.0.conv", _color_and_contrast)
     for name in ("down.1", "down.2", "up.0", "up.1"):

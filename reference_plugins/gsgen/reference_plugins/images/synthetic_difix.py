@@ -90,7 +90,7 @@ def write_difix(folder: Path) -> Path:
 
 
 def _set_identity(coder: Autoencoder) -> None:
-    """Make the encoder halve the image's size, and the decoder double that of the latent."""
+    """Set the weights so that the encoder halves the image size and the decoder doubles it."""
     weights = Weights(coder)
     first, down = weights["encoder.conv_in.weight"], weights[_sampler("encoder", "down")]
     for color in range(COLORS):

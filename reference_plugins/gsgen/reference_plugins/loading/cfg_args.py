@@ -36,7 +36,7 @@ _TEXT_OR_NOT_PYTHON = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """The printed text of a training option that is not a literal; it is never run."""
+    """A training option's value that is not a Python literal: kept as text, never evaluated."""
 
     text: str
 
@@ -138,7 +138,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _is_unspellable(value: ast.expr) -> bool:
-    """Return whether argparse printed options that are not identifiers, as ``**{'a-b': 1}``."""
+    """Return whether an expression is a dict of option names that are not Python identifiers."""
     return isinstance(value, ast.Dict) and all(
         isinstance(key, ast.Constant)
         and isinstance(key.value, str)

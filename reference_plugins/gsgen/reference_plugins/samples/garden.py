@@ -65,7 +65,7 @@ def lit(cloud: Cloud, *, shadows: bool = True) -> Splats:
 
 
 def _in_shadow(position: Vectors, sun: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
-    """Whether the table's top or a tree's crown is between a point and the sun."""
+    """Return whether the garden's table or a tree shades a point from the sun."""
     # 1. The top is a disc: the ray meets its plane within its radius.
     reach = (_TABLE_HEIGHT - position[:, 1]) / sun[1]
     hit = position + reach[:, None] * sun

@@ -179,7 +179,7 @@ def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
     degree, time_degree = values[0], values[_TIME_DEGREE]
     if stored not in _CHANGES or not 0 <= degree <= _SH_DEGREE:
         raise CheckpointInvalid(
-            f"has {stored} SH coefficients, of which degree {degree} is active; expected "
+            f"has {stored} SH coefficients and the active degree {degree}; expected "
             f"{', '.join(map(str, _CHANGES))} coefficients and degree 0 to {_SH_DEGREE}",
             where=str(path),
         )

@@ -77,7 +77,7 @@ def write_rotor(
 def _rotors(
     velocity: Float[Tensor, "n 3"], turn: Float[Tensor, "n 4"]
 ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n 4"]]:
-    """Return the quaternion pairs of rotations in space, then from time towards a velocity.
+    """Return quaternion pairs of 4D rotations: in space, then tilting time along a velocity.
 
     The latter is x ↦ b x b with b = (cos θ/2, sin θ/2 v) and tan θ = ‖velocity‖, so the pair of
     both is x ↦ (b g) x (g* b), of which the second factor is stored conjugated.

@@ -1,4 +1,4 @@
-"""Stores tensors that depend on weights alone, as results or as the smaller source tensors.
+"""Stores tensors that follow from weights alone: the results, or their sources if smaller.
 
 ONNX Runtime computes nodes without inputs once, when it loads a model, on any device. So a product
 larger than its factors need not be in the file: neither choice costs time in a frame.
@@ -18,7 +18,7 @@ BAKES: tuple[Bake, ...] = ("auto", "always", "never")
 
 
 class Constants(nn.Module):
-    """The constant results of a module, stored as results or as the module's buffers."""
+    """A module's constant output tensors: stored, or computed from the module's buffers."""
 
     def __init__(
         self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"

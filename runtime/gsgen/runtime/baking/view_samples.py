@@ -187,8 +187,8 @@ def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.nd
         known = keys[order]
         if len(known) > _MAX_GROWTH * max(largest, 1):
             raise ConfigInvalid(
-                f"the model outputs {len(known):,} different positions for {len(ids)} cameras and at most "
-                f"{largest:,} rows for one, so rows of different cameras cannot be matched",
+                f"the model outputs {len(known):,} different positions over {len(ids)} cameras, but "
+                f"at most {largest:,} rows per camera, so rows of different cameras cannot be matched",
                 where=model,
                 hint="Give --camera: the rows that this camera sees are baked.",
             )

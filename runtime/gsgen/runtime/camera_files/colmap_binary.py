@@ -91,7 +91,7 @@ class _Reader:
         end = self._data.find(b"\0", self._at, self._at + _LONGEST_NAME)
         if end < 0:
             raise ConfigInvalid(
-                f"has a name at byte {self._at} without an end", where=str(self._path)
+                f"the image name at byte {self._at} has no final zero byte", where=str(self._path)
             )
         content = self._data[self._at : end]
         self._at = end + 1

@@ -69,7 +69,7 @@ def _camera(document: Mapping[str, Any], index: int, where: str) -> NamedCamera:
             where=where,
             hint=f"Supported: {', '.join(_STRAIGHT)}, {_PANORAMA}. Undistort the pictures first.",
         )
-    fx, fy = _focal(document, "x", width, where), _focal(document, "y", height, where)
+    fx, fy = _focal(document, "x", where), _focal(document, "y", where)
     scale = math.pi if model == _PANORAMA else 1.0  # a panorama has fl / π pixels per radian
     camera = camera_at(
         where,
@@ -91,7 +91,7 @@ def _shape(document: Mapping[str, Any]) -> tuple[int, int]:
     return (3, 4) if isinstance(transform, list) and len(transform) == 3 else (4, 4)
 
 
-def _focal(document: Mapping[str, Any], axis: str, pixels: int, where: str) -> float:
+def _focal(document: Mapping[str, Any], axis: str, where: str) -> float:
     """Return a focal length in pixels: stored, from the angle of view, or of the other axis."""
     for name in (axis, "x" if axis == "y" else "y"):
         if f"fl_{name}" in document:
@@ -106,7 +106,7 @@ def _focal(document: Mapping[str, Any], axis: str, pixels: int, where: str) -> f
                 )
             return across / 2 / math.tan(radians / 2)
     raise ConfigInvalid(
-        f"the file lacks fl_{axis} and camera_angle_{axis}: the angle of {pixels} pixels is unknown",
+        f"has neither fl_{axis} nor camera_angle_{axis}, expected one of them as the focal length",
         where=where,
     )
 

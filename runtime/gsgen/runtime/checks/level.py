@@ -167,7 +167,7 @@ def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
 
 
 def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> Scene:
-    """Return the outputs of one run of an ONNX generator, by name, as a scene.
+    """Convert the outputs of one run of an ONNX generator to a scene for the renderer.
 
     The manifest must declare gaussians and appearance.
     """

@@ -181,7 +181,7 @@ def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Pr
 def _matched(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple[str, ...]]:
     """Return the training pictures that have a camera, and the names of those without a camera."""
     if not folder.is_dir():
-        raise InputUnreadable("is not a folder of pictures", where=str(folder))
+        raise InputUnreadable("is not a folder, expected one of training images", where=str(folder))
     by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     sources = [_read(path, by_stem[path.stem]) for path in paths if path.stem in by_stem]

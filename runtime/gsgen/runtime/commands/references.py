@@ -85,7 +85,7 @@ def references(
     memory: Memory = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a copy of MODEL that declares reference images: its own, or those of its training code.
+    """Write a copy of MODEL with reference images, drawn by MODEL or by its training code.
 
     Pictures that MODEL draws show later changes, and freeze a fault that it has now; those of the
     training code (--from with --cameras) show whether it looks like its source. `gsgen validate --level render` draws them again (rule GB021). Exits 0 if they were written, 2

@@ -23,6 +23,12 @@ def _settings(
     cache: Annotated[
         str, typer.Option(help="Most bytes on disk for files of servers, such as 2GB; 0 for none.")
     ] = "2GB",
+    upload_budget: Annotated[
+        str, typer.Option(help="Most bytes of arriving tiles in a frame, such as 4MB.")
+    ] = "4MB",
+    connections: Annotated[
+        int, typer.Option(help="Most requests of a server at once.", min=1, max=64)
+    ] = 6,
     predictor: Annotated[
         str,
         typer.Option(
@@ -45,6 +51,8 @@ def _settings(
         max_error=sse,
         max_splats=budget,
         cache_bytes=parse_bytes(cache, "--cache"),
+        upload_bytes=parse_bytes(upload_budget, "--upload-budget"),
+        connections=connections,
         predictor=predictor,
         log=log,
         neural_sessions=generators,

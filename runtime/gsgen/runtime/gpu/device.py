@@ -30,6 +30,7 @@ _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
 _CLOCK: Final = "timestamp-query"
 _MAPPED: Final = "mappable-primary-buffers"
+_WIDE: Final = "shader-int64"
 _RETRY_HINT = (
     "Try again; if that happens again, draw a smaller image or fewer Gaussians, or on another "
     "device: see `gsgen doctor`."
@@ -55,6 +56,7 @@ class Device:
         blends_floats: Whether render pipelines can blend 32-bit floats.
         has_clock: Whether passes can write timestamps.
         maps: Whether this process can map the buffers that shaders read (host memory).
+        wide: Whether shaders read and write 64 bits at a time.
     """
 
     def __init__(self, raw: RawDevice) -> None:
@@ -66,6 +68,7 @@ class Device:
         self.blends_floats = _BLENDING in raw.features
         self.has_clock = _CLOCK in raw.features
         self.maps = self.software and _MAPPED in raw.features
+        self.wide = self.software and _WIDE in raw.features
         self.largest_buffer = int(raw.limits["max-buffer-size"])
         self.largest_binding = min(
             int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
@@ -101,7 +104,7 @@ class Device:
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
         features = {_SUBGROUPS, _BLENDING, _CLOCK}
         if adapter.info["adapter_type"] == "CPU":  # a GPU would read mapped memory over its bus
-            features.add(_MAPPED)
+            features |= {_MAPPED, _WIDE}
         try:
             return cls(
                 adapter.request_device_sync(

@@ -262,7 +262,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame that draws a splat set; from its second frame on, rows are sorted in space.
+        """Begin a frame that draws a splat set; sort its rows in space if it was drawn before.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they

@@ -53,7 +53,7 @@ def save_exr(path: Path, frame: Frame, mode: Mode) -> None:
 def picture16_of(
     frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
 ) -> UInt16[np.ndarray, "h w *c"]:
-    """Return a frame's output as :func:`picture_of` does, in steps of 1/65535."""
+    """Return a frame's output for a display mode, as an image of 16-bit integers."""
     return np.asarray(np.rint(levels_of(frame, mode, depths) * _LARGEST16), np.uint16)
 
 

@@ -88,7 +88,7 @@ def picture_of(
 def levels_of(
     frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
 ) -> Float[np.ndarray, "h w *c"]:
-    """Return the values of :func:`picture_of` from 0 to 1, before they are quantised."""
+    """Return a frame's output for a display mode, as an image of floats from 0 to 1."""
     if mode == "color":
         return frame.srgb
     array = array_of(frame, mode)

@@ -43,7 +43,8 @@ def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> 
     if spec.role != "audio" or spec.convention == "mel" or len(shape) != 1 or spec.rate is None:
         takes = "mel energies" if spec.role == "audio" else f"the role {spec.role}"
         raise ConfigInvalid(
-            f"the input {spec.name!r} takes {takes}, expected samples of sound with a rate",
+            f"a sound file cannot feed the input {spec.name!r}, which takes {takes}: "
+            "expected an input of audio samples with a sampling rate",
             where=where,
             hint=_ARRAYS,
         )

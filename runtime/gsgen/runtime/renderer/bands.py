@@ -43,7 +43,7 @@ class Band:
 
     @classmethod
     def of(cls, camera: Camera) -> "Band":
-        """Return the band with all image rows of a camera."""
+        """Return a single band that covers the whole image of a camera."""
         return cls(camera, 0, camera.height)
 
     @property

@@ -16,7 +16,7 @@ from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns, RadixSort, SortCo
 
 @final
 class DepthOrder:
-    """Sorts splats by depth: by 32-bit keys, and equal keys by the remainders of the depths.
+    """Sorts splats by depth: by 32-bit keys, and equal keys by the low parts of the depths.
 
     A key is the depth rounded to float32. Of a million centres most have a key of their own, and
     the tie pass orders the others. If a tie is longer than MOST_TIED, as in a slightly rotated
@@ -95,7 +95,7 @@ class DepthOrder:
         spare: Buffer,
         histogram: Buffer,
     ) -> tuple[list[Step], Columns]:
-        """Return the dispatches that sort splats by depth remainder, then stably by depth key."""
+        """Return the dispatches that sort splats by the depths' low parts, then by depth keys."""
         keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
         first, side = self._by_key(capacity, counts, by_low, histogram, first_keys=lows)
         sorted_lows = by_low[side]

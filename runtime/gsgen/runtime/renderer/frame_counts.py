@@ -16,7 +16,7 @@ from gsgen.runtime.renderer.kernel_set import Kernels
 def frame_counts(
     device: Device, kernels: Kernels, counts: Sequence[UInt32[np.ndarray, " n"]]
 ) -> UInt32[np.ndarray, " n"]:
-    """Add up the GPU counters of a frame's splats, except the capacity of splat-tile pairs.
+    """Add up the GPU counters of a frame's parts; limits and maxima are not summed.
 
     Raises:
         CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.

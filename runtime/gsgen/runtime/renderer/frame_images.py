@@ -53,7 +53,7 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
 
 
 def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
-    """Convert ids that count only the depth-sorted splat sets to row indices in the scene."""
+    """Convert splat ids, which skip weighted-sum splat sets, to row indices of the whole scene."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
     weighted = [splat_set.weighted is not None for splat_set in scene.sets]
     summed = np.array([*weighted, *(False for _ in scene.pools)], bool)

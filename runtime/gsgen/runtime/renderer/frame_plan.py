@@ -39,6 +39,7 @@ from gsgen.runtime.renderer.placed_pages import (
     weighted_pages,
 )
 from gsgen.runtime.renderer.slabs import KEY_STAGES, Slabs
+from gsgen.runtime.renderer.tile_lists import TileLists, list_splats
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -204,7 +205,7 @@ class Plan:
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
         colors = self._storage("colors", VEC4 * n)
-        lows = self._storage("lows", 4 * n)
+        lows = self._storage("lows", (8 if self._kernels.lists else 4) * n)
         normals = self._storage("normals", VEC4 * n) if "normal" in outputs else None
         stages = self._project(placed, columns[0].keys, colors, lows, normals)
         # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
@@ -215,11 +216,27 @@ class Plan:
             outputs = outputs - {"color"}
         if not outputs:
             return stages
-        # Stage 3, by tiles: list the pairs of splat and tile, in order of depth.
-        pairs = [self._columns(f"pairs {side}", self.pair_capacity) for side in "ab"]
-        stages["bin"] = self._bin(order, colors, pairs[0])
-        # Stage 4: sort the pairs by tile; a stable sort keeps the depth order within a tile.
-        stages["group"], members = self._group(pairs)
+        # Stages 3 and 4, by tiles: list the splats of each tile, in order of depth.
+        tile_stages, members, cleared = list_splats(
+            self._kernels,
+            TileLists(
+                storage=self._storage,
+                frame=self._frame,
+                counts=self._counts,
+                order=order,
+                tiles_of=lows if self._kernels.lists else colors,
+                splats=self._splats,
+                ranges=self._ranges,
+                scratch=columns[0].keys,
+                gaussians=n,
+                pair_capacity=self.pair_capacity,
+                tiles=self._tiles[0] * self._tiles[1],
+            ),
+            panorama=self._panorama,
+            records=self._records,
+        )
+        stages |= tile_stages
+        self.clears += [(buffer, 0, None) for buffer in cleared]
         # Stage 5: blend each tile, once per output.
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors, pick=False)]
@@ -231,7 +248,7 @@ class Plan:
         return stages
 
     def _lay_inputs(self, count: int) -> Layers:
-        """Allocate GPU buffers of image layers that the caller writes."""
+        """Allocate GPU buffers for image layers (colours and depths) that the application fills."""
         layers = allocate_layers(self._storage, count, self._size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
         return layers
@@ -319,32 +336,6 @@ class Plan:
             self._device.write(origins, self._origins)
         spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self._counts, columns, lows, origins, spare)
-
-    def _bin(self, order: Buffer, colors: Buffer, pairs: Columns) -> list[Step]:
-        walk = self._kernels.cut.walk
-        run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
-        measure, emit = self._kernels.bin(self._panorama, self._records).steps(
-            self._counts,
-            (self._frame, self._counts, order, colors, run_pairs, *pairs, *self._splats),
-        )
-        add = self._kernels.scan.steps(
-            self._counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
-        )
-        return [measure, *add, emit]
-
-    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the dispatches that sort splat-tile pairs by tile, and the buffer of pairs."""
-        last = self._tiles[0] * self._tiles[1] - 1
-        steps, side = self._kernels.sort.steps(
-            self._counts,
-            self._kernels.sort.histogram(self.pair_capacity),
-            pairs,
-            bits=self._kernels.tile_bits(last),
-            source=Counts.PAIRS,
-            groups=Counts.SORT_PAIRS_GROUPS,
-        )
-        mark = self._kernels.ranges.step(self._counts, pairs[side].keys, self._ranges)
-        return [*steps, mark], pairs[side].values
 
     def _blend(self, name: str, members: Buffer, colors: Buffer, *, pick: bool) -> Step:
         pixels = self._size[0] * self._size[1]

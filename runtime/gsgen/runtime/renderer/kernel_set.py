@@ -19,6 +19,7 @@ from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import RadixSort, SortConfig, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
+from gsgen.runtime.kernels.tiles.list_tiles import ListTiles
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.renderer.depth_sort import DepthOrder
 from gsgen.runtime.renderer.weighted_plan import WeightedKernels
@@ -36,6 +37,9 @@ class Kernels:
         one_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
             that larger images need more passes of the tile sort.
         cut: How work is divided among invocations; :func:`cut_for` by default.
+
+    Attributes:
+        lists: Whether splats are listed by tile without a sort of pairs.
     """
 
     def __init__(
@@ -56,6 +60,8 @@ class Kernels:
                 device, self.cut.walk, panorama=panorama, tile=self.cut.tile, records=records
             )
         )
+        self.lists = device.software and self.cut.tile == TILE and not one_shape
+        self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
             lambda pick, panorama, layers, records, carried=False: BlendTiles(
@@ -79,6 +85,7 @@ class Kernels:
                 tile=self.cut.tile,
                 records=records,
                 slab=slab,
+                windows=self.lists,
             )
         )
         self.tally = cache(lambda: TallyKeys(device))
@@ -110,12 +117,12 @@ class Kernels:
         return MOST_GROUPS * WALK_THREADS * self.cut.walk
 
     def records(self, gaussians: int) -> bool:
-        """Return whether projected splats are structs that fit one GPU buffer's binding limit."""
+        """Return whether splats are projected to structs, which have to fit one GPU buffer."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 
     def tile_bits(self, last: int) -> int:
-        """Return the number of key bits for tile indices, whole radix digits if ``one_shape``."""
+        """Return the number of sort-key bits for tile indices up to ``last``."""
         bits = max(1, last.bit_length())
         digit = self.cut.digit_bits
         return -(-bits // digit) * digit if self._one_shape else bits

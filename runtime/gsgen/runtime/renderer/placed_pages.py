@@ -27,7 +27,7 @@ def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 
 def slot_rows(page: Page) -> int:
-    """Return the rows per slot (streamed tile's range) of a page (GPU buffers); 0 without slots."""
+    """Return how many rows of GPU buffers each streamed tile's slot has; 0 without slots."""
     return 0 if page.slots is None else page.slots.pool.slot_rows
 
 

@@ -1,4 +1,4 @@
-"""Chooses a GPU's faster rasteriser and tiles by drawing one test frame with each, once.
+"""Chooses a GPU's fastest rasteriser and image-tile size: each draws one test frame.
 
 Compute tiles stop at finished pixels, but first list the splats of each tile. The hardware's quads
 need no list, but blend every fragment. Which is faster depends on how fast a GPU's fixed-function

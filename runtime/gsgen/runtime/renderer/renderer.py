@@ -33,7 +33,7 @@ from gsgen.runtime.renderer.rasteriser_choice import (
     choose,
     chosen_cut,
 )
-from gsgen.runtime.renderer.slabs import most_splats
+from gsgen.runtime.renderer.slabs import most_splats, require_pools_fit
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
@@ -242,6 +242,7 @@ class Renderer:
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
+        require_pools_fit(scene, self.device, self._kernels)
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -468,7 +469,7 @@ def _require_alone(scene: Scene) -> None:
     summed = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(summed) and (scene.meshes or not all(summed)):
         raise SceneInvalid(
-            "is True, but the scene has depth-sorted sets or meshes besides weighted-sum splats",
+            "is True, but the scene has depth-sorted sets or meshes, expected weighted sums alone",
             where="published",
             hint="Draw sorted sets and meshes with a renderer that has published=False.",
         )

@@ -1,6 +1,6 @@
 """Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
-__all__ = ["KEY_STAGES", "Slabs", "most_splats", "slab_ranges"]
+__all__ = ["KEY_STAGES", "Slabs", "most_splats", "require_pools_fit", "slab_ranges"]
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Protocol, final
@@ -17,6 +17,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.renderer.bands import Drawing
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.scene.scene import Scene
 
 KEY_STAGES: Final = ("keys", "tally")
 """Stages that compute the keys of a frame and count them, before its slabs are drawn."""
@@ -44,6 +45,26 @@ def most_splats(device: Device, kernels: Kernels) -> int:
     return min(device.largest_binding // VEC4, kernels.most_binned)
 
 
+def require_pools_fit(scene: Scene, device: Device, kernels: Kernels) -> None:
+    """Raise if a scene with splat pools (streamed tiles) has more splats than a GPU draws at once.
+
+    Slabs draw pages of sets alone, since slots of pools are culled before keys are computed.
+
+    Raises:
+        CapacityExceeded: It has more.
+    """
+    pooled = sum(len(pooled.pool) for pooled in scene.pools)
+    splats = pooled + sum(len(splat_set.data) for splat_set in scene.sets)
+    most = most_splats(device, kernels)
+    if pooled and splats > most:
+        raise CapacityExceeded(
+            f"room for {pooled:,} streamed Gaussians makes {splats:,} in all; {device.name} draws "
+            f"at most {most:,} of a scene that streams",
+            where="scene",
+            hint="Give tilesets a smaller `--budget` (`max_splats`).",
+        )
+
+
 def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
     """Divide all depth sort keys into ranges of at most ``capacity`` splats each.
 
@@ -69,7 +90,7 @@ def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
 def _bins(
     tally: Tally, low: int, shift: int, capacity: int, *, bins: int = BINS
 ) -> Iterator[tuple[int, int]]:
-    """Yield first key and splat count of each histogram bin, in parts if above ``capacity``."""
+    """Yield first depth key and splat count of histogram bins; too full bins are divided."""
     amounts = tally(low, shift)[:bins]
     for number in np.flatnonzero(amounts).tolist():
         start, amount = low + (number << shift), int(amounts[number])

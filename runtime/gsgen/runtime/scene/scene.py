@@ -64,7 +64,7 @@ class SplatSet:
         require_affine(matrix)
         if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
             raise SceneInvalid(
-                f"is {self.opacity_scale}, expected a number from 0", where="opacity_scale"
+                f"is {self.opacity_scale}, expected a finite number ≥ 0", where="opacity_scale"
             )
         if self.degree is not None and not 0 <= self.degree <= MAX_DEGREE:
             raise SceneInvalid(f"is {self.degree}, expected 0 to {MAX_DEGREE}", where="degree")

@@ -149,8 +149,9 @@ class SplatData:
     def _next_cells(self, cells: np.ndarray) -> np.ndarray:
         checked = _checked_cells(cells, self.per_cell, len(self.rows))
         if self.cells is None or checked.dtype != self.cells.dtype:
-            before = "none" if self.cells is None else str(self.cells.dtype)
-            raise SceneInvalid(f"is {checked.dtype}, expected {before} as before", where="cells")
+            before = "no cells" if self.cells is None else str(self.cells.dtype)
+            message = f"the new cells are {checked.dtype}, expected {before} as in the frame before"
+            raise SceneInvalid(message, where="cells")
         return checked
 
     @property

@@ -5,7 +5,7 @@ neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn o
 the slot table, which is written every frame.
 """
 
-__all__ = ["SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool"]
+__all__ = ["SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool", "pool_row_bytes"]
 
 import heapq
 from collections.abc import Mapping
@@ -23,8 +23,15 @@ from gsgen.runtime.scene.transforms import identity, require_affine
 SLOT_ROWS: Final = 4096
 """Rows of a tile slot: few, so that half a slot is a small waste and slots can be culled."""
 
+_VECTOR: Final = 16  # bytes: shaders read colours in whole vectors
+
 # A splat is drawn up to this many standard deviations from its centre: √(2 ln 255) = 3.33.
 _REACH = 3.5
+
+
+def pool_row_bytes(channels: int) -> int:
+    """Return the most bytes that a Gaussian of a splat pool takes on the GPU."""
+    return 4 * layout.ROW + -(-4 * channels // _VECTOR) * _VECTOR
 
 
 @final
@@ -160,6 +167,32 @@ class SplatPool:
         self._drop_writes(slots)
         self._write(slots, rows, appearance, origin)
 
+    def extend(
+        self,
+        tile: int,
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+        *,
+        first_row: int,
+    ) -> None:
+        """Write some of a tile's Gaussians in the splat pool, from a slot's first row on.
+
+        Raises:
+            SceneInvalid: The tile is not in the pool, or the arrays have other shapes.
+        """
+        slots = self._held_slots(tile)[first_row // self.slot_rows :]
+        self._require_shapes(tile, rows, appearance)
+        if first_row % self.slot_rows or len(rows) > len(slots) * self.slot_rows:
+            raise SceneInvalid(
+                f"rows {first_row} to {first_row + len(rows)} do not begin a slot of "
+                f"{self.slot_rows:,}, or exceed the tile's slots",
+                where=f"tile {tile}",
+            )
+        slots = slots[: -(-len(rows) // self.slot_rows)]
+        self._drop_writes(slots)
+        self._write(slots, rows, appearance, origin)
+
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
             raise SceneInvalid(
@@ -259,5 +292,5 @@ class PooledSet:
         object.__setattr__(self, "transform", matrix)
         require_affine(matrix)
         if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
-            message = f"is {self.opacity_scale}, expected a number from 0"
+            message = f"is {self.opacity_scale}, expected a finite number ≥ 0"
             raise SceneInvalid(message, where="opacity_scale")

@@ -323,7 +323,8 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
     """Raise if the counts or nodes of a glTF file would take unbounded memory or time."""
     document = json.loads(_json_of(path))
     if not isinstance(document, dict):
-        raise SceneInvalid(f"is a {type(document).__name__}, expected an object", where="JSON")
+        message = f"the glTF document is a {type(document).__name__}, expected an object"
+        raise SceneInvalid(message, where="JSON")
     for name in document.get("extensionsRequired", []):
         if name in _COMPRESSIONS:
             raise SceneInvalid(

@@ -51,7 +51,7 @@ class SceneModel:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneMesh:
-    """A mesh file of a scene file; a shading of None is that of the mesh file."""
+    """A mesh that a scene file lists; ``shading`` None keeps the shading of the mesh file."""
 
     path: Path
     transform: Float[np.ndarray, "4 4"]

@@ -33,7 +33,7 @@ class SceneSource(StaticSource):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the splat set in memory with other drawing settings."""
+        """Return the splat set with the given SH degree and antialiasing."""
         degree = self._set.degree if sh_degree is None else sh_degree
         return replace(self._set, degree=degree, antialias=antialias or self.antialias)
 
@@ -46,7 +46,7 @@ class SceneSource(StaticSource):
 
 
 def sources_of(scene: Scene | SplatData | str | Path | Sequence[str | Path]) -> list[Source]:
-    """Return the sources of Gaussians of a scene in memory, or of files."""
+    """Return sources of Gaussians for a scene: an object in memory, or paths of files."""
     if isinstance(scene, SplatData):
         scene = Scene([scene])
     if isinstance(scene, Scene):

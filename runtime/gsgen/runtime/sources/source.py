@@ -212,20 +212,20 @@ class StaticSource(Source):
     """Base of scene sources that compute nothing: splat files, meshes and scenes in memory."""
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: the Gaussians are the same in every frame."""
+        """Ignore camera and inputs, because the Gaussians are the same in every frame."""
 
     def finish(self) -> None:
-        """Do nothing: no frame is pending."""
+        """Return at once, because a static source computes no frames."""
 
     def abandon(self) -> None:
-        """Do nothing: no frame is pending."""
+        """Discard nothing, because a static source computes no frames."""
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Raise KeyError: a splat file or mesh has no inputs."""
         raise KeyError(name)
 
     def close(self) -> None:
-        """Do nothing: no file is open."""
+        """Release nothing, because a static source keeps no file or model open."""
 
 
 @final

@@ -19,6 +19,8 @@ class StreamSettings:
         max_error: Screen-space error above which tiles are refined, in pixels.
         max_splats: Most Gaussians in GPU memory at once.
         cache_bytes: Most bytes of files in the disk cache; 0 for no cache.
+        upload_bytes: Most bytes of arriving tiles that a frame uploads.
+        connections: Most requests at once.
         predictor: Name of a predictor of camera paths, or its ONNX file.
         log: File of events as JSON lines; None for none.
         allow_origins: Other origins that redirects of a server may lead to.
@@ -31,6 +33,8 @@ class StreamSettings:
     max_error: float = 16.0
     max_splats: int = 2_000_000
     cache_bytes: int = 2 << 30
+    upload_bytes: int = 4 << 20
+    connections: int = 6
     predictor: str = "constant-velocity"
     log: Path | None = None
     allow_origins: tuple[str, ...] = ()

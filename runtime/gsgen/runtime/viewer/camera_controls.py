@@ -114,7 +114,7 @@ class Controls:
         self.pivot = self.pivot + self._rotation.T @ steps
 
     def wheel(self, amount: float) -> None:
-        """Move the camera to its pivot, or away for a positive wheel amount; 100 is a notch."""
+        """Zoom by a mouse wheel amount: in if negative, out if positive; 100 is one notch."""
         factor = math.exp(float(np.clip(amount * _WHEEL, -5, 5)))
         if self._home.kind == "orthographic":
             self._zoom = float(np.clip(self._zoom / factor, 1e-4, 1e4))

@@ -118,7 +118,7 @@ class Overlay:
         slider: tuple[Slider, SliderState] | None,
         message: str,
     ) -> list[Panel]:
-        """Return the panels over the current frame.
+        """Return the panels (text and controls) to draw over the picture of the current frame.
 
         Args:
             size: Width and height of the surface, in pixels.

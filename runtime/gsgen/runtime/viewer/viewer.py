@@ -187,7 +187,7 @@ class Viewer:
         return replace(coarse, dilation=camera.dilation / coarseness**2)
 
     def _coarseness(self) -> int:
-        """Return the side of an image pixel in surface pixels, at which drawing is fast enough."""
+        """Return how much coarser than the surface an image is so that it is drawn in time."""
         drawn = self._renderer.drawn
         if drawn is None:
             return 1

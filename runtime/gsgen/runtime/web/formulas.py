@@ -66,7 +66,7 @@ class Formula(int):
     guards: list[Tree]
 
     def __new__(cls, value: int, tree: Tree, guards: list[Tree]) -> "Formula":
-        """Create an integer of the given value, with a size formula."""
+        """Create an integer with the formula (arithmetic on named sizes) that computes it."""
         formula = super().__new__(cls, value)
         formula.tree, formula.guards = tree, guards
         return formula
@@ -152,7 +152,7 @@ class Formula(int):
         return int.__hash__(self)
 
     def bit_length(self) -> int:
-        """Return the bit length; the recorded plan then holds for numbers of at most as many bits.
+        """Return the bit length, and limit the recorded plan to numbers of at most that many bits.
 
         The tile sort asks for it, to sort by no more bits than tiles need. More do no harm.
         """

@@ -85,7 +85,7 @@ def client_file(name: str) -> bytes:
 
 
 def model_bytes(path: Path) -> bytes:
-    """Return a model file's bytes for a web page; splats other than SPZ 1 to 3 become a PLY.
+    """Return a model file's bytes for a web page; splats other than SPZ 1 to 3 and SOG become a PLY.
 
     Raises:
         SceneUnreadable: The file cannot be read, or holds no splats that a page draws.
@@ -100,8 +100,8 @@ def model_bytes(path: Path) -> bytes:
     if not isinstance(content, Splats):
         hint = "A page shows splats and generators; draw others with gsgen view."
         raise SceneUnreadable("holds no splats", where=str(path), hint=hint)
-    is_spz = path.suffix.lower() == ".spz" and raw[:2] == b"\x1f\x8b"
-    if is_spz:
+    magic = {".spz": b"\x1f\x8b", ".sog": b"PK"}.get(path.suffix.lower())
+    if magic is not None and raw.startswith(magic):
         return raw
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "splats.ply"

@@ -61,7 +61,7 @@ class PlanTables:
         self.plans.append(_PlanWriter(self, recorded).plan())
 
     def pool_buffers(self, page: Page, slots: str) -> dict[str, dict[str, Any]]:
-        """Return the GPU buffers of a splat pool's page (part): sizes as formulas in ``slots``.
+        """Return the GPU buffers of one part of a splat pool; sizes are formulas of the slot count.
 
         Args:
             page: A recorded page.
@@ -158,7 +158,7 @@ class _PlanWriter:
     def _repeated(
         self, run: Mapping[int, list[int]], *, of_sets: bool
     ) -> dict[str, int | list[int]]:
-        """Return the GPU steps of each format of pages (splat buffers), from recorded steps."""
+        """Return the dispatches that repeat for every page (splat buffers), by data format."""
         slots = list(run)
         assert slots == list(range(len(self._recorded.pages))), f"pages are out of order: {slots}"
         rows_of: dict[str, list[int]] = {}
@@ -175,7 +175,7 @@ class _PlanWriter:
         return slots.pop() if slots else None
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
-        """Return the indices that a mapping assigns to the GPU buffers that a step binds."""
+        """Return the indices of the pages (splat buffers) that a recorded dispatch binds."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 
@@ -206,7 +206,7 @@ class _PlanWriter:
         return self._tables.row("binds", {"kinds": bind.kinds, "entries": entries})
 
     def _buffer(self, buffer: RecordedBuffer) -> int | str:
-        """Return the row index of a GPU buffer; a number distinguishes buffers of equal label."""
+        """Return a buffer's row in the JSON table of GPU buffers; equal labels get a number."""
         if buffer not in self._buffers:
             number, sizes = self._labels.get(buffer.label, 0), self._recorded.sizes
             self._labels[buffer.label] = number + 1
@@ -226,7 +226,7 @@ class _PlanWriter:
         return self._tree(tree_of(buffer.size))
 
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
-        """Rename the sizes in a formula for the browser client, such as ``gaussians`` and ``capacity``."""
+        """Replace the names of recorded sizes in a formula by those of the browser client."""
         for name, total in self._recorded.totals.items():
             tree = replaced(tree, total, name)
         if slot is None:
@@ -252,7 +252,7 @@ def _data(buffer: RecordedBuffer, recorded_sizes: Mapping[str, int]) -> dict[str
 
 
 def module_row(tables: PlanTables, module: RecordedModule) -> dict[str, Any]:
-    """Return the table row of a shader module: constants, and the index of its WGSL text."""
+    """Convert a shader module to a JSON table entry: constants, and index of its WGSL text."""
     lines = module.code.splitlines(keepends=True)
     first = next(i for i, line in enumerate(lines) if not line.startswith("const "))
     return {

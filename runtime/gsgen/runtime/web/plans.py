@@ -22,7 +22,7 @@ from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.rules.outputs.outputs import MEANINGS
 from gsgen.contract.spec.fields.roles import KINDS
-from gsgen.contract.spec.layout import ROW, appearance_channels
+from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW, appearance_channels
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.spec.upgrades import CURRENT
@@ -66,7 +66,7 @@ _BOTH: Final = (False, True)
 
 PAGE_RULES: Final = (
     "GM001", "GM002", "GM003", "GM004", "GM005", "GM006", "GM009", "GM015", "GM019",
-    "GO002", "GO003", "GL003",
+    "GO002", "GO003", "GO006", "GO007", "GO008", "GO009", "GL003",
 )  # fmt: skip
 """Rules that the client checks by itself (findings.js)."""
 
@@ -140,7 +140,7 @@ def plans_document() -> dict[str, Any]:
 
 
 def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]:
-    """Return a splat pool's GPU buffers by page format, with sizes as formulas in ``slots``."""
+    """Return a splat pool's GPU buffers for each data format; sizes are formulas of ``slots``."""
     device, slots = Device(RecordingDevice()), Formula(1, "slots", [])
     placed = recorded_pool_pages(device, APPEARANCES, [slots] * len(APPEARANCES), slot_rows)
     return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}
@@ -154,6 +154,7 @@ def _contract() -> dict[str, Any]:
         "version": CURRENT,
         "kinds": list(KINDS),
         "channels": [appearance_channels("sh", degree, 4) for degree in range(MAX_DEGREE + 1)],
+        "appearance": {space: list(counts) for space, counts in APPEARANCE_CHANNELS.items()},
         "rows": {
             "width": ROW,
             "most": limits["workgroups"] * limits["workgroup_size"],
@@ -167,7 +168,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels that copy model outputs to GPU buffers, and the ONNX operators that copy.
+    """Return the kernels that copy model outputs to GPU buffers, and ONNX operators that only copy.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.

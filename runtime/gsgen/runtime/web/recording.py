@@ -157,7 +157,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return one empty page (GPU buffers) with its splat set per appearance and capacity.
+    """Return empty pages (GPU buffers) with an empty splat set: one per format and capacity.
 
     Args:
         kinds: The format of each page's appearance.
@@ -187,7 +187,7 @@ def recorded_pages(
 def recorded_pool_pages(
     device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
 ) -> list[Placed]:
-    """Return one empty page (GPU buffers) of a splat pool per appearance and number of slots."""
+    """Return empty pages (GPU buffers) of splat pools: one for each appearance format."""
     empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
     placed = []
     for kind, count in zip(kinds, slots, strict=True):
@@ -198,7 +198,7 @@ def recorded_pool_pages(
 
 
 def page_kind(page: Page) -> str:
-    """Return the name of a page's (GPU buffers) format: appearance dtype and stride, and pool."""
+    """Return the name of the row format of splats in GPU buffers, such as ``pool of float16 16``."""
     name = f"{'float16' if page.half else 'float32'} {page.stride}"
     return name if page.slots is None else f"pool of {name}"
 

@@ -159,7 +159,7 @@ def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list
 
 
 def group_small(counts: Sequence[int], limit: int) -> list[list[int]]:
-    """Group neighbouring octants of an octree cell, of at most ``limit`` splats a group.
+    """Group neighbouring octants of an octree cell while a group has ``limit`` splats at most.
 
     Octants that a surface only touches would be leaves of a few splats, each a request.
     """

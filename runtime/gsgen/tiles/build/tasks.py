@@ -85,7 +85,7 @@ def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
 def run_count(
     task: CountTask,
 ) -> tuple[int, tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]]:
-    """Count a scene chunk's splats in octree cells; return their number, cells and counts."""
+    """Count a scene chunk's splats per octree cell; return total, cells and their counts."""
     folder = Path(task.work) / "cells"
     marker = folder / f"{task.chunk.index:06}-{task.depth}.npy"
     if marker.exists():

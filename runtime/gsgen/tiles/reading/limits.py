@@ -32,21 +32,21 @@ class LoadReport(Protocol):
     """Protocol: receives every fault of a tileset, so that reading continues with the rest."""
 
     def note(self, error: TilesetInvalid) -> None:
-        """Receive a fault of a tileset part that can be read nevertheless."""
+        """Handle a fault that leaves all parts of the tileset readable."""
         ...
 
     def drop(self, error: TilesetInvalid) -> None:
-        """Receive a fault of a tileset part that is omitted; may raise the fault."""
+        """Handle a fault by which a part of the tileset is left out; may raise the fault."""
         ...
 
 
 @final
 class Strict:
-    """Raises faults that hide a part of a tileset, and ignores other faults."""
+    """Raises every fault by which a part of a tileset would be left out; ignores other faults."""
 
     def note(self, error: TilesetInvalid) -> None:
-        """Ignore a fault that hides no part of the tileset."""
+        """Ignore a fault that leaves all parts of the tileset readable."""
 
     def drop(self, error: TilesetInvalid) -> None:
-        """Raise a fault that hides a part of the tileset."""
+        """Raise a fault by which a part of the tileset would be left out."""
         raise error

@@ -181,7 +181,7 @@ def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tu
         parts += [entry.around(np.zeros(3)) for entry in placed]
     if not parts:
         raise TilesetInvalid(
-            "a level of the tileset has no splats",
+            f"a level of detail of the tileset ({len(cut)} tiles) has no splats",
             location=tileset.index,
             expected="contents with KHR_gaussian_splatting",
             fault=Fault.CONTENT,

@@ -1,4 +1,4 @@
-"""Finds the few changes of a choice of tiles that together fit a budget and gain most."""
+"""Finds a few changes of the chosen tiles that together fit a budget and add most utility."""
 
 __all__ = ["CORE_CHANGES", "LEAST_GAIN", "MOST_ROUNDS", "best_changes"]
 
@@ -24,7 +24,7 @@ def best_changes(
     left: float,
     least_gain: float,
 ) -> list[int]:
-    """Return up to four changes of tiles that cost at most ``left`` and gain most utility.
+    """Return up to four changes of the chosen tiles that add most utility for ``left`` at most.
 
     The four are two pairs: sorted sums give each pair the best other pair that the rest of the
     budget holds (Horowitz and Sahni 1974). Where both share a tile, the pair stays alone: the

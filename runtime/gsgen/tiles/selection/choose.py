@@ -92,7 +92,7 @@ def _exchanged(
     budget: float,
     price: float,
 ) -> Choice:
-    """Improve a choice of tile qualities by sets of changes that lose little at a price per byte."""
+    """Improve the chosen file qualities of tiles by sets of four changes within the budget."""
     value = hulls.values * weight[:, None]
     exists = np.isfinite(hulls.costs)
     cost = np.where(exists, hulls.costs, 0.0)

@@ -29,17 +29,22 @@ class Cut:
     error: Float64[np.ndarray, " n"]
 
 
-def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
+def cut_tree(
+    tree: TileTree, frustum: Frustum, max_error: float, *, max_level: int | None = None
+) -> Cut:
     """Return the tiles that a frustum sees, refined where the screen-space error is too large.
 
     Args:
         tree: The tiles.
         frustum: In the root frame.
         max_error: In pixels; a tile with children is refined above it.
+        max_level: The finest level; all if None.
     """
     distance = frustum.distances(tree.center, tree.half_axes)
     error = frustum.screen_space_error(tree.error, distance)
     refined = (error > max_error) & ~tree.is_leaf
+    if max_level is not None:
+        refined &= tree.level < max_level
     seen = frustum.meets(tree.center, tree.half_axes)
     for rows in tree.rows_of_level[1:]:
         above = tree.parent[rows]

@@ -1,4 +1,4 @@
-"""Improves a choice of drawn tiles by exchanges: changes of some tiles pay for those of others.
+"""Improves a set of drawn tiles by exchanges: bytes saved on some tiles pay for finer other tiles.
 
 A greedy choice leaves a part of the budget that no single step fits. Each round, in this order:
 
@@ -28,7 +28,7 @@ Amounts = Float64[np.ndarray, " m"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Changes:
-    """Possible changes of a choice of tiles, each within the subtree of one tile.
+    """Possible changes of the set of drawn tiles; each replaces the drawn tiles of one subtree.
 
     Attributes:
         node: The tile.
@@ -43,7 +43,7 @@ class _Changes:
     utility: Amounts
 
     def core(self, price: float) -> "_Changes":
-        """Return the changes of tiles that lose least at a given price per byte."""
+        """Return the changes of drawn tiles that gain most utility, less ``price`` per byte."""
         loss = price * self.cost - self.utility
         if len(loss) <= CORE_CHANGES:
             return self
@@ -77,7 +77,7 @@ def exchange_tiles(
 
 @final
 class _Exchange:
-    """A choice of tiles to be improved by exchanges, and the constants of the problem."""
+    """The tiles drawn so far, improved step by step, with the costs and utilities of all tiles."""
 
     def __init__(self, options: CutOptions, option: Int64[np.ndarray, " n"], price: float) -> None:
         self.option = option.copy()
@@ -94,7 +94,7 @@ class _Exchange:
         self._solve_at_price()
 
     def _solve_at_price(self) -> None:
-        """Find the best tiles below each tile at the price of a byte."""
+        """Choose the tiles to draw in every subtree that maximise utility minus price × bytes."""
         count = len(self.option)
         rows = np.arange(count)
         profit = np.where(self._exists, self._utility - self._price * self._cost, -np.inf)
@@ -123,7 +123,7 @@ class _Exchange:
         return float(self._cost[rows, columns].sum()), float(self._utility[rows, columns].sum())
 
     def improve(self, left: float, least_gain: float) -> bool:
-        """Make the up to four changes that gain most; return whether there are any."""
+        """Apply up to four changes of drawn tiles that add most utility; return whether any."""
         changes = self._changes().core(self._price)
         is_apart = self._are_apart(changes.node)
         rows = best_changes(changes.cost, changes.utility, is_apart, left, least_gain)
@@ -159,7 +159,7 @@ class _Exchange:
         )
 
     def _are_apart(self, node: Rows) -> Bool[np.ndarray, "m m"]:
-        """Return which pairs of changes are in different subtrees."""
+        """Return which pairs of tile changes are in disjoint subtrees: both can be applied."""
         is_apart = np.ones((len(node), len(node)), bool)
         above = node
         while (above >= 0).any():
@@ -168,7 +168,7 @@ class _Exchange:
         return np.asarray(is_apart & is_apart.T)
 
     def _make(self, node: int, option: int) -> None:
-        """Draw a tile at a quality, or the best tiles below it, in place of its subtree's tiles."""
+        """Draw a subtree's root instead, or if ``option`` < 0 the best tiles below the root."""
         opened, is_split = np.array([node]), np.array([option < 0])
         self.option[node] = option
         while len(opened):

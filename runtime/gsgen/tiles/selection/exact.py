@@ -138,7 +138,7 @@ def _front(
 def _trace(
     options: CutOptions, fronts: list[_Front | None], children: list[list[int]]
 ) -> Int64[np.ndarray, " n"]:
-    """Return the chosen file quality of each tile at the root's choice of most utility."""
+    """Return which file of each tile (-1: none) the best choice within the byte budget downloads."""
     root = int(np.flatnonzero(options.parent < 0)[0])
     chosen = np.full(len(fronts), -1, np.int64)
     last = fronts[root]
@@ -178,7 +178,7 @@ class DeadlineTile:
 
 
 def choose_until_deadlines(tiles: list[DeadlineTile]) -> Choice:
-    """Choose at most one file quality per tile that arrives by its deadline, exactly.
+    """Choose the optimal file quality of each tile, or none, so that all arrive by their deadlines.
 
     U(i,t) = max(U(i−1,t), U(i,t−1), max_j U(i−1,t−d_ij) + u_ij for t ≤ deadline_i), where
     U(i,t) is the best of the first i tiles when the link is free again at slot t.

@@ -14,7 +14,7 @@ Table = Float64[np.ndarray, "n m"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OptionHulls:
-    """Upgrades of many tiles' file qualities, on the concave hulls of value over cost.
+    """The worthwhile quality upgrades of many tiles: edges of concave hulls of value over cost.
 
     A step leads from one option on a tile's hull to the next; the first of each tile leads from
     nothing (cost 0, value 0). Steps of a tile follow each other with falling efficiency.
@@ -42,7 +42,7 @@ class OptionHulls:
 
     @classmethod
     def of_options(cls, cost: Table, value: Table) -> "OptionHulls":
-        """Build the concave hulls (value over cost) of the file qualities of many tiles.
+        """Find the worthwhile quality upgrades of many tiles, by concave hulls of value over cost.
 
         Args:
             cost: Of each option, ≥ 0; infinite for options that a tile does not have.

@@ -64,7 +64,7 @@ def choose_jointly(
 
 
 def _is_independent(options: CutOptions, is_parent: Bool[np.ndarray, " n"]) -> bool:
-    """Return whether only leaves of a tile tree have utility, so that each is chosen alone."""
+    """Return whether only leaf tiles have utility; drawing one tile then never excludes another."""
     draws = np.isfinite(options.cost) & (options.utility > 0)
     is_nothing = (options.cost[:, -1] == 0) & (options.utility[:, -1] == 0)
     return bool(is_nothing.all()) and not bool(draws[is_parent].any())
@@ -107,7 +107,7 @@ class _PriceSearch:
         self.best: _Candidate | None = None
 
     def keeps_limit(self, price: float) -> bool:
-        """Choose tiles at a price per Gaussian; return whether the limit of Gaussians is met."""
+        """Choose tiles by utility − ``price`` × Gaussians; return whether few enough Gaussians."""
         priced = self._options.utility - price * self._splats
         options = CutOptions(self._options.parent, self._options.cost, priced)
         frontier = TreeFrontier.of_options(options)
@@ -136,12 +136,12 @@ class _PriceSearch:
         return keeps_limit
 
     def first_price(self) -> float:
-        """Return the price per Gaussian at which the unrestricted choice would be worth nothing."""
+        """Return the first price to try: utility per Gaussian of tiles chosen by bytes alone."""
         assert self.best is not None
         return max(self.best.utility, 1e-12) / max(self.best.splats, 1)
 
     def choice(self) -> Choice | None:
-        """Return the best choice of tiles within both limits, and an upper bound of its utility."""
+        """Return the best tiles within byte and Gaussian limits, and a bound of their utility."""
         best = self.best
         if best is None or best.splats > self._splat_budget:
             return None

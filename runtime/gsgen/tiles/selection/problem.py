@@ -99,7 +99,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
 
 
 def _read_nodes(problem: JsonObject) -> CutOptions:
-    """Read the tile tree of a byte-budget problem: one root, and leaves with a file quality."""
+    """Read a problem's tile tree: a single root, and at least one file quality for each leaf."""
     nodes = list(problem.objects("nodes"))
     if not nodes:
         problem.refuse("nodes", "one node at least")
@@ -149,7 +149,7 @@ def _read_options(
 
 
 def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
-    """Yield the tiles and file qualities that a byte-budget problem declares as loaded."""
+    """Yield the tiles, with file quality, that a tile choice problem lists as already loaded."""
     loaded = problem.values.get("loaded", [])
     if not isinstance(loaded, list):
         problem.refuse("loaded", "an array of [node, quality]")
@@ -177,9 +177,9 @@ def _solve_deadlines(problem: JsonObject) -> Choice:
     cells = len(tiles) * (max((tile.deadline for tile in tiles), default=0) + 1)
     if cells > MOST_CELLS:
         raise TilesetInvalid(
-            f"the choice of tiles by deadlines has {cells:,} pairs of a tile and a time slot",
+            f"the problem has {cells:,} combinations of a tile and a download time slot",
             location=problem.at("tiles"),
             expected=f"{MOST_CELLS:,} or fewer",
-            hint="Use longer slots.",
+            hint="Make the time slots longer, so that fewer lie before the last deadline.",
         )
     return choose_until_deadlines(tiles)

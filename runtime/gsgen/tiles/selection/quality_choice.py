@@ -129,7 +129,7 @@ class QualityChooser:
         return self._first
 
     def upgrade(self, eye: Float64[np.ndarray, " 3"], drawn: Bool[np.ndarray, " n"]) -> int | None:
-        """Return the drawn tile that gains most from its finest file, which is requested next.
+        """Return the drawn tile whose finest file adds most value per byte; it is requested next.
 
         A finer file is fetched whole, and replaces the rows of the coarser one.
         """

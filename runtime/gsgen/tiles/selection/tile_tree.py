@@ -33,6 +33,7 @@ class TileTree:
         adds: Whether the tiles below join the content instead of replacing it.
         size: Bytes of the contents; 0 for a tile without.
         splats: Number of splats of the contents, or an estimate from the bytes.
+        is_counted: Whether the metadata tell the number of splats of all contents.
         rows_of_level: Indices of the tiles of each level.
     """
 
@@ -46,6 +47,7 @@ class TileTree:
     adds: Bool[np.ndarray, " n"]
     size: Int64[np.ndarray, " n"]
     splats: Int64[np.ndarray, " n"]
+    is_counted: bool = False
     rows_of_level: tuple[Int64[np.ndarray, " m"], ...] = field(repr=False)
 
     def __len__(self) -> int:
@@ -86,6 +88,7 @@ class TileTree:
             adds=np.array([tile.refine == "ADD" for tile in tiles]),
             size=np.array([size for size, _ in measures], np.int64),
             splats=np.array([splats for _, splats in measures], np.int64),
+            is_counted=all(_is_counted(tile) for tile in tiles if tile.contents),
             rows_of_level=tuple(
                 np.flatnonzero(level == depth) for depth in range(int(level.max()) + 1)
             ),
@@ -123,9 +126,14 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
         size = int(sizes[min(max(quality, 0), len(sizes) - 1)])
     elif store is not None:
         size = sum(store.size(content.uri) for content in tile.contents)
-    splats = tile.metadata.get("splats")
-    known = isinstance(splats, int | np.integer)
-    return size, int(splats) if known else size // _BYTES_PER_SPLAT  # type: ignore[arg-type]
+    if _is_counted(tile):
+        return size, int(tile.metadata["splats"])
+    return size, size // _BYTES_PER_SPLAT
+
+
+def _is_counted(tile: Tile) -> bool:
+    """Return whether a tile's metadata tell the number of its splats."""
+    return isinstance(tile.metadata.get("splats"), int | np.integer)
 
 
 def _root_box(tile: Tile, tileset: Tileset) -> Box:

@@ -129,7 +129,7 @@ class TreeFrontier:
         return float((value[after] - value[after - 1]) / (cost[after] - cost[after - 1]))
 
     def options_at(self, point: int) -> Int64[np.ndarray, " n"]:
-        """Return each tile's chosen file quality at a point of the tree's curve; −1 for none."""
+        """Return tiles' file qualities at a point of the root's utility curve; −1: not drawn."""
         chosen = np.full(len(self.options.parent), -1, np.int64)
         points = np.array([point])
         for level, below in zip(self.levels, [*self.levels[1:], None], strict=True):
@@ -167,7 +167,7 @@ def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return how many steps of each child's utility curve are among its parent's first steps."""
+    """Return how many of a parent's first ``prefix`` steps come from each child's utility curve."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]
@@ -181,7 +181,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return tree nodes' utility curves from their file qualities and their children's curves."""
+    """Return what each tile of a tree level and its subtree gain for every number of bytes."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])
@@ -222,7 +222,7 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return cumulative sums of values that restart at each tree node."""
+    """Return cumulative sums of sorted values, which start again at each tree node."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
@@ -273,7 +273,7 @@ def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Row
 def _reduce(
     operation: np.ufunc, values: Points, starts: Rows, filled: Bool[np.ndarray, " m"], empty: float
 ) -> Points:
-    """Reduce each tree node's values to one value, with a default for nodes without values."""
+    """Reduce each tree node's values by an operation such as minimum; ``empty`` if it has none."""
     result = np.full(len(starts), empty)
     if filled.any():
         result[filled] = operation.reduceat(values, starts[filled])

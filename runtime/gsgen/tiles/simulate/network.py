@@ -27,11 +27,11 @@ class VirtualClock:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class RateTrace:
-    """Rates of a network: each holds from its time to the next, the first also before it.
+    """The data rate of a network over time, in steps: each rate holds until the next time.
 
     Attributes:
         times: In seconds, ascending.
-        rates: In bytes a second, 0 or more; the last one holds for ever.
+        rates: In bytes a second, 0 or more; the first holds before its time too, the last for ever.
     """
 
     times: Float64[np.ndarray, " n"]

@@ -80,8 +80,8 @@ class EventLog:
                 for result in received
                 if result.error is not None
             ],
-            "arrived": [arrival.tile for arrival in frame.arrivals],
-            "qualities": [arrival.quality for arrival in frame.arrivals],
+            "arrived": [arrival.tile for arrival in frame.arrivals if arrival.is_last],
+            "qualities": [arrival.quality for arrival in frame.arrivals if arrival.is_last],
             "evicted": list(frame.evicted),
             "drawn": [[entry.tile, entry.fade] for entry in frame.drawn],
             "missing": frame.missing,
@@ -109,7 +109,7 @@ class FrameEvents:
         received: Tiles whose contents had come.
         failed: Tiles that could not be had: key, message, and whether it may pass.
         drawn: Tiles that were drawn, and their fades.
-        arrived: Tiles that were uploaded.
+        arrived: Tiles that were uploaded to their last row.
         evicted: Tiles that left.
     """
 
@@ -198,7 +198,7 @@ class ReplayLink:
         self._requested.add(tile)
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Do nothing: the replayed event log says which queued tiles were requested."""
+        """Ignore queued tiles, because the replayed event log says which of them were requested."""
 
     def take_started(self) -> list[int]:
         """Return the tiles that the logged streaming session requested from its queue."""
@@ -208,7 +208,7 @@ class ReplayLink:
         return list(self._events.started)
 
     def progress(self, tile: int) -> float:
-        """Return 1, as if every tile were received, so that a replay cancels no request itself."""
+        """Return 1 (completely received), so that the planner cancels no request in a replay."""
         del tile
         return 1.0
 
@@ -231,4 +231,4 @@ class ReplayLink:
         """Return at once: a replayed streaming session waits for no network."""
 
     def close(self) -> None:
-        """Do nothing: a replayed network link has no connections to close."""
+        """Close nothing, because a replayed network link has no connections."""

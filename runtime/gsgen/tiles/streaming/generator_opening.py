@@ -80,7 +80,7 @@ def _require_drawable(worker: GeneratorWorker) -> None:
     ):
         if actual != expected:
             raise TilesetInvalid(
-                f"the manifest's {name} is {actual}",
-                expected=f"{expected}, as in all tiles of splats",
+                f"the manifest of the tile's ONNX generator has {name} {actual}",
+                expected=f"{expected}, which the tiles' stored splats have",
                 fault=Fault.NEURAL,
             )

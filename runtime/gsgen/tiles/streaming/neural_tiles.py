@@ -175,7 +175,7 @@ class NeuralTiles:
 
     @property
     def unsettled(self) -> tuple[int, ...]:
-        """The tiles whose ONNX generators have not yet computed the last frame's inputs."""
+        """The tiles whose ONNX generators have not yet run with the last frame's inputs."""
         return self._unsettled
 
     def arrive(self, arrival: TileArrival) -> None:

@@ -138,7 +138,7 @@ class RequestPlanner:
         self._link.request(tile)
 
     def begin(self, tile: int) -> None:
-        """Record a request of a needed tile that the network link began from the queue."""
+        """Record that the network link has started the queued request of a needed tile."""
         self._in_flight[tile] = _InFlight(is_prefetch=False)
         self._recorder.request()
 

@@ -11,9 +11,8 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from gsgen.contract.spec.layout import ROW
 from gsgen.contract.spec.spherical_harmonics import coefficients
-from gsgen.runtime.scene.splat_pool import SLOT_ROWS
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
@@ -230,10 +229,13 @@ class TilesetSession:
         self._slots: Int64[np.ndarray, " n"] = -(
             -np.maximum(tree.splats, self._reserved) // options.slot_rows
         )
+        if tree.is_counted:  # a pool need not hold more than the whole tileset
+            self.pool_slots = min(self.pool_slots, max(1, int(self._slots.sum())))
         self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
         self._fades = Fades(tree, options.fade_seconds)
         self._is_empty = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
+        self._partial: TileArrival | None = None  # whose rows are not all uploaded
         self._retry_at: dict[int, float] = {}
         self._received_bytes, self._was_busy = 0, False
         self._started: list[int] = []
@@ -284,11 +286,15 @@ class TilesetSession:
         self._frustum = frustum
         received = self._receive(time)
         cut = self._fitting_cut(frustum)
-        visible = self._fades.values > 0
-        self._residents.frame(time, cut.seen | visible)
+        needed = cut.seen | (self._fades.values > 0)
+        if self._partial:
+            needed[self._partial.tile] = True
+        self._residents.frame(time, needed)
         evicted, arrivals = self._upload(time, cut)
         dead = self._dead(time)
         there = self._residents.resident | self._is_empty
+        if self._partial and not self._partial.is_upgrade:
+            there[self._partial.tile] = False
         self._recorder.frame(time, cut, there)
         self._request(time, cut, there | dead)
         drawn = drawable_tiles(self.tree, cut, there)
@@ -312,8 +318,9 @@ class TilesetSession:
         return frame
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a requested tile arrives or fails, for a limited time."""
-        self._link.wait(seconds)
+        """Sleep until a requested tile arrives or fails, unless others wait for their upload."""
+        if not (self._pending or self._partial):
+            self._link.wait(seconds)
 
     def close(self) -> None:
         """Cancel all tile requests, and close the file store and the event log."""
@@ -358,12 +365,21 @@ class TilesetSession:
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
+
+        def fits(cut: Cut) -> bool:
+            return int(self._slots[cut.seen].sum()) <= self.pool_slots
+
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)
-            if int(self._slots[cut.seen].sum()) <= self.pool_slots:
-                break
+            if fits(cut):
+                return cut
             error *= _COARSER
+        # Tiles with the camera inside have an infinite error: fewer levels fit.
+        for level in range(len(self.tree.rows_of_level) - 1, -1, -1):
+            cut = cut_tree(self.tree, frustum, error, max_level=level)
+            if fits(cut):
+                break
         return cut
 
     def _upload(self, time: float, cut: Cut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
@@ -373,13 +389,16 @@ class TilesetSession:
         evicted: list[int] = []
         arrivals: list[TileArrival] = []
         room = self.upload_budget
+        if self._partial:
+            arrivals.append(self._continued(self._partial))
+            room -= arrivals[0].upload_bytes
         for tile in order:
-            arrival = self._pending[tile]
-            if arrivals and arrival.upload_bytes > room:
+            part = self._pending[tile].next_part(room, self.slot_rows, first_row=0)
+            if self._partial or (arrivals and part.upload_bytes > room):
                 break
             del self._pending[tile]
             arrival = replace(
-                arrival,
+                part,
                 reserved_rows=int(self._reserved[tile]),
                 is_upgrade=bool(self._residents.resident[tile]),
             )
@@ -389,9 +408,16 @@ class TilesetSession:
             evicted += victims
             arrivals.append(arrival)
             room -= arrival.upload_bytes
+            self._partial = None if arrival.is_last else arrival
         for tile in [tile for tile in reversed(order) if tile in self._pending][:-_MOST_PENDING]:
             del self._pending[tile]
         return tuple(evicted), tuple(arrivals)
+
+    def _continued(self, arrival: TileArrival) -> TileArrival:
+        """Return the part of a tile that follows the part which the last frame uploaded."""
+        part = arrival.next_part(self.upload_budget, self.slot_rows, first_row=arrival.end_row)
+        self._partial = None if part.is_last else part
+        return part
 
     def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
         """Make a tile resident for this frame; return the tiles that leave, or None if full."""
@@ -416,6 +442,8 @@ class TilesetSession:
         assert self._frustum is not None
         loaded = loaded.copy()
         loaded[list(self._pending)] = True
+        if self._partial:
+            loaded[self._partial.tile] = True
         # What would not fit the pool is not asked for.
         loaded |= self._slots > self.pool_slots
         pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
@@ -430,7 +458,7 @@ class TilesetSession:
 
         Without them, a renderer of few frames a second would request few tiles a second.
         """
-        row_bytes = 4 * (ROW + 3 * coefficients(self.sh_degree))
+        row_bytes = pool_row_bytes(3 * coefficients(self.sh_degree))
         coming = [*self._planner.in_flight, *self._pending]
         room = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(self.tree.splats[coming].sum())
         missing = self._planner.missing(loaded)

@@ -4,23 +4,26 @@ The session decides, the renderer obeys. Each frame, in this order:
 
 1. The renderer calls :meth:`StreamingSession.frame` with its camera.
 2. It frees the slots of every tile of ``evicted``, and of no other.
-3. It uploads every arrival of ``arrivals``. Their bytes are within the upload budget, and their
-   slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ each, or
-   ⌈reserved_rows / slot_rows⌉ if that is more. An upgrade takes the slots that the tile has.
+3. It uploads the part of every arrival of ``arrivals``. Their bytes are within the upload budget,
+   and their slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ for a whole tile,
+   or ⌈reserved_rows / slot_rows⌉ if that is more. An upgrade takes the slots that the tile has.
 4. It draws the tiles of ``drawn``, with opacities multiplied by ``fade``, and no other.
 
-A tile is resident from its arrival to its eviction. Drawn tiles are resident. Keys are indices of
+A tile is resident from its arrival to its eviction. Drawn tiles are resident. A tile whose bytes
+exceed what the budget leaves arrives in parts of whole slots, in the frames that follow each other;
+it has its slots from the first part on, and is resident with the last. Keys are indices of
 tiles in depth-first order and never change; a tile that was evicted may arrive again.
 """
 
 __all__ = ["DrawnTile", "SessionFrame", "StreamingSession", "TileArrival"]
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, final
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsgen.runtime.scene.splat_pool import pool_row_bytes
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.streaming.metrics import StreamingMetrics
 
@@ -41,6 +44,8 @@ class TileArrival:
             a neural tile, whose generator writes into the same slots.
         quality: Index of the file's quality in the ladder; 0 is the finest.
         is_upgrade: Whether the tile is resident, and these rows replace its own.
+        first_row: First row of the part that is uploaded now.
+        end_row: One past its last row.
     """
 
     tile: int
@@ -50,11 +55,33 @@ class TileArrival:
     reserved_rows: int = 0
     quality: int = 0
     is_upgrade: bool = False
+    first_row: int = 0
+    end_row: int = -1
+
+    def __post_init__(self) -> None:
+        if self.end_row < 0:
+            object.__setattr__(self, "end_row", len(self.rows))
+
+    def next_part(self, room: int, slot_rows: int, *, first_row: int) -> "TileArrival":
+        """Return the tile with the part to upload from a row on: slots of ``room`` bytes, or one."""
+        slots = max(1, room // (slot_rows * pool_row_bytes(self.appearance.shape[1])))
+        end_row = min(len(self.rows), first_row + slots * slot_rows)
+        return replace(self, first_row=first_row, end_row=end_row)
+
+    @property
+    def is_last(self) -> bool:
+        """Whether the whole tile is in GPU memory after this part."""
+        return self.end_row == len(self.rows)
+
+    @property
+    def part(self) -> slice:
+        """The rows that are uploaded now."""
+        return slice(self.first_row, self.end_row)
 
     @property
     def upload_bytes(self) -> int:
-        """The bytes of the arrays that are uploaded for an arrived tile."""
-        return self.rows.nbytes + self.appearance.nbytes
+        """The bytes that are written to the GPU for the part of an arrived tile."""
+        return (self.end_row - self.first_row) * pool_row_bytes(self.appearance.shape[1])
 
 
 @final
@@ -79,7 +106,7 @@ class SessionFrame:
     Attributes:
         evicted: Keys of tiles whose slots are free now; in none of the frames to come are they
             drawn before they arrive again.
-        arrivals: Tiles to upload, in this order.
+        arrivals: Tiles to upload, whole or in part, in this order.
         drawn: Tiles to draw; ascending keys.
         missing: How many tiles the camera wants that are not resident.
         is_complete: Whether everything that the camera wants is resident, at the finest quality,
@@ -100,7 +127,7 @@ class StreamingSession(Protocol):
         sh_degree: Degree of ``appearance`` of all arrivals.
         slot_rows: Rows of a slot of the pool.
         pool_slots: Slots of the pool; resident tiles never need more.
-        upload_budget: The most bytes of arrivals in a frame; a tile that is larger than it
+        upload_budget: The most bytes of arrivals in a frame; a slot that is larger than it
             arrives alone.
     """
 

@@ -115,11 +115,15 @@ class TilesSource(Source):
         for tile in frame.evicted:
             self._pool.evict(tile)
         for arrival in frame.arrivals:
-            content = arrival.tile, arrival.rows, arrival.appearance, arrival.origin
-            if arrival.is_upgrade:
+            rows, appearance = arrival.rows[arrival.part], arrival.appearance[arrival.part]
+            content = arrival.tile, rows, appearance, arrival.origin
+            if arrival.first_row or (arrival.is_upgrade and not arrival.is_last):
+                self._pool.extend(*content, first_row=arrival.first_row)
+            elif arrival.is_upgrade:
                 self._pool.rewrite(*content)
             else:
-                self._pool.insert(*content, reserved_rows=arrival.reserved_rows)
+                reserved = max(arrival.reserved_rows, len(arrival.rows))
+                self._pool.insert(*content, reserved_rows=reserved)
         has_rewritten = self._rewrite(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
         is_same = self._last is not None and self._last.drawn == frame.drawn
@@ -135,7 +139,8 @@ class TilesSource(Source):
         for tile in frame.evicted:
             self._neural.evict(tile)
         for arrival in frame.arrivals:
-            self._neural.arrive(arrival)
+            if arrival.is_last:
+                self._neural.arrive(arrival)
         updates = self._neural.frame(
             camera,
             self._values,
@@ -157,7 +162,7 @@ class TilesSource(Source):
             self._neural.interrupt()
 
     def abandon(self) -> None:
-        """Do nothing: tiles that arrive wait for the next frame."""
+        """Discard nothing: tiles that arrive after this frame are drawn in the next one."""
 
     @property
     def count(self) -> int:
@@ -216,7 +221,7 @@ class TilesSource(Source):
         return (1,)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Do nothing, since a tileset's extent is the box of the root tile."""
+        """Compute no frames: the extent of a tileset is the bounding box of its root tile."""
 
     def close(self) -> None:
         """Cancel all tile requests, and close the tileset's file store."""
@@ -234,6 +239,8 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         max_error=settings.max_error,
         max_splats=settings.max_splats,
         fade_seconds=0.0 if settings.wait else FADE_SECONDS,
+        upload_budget=settings.upload_bytes,
+        connections=settings.connections,
         predictor=settings.predictor,
         cache_bytes=settings.cache_bytes,
         allow_origins=settings.allow_origins,

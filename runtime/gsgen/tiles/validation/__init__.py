@@ -1,1 +1,1 @@
-"""Does a tileset, or the content of one tile, conform to the validation rules GT?"""
+"""Does a tileset, or the content of one tile, conform to the rules for tilesets (ids GT…)?"""

@@ -66,7 +66,7 @@ class InspectedTileset:
 
     @property
     def is_ours(self) -> bool:
-        """Whether the tileset declares the gsgen profile, which requires more than 3D Tiles."""
+        """Whether the tileset's metadata says that gsgen built it: then more rules apply to it."""
         return self.tileset is not None and "source_splats" in self.tileset.metadata
 
     def note(self, error: TilesetInvalid) -> None:

@@ -86,7 +86,8 @@ def _strided(numbers: np.ndarray, tensor: TensorReference, name: str) -> np.ndar
     shape, strides = tensor.shape, tensor.strides
     if len(shape) != len(strides):
         raise ValueError(
-            f"the tensor has {len(shape)} sizes and {len(strides)} strides, expected as many"
+            f"the tensor has {len(shape)} dimensions, but {len(strides)} strides: expected one "
+            "stride for each dimension"
         )
     if 0 in shape:
         # A hostile shape may have any other size beside the 0.

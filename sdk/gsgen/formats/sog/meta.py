@@ -147,8 +147,9 @@ def parse_object(content: bytes) -> dict[str, Any]:
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
+        reason = "it nests too deeply" if isinstance(error, RecursionError) else error
         raise NotRecognised(
-            f"the file has invalid JSON ({error})", where=META, expected="the meta.json of a SOG"
+            f"the file has invalid JSON ({reason})", where=META, expected="the meta.json of a SOG"
         ) from error
     if not isinstance(data, dict):
         raise NotRecognised(

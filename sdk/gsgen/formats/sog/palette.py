@@ -26,7 +26,7 @@ Rows = Float32[np.ndarray, "n d"]
 
 
 def training_step(count: int) -> int:
-    """Return the sampling stride of rows that leaves half a million to choose a palette from."""
+    """Return the row stride that leaves half a million sampled rows to compute a palette from."""
     return -(-count // _TRAINING)
 
 

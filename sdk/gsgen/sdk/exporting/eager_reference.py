@@ -72,7 +72,7 @@ class EagerRuns:
         return joined
 
     def select(self, indices: Iterable[int]) -> "EagerRuns":
-        """Return some of the test inputs, with the torch outputs computed so far."""
+        """Return the test inputs with the given indices, and their torch outputs so far."""
         chosen = [int(index) for index in indices]
         selected = EagerRuns(self.generator, [self.probes[index] for index in chosen])
         for position, index in enumerate(chosen):

@@ -127,7 +127,7 @@ def _vector(
 
 
 def _drawn(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:
-    """Return indices of a few finite, visible rows, of the sampled rows that validators store."""
+    """Return indices of a few finite, visible rows, chosen from the rows that validators sample."""
     step = thinning_step(capacity)
     sample = packed[::step]
     is_drawn = (sample[:, opacity] >= CULL_OPACITY) & np.isfinite(sample).all(axis=1)

@@ -115,18 +115,18 @@ class ErrorProbe:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the output field most affected by rounding nodes, and the used tolerance share."""
+        """Return the largest share of a tolerance that float16 nodes use, and its output field."""
         used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the output field most affected by 16-bit weights, and the used tolerance share."""
+        """Return the largest share of a tolerance that 16-bit weights use, and its output field."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the share of a field's tolerance that rounding uses, besides float16 outputs."""
+        """Return which share of a field's tolerance is used, without rounding of the outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 

@@ -106,7 +106,7 @@ class InstrumentedModel:
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
-        """Return weights and results of constant nodes, cached for one selection of tables."""
+        """Return weights and constant nodes' results, with the given weights in 16 bits."""
         key = stored.tobytes()
         if key != self._cached.key or not self._cached.arrays:
             arrays = {
@@ -121,7 +121,7 @@ class InstrumentedModel:
 
 @dataclass(frozen=True, slots=True)
 class _CachedConstants:
-    """Cached results of constant nodes for one selection of 16-bit weight tables."""
+    """Cached results of constant nodes, valid for one set of weights stored in 16 bits."""
 
     key: bytes
     arrays: Mapping[str, np.ndarray]

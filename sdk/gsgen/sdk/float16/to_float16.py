@@ -59,7 +59,7 @@ class ToFloat16(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> None:
-        """Return None: no target runtime needs this rewrite; a search chooses the nodes first."""
+        """Return None: no target runtime needs float16, so targets never select this rewrite."""
         return
 
     def rewrite(self, model: ir.Model) -> None:

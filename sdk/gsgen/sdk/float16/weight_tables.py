@@ -99,7 +99,7 @@ def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
 def _range(
     array: Float32[np.ndarray, "..."], axis: int | None
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
-    """Return minimum and width of a weight table's values at each position along an axis."""
+    """Return minimum, and maximum − minimum, of a weight table at each index of an axis."""
     other_axes = tuple(k for k in range(array.ndim) if k != axis)
     least = np.atleast_1d(array.min(axis=other_axes))
     return least, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - least

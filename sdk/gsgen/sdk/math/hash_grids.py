@@ -72,7 +72,7 @@ def _rows(corners: Int[Tensor, "n 8 3"], size: int, resolution: int) -> Int[Tens
     if size & (size - 1) or resolution * size > torch.iinfo(torch.int32).max:
         message = f"the hash table has {size} rows for a resolution of {resolution}"
         raise GeneratorInvalid(
-            f"{message}, expected a power of two as rows, and resolution · rows below 2³¹",
+            f"{message}, expected a power of two, and resolution × rows below 2³¹",
             where="hash_grid",
         )
     # Only the lowest bits of a product count, and these depend on those of the prime alone.

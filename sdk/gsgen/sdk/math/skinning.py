@@ -103,7 +103,7 @@ def _indices(values: Sequence[int], like: Tensor) -> Tensor:
 
 
 def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:
-    """Validate the parents of joints, and return them; a root joint gets the joint count."""
+    """Validate and return the parent index of each joint; a root's becomes the joint count."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
         message = (

@@ -327,7 +327,7 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
 
 
 def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:
-    """Count the nodes of a model file, and predict from tables which are not captured."""
+    """Count a model's nodes, and predict which of them the target runtime cannot capture."""
     opened = open_model(file)
     graph = read_graph(opened)
     placed = placements(graph, opened.proto, goal.tables)

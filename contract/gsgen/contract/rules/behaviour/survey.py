@@ -1,4 +1,4 @@
-"""Rules of views and frames (GB): outputs are valid from all sides, and in every frame."""
+"""Rules of views and frames (GB): outputs are valid for cameras all around, in every frame."""
 
 from collections.abc import Iterator
 
@@ -57,7 +57,7 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, *ORDERED_ROWS, "GV003", "GV005", "GV016", "GB043"),
 )
 def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
-    """Row count, opacity and variances are in range from all sides and in every frame.
+    """Row count, opacity and variances are in range for cameras all around and in every frame.
 
     Why:
         Probes of the level values lie on one line through the inputs. People stand inside the

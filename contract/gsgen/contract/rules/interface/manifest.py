@@ -54,7 +54,7 @@ def _misplaced_manifest(subject: InspectedModel) -> str:
 
 
 def _looks_like_manifest(text: str) -> bool:
-    """Return whether a text begins like a JSON object and names a kind of the contract."""
+    """Return whether a text begins like a JSON object and names a kind of model."""
     opening = text[:_MANIFEST_OPENING].lstrip()
     return opening.startswith("{") and any(f'"{kind}"' in opening for kind in KINDS)
 

@@ -216,7 +216,7 @@ def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _rgb_mistake(rgb: Float[np.ndarray, "e 3"]) -> str:
-    """Return the wrong conversion that raw RGB look like; empty if none."""
+    """Return the conversion error that RGB values suggest, such as a second sigmoid, or empty."""
     low, high = float(rgb.min()), float(rgb.max())
     if 0 < high <= _DARKEST:
         return "they were divided by 255 twice"

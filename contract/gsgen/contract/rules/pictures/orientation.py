@@ -96,7 +96,7 @@ def _explaining_axes(sample: DrawnSample, alignment: Alignment) -> str:
     needs=VALID_ROWS,
 )
 def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
-    """Long Gaussians are not all aligned with x, y and z, unless lines of neighbours are, too.
+    """Long Gaussians are all aligned with x, y and z only if lines of neighbours are aligned, too.
 
     Why:
         Off-diagonal entries that are exactly 0 in all rows mean that the rotation was left out: the

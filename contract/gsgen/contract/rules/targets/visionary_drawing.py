@@ -114,7 +114,7 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
 )
 def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
-    """Most Gaussians are so large that Visionary's low-pass filter does not make them transparent.
+    """Most Gaussians are large enough that the Visionary viewer's low-pass filter does not fade them.
 
     Why:
         The viewer always compensates for its filter, regardless of the manifest: a Gaussian

@@ -3,6 +3,7 @@
 __all__ = ["Bounds", "Space", "Tolerances", "WeightedSum"]
 
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Annotated, Literal
 
 import numpy as np
@@ -58,8 +59,21 @@ class Bounds:
             return None
         low, high = finite.min(axis=0), finite.max(axis=0)
         room = margin * (high - low) + 1e-6
-        corners = [[float(f"{value:.6g}") for value in end] for end in (low - room, high + room)]
-        return cls(*((x, y, z) for x, y, z in corners))
+        # Rounding to nearest must not cut off a point of a flat box far from the origin.
+        first = [
+            min(float(f"{value:.6g}"), _rounded(least, ROUND_FLOOR))
+            for value, least in zip(low - room, low, strict=True)
+        ]
+        last = [
+            max(float(f"{value:.6g}"), _rounded(most, ROUND_CEILING))
+            for value, most in zip(high + room, high, strict=True)
+        ]
+        return cls((first[0], first[1], first[2]), (last[0], last[1], last[2]))
+
+
+def _rounded(value: float, rounding: str) -> float:
+    """Round to 6 significant digits, up or down."""
+    return float(Context(prec=6, rounding=rounding).create_decimal(float(value)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -206,6 +206,7 @@ class ProjectKernel:
         records: Whether each splat is one record.
         slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
             in a slab, to the indices of ``place_splats.wgsl``.
+        windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number.
     """
 
     def __init__(
@@ -221,6 +222,7 @@ class ProjectKernel:
         tile: int = TILE,
         records: bool = False,
         slab: Literal["keys", "splats"] | None = None,
+        windows: bool = False,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         name = "project_placed" if slab == "splats" else name
@@ -241,6 +243,7 @@ class ProjectKernel:
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
             PACKED=packed,
+            WINDOWS=windows,
             **(PANORAMA_CONSTANTS if panorama else {}),
         )
 

@@ -3,7 +3,7 @@
 //!include project_splat
 //!include exact_depth
 
-@group(0) @binding(5) var<storage, read_write> lows: array<u32>;  // depth remainders, as bits that sort alike
+@group(0) @binding(5) var<storage, read_write> lows: array<u32>;  // depth remainders, as bits that sort alike; if WINDOWS, then the words of tile_window.wgsl
 
 // Write the splat of row `own`, whose `eye` is set, at `index`; if KEYS_ONLY, write its key alone. A row that is not live gets the key ABSENT and no splat.
 fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) {
@@ -24,5 +24,8 @@ fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) {
     keys[index] = key;
     if (!KEYS_ONLY) {
         lows[index] = select(low, ABSENT, key == ABSENT);
+        if (WINDOWS && key != ABSENT) {
+            lows[arrayLength(&lows) / 2u + index] = window;
+        }
     }
 }

@@ -2,7 +2,7 @@
 // phrased so that NaN is dropped.
 
 //!include splat_record
-//!include tile_span
+//!include tile_window
 //!include flatten
 //!include circle
 //!include spherical_harmonics
@@ -10,7 +10,9 @@
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
 @group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy (WEIGHTED: radius² of the circle)
-@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles (0 if WINDOWS)
+
+var<private> window: u32;  // if WINDOWS, the word of the splat that `write_splat` wrote
 
 // Return the offset of a position from the camera centre, in local space.
 fn offset_from_eye(position: vec3f) -> vec3f {
@@ -102,7 +104,13 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     // Step 4: count the tiles, and compute the colour.
     let scaled = flat.scaled;
     let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;
-    let tiles = tiles_touched(outline(flat.mean, conic, strength, flat.dilated.z));
+    let ellipse = outline(flat.mean, conic, strength, flat.dilated.z);
+    var tiles = 0u;
+    if (WINDOWS) {
+        window = window_of(ellipse);
+    } else {
+        tiles = tiles_touched(ellipse);
+    }
     let color = color_of(own, offset_from_eye(position));
     if (!all(abs(color) <= vec3f(LARGEST))) {
         return ABSENT;

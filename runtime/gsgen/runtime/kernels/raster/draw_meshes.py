@@ -241,7 +241,7 @@ class DrawMeshes:
     def _laid(
         self, size: tuple[int, int], row: int, copies: tuple[Buffer, ...], layers: Layers
     ) -> tuple[Step, ...]:
-        """Return the compute dispatches that copy drawn meshes to the last image layer."""
+        """Return the dispatches that copy the colours, depths and normals of meshes to a layer."""
         shape = self._device.uniform("mesh layer", 16)
         first = (layers.count - 1) * size[0] * size[1]
         self._device.write(shape, np.array([*size, row, first], np.uint32))

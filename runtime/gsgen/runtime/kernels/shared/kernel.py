@@ -54,7 +54,9 @@ class Kernel:
         raw = device.raw
         self._raw = raw
         self.label = entry
-        module = raw.create_shader_module(label=name, code=source(name, **constants))
+        module = raw.create_shader_module(
+            label=name, code=source(name, WIDE=device.wide, **constants)
+        )
         self.layouts = [_layout(raw, entry, kinds) for kinds in groups]
         self.pipeline = raw.create_compute_pipeline(
             label=entry,

@@ -28,6 +28,8 @@ TILE = 16
 """Edge of a tile, in pixels: a weighted sum counts whole tiles of it (Liu et al. 2025)."""
 LARGE_TILE = 32
 """Edge of the tiles of depth-sorted splats on GPUs, in pixels: fewer pairs to sort and read."""
+WINDOW_HEIGHT = 3
+"""Rows of tiles of the window in which one word tells the tiles of a splat."""
 ABSENT = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without Gaussians."""
 NOWHERE = 3.4e38
@@ -72,6 +74,9 @@ def source(name: str, **constants: int | float | bool) -> str:
         "KEYS_ONLY": False,
         "PLACED": False,
         "CARRIED": False,
+        "WIDE": False,
+        "WINDOWS": False,
+        "WINDOW_HEIGHT": WINDOW_HEIGHT,
         "SPLAT_REACH": SPLAT_REACH,
         "CELL_REACH": CELL_REACH,
         "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,
@@ -81,13 +86,13 @@ def source(name: str, **constants: int | float | bool) -> str:
     }
     known = shared | constants
     lines = [_declaration(key, value) for key, value in known.items()]
-    text = _included(name, {name})
+    text = _included(name, {name}, wide=bool(known["WIDE"]))
     while (match := _REPEAT.search(text)) is not None:
         text = text[: match.start()] + _repeated(match, known) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
 
-def _included(name: str, included_names: set[str]) -> str:
+def _included(name: str, included_names: set[str], *, wide: bool) -> str:
     """Return the text of a shader with each included file inserted once."""
 
     def replacement(match: re.Match[str]) -> str:
@@ -95,9 +100,11 @@ def _included(name: str, included_names: set[str]) -> str:
         if included in included_names:
             return ""
         included_names.add(included)
-        return _included(included, included_names)
+        return _included(included, included_names, wide=wide)
 
-    return _INCLUDE.sub(replacement, _shader_files()[name])
+    return _INCLUDE.sub(
+        replacement, _shader_files()["wide_words" if wide and name == "words" else name]
+    )
 
 
 @cache

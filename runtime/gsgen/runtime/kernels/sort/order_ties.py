@@ -76,5 +76,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """Sort splats by key, remainder and splat set: the reference of ``order_ties.wgsl``."""
+    """Sort splats by depth key, low part of the depth and splat set: the shader's reference."""
     return order[np.lexsort((origins[order], lows[order], keys))]

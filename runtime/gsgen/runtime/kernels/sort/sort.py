@@ -60,7 +60,7 @@ class SortConfig:
 def cut_for(device: Device) -> SortConfig:
     """Return a device's sort settings: many keys per invocation on a CPU, large tiles on a GPU."""
     if device.software:
-        return SortConfig(threads=8, run=512, digit_bits=8, walk=64, tile=TILE)
+        return SortConfig(threads=8, run=2048, digit_bits=8, walk=64, tile=TILE)
     return SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=LARGE_TILE)
 
 

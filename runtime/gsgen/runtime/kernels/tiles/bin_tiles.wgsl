@@ -3,9 +3,10 @@
 //!include runs
 //!include splat_record
 //!include tile_span
+//!include words
 
-@group(0) @binding(7) var<storage, read> shapes: array<vec4f>;
-@group(0) @binding(8) var<storage, read> weights: array<vec4f>;
+@group(0) @binding(7) var<storage, read> shapes: array<Quad>;
+@group(0) @binding(8) var<storage, read> weights: array<Quad>;
 
 @compute @workgroup_size(THREADS)
 fn emit(@builtin(global_invocation_id) invocation: vec3u) {
@@ -13,8 +14,8 @@ fn emit(@builtin(global_invocation_id) invocation: vec3u) {
     var pair = run.pair;
     for (var rank = run.first; rank < run.end; rank++) {
         let id = order[rank];
-        let shape = shapes[shape_at(id)];
-        let weight = weights[weight_at(id)];
+        let shape = vector_of(shapes[shape_at(id)]);
+        let weight = vector_of(weights[weight_at(id)]);
         let ellipse = outline(shape.xy, vec3f(shape.zw, weight.x), weight.y, weight.w);
         for (var row = ellipse.rows.x; row < ellipse.rows.y; row++) {
             var listed = 0u;  // an earlier copy has listed the columns before this one

@@ -23,12 +23,12 @@ var<workgroup> open: u32;                // those of the last batch
 // Read the splat of a pair, and note it for all open cells that it touches.
 fn read_splat(pair: u32, slot: u32, tile: vec2u, open_cells: u32) {
     let id = pair_splats[pair];
-    let shape = shapes[shape_at(id)];
-    let weight = weights[weight_at(id)];
+    let shape = vector_of(shapes[shape_at(id)]);
+    let weight = vector_of(weights[weight_at(id)]);
     batch_ids[slot] = id;
     batch_shapes[slot] = shape;
     batch_weights[slot] = weight.xyz;
-    batch_colors[slot] = colors[id].xyz;
+    batch_colors[slot] = vector_of(colors[id]).xyz;
     var touched = open_cells & cells_touched(tile, shape, weight) & ((2u << (THREADS / LANES - 1u)) - 1u);
     while (touched != 0u) {
         let cell = firstTrailingBit(touched);

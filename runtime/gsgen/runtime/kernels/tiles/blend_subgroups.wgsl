@@ -19,9 +19,9 @@ fn blend(
     var open = ~0u;  // cells with a pixel that is not finished
     for (var first = range.x; first < range.y; first += LANES) {
         let own_id = pair_splats[min(first + lane, range.y - 1u)];
-        let own_shape = shapes[shape_at(own_id)];
-        let own_weight = weights[weight_at(own_id)];
-        let own_color = colors[own_id];
+        let own_shape = vector_of(shapes[shape_at(own_id)]);
+        let own_weight = vector_of(weights[weight_at(own_id)]);
+        let own_color = vector_of(colors[own_id]);
         let own_cells = open & cells_touched(tile.xy, own_shape, own_weight);
         let count = min(LANES, range.y - first);
         for (var j = 0u; j < count; j++) {

@@ -9,18 +9,20 @@
 //!include frame
 //!include blend_opacity
 //!include splat_record
+//!include words
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
-@group(0) @binding(3) var<storage, read> shapes: array<vec4f>;
-@group(0) @binding(4) var<storage, read> weights: array<vec4f>;
-@group(0) @binding(5) var<storage, read> colors: array<vec4f>;
+@group(0) @binding(3) var<storage, read> shapes: array<Quad>;
+@group(0) @binding(4) var<storage, read> weights: array<Quad>;
+@group(0) @binding(5) var<storage, read> colors: array<Quad>;
 @group(0) @binding(6) var<storage, read_write> image: array<vec4u>;
 
 // LAYERS images among the splats, front to back: see `Layers` in blend_tiles.py. Without layers no
 // entry point uses the second bind group.
 @group(1) @binding(0) var<storage, read> layers: array<vec4f>;
 @group(1) @binding(1) var<storage, read> layer_depths: array<f32>;
+
 
 const ZERO = vec4f(0.0);
 

@@ -16,8 +16,8 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
     let range = begin_tile(tile.xy, local.xy);
     for (var pair = range.x; pair < range.y; pair++) {
         let id = pair_splats[pair];
-        let shape = shapes[shape_at(id)];
-        blend_splat(id, shape, weights[weight_at(id)].xyz, colors[id].xyz, 0u);
+        let shape = vector_of(shapes[shape_at(id)]);
+        blend_splat(id, shape, vector_of(weights[weight_at(id)]).xyz, vector_of(colors[id]).xyz, 0u);
         if (!is_open()) {
             break;
         }

@@ -23,22 +23,14 @@ export function eyeOf(camera) {
   return times(transposed(linearPart(view)), [view[3], view[7], view[11]]).map((x) => -x);
 }
 
-/**
- * Return the matrix world → camera of a rotation (3×3) and a camera centre.
- * @param {number[]} turn
- * @param {number[]} eye
- */
+/** Return the matrix world → camera of a rotation (3×3) and a camera centre. */
 export function viewOf(turn, eye) {
   const [x, y, z] = times(turn, eye);
   const [a, b, c, d, e, f, g, h, i] = turn;
   return [a, b, c, -x, d, e, f, -y, g, h, i, -z, 0, 0, 0, 1];
 }
 
-/**
- * Return the rotation world → camera of a camera that looks along `forward`.
- * @param {number[]} forward
- * @param {readonly number[]} up
- */
+/** Return the rotation world → camera of a camera that looks along `forward`. */
 export function turnTowards(forward, up) {
   const ahead = normalized(forward);
   let right = cross(ahead, [...up]);
@@ -51,13 +43,7 @@ export function turnTowards(forward, up) {
   return [...right, ...cross(ahead, right), ...ahead];
 }
 
-/**
- * Return the world position at a pixel and a depth of a pinhole camera's image.
- * @param {Camera} camera
- * @param {number} x
- * @param {number} y
- * @param {number} depth
- */
+/** Return the world position at a pixel and a depth of a pinhole image. @param {Camera} camera */
 export function unproject(camera, x, y, depth) {
   const across = (x - camera.cx) / camera.fx;
   const down = (y - camera.cy) / camera.fy;

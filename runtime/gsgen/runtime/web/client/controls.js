@@ -59,12 +59,7 @@ export class OrbitCamera {
     return plus(this.pivot, -this.distance, this.turn.slice(6));
   }
 
-  /**
-   * Return the camera of an image.
-   * @param {number} width
-   * @param {number} height
-   * @returns {import("./camera.js").Camera}
-   */
+  /** Return the camera of an image. @returns {import("./camera.js").Camera} */
   camera(width, height) {
     if (this._fitted) {
       const narrow = this.fovY * Math.min(1, width / height);

@@ -8,8 +8,7 @@ const WANTED_LIMITS = [
   "maxComputeWorkgroupStorageSize", "maxComputeInvocationsPerWorkgroup",
   "maxComputeWorkgroupSizeX", "maxComputeWorkgroupSizeY", "maxComputeWorkgroupSizeZ",
 ];
-/** @type {GPUFeatureName[]} */
-const WANTED_FEATURES = ["shader-f16"]; // for generators; no kernel of the renderer needs it
+const WANTED_FEATURES = /** @type {GPUFeatureName[]} */ (["shader-f16"]); // for generators; no kernel of the renderer needs it
 
 /** Open a device with the adapter's own limits. @returns {Promise<GPUDevice>} */
 export async function openDevice() {
@@ -24,9 +23,7 @@ export async function openDevice() {
       hint: "Switch hardware acceleration on, or update the graphics driver.",
     });
   }
-  const requiredLimits = Object.fromEntries(
-    WANTED_LIMITS.map((name) => [name, adapter.limits[name]]),
-  );
+  const requiredLimits = Object.fromEntries(WANTED_LIMITS.map((name) => [name, adapter.limits[name]]));
   const requiredFeatures = WANTED_FEATURES.filter((name) => adapter.features.has(name));
   return adapter.requestDevice({ label: "gsgen", requiredLimits, requiredFeatures });
 }

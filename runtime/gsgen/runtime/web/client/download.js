@@ -3,7 +3,6 @@
 import { failing } from "./errors.js";
 
 /**
- * @param {string} source
  * @param {(loaded: number, total: number) => void} [onProgress] The total is 0 if nobody tells it.
  * @param {AbortSignal} [signal]
  * @returns {Promise<ArrayBuffer>}
@@ -29,6 +28,11 @@ export async function download(source, onProgress = () => {}, signal) {
     onProgress(loaded, total);
   }
   return new Blob(parts).arrayBuffer();
+}
+
+/** Return the value of bytes that are a JSON object; null of other bytes. */
+export function parsedJson(data) {
+  return new Uint8Array(data)[0] === 0x7b ? JSON.parse(new TextDecoder().decode(data)) : null;
 }
 
 /** Return the bytes of a script element that holds base64. */

@@ -371,10 +371,7 @@ export class GsgenModel extends HTMLElement {
     }
     const mode = this.getAttribute("mode") ?? "color";
     const output = mode === "normal" ? "normal" : mode === "color" ? "color" : "depth";
-    const options = {
-      outputs: [output],
-      background: colorOf(this.getAttribute("background") ?? "0 0 0"),
-    };
+    const options = { outputs: [output], background: colorOf(this.getAttribute("background") ?? "0 0 0") };
     if (isWhole) await renderer.drawWhole(camera, options);
     else await renderer.draw(camera, options);
     if (this._model !== model) return;

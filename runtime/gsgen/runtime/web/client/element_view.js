@@ -38,17 +38,12 @@ const KEYS_HELP = "Arrow keys turn, plus and minus zoom, W A S D fly, Home reset
 
 /** The parts of an element, and what they say. */
 export class ElementView {
-  /** @param {ShadowRoot} root */
   constructor(root) {
     root.innerHTML = `<style>${STYLE}</style>${TREE}`;
     const part = (name) => /** @type {any} */ (root.querySelector(`[part=${name}]`));
-    /** @type {HTMLCanvasElement} */
     this.canvas = part("canvas");
-    /** @type {HTMLImageElement} */
     this.poster = part("poster");
-    /** @type {HTMLButtonElement} */
     this.play = part("play");
-    /** @type {HTMLInputElement} */
     this.time = part("time");
     this._bar = part("bar");
     this._player = part("player");
@@ -56,14 +51,12 @@ export class ElementView {
     this._status = /** @type {HTMLElement} */ (root.querySelector(".status"));
   }
 
-  /** @param {string} alt @param {boolean} isInteractive */
   describe(alt, isInteractive) {
     this.canvas.setAttribute("aria-label", alt);
     this.canvas.tabIndex = isInteractive ? 0 : -1;
     this.canvas.ariaDescription = isInteractive ? KEYS_HELP : null;
   }
 
-  /** @param {string | null} address */
   showPoster(address) {
     this.poster.hidden = !address;
     if (address) this.poster.src = address;
@@ -87,13 +80,11 @@ export class ElementView {
     this._status.textContent = text;
   }
 
-  /** @param {Error & {hint?: string} | null} error */
   showError(error) {
     this._error.hidden = !error;
     this._error.textContent = error ? [error.message, error.hint].filter(Boolean).join("\n") : "";
   }
 
-  /** @param {import("./playback.js").Playback | null} playback */
   showTime(playback) {
     this._player.hidden = !playback;
     if (!playback) return;

@@ -15,14 +15,10 @@ import { graphOf, manifestText } from "./onnx_metadata.js";
 const short = (text) => (text.length <= 60 ? text : `${text.slice(0, 57)}…`);
 const shortJson = (value) => short(typeof value === "string" ? value : JSON.stringify(value));
 const listed = (parts) => `[${parts.join(", ")}]`;
+const shapeOf = ({ dtype, dims }) => `shape ${dtype || "?"} ${listed(dims.map((dim) => dim ?? "?"))}`;
 const decimal = (number) => (Number.isInteger(number) ? number.toFixed(1) : String(number));
 
-/**
- * Return what is wrong with a model, as far as a page checks it.
- * @param {Uint8Array} bytes
- * @param {import("./plan.js").PlanDocument} plans
- * @returns {PageFinding[]}
- */
+/** Return what is wrong with a model, as far as a page checks it. @returns {PageFinding[]} */
 export function findingsOf(bytes, plans) {
   const { rules } = plans.contract;
   return [...violationsOf(bytes, plans.contract)].map(([rule, where, actual, expected]) => {
@@ -30,7 +26,6 @@ export function findingsOf(bytes, plans) {
   });
 }
 
-/** @returns {Generator<Violation>} */
 function* violationsOf(bytes, contract) {
   const text = manifestText(bytes);
   if (text === null) {
@@ -56,8 +51,12 @@ function* violationsOf(bytes, contract) {
   yield* missing;
   if (manifest.kind !== "gaussian-generator") return;
   if (!missing.length) yield* tensorsAgree(manifest, graph, contract);
-  const rows = graph.outputs.find(({ name }) => name === manifest.outputs?.gaussians?.name);
-  if (rows?.dims) yield* rowsFit(rows, contract.rows);
+  const { gaussians, appearance, cells } = manifest.outputs ?? {};
+  const [rows, colors, groups] = [gaussians, appearance, cells].map((spec) => {
+    return graph.outputs.find(({ name, dims }) => name === spec?.name && dims);
+  });
+  if (rows) yield* rowsFit(rows, contract.rows);
+  if (rows && colors) yield* colorsFit([rows, colors, groups], appearance.space, contract.appearance);
   if (!manifest.space) yield ["GM006", "manifest space", "not declared", "up, unit and matrix_order"];
   yield* boundsHold(manifest);
 }
@@ -136,9 +135,10 @@ function* tensorsAgree({ inputs = [], outputs = /** @type {any} */ ({}) }, graph
 }
 
 /** Check the shape of the packed rows (GO002, GO003), and that a dispatch reaches all (GL003). */
-function* rowsFit({ name, dtype, dims }, { width, most, meanings }) {
+function* rowsFit(tensor, { width, most, meanings }) {
+  const { name, dims } = tensor;
   const [where, rows, columns] = [`output ${name}`, dims[0], dims[dims.length - 1]];
-  const shape = `shape ${dtype || "?"} ${listed(dims.map((dim) => dim ?? "?"))}`;
+  const shape = shapeOf(tensor);
   if (dims.length !== 2) {
     const flat = dims.length === 1 ? "; these rows are flattened" : "";
     yield ["GO003", where, shape, `two axes, [N, ${width}]${flat}`];
@@ -147,6 +147,23 @@ function* rowsFit({ name, dtype, dims }, { width, most, meanings }) {
     const likely = rows === width ? "; this one is transposed, channels first" : meaning;
     yield ["GO002", where, shape, `[N, ${width}]${likely}`];
   } else if (rows > most) yield ["GL003", where, `${rows} rows`, `${most} rows at most`];
+}
+
+/** Check the shape of the appearance (GO006, GO007), and the dtypes of outputs (GO008, GO009). */
+function* colorsFit([rows, colors, groups], space, channelCounts) {
+  const [{ name, dtype, dims }, allowed] = [colors, channelCounts[space]];
+  const [where, channels] = [`output ${name}`, dims[dims.length - 1]];
+  if (dims.length !== 2 || !allowed.includes(channels)) {
+    const isRest = space === "sh" && allowed.includes(channels + 3);
+    const cause = isRest ? `; ${channels} is f_rest without the constant term f_dc` : "";
+    const flat = dims.length === 3 ? "; reshape the last two axes into one" : "";
+    yield ["GO006", where, shapeOf(colors), `[N, C] with C in ${listed(allowed)} for ${space}${cause || flat}`];
+  } else if (rows.dims[0] > 0 && dims[0] !== rows.dims[0]) {
+    yield ["GO007", where, `${dims[0]} rows`, `${rows.dims[0]} rows`];
+  }
+  const wrong = [rows, colors, groups].filter((tensor) => tensor && !/^float(32|16)$/.test(tensor.dtype));
+  for (const tensor of wrong) yield ["GO008", `output ${tensor.name}`, tensor.dtype, "float32 or float16"];
+  if (!wrong.length && rows.dtype !== dtype) yield ["GO009", where, dtype, `${rows.dtype}, as ${rows.name}`];
 }
 
 /** Check that bounds are declared, and are a box (GM009, GM019). */

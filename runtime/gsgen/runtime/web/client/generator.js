@@ -58,10 +58,7 @@ class GeneratorBuffers {
     const channels = colors.dims[1];
     this.degree = degreeOf(channels, appearance.space);
     const storage = appearanceKind(plans, channels, colors.type);
-    const bound = await Promise.all([
-      this._bindable("rows", rows),
-      this._bindable("appearance", colors),
-    ]);
+    const bound = await Promise.all([this._bindable("rows", rows), this._bindable("appearance", colors)]);
     this.pages = pagesOf(plans, storage, bound[0], bound[1], this.capacity);
     if (cellRows) {
       const own = { cells: await this._bindable("rows", cellRows), setCells: cellRows.dims[0] };
@@ -132,11 +129,6 @@ function requireDrawable(manifest, name) {
 
 /** A generator in a page. */
 export class GeneratorModel {
-  /**
-   * @param {import("./host.js").KernelCache} kernels
-   * @param {ArrayBuffer} data
-   * @param {string} name
-   */
   static async open(kernels, data, name) {
     const bytes = new Uint8Array(data);
     const findings = findingsOf(bytes, kernels.plans);
@@ -171,7 +163,7 @@ export class GeneratorModel {
     this.up = ["x", "y", "z"].map((letter) => (axis.endsWith(letter) ? (axis[0] === "-" ? -1 : 1) : 0));
     this.time = timeOf(manifest.inputs);
     this.findings = [];
-    this.extent = { center: [0, 0, 0], reach: 1 };
+    this.extent = { center: [0, 0, 0], half: [1, 1, 1], reach: 1 };
     this._hasRun = false;
   }
 
@@ -201,7 +193,7 @@ export class GeneratorModel {
     const low = [0, 1, 2].map((i) => Math.min(...boxes.map(({ center, half }) => center[i] - half[i])));
     const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
     const half = plus(high, -1, low).map((side) => side / 2);
-    this.extent = { center: plus(low, 1, half), reach: Math.hypot(...half) || 1 };
+    this.extent = { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
   }
 
   /** Read the live rows back; only before the first picture. */

@@ -51,12 +51,6 @@ function identityOf(role, shape, size) {
 
 /** The input tensors of a session, in buffers that stay: a captured graph reads the same ones. */
 export class GeneratorInputs {
-  /**
-   * @param {GPUDevice} device
-   * @param {any} ort
-   * @param {any} session
-   * @param {Record<string, any>} manifest
-   */
   constructor(device, ort, session, manifest) {
     this._device = device;
     this._isTransposed = (manifest.space?.matrix_order ?? "column") === "column";

@@ -9,22 +9,13 @@ import { GsgenError } from "./errors.js";
 import { GeneratorInputs } from "./generator_inputs.js";
 import { storageBuffer } from "./gpu_buffers.js";
 import { outputsByOrigin } from "./onnx_metadata.js";
-import { onnxRuntime, openSession } from "./onnx_runtime.js";
+import { onnxRuntime, openSession, runInTurn } from "./onnx_runtime.js";
 
-/**
- * A tensor in GPU memory.
- * @typedef {{type: string, dims: readonly number[], gpuBuffer: GPUBuffer}} GpuTensor
- */
+/** @typedef {{type: string, dims: readonly number[], gpuBuffer: GPUBuffer}} GpuTensor */
 
 const BYTES = { float32: 4, float16: 2, int32: 4, uint32: 4, int64: 8 };
 
 export class GeneratorSession {
-  /**
-   * @param {import("./host.js").KernelCache} kernels
-   * @param {Uint8Array} bytes
-   * @param {Record<string, any>} manifest
-   * @param {string} name
-   */
   static async open({ device, plans }, bytes, manifest, name) {
     const ort = await onnxRuntime();
     const { all, constant, copied } = outputsByOrigin(bytes, plans.generators.copies);
@@ -35,8 +26,8 @@ export class GeneratorSession {
     if ((await ort.env.webgpu.device) !== device) {
       throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });
     }
-    const runs = { isCaptured: Boolean(captured), isStill };
     const inputs = new GeneratorInputs(device, ort, captured ?? plain, manifest);
+    const runs = { isCaptured: Boolean(captured), isStill };
     const session = new GeneratorSession(device, captured ?? plain, inputs, name, runs);
     if (plain && (captured || isStill)) {
       const outputs = await session._run(plain);
@@ -71,7 +62,7 @@ export class GeneratorSession {
 
   async _run(session) {
     try {
-      return await session.run(this.inputs.feeds);
+      return await runInTurn(() => session.run(this.inputs.feeds));
     } catch (error) {
       const hint = "See what is wrong: gsgen validate MODEL --target webgpu";
       throw new GsgenError(`the model fails: ${error.message}`, { where: this._name, hint });

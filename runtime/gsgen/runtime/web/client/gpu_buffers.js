@@ -1,9 +1,19 @@
-/** Storage buffers in GPU memory, and reading them back outside of a frame's path. */
+/** Buffers in GPU memory, and reading them back outside of a frame's path. */
 
 /** Return a storage buffer of at least some bytes. @returns {GPUBuffer} */
 export function storageBuffer(device, label, bytes) {
   const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
   return device.createBuffer({ label, size: Math.max(16, Math.ceil(bytes / 16) * 16), usage });
+}
+
+/** Return a buffer of uniforms. @returns {GPUBuffer} */
+export function uniformBuffer(device, label, size) {
+  return device.createBuffer({ label, size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+}
+
+/** Return a buffer through which others are read. @returns {GPUBuffer} */
+export function readingBuffer(device, label, size) {
+  return device.createBuffer({ label, size, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
 }
 
 /**
@@ -12,14 +22,12 @@ export function storageBuffer(device, label, bytes) {
  * @param {GPUDevice} device
  * @param {GPUBuffer} buffer
  * @param {new (bytes: ArrayBuffer, offset?: number, count?: number) => T} Numbers
- * @param {number} count
  * @returns {Promise<T>}
  */
 export async function readBuffer(device, buffer, Numbers, count) {
   const bytes = /** @type {any} */ (Numbers).BYTES_PER_ELEMENT * count;
   const size = Math.ceil(bytes / 4) * 4;
-  const usage = GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST;
-  const copy = device.createBuffer({ label: "read", size, usage });
+  const copy = readingBuffer(device, "read", size);
   const encoder = device.createCommandEncoder({ label: "read" });
   encoder.copyBufferToBuffer(buffer, 0, copy, 0, size);
   device.queue.submit([encoder.finish()]);

@@ -44,7 +44,6 @@ export class KernelCache {
     this._pipelines = new Map();
   }
 
-  /** @param {number} row @returns {GPUShaderModule} */
   module(row) {
     return remembered(this._modules, row, () => {
       const { label, constants, text } = this.plans.modules[row];
@@ -63,7 +62,6 @@ export class KernelCache {
     });
   }
 
-  /** @param {number} row @returns {Promise<GPUComputePipeline>} */
   pipeline(row) {
     return remembered(this._pipelines, row, () => {
       const { label, module, entry, groups } = this.plans.pipelines[row];
@@ -93,7 +91,6 @@ export class KernelCache {
 /**
  * Encode dispatches in one pass.
  * @param {GPUCommandEncoder} encoder
- * @param {string} label
  * @param {any[]} steps Pipeline, bind groups, and counts or an indirect buffer of each dispatch.
  */
 export function encodePass(encoder, label, steps) {
@@ -138,10 +135,9 @@ export class PlanHost {
       cells: setsOf(drawing.pages).reduce((sum, page) => sum + (page.setCells ?? 0), 0),
     };
     const plan = choosePlan(this.plans, drawing, sizes);
-    const stages = Object.entries(plan.stages).map(([label, entries]) => ({
-      label,
-      steps: entries.flatMap((entry) => this._stepsOf(entry, drawing.pages)),
-    }));
+    const stages = Object.entries(plan.stages).map(([label, entries]) => {
+      return { label, steps: entries.flatMap((entry) => this._stepsOf(entry, drawing.pages)) };
+    });
     const rows = stages.flatMap(({ steps }) => steps.map(({ step }) => step.pipeline));
     /** @type {Map<number, GPUComputePipeline>} */
     const pipelines = new Map();
@@ -197,7 +193,6 @@ export class PlanHost {
     }
   }
 
-  /** @returns {GPUBuffer} */
   _create(label, size, usage) {
     const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
     const most = Math.min(maxStorageBufferBindingSize, maxBufferSize);
@@ -210,7 +205,6 @@ export class PlanHost {
     return this.device.createBuffer({ label, size, usage });
   }
 
-  /** @returns {GPUBuffer} */
   _buffer(row) {
     return /** @type {GPUBuffer} */ (this._buffers.get(row));
   }
@@ -249,12 +243,10 @@ export class PlanHost {
     for (const { label, steps } of this._passes) encodePass(encoder, label, steps);
   }
 
-  /** @param {string} output @returns {GPUBuffer} */
   image(output) {
     return this._buffer(this.plan.images[output]);
   }
 
-  /** @param {string} name @returns {GPUBuffer} */
   input(name) {
     return this._buffer(this.plan.inputs[name]);
   }

@@ -2,7 +2,6 @@
 
 /** @typedef {number[]} Matrix */
 
-/** @param {Matrix} a @param {number[]} x */
 export function times(a, x) {
   return [0, 1, 2].map((i) => a[3 * i] * x[0] + a[3 * i + 1] * x[1] + a[3 * i + 2] * x[2]);
 }
@@ -18,7 +17,6 @@ export function product(a, b) {
   return result;
 }
 
-/** @param {Matrix} a @returns {Matrix} */
 export function transposed(a) {
   return [a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]];
 }
@@ -57,7 +55,6 @@ export function solve(a, b) {
  * Return the stretch of a 3×3 matrix A = Q S (polar decomposition), over its largest eigenvalue.
  *
  * S² = AᵀA; its eigenvectors are found by Jacobi rotations.
- * @param {Matrix} a
  * @returns {Matrix}
  */
 export function relativeStretch(a) {
@@ -85,17 +82,14 @@ export function relativeStretch(a) {
   return product(product(vectors, [x, 0, 0, 0, y, 0, 0, 0, z]), transposed(vectors));
 }
 
-/** @param {number[]} a @param {number[]} b */
 export function dot(a, b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/** @param {number[]} a @param {number[]} b */
 export function cross(a, b) {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
-/** @param {number[]} a */
 export function normalized(a) {
   const length = Math.hypot(a[0], a[1], a[2]);
   return [a[0] / length, a[1] / length, a[2] / length];
@@ -106,11 +100,7 @@ export function plus(a, s, b) {
   return [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
 }
 
-/**
- * Return the rotation about a unit axis (Rodrigues' formula).
- * @param {Matrix} axis
- * @param {number} angle
- */
+/** Return the rotation about a unit axis (Rodrigues' formula). @param {Matrix} axis */
 export function rotation([x, y, z], angle) {
   const [c, s, d] = [Math.cos(angle), Math.sin(angle), 1 - Math.cos(angle)];
   return [

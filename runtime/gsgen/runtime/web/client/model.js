@@ -1,5 +1,6 @@
 /** Models that an element shows: splat files, and generators that compute new ones every frame. */
 
+import { parsedJson } from "./download.js";
 import { linearPart, times } from "./matrices.js";
 import { readSplats } from "./splat_files.js";
 import { SplatBuffers } from "./splat_buffers.js";
@@ -11,7 +12,7 @@ const SAMPLES = 50_000; // centres that an extent is found from
  * @typedef {object} Model
  * @property {any} buffers Its Gaussians in GPU memory.
  * @property {import("./renderer.js").PlacedSet[]} sets What is drawn of it.
- * @property {{center: number[], reach: number}} extent
+ * @property {{center: number[], half?: number[], reach: number}} extent
  * @property {number[]} up
  * @property {{name: string, low: number, high: number, seconds: number, loop: boolean} | null} time
  * @property {any[]} inputs The inputs that a visitor may set.
@@ -57,8 +58,8 @@ function quantile(sorted, share) {
 function stillModel({ device, plans }, splats) {
   const buffers = new SplatBuffers(device, plans, splats);
   const sets = [{ buffers, transform: splats.transform }];
-  const { center, reach } = extentOf(splats);
-  const extent = { center: times(linearPart(splats.transform), center), reach };
+  const { center, half, reach } = extentOf(splats); // whose transform mirrors axes, at most
+  const extent = { center: times(linearPart(splats.transform), center), half, reach };
   const [update, destroy] = [async () => false, () => buffers.destroy()];
   const still = { time: null, inputs: [], followsCamera: false, update, destroy };
   return { buffers, sets, extent, up: [0, -1, 0], ...still };
@@ -76,7 +77,6 @@ function stillModel({ device, plans }, splats) {
 /**
  * Open a model from its bytes.
  * @param {import("./host.js").KernelCache} kernels
- * @param {ArrayBuffer} data
  * @param {string} name Address of the file, for messages.
  * @param {Options} [options]
  * @returns {Promise<Model>}
@@ -87,9 +87,10 @@ export async function openModel(kernels, data, name, options = { onChange() {}, 
     const { GeneratorModel } = await import("./generator.js");
     return GeneratorModel.open(kernels, data, name);
   }
-  if (new TextDecoder().decode(data.slice(0, 1)) === "{") {
+  const tileset = parsedJson(data);
+  if (tileset) {
     const { TilesetModel } = await import("./tileset.js");
-    return new TilesetModel(kernels, JSON.parse(new TextDecoder().decode(data)), name, options);
+    return new TilesetModel(kernels, tileset, name, options);
   }
   return stillModel(kernels, await readSplats(data, name));
 }

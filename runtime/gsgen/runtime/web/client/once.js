@@ -23,6 +23,16 @@ export function once(open, loss = () => new Promise(() => {})) {
   };
 }
 
+/** Return a function that runs tasks one after the other, and returns the promise of each. */
+export function inTurns() {
+  let last = /** @type {Promise<any>} */ (Promise.resolve());
+  return (task) => {
+    const result = last.then(task);
+    last = result.catch(() => {}); // who asked for a task gets its error
+    return result;
+  };
+}
+
 /** Return the value of a key in a map, which is made if it is absent. */
 export function remembered(map, key, make) {
   if (!map.has(key)) map.set(key, make());

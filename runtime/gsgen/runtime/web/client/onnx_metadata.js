@@ -4,14 +4,14 @@ const KEYS = ["gsgen.manifest", "gaussian-generator.manifest"];
 const METADATA = 14; // ModelProto.metadata_props
 const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
 const [NODE, WEIGHT, INPUT, OUTPUT] = [1, 5, 11, 12]; // GraphProto
-const DTYPES = { 1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64" };
+const DTYPES = // by TensorProto.DataType
+  "? float32 uint8 int8 uint16 int16 int32 int64 string bool float16 float64 uint32 uint64 ? ? bfloat16".split(" ");
 const EMPTY = new Uint8Array();
 const TENSOR_NAME = 8; // TensorProto.name
 const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
 
 /**
  * Yield the fields of a protobuf message: number, and bytes or a number.
- * @param {Uint8Array} bytes
  * @returns {Generator<[number, any]>}
  */
 function* fieldsOf(bytes) {
@@ -70,7 +70,6 @@ function graphBytes(bytes) {
 
 /**
  * Return the inputs and outputs of a model's graph, as it declares them.
- * @param {Uint8Array} bytes
  * @returns {Record<"inputs" | "outputs", import("./findings.js").Tensor[]>}
  */
 export function graphOf(bytes) {
@@ -97,7 +96,6 @@ function tensorOf(bytes) {
  *
  * A buffer copy is not recorded: its output is stale, or overwritten, in all frames but the first.
  * Outputs that depend on no input are constants, which ONNX Runtime folds: nothing computes them.
- * @param {Uint8Array} bytes
  * @param {{always: string[], "of one input": string[]}} copies Operators without kernels.
  * @returns {{copied: string[], constant: string[], all: string[]}}
  */

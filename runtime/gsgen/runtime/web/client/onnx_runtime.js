@@ -6,7 +6,7 @@
 
 import { inlined } from "./download.js";
 import { GsgenError } from "./errors.js";
-import { once } from "./once.js";
+import { inTurns, once } from "./once.js";
 
 // Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs.
 const HAS_JSPI = "Suspending" in WebAssembly;
@@ -21,11 +21,8 @@ export const ortSettings = { folder: null };
 async function load() {
   const isInlined = Boolean(document.querySelector(INLINED.bundle));
   const base = document.baseURI.startsWith("http") ? document.baseURI : undefined;
-  const folder = isInlined
-    ? ""
-    : ortSettings.folder
-      ? String(new URL(ortSettings.folder, base))
-      : String(new URL("ort/", import.meta.url));
+  const given = ortSettings.folder && new URL(ortSettings.folder, base);
+  const folder = isInlined ? "" : String(given ?? new URL("ort/", import.meta.url));
   const address = isInlined
     ? URL.createObjectURL(new Blob([inlined(INLINED.bundle)], { type: "text/javascript" }))
     : new URL(BUNDLE, folder);
@@ -48,24 +45,24 @@ async function load() {
 /** Return the module of ONNX Runtime Web. */
 export const onnxRuntime = once(load);
 
+/** Run what ONNX Runtime refuses or mixes up at the same time: opening sessions, and frames. */
+export const runInTurn = inTurns();
+
 /**
  * Open a session on a device.
- * @param {any} ort
  * @param {GPUDevice} device
- * @param {Uint8Array} bytes
- * @param {string} name
- * @param {{capture: boolean}} options
  * @returns {Promise<any>} The session; null if the model cannot be captured as a graph.
  */
 export async function openSession(ort, device, bytes, name, { capture }) {
   // Both are needed: the provider's option is what runs, the setting is what `env` tells.
   ort.env.webgpu.device = device;
   try {
-    return await ort.InferenceSession.create(bytes, {
+    const options = {
       executionProviders: [{ name: "webgpu", device }],
       preferredOutputLocation: "gpu-buffer",
       enableGraphCapture: capture,
-    });
+    };
+    return await runInTurn(() => ort.InferenceSession.create(bytes, options));
   } catch (refusal) {
     if (capture && /graph capture/i.test(refusal.message)) return null;
     throw new GsgenError(`ONNX Runtime Web refuses the model: ${refusal.message}`, {

@@ -5,7 +5,7 @@
  * bind groups and dispatches of a frame; this client knows none of them by name.
  */
 
-import { download } from "./download.js";
+import { download, parsedJson } from "./download.js";
 import { GsgenError } from "./errors.js";
 
 /** @typedef {number | string | [string, ...any[]]} Formula */
@@ -25,7 +25,6 @@ import { GsgenError } from "./errors.js";
  */
 /** @typedef {Record<string, any> & {plans: Plan[]}} PlanDocument */
 
-/** @type {Record<string, (a: number, b: number) => number | boolean>} */
 const OPERATORS = {
   add: (a, b) => a + b,
   sub: (a, b) => a - b,
@@ -44,12 +43,7 @@ const OPERATORS = {
   ne: (a, b) => a !== b,
 };
 
-/**
- * Return the value of a formula; conditions are 0 or 1.
- * @param {Formula} formula
- * @param {Sizes} sizes
- * @returns {number}
- */
+/** Return the value of a formula; conditions are 0 or 1. @param {Formula} formula @returns {number} */
 export function evaluate(formula, sizes) {
   if (typeof formula === "number") return formula;
   if (typeof formula === "string") {
@@ -63,9 +57,7 @@ export function evaluate(formula, sizes) {
 
 /**
  * Return the first plan of a shape whose guards hold for the sizes.
- * @param {PlanDocument} plans
  * @param {Pick<Plan, "outputs" | "panorama" | "deep" | "weighted" | "layers">} shape
- * @param {Sizes} sizes
  * @returns {Plan}
  */
 export function choosePlan(plans, shape, sizes) {
@@ -85,11 +77,7 @@ export function choosePlan(plans, shape, sizes) {
   return found;
 }
 
-/**
- * Load the plans that lie beside this module.
- * @param {string | URL} [address]
- * @returns {Promise<PlanDocument>}
- */
+/** Load the plans that lie beside this module. @returns {Promise<PlanDocument>} */
 export async function loadPlans(address = new URL("plans.json", import.meta.url)) {
-  return JSON.parse(new TextDecoder().decode(await download(String(address))));
+  return parsedJson(await download(String(address)));
 }

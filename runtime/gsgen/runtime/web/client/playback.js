@@ -2,7 +2,6 @@
 
 /** A clock over the range of a model's time input. */
 export class Playback {
-  /** @param {{low: number, high: number, seconds: number, loop: boolean}} time */
   constructor({ low, high, seconds, loop }) {
     this.low = low;
     this.high = high;

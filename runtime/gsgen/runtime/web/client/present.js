@@ -1,5 +1,6 @@
 /** Shows an image in GPU memory on a canvas. */
 
+import { uniformBuffer } from "./gpu_buffers.js";
 import { showingUniform } from "./uniforms.js";
 
 /** Shows images on one canvas. */
@@ -14,11 +15,7 @@ export class Presenter {
     const format = navigator.gpu.getPreferredCanvasFormat();
     this._context.configure({ device, format, alphaMode: "opaque" });
     this._canvas = canvas;
-    this._uniform = device.createBuffer({
-      label: "showing",
-      size: this.plans.uniforms.showing.size,
-      usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST,
-    });
+    this._uniform = uniformBuffer(device, "showing", this.plans.uniforms.showing.size);
     /** @type {{image: GPUBuffer, group: GPUBindGroup} | null} */
     this._bound = null;
   }
@@ -40,10 +37,7 @@ export class Presenter {
     const bytes = showingUniform(plans, camera, [canvas.width, canvas.height], look);
     device.queue.writeBuffer(this._uniform, 0, bytes);
     if (this._bound?.image !== image) {
-      const entries = [this._uniform, image].map((buffer, binding) => ({
-        binding,
-        resource: { buffer },
-      }));
+      const entries = [this._uniform, image].map((buffer, binding) => ({ binding, resource: { buffer } }));
       const layout = this._pipeline.getBindGroupLayout(0);
       this._bound = { image, group: device.createBindGroup({ label: "present", layout, entries }) };
     }

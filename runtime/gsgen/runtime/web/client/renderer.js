@@ -1,7 +1,7 @@
 /** Draws sets of Gaussians from a camera into an image in GPU memory. */
 
 import { PlanHost } from "./host.js";
-import { readBuffer } from "./gpu_buffers.js";
+import { readBuffer, readingBuffer } from "./gpu_buffers.js";
 import { frameUniform, pageUniforms } from "./uniforms.js";
 
 const READERS = 2; // copies of the counts that may be in flight
@@ -45,7 +45,6 @@ export class Renderer {
     this.counts = {};
   }
 
-  /** @param {PlacedSet[]} sets */
   setScene(sets) {
     this._sets = sets;
     this._deep = false;
@@ -63,15 +62,11 @@ export class Renderer {
     await this._configure(camera, outputs, layers);
     const { device, host, plans } = this;
     const placed = this._placed();
-    const { queue } = device;
-    queue.writeBuffer(host.input("frame"), 0, frameUniform(plans, camera, background));
-    queue.writeBuffer(host.input("bare frame"), 0, frameUniform(plans, camera, [0, 0, 0]));
-    if (placed.length) {
-      queue.writeBuffer(host.input("pages"), 0, pageUniforms(plans, placed, camera));
-    }
-    if ("sets" in host.plan.inputs) {
-      queue.writeBuffer(host.input("sets"), 0, pageUniforms(plans, cellSets(placed), camera));
-    }
+    const write = (name, bytes) => device.queue.writeBuffer(host.input(name), 0, bytes);
+    write("frame", frameUniform(plans, camera, background));
+    write("bare frame", frameUniform(plans, camera, [0, 0, 0]));
+    if (placed.length) write("pages", pageUniforms(plans, placed, camera));
+    if ("sets" in host.plan.inputs) write("sets", pageUniforms(plans, cellSets(placed), camera));
     const encoder = device.createCommandEncoder({ label: "frame" });
     for (const { buffers } of this._sets) buffers.encode?.(encoder);
     placed.forEach(({ liveCounts, page }, slot) => {
@@ -86,7 +81,7 @@ export class Renderer {
     if (reader) {
       encoder.copyBufferToBuffer(host.input("counts"), 0, reader.buffer, 0, plans.counts.BYTES);
     }
-    queue.submit([encoder.finish()]);
+    device.queue.submit([encoder.finish()]);
     if (reader) this._read(reader);
   }
 
@@ -132,12 +127,7 @@ export class Renderer {
   _freeReader() {
     const free = this._readers.find((reader) => !reader.busy);
     if (free || this._readers.length === READERS) return free;
-    const usage = GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST;
-    const buffer = this.device.createBuffer({
-      label: "read counts",
-      size: this.plans.counts.BYTES,
-      usage,
-    });
+    const buffer = readingBuffer(this.device, "read counts", this.plans.counts.BYTES);
     const reader = { buffer, busy: false, done: Promise.resolve() };
     this._readers.push(reader);
     return reader;
@@ -178,11 +168,7 @@ export class Renderer {
     }
   }
 
-  /**
-   * Read an image back: four numbers per pixel, row by row.
-   * @param {string} output
-   * @returns {Promise<Float32Array>}
-   */
+  /** Read an image back: four numbers per pixel, row by row. @returns {Promise<Float32Array>} */
   readImage(output) {
     const image = this.host.image(output);
     return readBuffer(this.device, image, Float32Array, image.size / 4);

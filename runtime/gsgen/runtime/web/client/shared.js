@@ -1,7 +1,7 @@
 /** What all elements of a page share: the plans, the device and its compiled kernels. */
 
 import { sharedDevice } from "./device.js";
-import { inlined } from "./download.js";
+import { inlined, parsedJson } from "./download.js";
 import { KernelCache } from "./host.js";
 import { once, remembered } from "./once.js";
 import { loadPlans } from "./plan.js";
@@ -12,8 +12,7 @@ const INLINED_PLANS = "#gsgen-plans"; // an element of pages that are one file
 const caches = new WeakMap();
 
 const sharedPlans = once(async () => {
-  if (!document.querySelector(INLINED_PLANS)) return loadPlans();
-  return JSON.parse(new TextDecoder().decode(inlined(INLINED_PLANS)));
+  return document.querySelector(INLINED_PLANS) ? parsedJson(inlined(INLINED_PLANS)) : loadPlans();
 });
 
 /** Return the kernels of the page's device. @returns {Promise<KernelCache>} */

@@ -23,17 +23,10 @@ export function degreeOf(channels, space) {
   return space === "rgb" ? null : Math.sqrt(channels / 3) - 1;
 }
 
-/**
- * Return how the appearance of `channels` numbers is stored.
- * @param {import("./plan.js").PlanDocument} plans
- * @param {number} channels
- * @param {"float16" | "float32"} dtype
- * @returns {{kind: string, bytes: number}}
- */
+/** Return how the appearance of `channels` numbers of a dtype is stored. */
 export function appearanceKind(plans, channels, dtype) {
-  const found = plans.appearances.find(
-    (entry) => entry.dtype === dtype && entry.channels >= channels,
-  );
+  const isWideEnough = (entry) => entry.dtype === dtype && entry.channels >= channels;
+  const found = plans.appearances.find(isWideEnough);
   if (!found) {
     throw new GsgenError(`has ${channels} channels; at most 48 can be drawn`, {
       where: "appearance",
@@ -43,15 +36,7 @@ export function appearanceKind(plans, channels, dtype) {
   return found;
 }
 
-/**
- * Cut rows in GPU buffers into pages.
- * @param {import("./plan.js").PlanDocument} plans
- * @param {{kind: string, bytes: number}} storage
- * @param {GPUBuffer} rows
- * @param {GPUBuffer} appearance
- * @param {number} capacity Number of rows.
- * @returns {import("./host.js").Page[]}
- */
+/** Cut rows in GPU buffers into pages. @returns {import("./host.js").Page[]} */
 export function pagesOf(plans, storage, rows, appearance, capacity) {
   const pages = [];
   for (let first = 0; first < capacity; first += plans.constants.PAGE_ROWS) {
@@ -70,11 +55,7 @@ export function pagesOf(plans, storage, rows, appearance, capacity) {
 
 /** Gaussians of a file in GPU memory. */
 export class SplatBuffers {
-  /**
-   * @param {GPUDevice} device
-   * @param {import("./plan.js").PlanDocument} plans
-   * @param {Splats} splats
-   */
+  /** @param {GPUDevice} device @param {Splats} splats */
   constructor(device, plans, splats) {
     const { rows, appearance, channels, space, count } = splats;
     const isHalf = appearance instanceof Uint16Array;

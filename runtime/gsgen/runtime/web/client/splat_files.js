@@ -1,4 +1,4 @@
-/** Reads splat files into the contract's packed rows: PLY of 3D Gaussian splatting, and SPZ. */
+/** Reads splat files into the contract's packed rows: PLY of 3D Gaussian splatting, SPZ and SOG. */
 
 import { failing } from "./errors.js";
 import { IDENTITY } from "./matrices.js";
@@ -10,7 +10,6 @@ const FROM_SPZ_AXES = Object.freeze([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0,
 
 /**
  * Read a splat file.
- * @param {ArrayBuffer} data
  * @param {string} name Its address, for messages.
  * @returns {Promise<import("./splat_buffers.js").Splats>}
  */
@@ -20,13 +19,14 @@ export async function readSplats(data, name) {
   if (magic.startsWith("ply")) return readPly(data, name);
   if (start[0] === 0x1f && start[1] === 0x8b) return readSpz(await inflated(data, name), name);
   if (magic === "NGSP") return readSpz(data, name);
-  const hint = "The page reads .ply, .spz (versions 1 to 3) and .onnx. " + CONVERT;
-  return failing(name, hint)("is neither PLY nor SPZ");
+  if (magic === "PK\x03\x04") return (await import("./sog.js")).readSog(data, name);
+  const hint = "The page reads .ply, .spz (versions 1 to 3), .sog and .onnx. " + CONVERT;
+  return failing(name, hint)("is neither PLY nor SPZ nor SOG");
 }
 
-/** @param {ArrayBuffer} data @param {string} name */
-async function inflated(data, name) {
-  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("gzip"));
+/** Unpack bytes. @param {CompressionFormat} format */
+export async function inflated(data, name, format = "gzip") {
+  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream(format));
   try {
     return await new Response(stream).arrayBuffer();
   } catch (error) {
@@ -35,7 +35,7 @@ async function inflated(data, name) {
 }
 
 /** Arrays of Gaussians that fill one after the other. */
-class RowWriter {
+export class RowWriter {
   constructor(count, coefficients) {
     this.count = count;
     this.channels = 3 * coefficients;
@@ -45,10 +45,6 @@ class RowWriter {
 
   /**
    * Write a row; the covariance is R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
-   * @param {number} index
-   * @param {number[]} center
-   * @param {number} opacity
-   * @param {number[]} logScale
    * @param {number[]} quaternion w, x, y, z; a zero quaternion turns nothing.
    */
   set(index, center, opacity, logScale, quaternion) {
@@ -111,7 +107,6 @@ function plyHeader(data, name) {
   return { columns, size, count, first };
 }
 
-/** @param {ArrayBuffer} data @param {string} name */
 function readPly(data, name) {
   const { columns, size, count, first } = plyHeader(data, name);
   const fail = failing(name, CONVERT);
@@ -188,25 +183,22 @@ function spzCoordinate(view, bytes, first, axis, version, bits) {
 }
 
 function byteRotation(bytes, first) {
-  const [x, y, z] = [0, 1, 2].map((i) => bytes[first + i] / 127.5 - 1);
-  return [Math.sqrt(Math.max(1 - x * x - y * y - z * z, 0)), x, y, z];
+  return withLargest(0, [0, 1, 2].map((i) => bytes[first + i] / 127.5 - 1));
 }
 
 /** The two highest bits name the largest part; the others have ten bits each, the last the lowest. */
 function wordRotation(word) {
-  const largest = word >>> 30;
-  const parts = [0, 0, 0, 0];
-  let square = 0;
-  let shift = 20;
-  for (let index = 0; index < 4; index++) {
-    if (index === largest) continue;
+  const parts = [20, 10, 0].map((shift) => {
     const field = (word >>> shift) & 0x3ff;
     const size = ((field & 0x1ff) / 511) * Math.SQRT1_2;
-    parts[index] = field & 0x200 ? -size : size;
-    square += size * size;
-    shift -= 10;
-  }
-  parts[largest] = Math.sqrt(Math.max(1 - square, 0));
-  const [x, y, z, w] = parts;
+    return field & 0x200 ? -size : size;
+  });
+  const [x, y, z, w] = withLargest(word >>> 30, parts);
   return [w, x, y, z];
+}
+
+/** Return a unit quaternion from three of its parts, and the index of the fourth. */
+export function withLargest(index, parts) {
+  const square = parts.reduce((sum, part) => sum + part * part, 0);
+  return parts.toSpliced(index, 0, Math.sqrt(Math.max(1 - square, 0)));
 }

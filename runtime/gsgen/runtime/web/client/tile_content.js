@@ -13,7 +13,6 @@ const TILE_FROM_CONTENT = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1];
 
 /**
  * Return the splats of each primitive; their transforms lead to the axes of the tile.
- * @param {ArrayBuffer} data
  * @param {string} name Address of the file, for messages.
  * @returns {Promise<import("./splat_buffers.js").Splats[]>}
  */

@@ -5,7 +5,7 @@
  */
 
 import { eyeOf } from "./camera.js";
-import { download } from "./download.js";
+import { download, parsedJson } from "./download.js";
 import { failing } from "./errors.js";
 import {
   IDENTITY, composed, dot, linearPart, moved, normalized, plus, times, transposed, transposed4,
@@ -21,11 +21,12 @@ const FAR = 1e6; // from the origin: the tileset stands on the globe, and up is 
 
 /** A tile, in the frame of the tileset. */
 class Tile {
-  constructor(json, parent, name) {
+  /** @param {string} base Address of the file that describes the tile, for its contents and messages. */
+  constructor(json, parent, base) {
     this.frame = composed(parent?.frame ?? IDENTITY, transposed4(json.transform ?? IDENTITY));
     const { box, sphere } = json.boundingVolume;
     const isKnown = (box || sphere) && !json.implicitTiling;
-    if (!isKnown) failing(name, REBUILD)("has a region, or implicit tiles");
+    if (!isKnown) failing(base, REBUILD)("has a region, or implicit tiles");
     const [x, y, z, r] = sphere ?? [];
     const numbers = box ?? [x, y, z, r, 0, 0, 0, r, 0, 0, 0, r];
     const linear = linearPart(this.frame);
@@ -36,7 +37,8 @@ class Tile {
     this.level = parent ? parent.level + 1 : 0;
     this.adds = (json.refine ?? (parent?.adds ? "ADD" : "REPLACE")) === "ADD";
     this.uris = (json.contents ?? [json.content ?? []]).flatMap(({ uri = [] }) => uri);
-    this.children = (json.children ?? []).map((child) => new Tile(child, this, name));
+    this.children = (json.children ?? []).map((child) => new Tile(child, this, base));
+    this.base = base;
     /** @type {any[] | null} What holds its splats, once they are loaded. */
     this.slots = null;
     this.needed = 1; // slots, as far as known
@@ -71,7 +73,6 @@ export class TilesetModel {
   /**
    * @param {import("./host.js").KernelCache} kernels
    * @param {any} tileset The parsed tileset.json.
-   * @param {string} name
    * @param {import("./model.js").Options} options
    */
   constructor({ device, plans }, tileset, name, options) {
@@ -87,9 +88,8 @@ export class TilesetModel {
     });
     this._free = [...this.sets];
     this._slotRows = slotRows;
-    this._base = new URL(options.source ?? name, document.baseURI);
     this._options = { ...options, maxError: options.maxError ?? maxError };
-    this._root = new Tile(tileset.root, null, name);
+    this._root = new Tile(tileset.root, null, String(new URL(options.source ?? name, document.baseURI)));
     const { center, axes } = this._root;
     this.extent = { center, reach: Math.hypot(...axes.flat()) || 1 };
     this.up = Math.hypot(...center) > FAR ? normalized(center) : [0, 0, 1];
@@ -111,9 +111,10 @@ export class TilesetModel {
     const wanted = [];
     this.drawn = this._cut(this._root, camera, wanted) ?? [];
     wanted.sort(([a, errorA], [b, errorB]) => a.level - b.level || errorB - errorA);
+    const room = this._room();
     for (const [tile] of wanted) {
       const isIdle = !tile.slots && !tile.isRequested && this.loading < MOST_REQUESTS;
-      if (isIdle && this._room() >= tile.needed) this._load(tile);
+      if (isIdle && room >= tile.needed) this._load(tile);
     }
     for (const { buffers } of this.sets) buffers.count = 0;
     for (const { buffers, live } of this.drawn.flatMap(({ slots }) => slots)) buffers.count = live;
@@ -139,13 +140,18 @@ export class TilesetModel {
     this.loading += 1;
     tile.isRequested = true;
     try {
-      const addresses = tile.uris.map((uri) => String(new URL(uri, this._base)));
-      const contents = addresses.map(async (address) => {
-        return readTileContent(await download(address, undefined, signal), address);
+      const contents = tile.uris.map(async (uri) => {
+        const address = String(new URL(uri, tile.base));
+        const data = await download(address, undefined, signal);
+        const tileset = parsedJson(data);
+        return tileset ? new Tile(tileset.root, tile, address) : readTileContent(data, address);
       });
-      const splats = (await Promise.all(contents)).flat();
+      const loaded = (await Promise.all(contents)).flat();
       if (signal.aborted) return;
-      this._place(tile, splats);
+      const roots = loaded.filter((part) => part instanceof Tile);
+      tile.children.push(...roots);
+      if (roots.length) [tile.uris, tile.error] = [[], Infinity]; // external tilesets take its place
+      this._place(tile, loaded.filter((part) => !(part instanceof Tile)));
       tile.isRequested = false;
     } catch (error) {
       if (!signal.aborted) this._options.onError(error);

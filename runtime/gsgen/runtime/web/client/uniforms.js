@@ -33,21 +33,21 @@ export class UniformWriter {
     this._structure = structure;
   }
 
-  /** @param {string} name @param {number | readonly number[]} values @param {number} [index] */
-  set(name, values, index = 0) {
-    const [type, , offset] = this._structure.fields[name];
-    const first = index * this._structure.size + offset;
-    const list = typeof values === "number" ? [values] : values;
-    list.forEach((value, i) => {
-      if (type === "f4") this._view.setFloat32(first + 4 * i, value, true);
-      else this._view.setUint32(first + 4 * i, value, true);
-    });
+  /** @param {Record<string, number | readonly number[]>} fields @param {number} [index] */
+  write(fields, index = 0) {
+    for (const [name, values] of Object.entries(fields)) {
+      const [type, , offset] = this._structure.fields[name];
+      const first = index * this._structure.size + offset;
+      [values].flat().forEach((value, i) => {
+        if (type === "f4") this._view.setFloat32(first + 4 * i, value, true);
+        else this._view.setUint32(first + 4 * i, value, true);
+      });
+    }
   }
 }
 
 /**
  * Return the bytes of the uniform `Frame`.
- * @param {import("./plan.js").PlanDocument} plans
  * @param {import("./camera.js").Camera} camera
  * @param {readonly number[]} background Red, green, blue, multiplied by alpha.
  */
@@ -60,15 +60,13 @@ export function frameUniform(plans, camera, background) {
   const both = (formula) => [0, 1].map(formula);
   const margin = both((i) => (JACOBIAN_MARGIN * size[i]) / 2);
   const origin = both((i) => Math.min(Math.max(Math.floor(center[i]), 0), size[i]));
-  uniform.set("focal", focal);
-  uniform.set("center", both((i) => center[i] - origin[i]));
-  uniform.set("origin", origin);
-  uniform.set("slope_low", both((i) => -(center[i] + margin[i]) / focal[i]));
-  uniform.set("slope_high", both((i) => (size[i] - center[i] + margin[i]) / focal[i]));
-  uniform.set("near", camera.near);
-  uniform.set("size", size);
-  uniform.set("period", camera.kind === "panorama" ? 2 * Math.PI * camera.fx : 0);
-  uniform.set("background", background.slice(0, 3));
+  uniform.write({
+    focal, origin, size, near: camera.near, background: background.slice(0, 3),
+    center: both((i) => center[i] - origin[i]),
+    slope_low: both((i) => -(center[i] + margin[i]) / focal[i]),
+    slope_high: both((i) => (size[i] - center[i] + margin[i]) / focal[i]),
+    period: camera.kind === "panorama" ? 2 * Math.PI * camera.fx : 0,
+  });
   return uniform.bytes;
 }
 
@@ -82,7 +80,6 @@ const rest = (numbers) => numbers.map((number) => number - Math.fround(number));
 
 /**
  * Return the bytes of the uniforms `Page` of all pages.
- * @param {import("./plan.js").PlanDocument} plans
  * @param {PlacedPage[]} pages
  * @param {import("./camera.js").Camera} camera
  */
@@ -91,7 +88,6 @@ export function pageUniforms(plans, pages, camera) {
   const turn = linearPart(camera.view);
   const worldEye = eyeOf(camera);
   pages.forEach(({ set, base, capacity, count, firstRow = 0, firstGaussian = 0 }, index) => {
-    const write = (name, values) => uniform.set(name, values, index);
     const { transform } = set;
     const linear = linearPart(transform);
     const turned = product(turn, linear);
@@ -99,39 +95,32 @@ export function pageUniforms(plans, pages, camera) {
     const eyeRest = rest(eye);
     const eyeAt = times(turned, eyeRest).map((x) => -x);
     const { low, high } = set.clip ?? INFINITE_BOX;
-    write("linear", columns(turned));
-    write("linear_rest", rest(columns(turned)));
-    write("local_to_sh", columns(relativeStretch(linear)));
-    write("eye", eye);
-    write("eye_rest", eyeRest);
-    write("eye_at", eyeAt);
-    write("eye_at_rest", rest(eyeAt));
-    if (camera.kind === "orthographic") write("forward", solve(linear, turn.slice(6)));
-    write("clip_low", low);
-    write("clip_high", high);
-    write("opacity_scale", set.opacityScale ?? 1);
-    write("mip", Number(set.antialias === "mip"));
-    write("degree", set.degree ?? plans.constants.NO_HARMONICS);
-    write("base", base);
-    write("capacity", capacity);
-    write("count", count);
+    const fields = {
+      linear: columns(turned),
+      linear_rest: rest(columns(turned)),
+      local_to_sh: columns(relativeStretch(linear)),
+      eye, eye_rest: eyeRest, eye_at: eyeAt, eye_at_rest: rest(eyeAt),
+      clip_low: low, clip_high: high, base, capacity, count,
+      opacity_scale: set.opacityScale ?? 1,
+      mip: Number(set.antialias === "mip"),
+      degree: set.degree ?? plans.constants.NO_HARMONICS,
+    };
+    uniform.write(fields, index);
+    if (camera.kind === "orthographic") uniform.write({ forward: solve(linear, turn.slice(6)) }, index);
     if (!set.weighted) return;
     const { perCell, opacity_divisor: divisor, background, depth_range: range } = set.weighted;
     // The depth range is a length of the set's own space.
     const volume = dot(linear.slice(0, 3), cross(linear.slice(3, 6), linear.slice(6)));
-    write("per_cell", perCell);
-    write("first_row", firstRow);
-    write("first_gaussian", firstGaussian);
-    write("inverse_range", range ? 1 / (range * Math.cbrt(Math.abs(volume))) : 0);
-    write("inverse_divisor", 1 / divisor);
-    write("behind", background);
+    const inverse_range = range ? 1 / (range * Math.cbrt(Math.abs(volume))) : 0;
+    const first = { first_row: firstRow, first_gaussian: firstGaussian };
+    const weights = { per_cell: perCell, inverse_range, inverse_divisor: 1 / divisor, behind: background };
+    uniform.write({ ...first, ...weights }, index);
   });
   return uniform.bytes;
 }
 
 /**
  * Return the bytes of the uniform that shows an image on a canvas.
- * @param {import("./plan.js").PlanDocument} plans
  * @param {import("./camera.js").Camera} camera
  * @param {[number, number]} surface Width and height of the canvas, in pixels.
  * @param {{mode: number, depths: [number, number], isLinear: boolean}} look
@@ -139,13 +128,12 @@ export function pageUniforms(plans, pages, camera) {
 export function showingUniform(plans, camera, surface, look) {
   const uniform = new UniformWriter(plans.uniforms.showing);
   const [a, b, c, d, e, f, g, h, i] = linearPart(camera.view);
-  uniform.set("turn", [a, b, c, 0, d, e, f, 0, g, h, i, 0]); // rows of world → camera
-  uniform.set("size", [camera.width, camera.height]);
-  uniform.set("scale", [camera.width / surface[0], camera.height / surface[1]]);
-  uniform.set("row", camera.width);
-  uniform.set("mode", look.mode);
-  uniform.set("near", look.depths[0]);
-  uniform.set("far", look.depths[1]);
-  uniform.set("is_linear", Number(look.isLinear));
+  const { mode, depths: [near, far] } = look;
+  uniform.write({
+    turn: [a, b, c, 0, d, e, f, 0, g, h, i, 0], // rows of world → camera
+    size: [camera.width, camera.height],
+    scale: [camera.width / surface[0], camera.height / surface[1]],
+    row: camera.width, mode, near, far, is_linear: Number(look.isLinear),
+  });
   return uniform.bytes;
 }

@@ -10,7 +10,7 @@ from gsgen.tiles.build.engines.serial import Serial
 
 
 def open_engine(name: str, workers: int | None = None) -> Engine:
-    """Return a build engine as a context manager.
+    """Return the engine that runs a tileset's build tasks, as a context manager.
 
     Args:
         name: ``serial``, ``processes``, ``dask`` (a local cluster) or ``dask=ADDRESS``.

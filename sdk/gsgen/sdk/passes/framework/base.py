@@ -184,7 +184,7 @@ class ByTables(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite if the operators that the target runtime supports are known."""
+        """Return the graph rewrite, or None if the operators of the target runtime are unknown."""
         return cls(target) if target.tables else None
 
 
@@ -223,7 +223,7 @@ class Substitute(ByTables, NodeRewrite):
     wanted_by: ClassVar[str] = "targets whose tables lack the operator"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node can be rewritten and a runtime release does not capture it."""
+        """Return whether the target runtime cannot capture a node that this rewrite can replace."""
         if not is_op(node, *self.kinds):
             return False
         if self.target is not None and not self.target.lacks_kernel(
@@ -237,7 +237,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return the variant (such as ``5d``) under which operator tables list a node, or empty."""
+        """Return a node's case in tables of supported operators, such as ``5d``; empty if usual."""
         return ""
 
 

@@ -20,7 +20,7 @@ UNBOUNDED_END = (1 << 31) - 1
 
 
 def required(fact: _Fact | None) -> _Fact:
-    """Return a graph fact that an earlier check has proven to be known (not None)."""
+    """Return a value that an earlier check has shown not to be None."""
     assert fact is not None
     return fact
 

@@ -36,7 +36,7 @@ class GatherSlices(Substitute):
     kinds = frozenset({"GatherND", "Slice", "Split"})
 
     def variant(self, node: ir.Node) -> str:
-        """Return a node's variant: ``constant`` indices, ``backwards`` slices, or empty (usual)."""
+        """Return a node's case in tables of supported operators: constant, backwards or empty."""
         if is_op(node, "GatherND"):
             return "constant" if constant_of(node.inputs[1]) is not None else ""
         steps = constant_of(node.inputs[4]) if len(node.inputs) > 4 else None

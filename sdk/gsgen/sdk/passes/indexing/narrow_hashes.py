@@ -48,7 +48,7 @@ class NarrowHashes(ByTables, CautiousRewrite):
     wanted_by = "targets whose tables lack BitwiseXor"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every remainder by a power of two of a bitwise exclusive or, in int32."""
+        """Replace nodes that compute an XOR modulo a power of two by int32 arithmetic."""
         spans: dict[str, Interval] | None = None
         for node in [n for n in every_node(model) if _modulus_bits(n) and _has_xor(n.inputs[0])]:
             if node.graph is not model.graph:
@@ -81,7 +81,7 @@ def _modulus_bits(node: ir.Node) -> int:
 
 
 def _has_xor(value: ir.Value | None) -> bool:
-    """Return whether a value is an XOR's result, possibly moved, cast or added to."""
+    """Return whether an XOR computes a value, up to additions, casts and moved elements."""
     node = None if value is None else value.producer()
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
         return False
@@ -96,7 +96,7 @@ class _Remainder:
         self._known: dict[int, ir.Value] = {}
 
     def of(self, value: ir.Value) -> ir.Value:
-        """Return the remainder by 2ᵏ of a graph value, whose nodes are written only once."""
+        """Return a graph value modulo 2ᵏ; nodes for the same value are created only once."""
         if id(value) not in self._known:
             self._known[id(value)] = self._computed(value)
         return self._known[id(value)]
@@ -129,7 +129,8 @@ class _Remainder:
             a, b = b, a
         factor = constant_of(b)
         if factor is None:
-            raise _Unprovable(f"tensor {node.outputs[0].name} is a product of two varying numbers")
+            name = node.outputs[0].name
+            raise _Unprovable(f"tensor {name} multiplies two varying integers: int32 may overflow")
         # Factors from −2ᵏ⁻¹ to 2ᵏ⁻¹ keep the product one bit shorter than those from 0 to 2ᵏ.
         factor = np.mod(factor.astype(np.int64) + size // 2, size) - size // 2
         span = self.spans.get(a.name or "")

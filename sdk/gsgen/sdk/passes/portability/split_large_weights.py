@@ -49,7 +49,7 @@ class SplitLargeWeights(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "SplitLargeWeights":
-        """Return the rewrite for the largest weight size that the target GPU can bind."""
+        """Return the rewrite that splits weights larger than the target GPU can bind."""
         return cls(target.limits.get("binding_bytes", _BINDING))
 
     def rewrite(self, model: ir.Model) -> None:
@@ -81,7 +81,7 @@ class SplitLargeWeights(CautiousRewrite):
         graph.initializers.pop(value.name or "")
 
     def _plan(self, value: ir.Value, node: ir.Node, input_index: int) -> "str | Callable[[], None]":
-        """Return a function that splits a weight for a node, or why that is impossible."""
+        """Return a function that divides a node's weight into smaller parts, or why none can."""
         splitting = _splitting_axis(value, node, input_index)
         if isinstance(splitting, str):
             return splitting

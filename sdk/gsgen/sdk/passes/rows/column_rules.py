@@ -69,7 +69,7 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
 def columns_of(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> list[Columns]:
-    """Return the matrix columns of each output of an ONNX node, from those of its inputs.
+    """Compute the columns of an ONNX node's outputs from the columns of its inputs.
 
     ``look`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
@@ -103,7 +103,7 @@ def columns_of(
 
 
 def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
-    """Return whether a value has all rows, is one number, or has a constant for each column."""
+    """Return whether a value can be an operand of a node that is computed column by column."""
     shape, result_shape = fixed_shape(value), fixed_shape(node.outputs[0])
     if shape is None or result_shape is None:
         return False

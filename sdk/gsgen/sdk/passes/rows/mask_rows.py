@@ -121,7 +121,7 @@ class _Attempt:
         return self._new_outputs()
 
     def finish(self, outputs: Sequence[ir.Value | None]) -> None:
-        """Add the created nodes to the graph, and replace the values and outputs."""
+        """Add the created nodes to the graph, and use their results for the original values."""
         for node, input_index, value in self.draft.input_replacements:
             node.replace_input_with(input_index, value)
         self.draft.join(self.graph)
@@ -253,7 +253,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Create outputs of all N rows instead of K selected ones, if another output holds K."""
+        """Replace outputs of K selected rows by N rows, if another output is the row count K."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated

@@ -1,4 +1,4 @@
-"""Creates nodes for row masks outside of the graph, until all nodes can be rewritten."""
+"""Creates replacement nodes for row masks, which join the graph only if all can be created."""
 
 __all__ = ["RowDraft"]
 

@@ -36,7 +36,7 @@ def mask_count(node: ir.Node) -> Linear | None:
 
 
 def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
-    """Return the sizes that Shape returns for rows that a mask selects, by their number K."""
+    """Return a tensor's shape as formulas of K, the number of rows that a mask selects."""
     dims = _dims(fact)
     end = node.attributes.get("end")
     start = int_attribute(node, "start", 0)
@@ -105,7 +105,7 @@ def _parts(value: ir.Value | None, fact: Fact | None) -> tuple[np.ndarray, np.nd
 
 
 def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | None:
-    """Return K (or capacity − K) equal rows that ConstantOfShape or Expand creates."""
+    """Return equal rows that a node creates: K as a mask selects, or the rest of a capacity."""
     value = _constant_of_fill(node)
     sizes, factor = shape.constant, shape.factor
     if value is None or factor.ndim != 1 or value.ndim > len(sizes):

@@ -1,4 +1,4 @@
-"""Operators after which the number of selected rows is fixed: write-back, padding, reduction.
+"""Operators whose output size no longer depends on a row mask: scatter, padding, reduction.
 
 Each function returns the drafted value, or None if it does not support the node.
 """

@@ -91,7 +91,7 @@ def _groups(graph: ir.Graph) -> Iterator[_Group]:
 
 
 def _rows(node: ir.Node) -> int | None:
-    """Return the number of rows that a node works on; None if columns cannot be separated."""
+    """Return a node's number of rows if it can be computed column by column, else None."""
     shapes = [fixed_shape(value) for value in node.outputs]
     rows = {shape[0] if shape else 0 for shape in shapes}
     if None in shapes or len(rows) != 1:
@@ -149,7 +149,7 @@ class _Plan:
         )
 
     def build(self) -> None:
-        """Insert nodes that compute single columns of matrices; join columns that others read."""
+        """Insert nodes that compute single columns, and join columns for all other nodes."""
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
@@ -245,7 +245,7 @@ def _write_operator(
 
 
 def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
-    """Return the columns [rows] of a tensor that another part of the graph computes.
+    """Split a tensor that another part of the graph computes into columns of shape [rows].
 
     Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """

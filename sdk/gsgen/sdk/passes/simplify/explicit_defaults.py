@@ -28,7 +28,7 @@ class MakeDefaultsExplicit(NodeRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite if the operators that the target runtime supports are known."""
+        """Return the graph rewrite, or None if the operators of the target runtime are unknown."""
         return cls() if target.tables else None
 
     def matches(self, node: ir.Node) -> bool:

@@ -1,0 +1,88 @@
+"""Lists the splats that touch each image tile, nearest first, on software drivers."""
+
+__all__ = ["ListTiles", "runs_for", "window_tiles"]
+
+from typing import Final, final
+
+import numpy as np
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, WINDOW_HEIGHT
+
+_INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
+_MOST_GROUPS: Final = 32
+_FEWEST_GROUPS: Final = 8
+_COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
+_WINDOW_WIDTH: Final = 4
+_WINDOW_BITS: Final = WINDOW_HEIGHT * _WINDOW_WIDTH
+
+
+def runs_for(tiles: int) -> int:
+    """Return into how many runs sorted splats are divided to be listed in this many tiles."""
+    return _INVOCATIONS * int(
+        np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS)
+    )
+
+
+@final
+class ListTiles:
+    """The kernels of ``list_tiles.wgsl`` and ``list_ranges.wgsl``, which list splats by tile.
+
+    They count twice instead of sorting pairs of a splat and a tile, and read one word per splat
+    that is in a small window of tiles.
+
+    Args:
+        device: Device of the kernels.
+        panorama: Whether the image is a panorama.
+    """
+
+    def __init__(self, device: Device, *, panorama: bool = False) -> None:
+        constants = {"THREADS": _INVOCATIONS, **COUNT_CONSTANTS}
+        constants |= PANORAMA_CONSTANTS if panorama else {}
+        self._tally, self._list = (
+            Kernel(device, "list_tiles", "walk", ("urrrwwrrw",), LISTS=lists, **constants)
+            for lists in (False, True)
+        )
+        self._total, self._begin = (
+            Kernel(
+                device, "list_ranges", entry, ("urwww",),
+                RUNS=_INVOCATIONS, **constants | {"THREADS": THREADS},
+            )
+            for entry in ("total", "begin")
+        )  # fmt: skip
+
+    def steps(
+        self, tiles: int, walked: tuple[Buffer, ...], ranged: tuple[Buffer, ...]
+    ) -> tuple[Step, Step, Step, Step]:
+        """Return the dispatches that count by run, count by tile, begin each list, and fill it.
+
+        Totals are replaced by their prefix sums between the second and the third.
+
+        Args:
+            tiles: Number of tiles of the image.
+            walked: Resources of ``list_tiles.wgsl``, in order.
+            ranged: Resources of ``list_ranges.wgsl``, in order.
+        """
+        runs = (runs_for(tiles) // _INVOCATIONS, 1, 1)
+        by_tile = (-(-tiles // THREADS), 1, 1)
+        return (
+            Step(self._tally, (self._tally.bind(*walked),), runs),
+            Step(self._total, (self._total.bind(*ranged),), by_tile),
+            Step(self._begin, (self._begin.bind(*ranged),), by_tile),
+            Step(self._list, (self._list.bind(*walked),), runs),
+        )
+
+
+def window_tiles(word: int, across: int) -> list[int]:
+    """Return the tiles that a word tells, in order: the reference of ``tile_window.wgsl``.
+
+    Args:
+        word: The word, which is not ABSENT.
+        across: Number of tiles in a row of the image.
+    """
+    first, touched = word >> _WINDOW_BITS, word & ((1 << _WINDOW_BITS) - 1)
+    bits = [bit for bit in range(_WINDOW_BITS) if touched >> bit & 1]
+    return [first + bit // _WINDOW_WIDTH * across + bit % _WINDOW_WIDTH for bit in bits]

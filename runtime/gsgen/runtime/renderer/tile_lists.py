@@ -1,0 +1,120 @@
+"""The GPU stages that list the drawn splats of each image tile, nearest first."""
+
+__all__ = ["TileLists", "list_splats"]
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import Step
+from gsgen.runtime.kernels.sort.scan import MANY
+from gsgen.runtime.kernels.sort.sort import Columns
+from gsgen.runtime.kernels.tiles.list_tiles import runs_for
+from gsgen.runtime.renderer.kernel_set import Kernels
+
+Storage = Callable[[str, int], Buffer]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TileLists:
+    """The buffers that list the splats of each image tile, and their numbers of entries.
+
+    Attributes:
+        storage: Allocates a buffer of a name and a number of bytes.
+        frame: The frame's uniform.
+        counts: The frame's counts.
+        order: Splats, nearest first.
+        tiles_of: Four words per splat, of which the last tells the tiles that it touches.
+        splats: The two vectors of each splat.
+        ranges: The buffer of the first and the last list entry of each tile.
+        scratch: A word per splat that no later stage reads.
+        gaussians: Most splats.
+        pair_capacity: Most pairs of a splat and a tile.
+        tiles: Number of tiles of the image.
+    """
+
+    storage: Storage
+    frame: Buffer
+    counts: Buffer
+    order: Buffer
+    tiles_of: Buffer
+    splats: list[Buffer]
+    ranges: Buffer
+    scratch: Buffer
+    gaussians: int
+    pair_capacity: int
+    tiles: int
+
+
+def list_splats(
+    kernels: Kernels, lists: TileLists, *, panorama: bool, records: bool
+) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
+    """Return the stages that list splats by tile, the lists, and buffers to clear before."""
+    if kernels.lists:
+        return _counted(kernels, lists, panorama=panorama)
+    pairs = [_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
+    stages = dict[str, list[Step]]()
+    stages["bin"] = _bin(kernels, lists, pairs[0], panorama=panorama, records=records)
+    stages["group"], members = _group(kernels, lists, pairs)
+    return stages, members, []
+
+
+def _counted(
+    kernels: Kernels, lists: TileLists, *, panorama: bool
+) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
+    """Return what :func:`list_splats` does, for kernels that count instead of sorting pairs."""
+    counters = lists.storage("counters of tiles", 4 * runs_for(lists.tiles) * lists.tiles)
+    totals = lists.storage("totals of tiles", 4 * lists.tiles)
+    members = lists.storage("splats of tiles", 4 * lists.pair_capacity)
+    uniforms = (lists.frame, lists.counts)
+    tally, total, begin, fill = kernels.list(panorama).steps(
+        lists.tiles,
+        (*uniforms, lists.order, lists.tiles_of, counters, members, *lists.splats, lists.scratch),
+        (*uniforms, counters, totals, lists.ranges),
+    )
+    add = kernels.scan.steps(
+        lists.counts,
+        totals,
+        source=Counts.VISIBLE,
+        block=MANY,
+        rows=lists.tiles,
+        total=Counts.PAIRS,
+    )
+    return {"bin": [tally, total, *add, begin], "group": [fill]}, members, [counters]
+
+
+def _bin(
+    kernels: Kernels, lists: TileLists, pairs: Columns, *, panorama: bool, records: bool
+) -> list[Step]:
+    """Return the dispatches that list pairs of splat and tile, nearest splat first."""
+    walk = kernels.cut.walk
+    run_pairs = lists.storage("run pairs", 4 * -(-lists.gaussians // walk))
+    resources = (lists.frame, lists.counts, lists.order, lists.tiles_of, run_pairs)
+    measure, emit = kernels.bin(panorama, records).steps(
+        lists.counts, (*resources, *pairs, *lists.splats)
+    )
+    add = kernels.scan.steps(
+        lists.counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
+    )
+    return [measure, *add, emit]
+
+
+def _group(kernels: Kernels, lists: TileLists, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
+    """Return the dispatches that sort splat-tile pairs by tile, and the buffer of pairs."""
+    steps, side = kernels.sort.steps(
+        lists.counts,
+        kernels.sort.histogram(lists.pair_capacity),
+        pairs,
+        bits=kernels.tile_bits(lists.tiles - 1),
+        source=Counts.PAIRS,
+        groups=Counts.SORT_PAIRS_GROUPS,
+    )
+    mark = kernels.ranges.step(lists.counts, pairs[side].keys, lists.ranges)
+    return [*steps, mark], pairs[side].values
+
+
+def _columns(storage: Storage, name: str, length: int) -> Columns:
+    return Columns(storage(f"keys of {name}", 4 * length), storage(f"values of {name}", 4 * length))

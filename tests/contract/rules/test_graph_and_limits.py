@@ -1,0 +1,27 @@
+"""Findings of graphs and limits: the place that they name, and the last row that fits."""
+
+from types import SimpleNamespace
+
+import pytest
+from onnx import NodeProto
+
+from gsgen.contract.rules.graph.graph import _node_location
+from gsgen.contract.rules.targets.limits import fits_dispatch
+from gsgen.contract.spec.targets import load_target
+
+
+@pytest.mark.parametrize(
+    ("name", "location"), [("scale", "node scale (Mul)"), ("", "node Mul (Mul)")]
+)
+def test_a_node_is_named_or_told_by_its_operator(name: str, location: str) -> None:
+    assert _node_location(NodeProto(name=name, op_type="Mul")) == location
+
+
+@pytest.mark.parametrize(
+    ("rows", "count"), [(1, 0), (65_536, 0), (65_535 * 256, 0), (65_535 * 256 + 1, 1), ("N", 0)]
+)
+def test_the_largest_dispatch_has_a_workgroup_for_its_last_row(rows: object, count: int) -> None:
+    model = SimpleNamespace(
+        target=load_target("gsgen"), gaussians=SimpleNamespace(name="g", dims=[rows, 10])
+    )
+    assert len(list(fits_dispatch.check(model))) == count  # type: ignore[arg-type]

@@ -1,0 +1,107 @@
+"""`make mutants`: which mutants count, how functions change in place, and which tests are near."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from support.commands import ROOT
+
+sys.path.insert(0, str(ROOT / "scripts"))
+from mutation.patching import changed_functions, index_functions, patch
+from mutation.sampling import Mutant, is_equivalent
+from mutation.selection import SuiteFiles, definitions_at
+
+CODE = """
+from dataclasses import dataclass
+
+LIMIT = 3
+
+def outer(x: int) -> int:
+    def inner(y):
+        return y + 1
+    return inner(x)
+
+class Box:
+    size = 2
+    def area(self):
+        return self.size * self.size
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("def f(x: int | None): pass", "def f(x: int & None): pass"),
+        ("x: tuple[1, 2] = 0", "x: tuple[1, 3] = 0"),
+        ("__all__ = ['a' + 'b']", "__all__ = ['a' - 'b']"),
+        ("raise E(f'{n + 1} rows')", "raise E(f'{n - 1} rows')"),
+        ("@cache\ndef f(): pass", "def f(): pass"),
+        ("zip(a, b, strict=True)", "zip(a, b, strict=False)"),
+        ("x is None", "x == None"),
+        ("if TYPE_CHECKING:\n    import a", "if not TYPE_CHECKING:\n    import a"),
+        ("def f(*, a): pass", "def f(^, a): pass"),
+    ],
+)
+def test_what_no_test_can_notice_is_no_mutant(before: str, after: str) -> None:
+    assert is_equivalent(before, after)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("x = a + 1", "x = a - 1"),
+        ("x is y", "x == y"),
+        ("raise E(n + 1)", "raise E(n - 1)"),
+        ("@rule\ndef f(): pass", "def f(): pass"),
+        ("f(deep=True)", "f(deep=False)"),
+    ],
+)
+def test_what_changes_a_result_is_a_mutant(before: str, after: str) -> None:
+    assert not is_equivalent(before, after)
+
+
+@pytest.fixture
+def module(tmp_path: Path) -> ModuleType:
+    (tmp_path / "patched.py").write_text(CODE, "utf-8")
+    spec = importlib.util.spec_from_file_location("patched", tmp_path / "patched.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(("old", "new"), [("y + 1", "y - 1"), ("* self.size", "+ self.size * 3")])
+def test_a_function_changes_in_place(module: ModuleType, old: str, new: str) -> None:
+    file = str(module.__file__)
+    changes = changed_functions(CODE, CODE.replace(old, new), file)
+    assert changes is not None
+    assert len(changes) == 1
+    area = module.Box().area  # bound before the change
+    assert patch(changes, index_functions(str(Path(file).parent)))
+    assert (module.outer(5), area()) == ((4, 4) if "y" in old else (6, 8))
+
+
+@pytest.mark.parametrize("old", ["LIMIT = 3", "size = 2", "def outer(x: int)"])
+def test_code_that_runs_at_import_needs_a_new_process(old: str) -> None:
+    changed = {"LIMIT = 3": "LIMIT = 4", "size = 2": "size = 9"}.get(old, "def outer(x: int = 7)")
+    assert changed_functions(CODE, CODE.replace(old, changed), "patched.py") is None
+
+
+def test_a_function_that_does_not_live_is_told(module: ModuleType) -> None:
+    changes = changed_functions(CODE, CODE.replace("y + 1", "y - 1"), "elsewhere.py")
+    assert changes is not None
+    assert not patch(changes, index_functions(str(Path(str(module.__file__)).parent)))
+
+
+def test_the_nearest_tests_name_or_import_what_changed() -> None:
+    path = Path("runtime/gsgen/runtime/renderer/bands.py")
+    line = (ROOT / path).read_text("utf-8").split("def draw_bands")[0].count("\n") + 3
+    mutant = Mutant(path, "operator", "", f"    @@ -{line} +{line} @@")
+    assert definitions_at((ROOT / path).read_text("utf-8"), mutant.diff) == {"draw_bands"}
+    nearest = SuiteFiles(ROOT).nearest(mutant)
+    assert nearest[0] == "tests/runtime/renderer/test_bands.py"
+    assert "tests/runtime/renderer/test_limits.py" in nearest
