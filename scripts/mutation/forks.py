@@ -12,6 +12,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -31,6 +32,8 @@ CPU_SECONDS = 75
 """The most processor time of one fork: a test that is running then hangs."""
 ENOUGH_SECONDS = 25
 """No test starts after this processor time of a fork and its children."""
+FILE_SECONDS = 10
+"""The rest of a file is skipped after this processor time, so that other files have their turn."""
 WALL_SECONDS = 240
 SLOW_SECONDS = 25
 """Tests that are known to take longer do not run."""
@@ -57,6 +60,7 @@ class _Recorder:
 
     def __init__(self, pipe: int, known: dict[str, float]) -> None:
         self.pipe, self.known, self.began = pipe, known, 0.0
+        self.seconds: Counter[str] = Counter()  # of the files
 
     def write(self, kind: str, node: str, seconds: float = 0) -> None:
         os.write(self.pipe, json.dumps([kind, node, seconds]).encode() + b"\n")
@@ -77,7 +81,9 @@ class _Recorder:
         self.write("start", nodeid)
 
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
-        self.write("end", nodeid, _processor_time() - self.began)
+        seconds = _processor_time() - self.began
+        self.seconds[nodeid.partition("::")[0]] += seconds
+        self.write("end", nodeid, seconds)
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed:
@@ -90,6 +96,10 @@ class _Recorder:
     def pytest_runtest_setup(self, item: Any) -> None:
         if _processor_time() > ENOUGH_SECONDS:
             item.session.shouldstop = "enough tests have run"
+        if self.seconds[item.nodeid.partition("::")[0]] > FILE_SECONDS:
+            import pytest
+
+            pytest.skip("its file had its turn")
 
 
 def _processor_time() -> float:

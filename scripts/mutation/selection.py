@@ -11,11 +11,16 @@ from mutation.sampling import PACKAGES, Mutant
 MOST_FILES = 8
 STEP_SCORES = (0.0, 6.0, 4.0, 2.5, 1.5, 0.5)
 """Scores of a test file by the number of imports between it and the module."""
-SLOW_FOLDERS = tuple(
-    f"tests/{name}/"
-    for name in ("bench", "cli/house_rules", "docs", "fuzz", "packaging", "support", "web")
+SLOW_TESTS = (
+    "tests/bench/",
+    "tests/cli/house_rules/test_encodings.py",
+    "tests/cli/house_rules/test_robustness.py",
+    "tests/docs/",
+    "tests/fuzz/",
+    "tests/packaging/",
+    "tests/web/",
 )
-"""Folders of tests that run whole programs for minutes."""
+"""Tests that run whole programs for minutes."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class SuiteFiles:
         return {
             name: (self.root / name).read_text("utf-8")
             for name in names
-            if not name.startswith(SLOW_FOLDERS)
+            if not name.startswith(SLOW_TESTS)
         }
 
     @cached_property

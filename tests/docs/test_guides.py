@@ -1,9 +1,14 @@
-"""Every marked code block is run as a reader would run it, page by page."""
+"""Every marked code block is run as a reader would run it, page by page.
+
+The programs are forks of one process that has imported their libraries; but README's are started
+as a reader starts them.
+"""
 
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -16,12 +21,23 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.contract.validation.rule import Scope
 from gsgen.contract.validation.settings import read_config
 from support.commands import ROOT
-from support.reports.pages import DOCS, Block, blocks, name_of, pages
+from support.forked_programs import program_folder
+from support.reports.pages import DOCS, README, Block, blocks, name_of, pages
 
 _BINARIES = Path(sys.executable).parent
 
 
-def run(block: Block, folder: Path) -> "subprocess.CompletedProcess[str]":
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder of `gsgen` and `python` on the reader's PATH."""
+    if sys.platform != "linux":
+        yield _BINARIES
+        return
+    with program_folder(tmp_path_factory.mktemp("programs")) as folder:
+        yield folder
+
+
+def run(block: Block, folder: Path, programs: Path) -> "subprocess.CompletedProcess[str]":
     if block.mark.endswith(".json"):  # a file that later blocks read
         (folder / block.mark).write_text(block.text, "utf-8")
         return subprocess.CompletedProcess([], 0, "", "")
@@ -29,8 +45,8 @@ def run(block: Block, folder: Path) -> "subprocess.CompletedProcess[str]":
         command = ["bash", "-e", "-c", block.text]
     else:
         (folder / block.mark).write_text(block.text, "utf-8")
-        command = [sys.executable, block.mark]
-    path = f"{_BINARIES}{os.pathsep}{os.environ['PATH']}"
+        command = [str(programs / "python"), block.mark]
+    path = os.pathsep.join([str(programs), str(_BINARIES), os.environ["PATH"]])
     return subprocess.run(
         command,
         cwd=folder,
@@ -53,10 +69,10 @@ _RUN = [page for page in pages() if any(is_run(block) for block in blocks(page))
 
 
 @pytest.mark.parametrize("page", _RUN, ids=name_of)
-def test_every_block_runs(page, tmp_path):
+def test_every_block_runs(page, tmp_path, programs):
     for block in blocks(page):
         if is_run(block):
-            done = run(block, tmp_path)
+            done = run(block, tmp_path, _BINARIES if page == README else programs)
             assert done.returncode == 0, f"{block.mark}:\n{done.stdout}{done.stderr}"
 
 

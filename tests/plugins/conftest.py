@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from support.models.shared_traces import share_traces
 from support.reports.one_registry import share_operators
 
 
@@ -11,4 +12,11 @@ from support.reports.one_registry import share_operators
 def _one_registry() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         share_operators(patch)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_trace() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        share_traces(patch)
         yield

@@ -6,6 +6,7 @@ import pytest
 from onnx import NodeProto
 
 from gsgen.contract.rules.graph.graph import _node_location
+from gsgen.contract.rules.interface.extensions import cost_plausible
 from gsgen.contract.rules.targets.limits import fits_dispatch
 from gsgen.contract.spec.targets import load_target
 
@@ -25,3 +26,16 @@ def test_the_largest_dispatch_has_a_workgroup_for_its_last_row(rows: object, cou
         target=load_target("gsgen"), gaussians=SimpleNamespace(name="g", dims=[rows, 10])
     )
     assert len(list(fits_dispatch.check(model))) == count  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "size", "count"),
+    [("float32", 4000, 0), ("float32", 3999, 1), ("float16", 2000, 0), ("float16", 1999, 1)],
+)
+def test_a_frame_costs_no_less_than_its_rows(dtype: str, size: int, count: int) -> None:
+    cost = [SimpleNamespace(bytes=None), SimpleNamespace(bytes=size)]
+    model = SimpleNamespace(
+        generator=SimpleNamespace(cost=cost),
+        declared_gaussians=SimpleNamespace(capacity=100, dtype=dtype),
+    )
+    assert len(list(cost_plausible.check(model))) == count  # type: ignore[arg-type]

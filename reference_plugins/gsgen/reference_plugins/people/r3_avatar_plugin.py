@@ -129,7 +129,9 @@ def parse_pose_ids(text: str) -> list[int]:
         first, dash, last = word.strip().partition("-")
         if not (first.isdecimal() and (last.isdecimal() if dash else True)):
             hint = "Write it as 0-99 or 0,17,50."
-            raise ConfigInvalid(f"{word!r} is no number or range of poses", where="--pose-ids", hint=hint)
+            raise ConfigInvalid(
+                f"{word!r} is no number or range of poses", where="--pose-ids", hint=hint
+            )
         listed = range(int(first), int(last or first) + 1)
         if not listed or listed.stop > _MOST_POSES:
             message = f"{word!r} is not an ascending range of pose ids below {_MOST_POSES:,}"

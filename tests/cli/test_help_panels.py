@@ -1,9 +1,10 @@
-"""The end of `gsgen --help`: commands that are not installed, by the line that installs them."""
+"""`gsgen --help`: commands in panels, and the lines that install those that are missing."""
 
 from types import SimpleNamespace
 from typing import Any
 
 from gsgen.cli.app import _epilog
+from gsgen.cli.help_panels import PANELS, panel_of, panel_order
 
 
 def command(name: str, remedy: str, *missing: str) -> Any:
@@ -22,3 +23,10 @@ def test_missing_commands_are_listed_by_their_remedy() -> None:
         r"render: pip install 'gsgen\[runtime]'"
     )
     assert _epilog(commands[:1]) is None
+
+
+def test_commands_stand_in_the_order_of_their_panels_and_others_come_last() -> None:
+    listed = [name for names in PANELS.values() for name in names]
+    commands = sorted(["zebra", *listed, "acme"], key=panel_order)
+    assert commands == [*listed, "acme", "zebra"]
+    assert panel_of("acme") == panel_of("zebra") != panel_of(listed[-1])

@@ -1,0 +1,176 @@
+"""Programs that pages type, forked from a process that has imported the libraries they need.
+
+To start Python and import what `gsgen` draws or exports with takes from one second to seven; a
+fork takes a hundredth of one. :func:`program_folder` writes `gsgen` and `python` into a folder for
+the PATH. Each connects to the process, which forks and runs the program with the client's
+arguments, folder, environment and standard streams.
+"""
+
+__all__ = ["program_folder"]
+
+import atexit
+import io
+import json
+import os
+import runpy
+import select
+import socket
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+_CLIENT = Path(__file__).with_name("program_client.py")
+# Libraries, and modules that users' commands and scripts import when they are first needed.
+_IMPORTED = (
+    "numpy",
+    "onnx",
+    "onnxruntime",
+    "PIL.Image",
+    "scipy.spatial",
+    "wgpu.backends.auto",
+    "torch.onnx._internal.exporter._core",
+    "torch.export._trace",
+    "onnxscript.function_libs.torch_lib.ops",
+    "gsgen.runtime",
+    "gsgen.sdk",
+    "gsgen.formats",
+)
+_MOST_REQUEST_BYTES = 1 << 20
+
+
+@contextmanager
+def program_folder(folder: Path) -> Iterator[Path]:
+    """Yield a folder with `gsgen` and `python`, whose processes are forked until the exit."""
+    socket_path = folder / "socket"
+    for name in ("gsgen", "python"):
+        program = folder / name
+        real = Path(sys.executable).with_name("gsgen") if name == "gsgen" else sys.executable
+        call = f"serve_or_replace({str(real)!r}, {str(socket_path)!r}, {_surroundings()!r})"
+        program.write_text(f"#!{sys.executable} -IS\n{_CLIENT.read_text('utf-8')}\n{call}\n")
+        program.chmod(0o755)
+    server = subprocess.Popen(
+        [sys.executable, "-P", __file__, str(socket_path)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert server.stdout is not None
+        assert server.stdout.readline() == "ready\n"
+        yield folder
+    finally:
+        server.terminate()
+        server.communicate()
+
+
+def _surroundings() -> dict[str, str]:
+    """Return the variables that change what Python imports; programs with others are not forked."""
+    return {name: value for name, value in os.environ.items() if name.startswith("PYTHON")}
+
+
+def _serve(path: str) -> "tuple[socket.socket, dict[str, Any], list[int]] | None":
+    """Accept clients; return in each forked child with its client's request."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    listener.bind(path)
+    listener.listen(16)
+    print("ready", flush=True)
+    clients: dict[int, tuple[int, socket.socket]] = {}  # by the descriptor of the child
+    while True:
+        for readable in select.select([listener, *clients], [], [])[0]:
+            if readable is not listener:
+                child, client = clients.pop(readable)
+                _, status = os.waitpid(child, 0)
+                os.close(readable)
+                with client:
+                    client.send(str(os.waitstatus_to_exitcode(status)).encode())
+                continue
+            client, _ = listener.accept()
+            message, descriptors, _, _ = socket.recv_fds(client, _MOST_REQUEST_BYTES, 3)
+            child = os.fork()
+            if child == 0:
+                listener.close()
+                return client, json.loads(message), descriptors
+            for descriptor in descriptors:
+                os.close(descriptor)
+            client.send(str(child).encode())
+            clients[os.pidfd_open(child)] = (child, client)
+
+
+def _become(request: dict[str, Any], descriptors: list[int]) -> None:
+    """Give this process the folder, the environment and the streams of a client."""
+    for number, descriptor in enumerate(descriptors):
+        os.dup2(descriptor, number)
+        os.close(descriptor)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    os.chdir(request["folder"])
+    sys.argv = request["arguments"]
+    reader = io.BufferedReader(io.FileIO(0, closefd=False))
+    sys.stdin = sys.__stdin__ = io.TextIOWrapper(reader, encoding="utf-8")  # type: ignore[misc]
+    streams = [
+        io.TextIOWrapper(
+            io.BufferedWriter(io.FileIO(number, "w", closefd=False)),
+            encoding="utf-8",
+            errors=errors,
+            line_buffering=number == 2 or os.isatty(number),
+        )
+        for number, errors in ((1, "strict"), (2, "backslashreplace"))
+    ]
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__ = streams  # type: ignore[misc]
+
+
+def _run(program: str) -> int:
+    """Run `gsgen`, or a script as the interpreter would, and return the exit code."""
+    try:
+        if program == "gsgen":
+            sys.modules["__main__"] = ModuleType("__main__")  # which spawned processes import
+            from gsgen.cli import main
+
+            main()
+        else:
+            script = Path(sys.argv[0]).resolve()
+            sys.path.insert(0, str(script.parent))
+            runpy.run_path(str(script), run_name="__main__")
+    except SystemExit as ended:
+        if isinstance(ended.code, str):
+            print(ended.code, file=sys.stderr)
+        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+def _end(code: int) -> None:
+    """End a forked process as the interpreter ends, without freeing all that was imported."""
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _import_libraries() -> None:
+    import gc
+
+    for name in _IMPORTED:
+        import_module(name)
+    from gsgen.contract._extensions import find_commands
+
+    for command in find_commands().values():
+        command.load()
+    gc.freeze()
+
+
+if __name__ == "__main__":
+    _import_libraries()
+    accepted = _serve(sys.argv[1])
+    if accepted is not None:
+        _client, _request, _descriptors = accepted
+        _client.close()
+        _become(_request, _descriptors)
+        _end(_run(_request["program"]))
