@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
-from gsgen.formats import open_splats, write_sog
+from gsgen.formats import Splats, open_splats, write_sog
 from gsgen.reference_plugins.people.gauhuman_plugin import build
 from gsgen.reference_plugins.samples.files import write_samples
 from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_motion
@@ -39,6 +39,7 @@ def write_live(site: Path) -> None:
 def _write_models(work: Path, live: Path) -> None:
     samples = {path.name: path for path in write_samples(work / "samples")}
     garden = open_splats(samples["garden.ply"])
+    assert isinstance(garden, Splats)
     write_sog(live / "garden.sog", garden)
     shutil.copy(samples["sunflower.onnx"], live / "sunflower.onnx")
     write_gauhuman(work / "run", PersonOptions(count=4_000, vertices=1_000))

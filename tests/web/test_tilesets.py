@@ -145,7 +145,7 @@ def test_a_tile_may_hold_another_tileset(folder: Path, site: WebSite, tmp_path: 
     assert frame["drawn"] == expected["drawn"]
     pictures = [unpacked(text, np.float32) for text in (frame["image"], expected["image"])]
     assert np.ptp(pictures[1]) > 0.1
-    np.testing.assert_allclose(*pictures, atol=1e-4)
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-4)
 
 
 @pytest.mark.parametrize(

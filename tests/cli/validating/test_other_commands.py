@@ -27,18 +27,18 @@ def test_explain_takes_ids_and_names_in_any_case() -> None:
     assert by_id.out == by_name.out
     assert "## Why" in by_id.out
     assert "## How to repair it" in by_id.out
-    wrong = gsgen("explain", "GV03")
+    wrong = gsgen_here("explain", "GV03")
     assert wrong.code == 2
     assert "Did you mean 'GV003'?" in wrong.err
 
 
 def test_rules_as_json_is_the_catalogue() -> None:
-    listed = json.loads(gsgen("rules", "--json").out)
+    listed = json.loads(gsgen_here("rules", "--json").out)
     assert [entry["id"] for entry in listed] == list(installed_rules().rules)
 
 
 def test_published_rule_pages_are_current(tmp_path: Path) -> None:
-    assert gsgen("rules", "--pages", tmp_path).code == 0
+    assert gsgen_here("rules", "--pages", tmp_path).code == 0
     fresh = {path.name: path.read_text() for path in tmp_path.iterdir()}
     retained = {
         # The documentation adds pictures to some pages.
@@ -49,10 +49,10 @@ def test_published_rule_pages_are_current(tmp_path: Path) -> None:
 
 
 def test_inspect_shows_what_a_model_says(good: Path) -> None:
-    ran = gsgen("inspect", good)
+    ran = gsgen_here("inspect", good)
     assert ran.code == 0
     assert "output  gaussians: float32 [40, 10]" in ran.out
-    facts = json.loads(gsgen("inspect", good, "--json").out)
+    facts = json.loads(gsgen_here("inspect", good, "--json").out)
     assert facts["manifest"]["outputs"]["gaussians"]["capacity"] == 40
 
 
@@ -65,21 +65,21 @@ def test_inspect_derives_a_manifest_that_validates(good: Path, tmp_path: Path) -
     model = onnx.load(good)
     del model.metadata_props[:]
     onnx.save(model, good)
-    ran = gsgen("inspect", good, "--emit-manifest")
+    ran = gsgen_here("inspect", good, "--emit-manifest")
     assert ran.code == 0
     assert "Confirm:" in ran.err
     write_manifest(good, loads(ran.out), tmp_path / "with.onnx")
-    assert gsgen("validate", tmp_path / "with.onnx").code == 0
+    assert gsgen_here("validate", tmp_path / "with.onnx").code == 0
 
 
 def test_inspect_prints_the_schema_of_a_kind() -> None:
-    schema = json.loads(gsgen("inspect", "--schema", "gaussian-generator").out)
+    schema = json.loads(gsgen_here("inspect", "--schema", "gaussian-generator").out)
     assert schema["$schema"].endswith("2020-12/schema")
-    assert "Did you mean" in gsgen("inspect", "--schema", "gaussian-generater").err
+    assert "Did you mean" in gsgen_here("inspect", "--schema", "gaussian-generater").err
 
 
 def test_inspect_of_no_model_exits_4(tmp_path: Path) -> None:
-    assert gsgen("inspect", tmp_path).code == 4
+    assert gsgen_here("inspect", tmp_path).code == 4
 
 
 def test_doctor_finds_the_software_driver_that_tests_need() -> None:
@@ -111,7 +111,7 @@ def test_export_static_passes_packed_rows_through(tmp_path: Path, dtype: str) ->
     packed[:, [4, 7, 9]] = 0.01
     color = rng.normal(size=(9, 48)).astype(dtype) * np.asarray(0.1, dtype)
     np.savez(tmp_path / "rows.npz", gaussians=packed, appearance=color)
-    ran = gsgen("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
+    ran = gsgen_here("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
     assert ran.code == 0, ran.err
     session = onnxruntime.InferenceSession(tmp_path / "m.onnx")
     gaussians, appearance, count = session.run(["gaussians", "color_sh", "num_points"], {})
@@ -124,10 +124,10 @@ def test_export_static_passes_packed_rows_through(tmp_path: Path, dtype: str) ->
 def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> None:
     packed = np.full((4, 10), np.nan, np.float32)
     np.savez(tmp_path / "rows.npz", gaussians=packed, appearance=np.zeros((4, 3), np.float32))
-    ran = gsgen("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
+    ran = gsgen_here("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
     assert "does NOT conform" in ran.out
     assert "GV001" in ran.out
-    assert gsgen("validate", tmp_path / "m.onnx").code == 1
+    assert gsgen_here("validate", tmp_path / "m.onnx").code == 1
 
 
 @pytest.mark.parametrize(

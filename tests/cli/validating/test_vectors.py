@@ -51,7 +51,7 @@ def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -
     ]
     assert source.read_bytes() == written(tmp_path, "drift").read_bytes()
 
-    good = gsgen("validate", result / "model.onnx", "--format", "json")
+    good = gsgen_here("validate", result / "model.onnx", "--format", "json")
     assert good.code == 0
     report = json.loads(good.out)
     assert report["findings"] == []
@@ -64,7 +64,7 @@ def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -
     changed[3, 1] += 1e-3
     speed.CopyFrom(onnx.numpy_helper.from_array(changed, "speed"))
     onnx.save(model, result / "changed.onnx")
-    invalid = gsgen("validate", "changed.onnx", cwd=result)
+    invalid = gsgen_here("validate", "changed.onnx", cwd=result)
     assert invalid.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
     assert invalid.out.count("    manifest test_vectors") == 3
     assert "manifest test_vectors.0" not in invalid.out  # while time is zero, speed is not felt

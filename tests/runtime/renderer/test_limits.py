@@ -98,6 +98,7 @@ def test_an_image_that_is_too_large_for_one_buffer_is_drawn_in_bands_alone(
         renderer.draw(Scene([single()]), camera(width=512, height=512))
     seen = renderer.render(Scene([single()]), camera(width=512, height=512))
     assert np.array_equal(seen.rgba, expected.rgba)
+    assert seen.visible == expected.visible == 1
 
 
 def test_what_no_device_has_is_an_error_before_it_is_asked(device: Device) -> None:

@@ -76,16 +76,19 @@ def _whole_tiles(rows: int) -> int:
     return max(rows // LARGE_TILE, 1) * LARGE_TILE
 
 
-def draw_bands(camera: Camera, rows: int, draw: Callable[[Band], Drawing]) -> Drawing:
+def draw_bands(
+    camera: Camera, rows: int, draw: Callable[[Band], Drawing], count: Callable[[], int | None]
+) -> Drawing:
     """Draw an image in bands of rows; return the summed GPU counters, and the whole images.
 
-    A band with more pairs of a splat and a tile than a binding holds is halved. A splat counts in
-    each band that it touches.
+    A band with more pairs of a splat and a tile than a binding holds is halved.
 
     Args:
         camera: Camera of the whole image.
         rows: Most rows of a band.
         draw: Draws one band.
+        count: Counts the splats of the whole image; where it returns None, a splat counts in each
+            band that it touches.
 
     Raises:
         CapacityExceeded: One row of tiles needs more than the device's buffers hold.
@@ -110,4 +113,7 @@ def draw_bands(camera: Camera, rows: int, draw: Callable[[Band], Drawing]) -> Dr
         if first > 0:
             counts[[Counts.VISIBLE, Counts.PAIRS]] += total[[Counts.VISIBLE, Counts.PAIRS]]
         first, total = first + band.rows, counts
+    visible = count()
+    if visible is not None:
+        total[Counts.VISIBLE] = visible
     return total, images

@@ -360,6 +360,7 @@ class Plan:
         *,
         meshes: Sequence[PlacedMesh] = (),
         fetch: bool = True,
+        only: Sequence[str] | None = None,
     ) -> Drawing:
         """Draw a frame, if needed in depth slabs, and wait for its GPU counters and images.
 
@@ -381,8 +382,17 @@ class Plan:
             return self.collect(fetch=fetched)
 
         if self.slabs is None:
-            return run(None, resumes=False, continues=False)
-        return self.slabs.draw([name for name in self.stages if name not in KEY_STAGES], run)
+            return run(only, resumes=False, continues=False)
+        stages = [name for name in only or self.stages if name not in KEY_STAGES]
+        return self.slabs.draw(stages, run)
+
+    def visible(self, placed: Sequence[Placed], camera: Camera) -> int | None:
+        """Return how many splats a larger image shows; None if sets are blended by weighted sums."""
+        if self._weighted is not None or not placed:
+            return None
+        only = ("project", "sort")
+        counts, _ = self.draw(placed, Band.of(camera), np.zeros(3), fetch=False, only=only)
+        return int(counts[Counts.VISIBLE])
 
     def submit(
         self,

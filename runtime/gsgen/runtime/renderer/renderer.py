@@ -212,7 +212,9 @@ class Renderer:
 
             layers = bool(meshes) + any(splat_set.weighted is not None for splat_set, _ in placed)
             rows = band_rows(self.device, camera, len(requested), layers)
-            return draw_bands(camera, rows, draw)
+            return draw_bands(
+                camera, rows, draw, lambda: self._plan and self._plan.visible(placed, camera)
+            )
 
     def _drawn_at_once(
         self, scene: Scene, camera: Camera, background: Sequence[float], output: Output

@@ -22,7 +22,7 @@ async function load() {
   const isInlined = Boolean(document.querySelector(INLINED.bundle));
   const base = document.baseURI.startsWith("http") ? document.baseURI : undefined;
   const given = ortSettings.folder && new URL(ortSettings.folder, base);
-  const folder = isInlined ? "" : String(given ?? new URL("ort/", import.meta.url));
+  const folder = isInlined ? "" : String(given || new URL("ort/", import.meta.url));
   const address = isInlined
     ? URL.createObjectURL(new Blob([inlined(INLINED.bundle)], { type: "text/javascript" }))
     : new URL(BUNDLE, folder);
