@@ -20,6 +20,7 @@ from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference
+from gsgen.runtime.kernels.tiles.list_tiles import runs_for
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.renderer.renderer import Renderer
@@ -79,11 +80,13 @@ def floor(
     gaussians: int, visible: int, pairs: int, pixels: int, row: int, harmonics: int
 ) -> dict[str, float]:
     """Return the least bytes of each stage, as the renderer is built."""
+    tiles = pixels // TILE**2
+    counters = tiles * runs_for(tiles)
     return {
-        "project": gaussians * (row + 8) + visible * (harmonics + 3 * 16),
+        "project": gaussians * (row + 12) + visible * (harmonics + 3 * 16),
         "sort": gaussians * 4 * 2 + visible * (8 + 3 * (4 + 8 + 8) + 4),
-        "bin": visible * (4 + 16) + visible * (4 + 32) + pairs * 8,
-        "group": pairs * 2 * (4 + 8 + 8) + pairs * 4,
+        "bin": visible * (4 + 4 + 4) + counters * 4 * 4,
+        "group": visible * (4 + 4) + pairs * 4 + counters * 4 * 2,
         "blend": pairs * (4 + 48) + pixels * 16,
     }
 

@@ -34,7 +34,7 @@ def test_a_range_of_times_becomes_a_folder_of_files(models: Path, tmp_path: Path
 
 def test_the_report_is_json(models: Path, tmp_path: Path) -> None:
     file = tmp_path / "column.ply"
-    ran = gsgen("bake", models / "fade_column.onnx", "-o", file, "--json", "--views", "20")
+    ran = gsgen_here("bake", models / "fade_column.onnx", "-o", file, "--json", "--views", "20")
     assert ran.code == 0
     document = json.loads(ran.out)
     (frame,) = document["frames"]

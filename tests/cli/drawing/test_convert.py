@@ -93,7 +93,7 @@ def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, 
 def test_a_source_that_cannot_be_read_exits_4(tmp_path):
     invalid = tmp_path / "bad.ply"
     invalid.write_bytes(b"ply\nnonsense\nend_header\n")
-    ran = gsgen("convert", invalid, tmp_path / "a.spz")
+    ran = gsgen_here("convert", invalid, tmp_path / "a.spz")
     assert ran.code == 4
     assert ran.err.startswith(f"gsgen: {invalid}: header line 2: 'nonsense'\nexpected format, ")
 

@@ -14,7 +14,7 @@ def test_a_good_model_conforms(good: Path) -> None:
 
 
 def test_a_broken_model_exits_1_and_says_what_where_and_how_to_repair(nan: Path) -> None:
-    ran = gsgen("validate", nan)
+    ran = gsgen_here("validate", nan)
     assert ran.code == 1
     assert "GV001 error rows-finite" in ran.out
     assert "output gaussians: 1 of 40 rows (2.5 %), first row 7" in ran.out

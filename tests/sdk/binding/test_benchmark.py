@@ -12,7 +12,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.binding import benchmark
 from gsgen.sdk.binding.benchmark import time_frames
 from gsgen.sdk.binding.benchmark_worker import _measure
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 
 JOB = {"frames": 4, "sizes": {}, "capture": True}
 
@@ -78,7 +78,7 @@ def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
 
 
 def test_the_command_says_what_was_not_measured(models, tmp_path):
-    asked = gsgen("bench", models["drift-float32"], "--provider", "cuda", "--json")
+    asked = gsgen_here("bench", models["drift-float32"], "--provider", "cuda", "--json")
     assert asked.code == 1
     (result,) = json.loads(asked.out)["results"]
     assert (result["state"], result["provider"]) == ("unavailable", "cuda")
@@ -95,7 +95,7 @@ def test_the_command_says_what_was_not_measured(models, tmp_path):
     ],
 )
 def test_what_cannot_be_meant_is_refused(words, code, said, models):
-    ran = gsgen("bench", models["drift-float32"], *words)
+    ran = gsgen_here("bench", models["drift-float32"], *words)
     assert ran.code == code
     assert said in ran.err
     assert "Traceback" not in ran.err
