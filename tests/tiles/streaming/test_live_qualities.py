@@ -24,6 +24,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.session import SessionOptions, open_session
+from support.commands import gsgen_here
 from support.tiles.builds import SMALL, build
 from support.tiles.tile_scenes import scattered
 
@@ -140,10 +141,15 @@ def test_a_choice_keeps_the_gaussians_in_memory(town: Path) -> None:
     assert again is first  # a choice holds for a tenth of a second
 
 
-def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path) -> None:
+def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path, tmp_path: Path) -> None:
     """Every tile in view ends with the rows of its finest file, in its own slots."""
     options = SessionOptions(
-        max_error=2.0, cache_bytes=0, fade_seconds=0, slot_rows=128, live_qualities=True
+        max_error=2.0,
+        cache_bytes=0,
+        fade_seconds=0,
+        slot_rows=128,
+        live_qualities=True,
+        log=tmp_path / "events.jsonl",
     )
     session = open_session(town, options)
     frustum, latest, qualities = Frustum.from_camera(VIEW), {}, {}
@@ -171,6 +177,7 @@ def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path) -> None:
         np.testing.assert_array_equal(latest[entry.tile].rows, expected.rows)
         assert qualities[entry.tile][-1] == 0
     session.close()
+    assert gsgen_here("tiles", "replay", town, tmp_path / "events.jsonl").code == 0
 
 
 def test_a_window_draws_the_finest_qualities_in_the_end(town: Path) -> None:

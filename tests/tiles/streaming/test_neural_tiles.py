@@ -330,6 +330,7 @@ def test_budgets_hold_while_a_camera_passes_many_tiles(tmp_path: Path) -> None:
     runs = sum(len(entry["ran"]) for entry in events)
     assert steps // 8 <= runs <= rate * clock.time + sessions
     assert len(list(read_events(log))) == frames
+    assert gsgen_here("tiles", "replay", index, log).code == 0
 
 
 def _neural_events(log: Path) -> list[dict[str, list[int]]]:

@@ -21,11 +21,11 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.serving.server import serve_folder
+from gsgen.tiles.simulate.replay import ReplayLink
 from gsgen.tiles.stores import http_store
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming.clock import SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
-from gsgen.tiles.streaming.events import ReplayLink, read_events
 from gsgen.tiles.streaming.session import SessionOptions, TilesetSession, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
 from support.tiles.builds import build
@@ -256,7 +256,7 @@ def test_a_pool_is_no_larger_than_the_whole_tileset(town: Path) -> None:
     session.close()
     # Where the numbers of splats are estimates, tiles may need more than those.
     tree = replace(session.tree, is_counted=False)
-    link = ReplayLink(lambda tile: pytest.fail(f"{tile} is not asked for"), 6)
+    link = ReplayLink(lambda tile, quality: pytest.fail(f"{tile} is not asked for"), 6)
     unknown = TilesetSession(
         tree, link, SystemClock(), replace(OPTIONS, max_splats=10_000_000), sh_degree=1
     )
@@ -412,22 +412,3 @@ def test_what_was_fetched_is_on_disk_the_next_time(town: Path, tmp_path: Path) -
     assert drawn <= {line.split()[-1].lstrip("/") for line in first}
     # What was only prefetched depends on time, and may have been under way at the end.
     assert not drawn & {line.split()[-1].lstrip("/") for line in second}
-
-
-def test_a_log_replays_frame_by_frame(town: Path, tmp_path: Path) -> None:
-    log = tmp_path / "events.jsonl"
-    session, _, _ = fly(town, replace(OPTIONS, log=log))
-    session.close()
-    store = FolderStore(town)
-    reader = ContentReader(store, load_tileset(store, "tileset.json"), session.tree, None)
-    link = ReplayLink(lambda t: reader.decode(t, reader.fetch(t, lambda count: None)), 6)
-    again = TilesetSession(session.tree, link, link, OPTIONS, sh_degree=1)
-    count = 0
-    for events in read_events(log):
-        link.begin(events)
-        frame = again.frame(events.frustum)
-        assert tuple(arrival.tile for arrival in frame.arrivals) == events.arrived
-        assert frame.evicted == events.evicted
-        assert tuple((entry.tile, entry.fade) for entry in frame.drawn) == events.drawn
-        count += 1
-    assert count >= 40

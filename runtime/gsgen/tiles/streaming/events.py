@@ -1,21 +1,62 @@
-"""Writes and replays the event log of a streaming session, a file of JSON lines."""
+"""Writes and reads the event log of a streaming session, a file of JSON lines.
 
-__all__ = ["EventLog", "NeuralEvents", "ReplayLink", "read_events"]
+The first line holds the options of the session and a digest of its tiles, each further line the
+events of a frame or those of neural tiles.
+"""
+
+__all__ = [
+    "EventLog",
+    "FrameEvents",
+    "NeuralEvents",
+    "read_events",
+    "read_session_record",
+    "tree_digest",
+]
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from hashlib import sha256
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from gsgen.contract.errors import InputUnreadable
-from gsgen.tiles.errors import StoreUnavailable, TilesetInvalid
-from gsgen.tiles.json_values import JsonDict, parse_object
+from gsgen.tiles.errors import StoreUnavailable
+from gsgen.tiles.json_values import JsonDict, JsonObject, parse_object
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.fetch import FetchResult
 from gsgen.tiles.streaming.session_frame import SessionFrame, TileArrival
+
+_LOGGED_OPTIONS: Final = (
+    "max_error",
+    "max_splats",
+    "slot_rows",
+    "upload_budget",
+    "fade_seconds",
+    "connections",
+    "predictor",
+    "live_qualities",
+    "neural_sessions",
+)  # of a session, on which its decisions depend
+_HINT: Final = "Name an event log that `gsgen render` or `gsgen view` wrote with --log."
+
+
+def tree_digest(tree: TileTree) -> str:
+    """Return the SHA-256 of the tree structure, errors, splat counts and files of a tileset."""
+    tiles = [
+        [
+            int(tree.parent[index]),
+            tile.geometric_error,
+            tile.refine,
+            int(tree.splats[index]),
+            [content.uri for content in tile.contents],
+        ]
+        for index, tile in enumerate(tree.tiles)
+    ]
+    return sha256(json.dumps(tiles).encode()).hexdigest()
 
 
 @final
@@ -43,11 +84,16 @@ class NeuralEvents:
 class EventLog:
     """Writes an event log: a JSON line per frame of time, frustum, downloads and drawn tiles.
 
+    Args:
+        path: Of the file.
+        tree: The tiles.
+        options: The fields of the session's ``SessionOptions``.
+
     Raises:
         InputUnreadable: The file cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tree: TileTree, options: Mapping[str, object]) -> None:
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
@@ -56,6 +102,9 @@ class EventLog:
                 where=str(path),
                 hint="Choose another --log.",
             ) from error
+        logged = {name: options[name] for name in _LOGGED_OPTIONS}
+        record = {"session": {"tiles": tree_digest(tree), "options": logged}}
+        self._file.write(json.dumps(record) + "\n")
 
     def frame(
         self,
@@ -66,6 +115,7 @@ class EventLog:
         frame: SessionFrame,
     ) -> None:
         """Write the events of a streaming frame to the log."""
+        arrived = [result for result in received if result.error is None]
         event = {
             "t": time,
             "planes": frustum.planes.tolist(),
@@ -74,7 +124,8 @@ class EventLog:
             "focal": frustum.focal,
             "flat": frustum.flat,
             "started": list(started),
-            "received": [result.tile for result in received if result.error is None],
+            "received": [result.tile for result in arrived],
+            "received_qualities": [result.content.quality for result in arrived if result.content],
             "failed": [
                 [result.tile, str(result.error), isinstance(result.error, StoreUnavailable)]
                 for result in received
@@ -103,24 +154,47 @@ class FrameEvents:
     """The events of one streaming frame: a line of the event log.
 
     Attributes:
+        line: Number of the line in the file, from 1.
         time: Of the frame, in seconds.
         frustum: Of the camera.
         started: Tiles that the link requested by itself since the frame before.
-        received: Tiles whose contents had come.
+        received: Tiles whose contents had come, and the quality of each.
         failed: Tiles that could not be had: key, message, and whether it may pass.
         drawn: Tiles that were drawn, and their fades.
-        arrived: Tiles that were uploaded to their last row.
+        arrived: Tiles that were uploaded to their last row, and the quality of each.
         evicted: Tiles that left.
+        missing: How many wanted tiles were not resident.
     """
 
+    line: int
     time: float
     frustum: Frustum
     started: tuple[int, ...]
-    received: tuple[int, ...]
+    received: tuple[tuple[int, int], ...]
     failed: tuple[tuple[int, str, bool], ...]
     drawn: tuple[tuple[int, float], ...]
-    arrived: tuple[int, ...]
+    arrived: tuple[tuple[int, int], ...]
     evicted: tuple[int, ...]
+    missing: int
+
+
+def read_session_record(path: Path) -> JsonObject:
+    """Return the first record of an event log: the tree's digest and the session's options.
+
+    Raises:
+        InputUnreadable: The file cannot be read, or is not an event log.
+    """
+    where = f"{path}, line 1, "
+    lines = _lines(path)
+    if lines and lines[0][:1] == b"{":
+        record = parse_object(lines[0], where)
+        if "session" in record:
+            return record.child("session")
+    raise InputUnreadable(
+        "the file is not an event log; expected a record of the session in its first line",
+        where=str(path),
+        hint=_HINT,
+    )
 
 
 def read_events(path: Path) -> Iterator[FrameEvents]:
@@ -129,106 +203,50 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
     Raises:
         InputUnreadable: The file cannot be read, or a line is not an event.
     """
-    try:
-        lines = path.read_bytes().splitlines()
-    except OSError as error:
-        raise InputUnreadable(
-            f"the event log cannot be read: {error.strerror}",
-            where=str(path),
-            hint="Name an event log that was written with --log.",
-        ) from error
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(_lines(path), 1):
         values: JsonDict = parse_object(line, f"{path}, line {number}, ").values
-        if "neural" in values:
+        if "neural" in values or "session" in values:
             continue
         try:
-            yield FrameEvents(
-                time=float(values["t"]),
-                frustum=Frustum(
-                    planes=np.array(values["planes"], np.float64).reshape(-1, 4),
-                    eye=np.array(values["eye"], np.float64).reshape(3),
-                    rotation=np.array(values["rotation"], np.float64).reshape(3, 3),
-                    focal=float(values["focal"]),
-                    flat=bool(values["flat"]),
-                ),
-                started=tuple(map(int, values.get("started", ()))),
-                received=tuple(map(int, values["received"])),
-                failed=tuple((int(t), str(m), bool(p)) for t, m, p in values["failed"]),
-                drawn=tuple((int(tile), float(fade)) for tile, fade in values["drawn"]),
-                arrived=tuple(map(int, values["arrived"])),
-                evicted=tuple(map(int, values["evicted"])),
-            )
-        except (KeyError, TypeError, ValueError) as error:
+            yield _frame_events(number, values)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputUnreadable(
                 f"the line is not a frame of an event log ({error!r:.60})",
                 where=f"{path}, line {number}",
             ) from error
 
 
-@final
-class ReplayLink:
-    """Replays an event log as a network and a clock: tiles arrive in the logged frames.
+def _frame_events(line: int, values: JsonDict) -> FrameEvents:
+    return FrameEvents(
+        line=line,
+        time=float(values["t"]),
+        frustum=Frustum(
+            planes=np.array(values["planes"], np.float64).reshape(-1, 4),
+            eye=np.array(values["eye"], np.float64).reshape(3),
+            rotation=np.array(values["rotation"], np.float64).reshape(3, 3),
+            focal=float(values["focal"]),
+            flat=bool(values["flat"]),
+        ),
+        started=tuple(map(int, values["started"])),
+        received=_pairs(values, "received", "received_qualities"),
+        failed=tuple((int(t), str(m), bool(p)) for t, m, p in values["failed"]),
+        drawn=tuple((int(tile), float(fade)) for tile, fade in values["drawn"]),
+        arrived=_pairs(values, "arrived", "qualities"),
+        evicted=tuple(map(int, values["evicted"])),
+        missing=int(values["missing"]),
+    )
 
-    Args:
-        read: Returns the decoded content of a tile.
-        connections: Of the session that wrote the log.
-    """
 
-    def __init__(self, read: Callable[[int], TileArrival], connections: int) -> None:
-        self._read, self._connections = read, connections
-        self._requested: set[int] = set()
-        self._events: FrameEvents | None = None
+def _pairs(values: JsonDict, tiles: str, qualities: str) -> tuple[tuple[int, int], ...]:
+    """Return the tiles of one member and the qualities of another as pairs."""
+    return tuple((int(t), int(q)) for t, q in zip(values[tiles], values[qualities], strict=True))
 
-    def begin(self, events: FrameEvents) -> None:
-        """Set the events of the next frame to replay."""
-        self._events = events
 
-    def now(self) -> float:
-        """Return the logged time of the replayed frame."""
-        assert self._events is not None
-        return self._events.time
-
-    @property
-    def free(self) -> int:
-        """The number of tile requests that the replayed network link still accepts."""
-        return self._connections - len(self._requested)
-
-    def request(self, tile: int) -> None:
-        """Record a tile request of the replayed streaming session."""
-        self._requested.add(tile)
-
-    def queue(self, tiles: Iterable[int]) -> None:
-        """Ignore queued tiles, because the replayed event log says which of them were requested."""
-
-    def take_started(self) -> list[int]:
-        """Return the tiles that the logged streaming session requested from its queue."""
-        assert self._events is not None
-        self._requested |= set(self._events.started)
-        self._requested -= {*self._events.received, *(tile for tile, *_ in self._events.failed)}
-        return list(self._events.started)
-
-    def progress(self, tile: int) -> float:
-        """Return 1 (completely received), so that the planner cancels no request in a replay."""
-        del tile
-        return 1.0
-
-    def cancel(self, tile: int) -> int:
-        """Forget a tile request of the replayed streaming session."""
-        self._requested.discard(tile)
-        return 0
-
-    def poll(self) -> list[FetchResult[TileArrival]]:
-        """Return the tiles that arrived in the replayed frame."""
-        assert self._events is not None
-        results = [FetchResult(t, self._read(t), None) for t in self._events.received]
-        for tile, message, may_pass in self._events.failed:
-            kind = StoreUnavailable if may_pass else TilesetInvalid
-            results.append(FetchResult(tile, None, kind(message)))
-        self._requested -= {result.tile for result in results}
-        return results
-
-    def wait(self, seconds: float) -> None:
-        """Return at once: a replayed streaming session waits for no network."""
-
-    def close(self) -> None:
-        """Close nothing, because a replayed network link has no connections."""
+def _lines(path: Path) -> list[bytes]:
+    """Return the lines of an event log."""
+    try:
+        return path.read_bytes().splitlines()
+    except OSError as error:
+        raise InputUnreadable(
+            f"the event log cannot be read: {error.strerror}", where=str(path), hint=_HINT
+        ) from error

@@ -4,7 +4,7 @@ __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, final
 
@@ -223,7 +223,7 @@ class TilesetSession:
         )
         self._prefetch = prefetch
         self._planner = RequestPlanner(tree, link, self._recorder, prefetch)
-        self._log = EventLog(options.log) if options.log else None
+        self._log = EventLog(options.log, tree, asdict(options)) if options.log else None
         self.neural = self._neural_tiles(read_model)
         self._reserved = self._reserved_rows()
         self._slots: Int64[np.ndarray, " n"] = -(
