@@ -109,9 +109,16 @@ def besides(*described: str) -> str:
     parts = []
     for point in _ours("gsgen.commands"):
         if point.name not in described:
-            head = f"## gsgen {point.name}\n\n{inspect.cleandoc(_find(point.name).help)}"
-            parts.append(f"{head}\n\n{command(point.name)}")
+            parts.append(_section(point.name))
+            for name in getattr(_find(point.name), "commands", ()):
+                parts.append(_section(point.name, name))
     return "\n\n".join(parts)
+
+
+def _section(*words: str) -> str:
+    """Return the section of a command, one level lower for a command of a group."""
+    head = f"##{'#' * (len(words) - 1)} gsgen {' '.join(words)}"
+    return f"{head}\n\n{inspect.cleandoc(_find(*words).help)}\n\n{command(*words)}"
 
 
 def plugins() -> str:

@@ -19,10 +19,9 @@ def replay(
             show_default=False,
         ),
     ],
-    log: Annotated[
+    events: Annotated[
         Path,
         typer.Argument(
-            metavar="EVENTS",
             help="Event log that `gsgen render` or `gsgen view` wrote with --log.",
             show_default=False,
         ),
@@ -40,7 +39,7 @@ def replay(
 
     from gsgen.tiles.simulate.replay import replay_log
 
-    frames, difference = replay_log(tileset, log)
+    frames, difference = replay_log(tileset, events)
     if as_json:
         document = {"equal_frames": frames, "difference": difference and asdict(difference)}
         typer.echo(json.dumps(document))
