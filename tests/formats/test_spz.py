@@ -234,8 +234,8 @@ def test_ends_of_the_ranges(tmp_path, version):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"version": 0}, "version: the version is 0\nexpected 1, 2, 3 or 4"),
-        ({"version": 5}, "version: the version is 5\nexpected 1, 2, 3 or 4"),
+        ({"version": 0}, "version: the version of SPZ is 0\nexpected 1, 2, 3 or 4"),
+        ({"version": 5}, "version: the version of SPZ is 5\nexpected 1, 2, 3 or 4"),
         ({"sh_bits": (0, 4)}, "sh_bits: the SH bits are (0, 4)\nexpected two numbers, 1 to 8"),
     ],
 )

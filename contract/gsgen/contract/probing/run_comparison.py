@@ -158,7 +158,7 @@ class Behaviour:
 
 
 def read_behaviour(trial: ProbeRuns) -> Behaviour:
-    """Compare the model runs that were planned for rules about a model's behaviour."""
+    """Return how the model's outputs differ between test runs that are repeated or vary one input."""
     plan = trial.plan
     assert plan.repeated is not None
     varied = {

@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks of pixels in a cell's (group's) tiles, and of those that rounding may change."""
+    """Return masks of the pixels that a cell (group) covers, and that rounding may add or remove."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)

@@ -99,7 +99,8 @@ class PostProcessor:
         """
         if frame.rgba is None:
             raise SceneInvalid(
-                "the model needs colours, but the frame was drawn without", where=self.name
+                "the post-process model reads colours, but the frame was drawn without colours",
+                where=self.name,
             )
         alpha = np.clip(frame.rgba[..., 3:], 0, 1)
         height, width = alpha.shape[:2]

@@ -168,7 +168,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels that copy model outputs to GPU buffers, and ONNX operators that only copy.
+    """Return JSON of the kernels that copy model outputs, and of ONNX operators that only copy.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.

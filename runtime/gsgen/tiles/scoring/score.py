@@ -110,9 +110,9 @@ def score_tileset(
     content = open_splats(scene)
     if isinstance(content, PointCloud):
         raise TilesetInvalid(
-            "the scene holds coloured points",
+            "the file to compare the tileset with holds coloured points",
             location=str(scene),
-            expected="splats to compare with",
+            expected="splats",
         )
     splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
     renderer = Renderer()

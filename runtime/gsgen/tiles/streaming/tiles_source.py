@@ -215,7 +215,7 @@ class TilesSource(Source):
         return SplatSet(self.data)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of the input ``time``, the only one that a tileset may have."""
+        """Return the shape of the input ``time`` of a tileset's generators, which have no other input."""
         if name != _TIME or not self.inputs:
             raise KeyError(name)
         return (1,)

@@ -203,7 +203,9 @@ def _fractional_bits(reach: float, version: int) -> int:
 
 def _require_options(version: int, sh_bits: tuple[int, int]) -> None:
     if not 1 <= version <= container.LAST:
-        raise ValueInvalid(f"the version is {version}", where="version", expected="1, 2, 3 or 4")
+        raise ValueInvalid(
+            f"the version of SPZ is {version}", where="version", expected="1, 2, 3 or 4"
+        )
     if len(sh_bits) != 2 or not all(1 <= bits <= 8 for bits in sh_bits):
         raise ValueInvalid(
             f"the SH bits are {sh_bits}", where="sh_bits", expected="two numbers, 1 to 8"
