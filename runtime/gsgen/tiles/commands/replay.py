@@ -31,7 +31,7 @@ def replay(
     """Replay the event log EVENTS of TILESET, and compare each frame's decisions with the log.
 
     Cameras, times and arriving tiles are those of the log. Uploads, evictions, fades and missing
-    tiles are decided anew, by the planner and the pool of the viewer; requests are not compared.
+    tiles are decided again, by the planner and the pool of the viewer; requests are not compared.
     Exits 0 if all frames agree, 1 at the first one that differs, 2 if EVENTS is of another tileset,
     or 4 if a file cannot be read.
     """

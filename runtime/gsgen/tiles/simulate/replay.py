@@ -66,7 +66,7 @@ def _entries(decision: object, other: object) -> str:
 def replay_log(source: str | Path, log: Path) -> tuple[int, FrameDifference | None]:
     """Replay the event log of a streamed flight through a new streaming session.
 
-    Cameras, times and arriving tiles are those of the log; the session decides anew what to upload,
+    Cameras, times and arriving tiles are those of the log; the session decides again what to upload,
     evict and draw. Tile requests depend on the network, and are not compared.
 
     Args:
