@@ -386,6 +386,44 @@ def test_parts_of_a_tile_are_written_from_slot_to_slot() -> None:
         pool.extend(4, rows, appearance, np.zeros(3), first_row=0)
 
 
+def test_staged_rows_are_drawn_once_they_are_complete() -> None:
+    """Random tiles in random parts: until the last part, what is drawn stays as it was."""
+    rng = np.random.default_rng(0)
+    pool, memory = SplatPool(9 * SLOT, 3, slot_rows=SLOT), np.zeros((9 * SLOT, 10), np.float32)
+
+    def rows_of(count: int) -> tuple[np.ndarray, np.ndarray]:
+        return rng.uniform(size=(count, 10)).astype(np.float32), np.zeros((count, 3), np.float32)
+
+    def drawn() -> np.ndarray:
+        for write in pool.take_writes():
+            memory[write.first : write.first + len(write.rows)] = write.rows
+        rows = [row for row in range(len(memory)) if row % SLOT < pool.live[row // SLOT]]
+        located = {pool.locate(row): row for row in rows}
+        return memory[[located[key] for key in sorted(located) if key[0] == 7]]
+
+    pool.insert(1, *rows_of(40), np.zeros(3))
+    expected, colors = rows_of(200)
+    pool.insert(7, expected, colors, np.zeros(3), reserved_rows=8 * SLOT)
+    for count in (4 * SLOT, 3, SLOT + 2, 0, SLOT, 4 * SLOT - 1, 2 * SLOT + 1):
+        rows, colors = rows_of(count)
+        first = 0
+        while first < count or not count:
+            end = min(count, first + SLOT * int(rng.integers(1, 4)))
+            np.testing.assert_array_equal(drawn(), expected)
+            part = rows[first:end], colors[first:end], np.zeros(3)
+            pool.stage(7, *part, first_row=first, count=count)
+            first = end
+            if first == count:
+                break
+        expected = rows
+        np.testing.assert_array_equal(drawn(), expected)
+    for first, end, count in ((1, 40, 40), (0, 4 * SLOT + 1, 4 * SLOT + 1), (SLOT, 2 * SLOT, SLOT)):
+        with pytest.raises(SceneInvalid, match=f"rows {first} to {end} of {count} "):
+            pool.stage(7, *rows_of(end - first), np.zeros(3), first_row=first, count=count)
+    with pytest.raises(SceneInvalid, match="second half of the tile's 1 slots"):
+        pool.stage(1, *rows_of(20), np.zeros(3), first_row=0, count=10)
+
+
 @pytest.mark.parametrize(("channels", "size"), [(3, 56), (12, 88), (27, 152), (48, 232)])
 def test_a_row_of_a_pool_has_the_bytes_of_its_buffers(
     device: Device, channels: int, size: int

@@ -33,7 +33,12 @@ def transforms(count: int, seed: int = 0) -> list[np.ndarray]:
 
 
 def write_neural_tileset(
-    folder: Path, models: list[bytes], *, seed: int = 0, roles: tuple[str, ...] = ("time",)
+    folder: Path,
+    models: list[bytes],
+    *,
+    seed: int = 0,
+    roles: tuple[str, ...] = ("time",),
+    splats_max: int = 40,
 ) -> Path:
     """Write a root and one neural leaf for each model; an empty model file is left out."""
     leaves = []
@@ -59,7 +64,7 @@ def write_neural_tileset(
                         "contract": "1.1",
                         "sha256": hashlib.sha256(model).hexdigest(),
                         "inputs": list(roles),
-                        "splats_max": 40,
+                        "splats_max": splats_max,
                         **({"time_range": [0, 1]} if "time" in roles else {}),
                     }
                 },

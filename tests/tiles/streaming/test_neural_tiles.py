@@ -30,6 +30,7 @@ from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming import generator_opening
 from gsgen.tiles.streaming.events import read_events
 from gsgen.tiles.streaming.generator_rows import tile_rows
+from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.volumes import Box
 from support.commands import gsgen_here
@@ -39,11 +40,11 @@ HANGS_AFTER = 120.0  # seconds that no machine needs for a tile's run
 BOUNDS = Bounds((-1.9, -1.9, -1.9), (1.9, 1.9, 1.9))
 
 
-def moving(seed: int, degree: int | None = 1) -> bytes:
+def moving(seed: int, degree: int | None = 1, count: int = 20) -> bytes:
     """A generator whose Gaussians drift with time, not the same for two seeds."""
     rng = np.random.default_rng(seed)
-    spec = drifting(20, degree=degree).declaring(bounds=BOUNDS)
-    spec = spec.weighing(speed=rng.uniform(-0.4, 0.4, (20, 3)).astype(np.float32))
+    spec = drifting(count, degree=degree).declaring(bounds=BOUNDS)
+    spec = spec.weighing(speed=rng.uniform(-0.4, 0.4, (count, 3)).astype(np.float32))
     model: bytes = spec.build().SerializeToString()
     return model
 
@@ -239,6 +240,29 @@ def test_no_generator_runs_where_none_is_allowed(tmp_path: Path, renderer: Rende
     (picture,), source = draw(index, renderer, watching(1), [0.5], neural_sessions=0)
     assert source.inputs == ()
     assert psnr(picture, renderer.render(Scene([content(index, 0)]), watching(1)).rgba) > 60
+
+
+def test_rows_beyond_the_upload_budget_come_in_parts(
+    tmp_path: Path, renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No frame uploads more than the budget; the pictures are those of whole uploads."""
+    index = write_neural_tileset(tmp_path / "tiles", [moving(0, count=9000)], splats_max=9000)
+    whole, _ = draw(index, renderer, watching(1), [0.2, 0.8])
+    budget, parts, take = 1_000_000, [], NeuralTiles.frame
+
+    def take_parts(self: NeuralTiles, *frame: object, uploaded: int, **options: object) -> object:
+        updates = take(self, *frame, uploaded=uploaded, **options)  # type: ignore[arg-type]
+        assert uploaded + sum(update.upload_bytes for update in updates) <= budget
+        parts.extend(update.part for update in updates)
+        return updates
+
+    monkeypatch.setattr(NeuralTiles, "frame", take_parts)
+    parted, source = draw(index, renderer, watching(1), [0.2, 0.8], upload_bytes=budget)
+    assert parts == 2 * [slice(0, 4096), slice(4096, 8192), slice(8192, 9000)]
+    for actual, expected in zip(parted, whole, strict=True):
+        assert psnr(actual, expected) > 60
+    assert psnr(*whole) < 50
+    assert source.count == 9000
 
 
 class SteppingClock:

@@ -193,6 +193,54 @@ class SplatPool:
         self._drop_writes(slots)
         self._write(slots, rows, appearance, origin)
 
+    def stage(
+        self,
+        tile: int,
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+        *,
+        first_row: int,
+        count: int,
+    ) -> None:
+        """Write some of a tile's next Gaussians beside the drawn ones, and draw them when complete.
+
+        The tile has twice the slots that it needs; those of the second half are not drawn. The
+        halves change places with the last row.
+
+        Args:
+            tile: Key of the tile.
+            rows: Packed Gaussians, as for :meth:`insert`.
+            appearance: SH coefficients of these rows.
+            origin: In the space of the pool, float64.
+            first_row: Of these rows; it begins a slot.
+            count: Number of the next Gaussians, all parts together.
+
+        Raises:
+            SceneInvalid: The tile is not in the pool, the rows do not fit the half of its slots,
+                or the arrays have other shapes.
+        """
+        slots = self._held_slots(tile)
+        self._require_shapes(tile, rows, appearance)
+        half, end_row = len(slots) // 2, first_row + len(rows)
+        drawn, staged = slots[:half], slots[half:]
+        has_room = end_row <= count <= half * self.slot_rows and not self.live[staged].any()
+        if first_row % self.slot_rows or not has_room:
+            raise SceneInvalid(
+                f"rows {first_row} to {end_row} of {count} do not begin a slot of "
+                f"{self.slot_rows:,}, or exceed the second half of the tile's {len(slots)} slots",
+                where=f"tile {tile}",
+            )
+        part = staged[first_row // self.slot_rows : -(-end_row // self.slot_rows)]
+        self._drop_writes(part)
+        self._write(part, rows, appearance, origin)
+        self.live[staged] = 0
+        if end_row == count:
+            starts = self.slot_rows * np.arange(len(staged))
+            self.live[drawn] = 0
+            self.live[staged] = np.clip(count - starts, 0, self.slot_rows)
+            self._slots_of[tile] = staged + drawn
+
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
             raise SceneInvalid(

@@ -8,7 +8,8 @@ sessions. Each frame, in this order:
 3. Open one more generator, while nothing else is missing: read the model, check its digest, and
    validate it against the contract and the tile's declaration.
 4. Begin runs for tiles whose inputs changed, the longest waiting first, up to a rate.
-5. Return new rows of tiles, within the bytes that a frame may upload.
+5. Return new rows of tiles, within the bytes that a frame may upload. A tile that may exceed them
+   has twice its slots: parts of the new rows go beside the drawn ones, and are drawn once whole.
 
 A tile shows its own splats until its generator has run, and again when the generator is closed or
 breaks a promise: then a line names the tile, and the model is not run again.
@@ -26,7 +27,9 @@ import numpy as np
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES
+from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.splat_pool import pool_row_bytes
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
 from gsgen.runtime.sources.placed_source import local_camera
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
@@ -61,12 +64,14 @@ class NeuralTilesOptions:
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
         upload_budget: Bytes of arrivals and of new rows in a frame.
+        slot_rows: Rows of a slot of the splat pool.
         provider: Execution provider of ONNX Runtime.
     """
 
     sessions: int
     runs_per_second: float
     upload_budget: int
+    slot_rows: int
     provider: str = "cpu"
 
 
@@ -129,7 +134,7 @@ class NeuralTiles:
         log: EventLog | None = None,
     ) -> None:
         self._tree, self._read_model, self._clock = tree, read_model, clock
-        self._options, self._sh_degree = options, sh_degree
+        self._options, self._sh_degree, self._most_rows = options, sh_degree, most_rows
         self._report, self._log = report, log
         self._neural = {
             index: tile.neural
@@ -150,6 +155,7 @@ class NeuralTiles:
         self.bytes = self.runs = 0
         self._contents: dict[int, TileArrival] = {}  # of resident neural tiles
         self._in_pool: dict[int, TileArrival] = {}  # what the slots of each of them hold
+        self._uploads: dict[int, tuple[TileArrival, int]] = {}  # in parts; rows that came so far
         self._open: dict[int, _Generator] = {}
         self._loading: dict[int, Future[tuple[GeneratorWorker, int]]] = {}
         self._retry_at: dict[int, float] = {}
@@ -164,9 +170,15 @@ class NeuralTiles:
         """The keys of the tiles whose ONNX generators may run."""
         return tuple(self._neural)
 
-    def splats_max(self, tile: int) -> int:
-        """Return the declared maximum number of Gaussians of a tile's ONNX generator."""
-        return self._neural[tile].splats_max
+    def reserved_rows(self, tile: int) -> int:
+        """Return the rows of a tile's slots: twice as many where new rows may come in parts."""
+        splats_max, slot_rows = self._neural[tile].splats_max, self._options.slot_rows
+        most = max(splats_max, int(self._tree.splats[tile]) if self._tree.is_counted else 0)
+        slots = -(-most // slot_rows)
+        row_bytes = pool_row_bytes(3 * coefficients(self._sh_degree))
+        has_parts = slots > 1 and most * row_bytes > self._options.upload_budget
+        doubled = 2 * slots * slot_rows
+        return doubled if has_parts and doubled <= self._most_rows else splats_max
 
     @property
     def open_tiles(self) -> tuple[int, ...]:
@@ -182,11 +194,13 @@ class NeuralTiles:
         """Record that the stored splats of a tile with an ONNX generator are in the splat pool."""
         if arrival.tile in self._neural:
             self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
+            self._uploads.pop(arrival.tile, None)
 
     def evict(self, tile: int) -> None:
         """Forget the splats of a neural tile after its eviction from the splat pool."""
         self._contents.pop(tile, None)
         self._in_pool.pop(tile, None)
+        self._uploads.pop(tile, None)
 
     def frame(
         self,
@@ -412,13 +426,29 @@ class NeuralTiles:
         """Return Gaussians of tiles to write to the splat pool, within the upload budget."""
         updates: list[TileArrival] = []
         for tile in sorted(self._in_pool):
-            rows = self._expected(tile)
-            fits = uploaded + rows.upload_bytes <= self._options.upload_budget or uploaded == 0
-            if self._in_pool[tile] is not rows and fits:
-                updates.append(rows)
+            # An upload that began ends first: else a tile that changes every frame never changes.
+            rows, first_row = self._uploads.get(tile, (self._expected(tile), 0))
+            if self._in_pool[tile] is rows:
+                continue
+            room, part = self._options.upload_budget - uploaded, rows
+            if self._comes_in_parts(tile):
+                part = rows.next_part(room, self._options.slot_rows, first_row=first_row)
+            if uploaded and part.upload_bytes > room:
+                continue
+            updates.append(part)
+            uploaded += part.upload_bytes
+            if part.is_last:
                 self._in_pool[tile] = rows
-                uploaded += rows.upload_bytes
+                self._uploads.pop(tile, None)
+            else:
+                self._uploads[tile] = rows, part.end_row
         return updates
+
+    def _comes_in_parts(self, tile: int) -> bool:
+        """Return whether the slots of a tile hold its new Gaussians beside the drawn ones."""
+        content, reserved = self._contents[tile], self.reserved_rows(tile)
+        is_doubled = reserved > self._neural[tile].splats_max
+        return is_doubled and 2 * len(content.rows) <= reserved
 
     def _is_settled(self, tile: int, inputs: _RunInputs) -> bool:
         entry = self._open.get(tile)

@@ -253,6 +253,7 @@ class TilesetSession:
                 sessions=options.neural_sessions,
                 runs_per_second=options.runs_per_second,
                 upload_budget=options.upload_budget,
+                slot_rows=options.slot_rows,
                 provider=options.provider,
             ),
             sh_degree=self.sh_degree,
@@ -262,11 +263,11 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the most Gaussians that each tile's ONNX generator may output; 0 without one."""
+        """Return the rows that slots must hold for each tile's ONNX generator; 0 without one."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
-                reserved[tile] = self.neural.splats_max(tile)
+                reserved[tile] = self.neural.reserved_rows(tile)
         return reserved
 
     @property

@@ -148,8 +148,13 @@ class TilesSource(Source):
             uploaded=sum(arrival.upload_bytes for arrival in frame.arrivals),
             is_complete=frame.missing == 0,
         )
-        for rows in updates:
-            self._pool.rewrite(rows.tile, rows.rows, rows.appearance, rows.origin)
+        for update in updates:
+            rows, appearance = update.rows[update.part], update.appearance[update.part]
+            content = update.tile, rows, appearance, update.origin
+            if update.first_row or not update.is_last:
+                self._pool.stage(*content, first_row=update.first_row, count=len(update.rows))
+            else:
+                self._pool.rewrite(*content)
         return bool(updates)
 
     @property
