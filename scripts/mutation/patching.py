@@ -14,7 +14,8 @@ def index_functions(root: str) -> Functions:
     """Return all live functions whose code lies below the folder ``root``."""
     functions: Functions = defaultdict(list)
     for value in gc.get_objects():
-        if isinstance(value, FunctionType) and value.__code__.co_filename.startswith(root):
+        # Not isinstance: it asks weak proxies of dead objects for their class.
+        if type(value) is FunctionType and value.__code__.co_filename.startswith(root):
             functions[_key(value.__code__)].append(value)
     return functions
 

@@ -32,7 +32,7 @@ def test_bands_give_the_whole_image(most_rows: int, fitting: int) -> None:
         assert band.camera.cy == CAMERA.cy - band.first
         return drawn(band)
 
-    counts, images = draw_bands(CAMERA, most_rows, draw)
+    counts, images = draw_bands(CAMERA, most_rows, draw, lambda: None)
     assert images["color"].shape == (100, 3, 4)
     assert (images["color"] == np.arange(100)[:, None, None]).all()
     totals = [counts[index] for index in (Counts.GAUSSIANS, Counts.VISIBLE, Counts.PAIRS)]
@@ -45,4 +45,4 @@ def test_a_row_of_tiles_that_is_too_full_is_an_error() -> None:
         raise PairsExceeded(f"{band.rows} rows hold too many pairs")
 
     with pytest.raises(PairsExceeded, match="32 rows"):
-        draw_bands(CAMERA, 100, draw)
+        draw_bands(CAMERA, 100, draw, lambda: None)

@@ -30,12 +30,15 @@ def test_figures_of_a_frame(provider, models):
     assert facts["captured"] is (provider == "webgpu")
 
 
-def test_what_cannot_be_measured_is_told_apart(models, monkeypatch):
+def test_what_cannot_be_measured_is_told_apart(models, tmp_path, monkeypatch):
     failed = time_frames(models["split_into_many"], "webgpu", frames=1)
     assert (failed.state, failed.facts) == ("failed", {})
     assert "Too many storage buffers" in failed.reason
     absent = time_frames(models["drift-float32"], "cuda", frames=1)
     assert absent.state == "unavailable"
+    (tmp_path / "endless.py").write_text("import time; time.sleep(60)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(benchmark, "_WORKER", "endless")
     late = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
     assert (late.state, late.reason) == ("crashed", "still running after 0.05 s")
 

@@ -155,7 +155,7 @@ def test_parity_names_the_field_the_gaussian_and_the_probe(tmp_path: Path) -> No
         export(Remembering(), tmp_path / "m.onnx")
     text = str(caught.value)
     assert "position of Gaussian" in text
-    assert "at probe" in text
+    assert "for the test inputs" in text
     assert list(tmp_path.iterdir()) == []
 
 

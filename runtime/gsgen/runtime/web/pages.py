@@ -23,10 +23,12 @@ from typing import Final, final
 
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.formats import FormatError, Splats, open_splats, write_ply
+from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneUnreadable
 
 _CLIENT: Final = files("gsgen.runtime.web").joinpath("client")
 _PREFIX: Final = "gsgen/"
+_PAGE_MAGIC: Final = {"spz": b"\x1f\x8b", "sog": b"PK"}  # of the formats that pages read
 _STYLE: Final = """
 body { margin: 0; background: #16181c; color: #e8eaed; font: 16px/1.5 system-ui, sans-serif }
 main { display: grid; gap: 1rem; min-height: 100vh; box-sizing: border-box; padding: 1rem;
@@ -85,7 +87,7 @@ def client_file(name: str) -> bytes:
 
 
 def model_bytes(path: Path) -> bytes:
-    """Return a model file's bytes for a web page; splats other than SPZ 1 to 3 and SOG become a PLY.
+    """Return a model file's bytes for a web page; splat formats that no page reads become a PLY.
 
     Raises:
         SceneUnreadable: The file cannot be read, or holds no splats that a page draws.
@@ -100,8 +102,8 @@ def model_bytes(path: Path) -> bytes:
     if not isinstance(content, Splats):
         hint = "A page shows splats and generators; draw others with gsgen view."
         raise SceneUnreadable("holds no splats", where=str(path), hint=hint)
-    magic = {".spz": b"\x1f\x8b", ".sog": b"PK"}.get(path.suffix.lower())
-    if magic is not None and raw.startswith(magic):
+    codec = codec_of_suffix(path)
+    if codec is not None and codec.name in _PAGE_MAGIC and raw.startswith(_PAGE_MAGIC[codec.name]):
         return raw
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "splats.ply"
