@@ -18,7 +18,7 @@ DRAWING = {
     "bench-render": ("bench-render", "cloud.npz", "-o", "out.json", "--frames", "3", *SMALL),
 }
 ROWS = 3000
-ENOUGH = 1_720_000  # bytes for the picture and compact rows, and not for others
+ENOUGH = 960_000  # bytes for the picture and compact rows, and not for others
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,12 @@
 async ([name, frames]) => {
   const element = document.querySelector(`gsgen-model[name="${name}"]`);
   element.scrollIntoView();
-  while (!element.report) await new Promise((resolve) => setTimeout(resolve, 50));
+  const pause = () => new Promise((resolve) => setTimeout(resolve, 50));
+  while (!element.report) await pause();
+  // The element's own frames would run the model for another camera between these.
+  element.requestFrame = () => {};
+  cancelAnimationFrame(element._frameRequest);
+  while (element._isDrawing) await pause();
   const { errors } = element.report;
   if (errors.length) return { error: JSON.stringify(errors), errors };
   const { readBuffer } = await import("gsgen/gpu_buffers.js");
