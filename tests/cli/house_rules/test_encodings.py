@@ -43,6 +43,7 @@ CALLS = [
     ["tiles", "info", "{}/kacheln→"],
     ["tiles", "pack", "{}/kacheln→", "-o", "{}/kacheln→.3tz"],
     ["tiles", "plan", "{}/problem→.json"],
+    ["tiles", "replay", "{}/kacheln→", ABSENT],
     ["tiles", "serve", ABSENT],
     ["tiles", "simulate", "{}/kacheln→", "--path", ABSENT, "--network", ABSENT],
 ]
