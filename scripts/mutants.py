@@ -101,6 +101,7 @@ class Judge:
 def main() -> int:
     """Run a sample of mutants, and return the exit code."""
     options = _parser().parse_args()
+    options.results = options.results.resolve()  # forks have other working directories
     deadline = time.monotonic() + 60 * options.minutes
     results: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     known = read_outcomes(options.results)
