@@ -27,7 +27,8 @@ class TileLists:
         frame: The frame's uniform.
         counts: The frame's counts.
         order: Splats, nearest first.
-        tiles_of: Four words per splat, of which the last tells the tiles that it touches.
+        tiles_of: By splat, the tiles that it touches: where lists are counted, the words of
+            ``tile_window.wgsl`` in the second half; else the last of four words is their number.
         splats: The two vectors of each splat.
         ranges: The buffer of the first and the last list entry of each tile.
         scratch: A word per splat that no later stage reads.

@@ -164,8 +164,7 @@ class SplatPool:
                 where=f"tile {tile}",
                 hint="Reserve rows when the tile is inserted.",
             )
-        self._drop_writes(slots)
-        self._write(slots, rows, appearance, origin)
+        self._overwrite(slots, rows, appearance, origin)
 
     def extend(
         self,
@@ -190,8 +189,7 @@ class SplatPool:
                 where=f"tile {tile}",
             )
         slots = slots[: -(-len(rows) // self.slot_rows)]
-        self._drop_writes(slots)
-        self._write(slots, rows, appearance, origin)
+        self._overwrite(slots, rows, appearance, origin)
 
     def stage(
         self,
@@ -232,8 +230,7 @@ class SplatPool:
                 where=f"tile {tile}",
             )
         part = staged[first_row // self.slot_rows : -(-end_row // self.slot_rows)]
-        self._drop_writes(part)
-        self._write(part, rows, appearance, origin)
+        self._overwrite(part, rows, appearance, origin)
         self.live[staged] = 0
         if end_row == count:
             starts = self.slot_rows * np.arange(len(staged))
@@ -268,6 +265,17 @@ class SplatPool:
             self.low[slot], self.high[slot] = lows[part].min(axis=0), highs[part].max(axis=0)
             first = slot * self.slot_rows
             self._writes.append(SlotWrite(first, rows[part], appearance[part]))
+
+    def _overwrite(
+        self,
+        slots: list[int],
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+    ) -> None:
+        """Do what :meth:`_write` does for slots whose last upload may still be queued."""
+        self._drop_writes(slots)
+        self._write(slots, rows, appearance, origin)
 
     def _drop_writes(self, slots: list[int]) -> None:
         firsts = {slot * self.slot_rows for slot in slots}
