@@ -62,6 +62,7 @@ class Plan:
         meshes: Meshes among the Gaussians; only their buffers are kept.
         layers: Image layers that the caller writes, into inputs; only for sorted colours.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
+        steep: Whether a camera's dilation may be below LEAST_DILATION.
         deep: Whether the depth sort is deep, because very many depths share a key.
         slab_splats: Most splats that are drawn at once, if the scene may have more; its sets are
             sorted, in pages that belong to no pool, and among no meshes.
@@ -93,6 +94,7 @@ class Plan:
         quads: bool = False,
         panorama: bool = False,
         published: bool = False,
+        steep: bool = False,
         deep: bool = False,
         slab_splats: int | None = None,
     ) -> None:
@@ -101,7 +103,7 @@ class Plan:
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
-        self._size, self._panorama, self._deep = size, panorama, deep
+        self._size, self._panorama, self._steep, self._deep = size, panorama, steep, deep
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
@@ -345,7 +347,9 @@ class Plan:
         layers = self._layers
         count = layers.count if layers else 0
         carried = self.slabs is not None
-        kernel = self._kernels.blend(pick, self._panorama, count, self._records, carried)
+        kernel = self._kernels.blend(
+            pick, self._panorama, count, self._records, carried, self._steep
+        )
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors

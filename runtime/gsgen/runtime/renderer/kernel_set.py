@@ -64,7 +64,7 @@ class Kernels:
         self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records, carried=False: BlendTiles(
+            lambda pick, panorama, layers, records, carried=False, steep=False: BlendTiles(
                 device,
                 pick=pick,
                 panorama=panorama,
@@ -72,6 +72,7 @@ class Kernels:
                 tile=self.cut.tile,
                 records=records,
                 carried=carried,
+                steep=steep,
             )
         )
         self.project = cache(

@@ -19,6 +19,7 @@ from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
+from gsgen.runtime.kernels.tiles.blend_tiles import LEAST_DILATION
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.bands import Band, Drawing, PairsExceeded, band_rows, draw_bands
 from gsgen.runtime.renderer.frame_counts import frame_counts
@@ -373,7 +374,8 @@ class Renderer:
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
             self._rows, self._deep, self._most_in_slab = rows, False, _MANY
-        self._shape = (contents, size, outputs, panorama)
+        steep = camera.dilation < LEAST_DILATION
+        self._shape = (contents, size, outputs, panorama, steep)
         key = (self._shape, self._pairs, self._deep, self._most_in_slab)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
@@ -388,6 +390,7 @@ class Renderer:
                 quads=self._takes_quads(outputs) and self._slab_splats(placed, meshes) is None,
                 panorama=panorama,
                 published=self._published,
+                steep=steep,
                 deep=self._deep,
                 slab_splats=self._slab_splats(placed, meshes),
             )

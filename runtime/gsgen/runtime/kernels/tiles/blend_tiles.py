@@ -1,6 +1,13 @@
 """Blends the splats of each image tile, front to back."""
 
-__all__ = ["BlendTiles", "Layers", "allocate_layers", "blend_reference", "workgroup_shape"]
+__all__ = [
+    "LEAST_DILATION",
+    "BlendTiles",
+    "Layers",
+    "allocate_layers",
+    "blend_reference",
+    "workgroup_shape",
+]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,6 +29,9 @@ from gsgen.runtime.kernels.shared.shader import (
     TILE,
 )
 from gsgen.runtime.kernels.shared.subgroups import lanes
+
+LEAST_DILATION: Final = 0.25
+"""Dilation, in pixels², below which opacities may underflow within four pixels of a column."""
 
 _GPU_CELL: Final = {"LANES": 32, "CELL_WIDTH": 16, "CELL_HEIGHT": 8}
 _NARROW_CELL: Final = {"LANES": 4, "CELL_WIDTH": 4, "CELL_HEIGHT": 4}  # of SwiftShader
@@ -111,6 +121,7 @@ class BlendTiles:
         records: Whether each splat is one record.
         carried: Whether pixels keep their state in the image between slabs. Ids are then computed
             from arrays of ``place_splats.wgsl`` in place of colours.
+        steep: Whether the dilation may be below LEAST_DILATION.
 
     Attributes:
         kernel: The kernel.
@@ -127,6 +138,7 @@ class BlendTiles:
         tile: int = TILE,
         records: bool = False,
         carried: bool = False,
+        steep: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
         narrow = device.software and not together and lanes(device) == _NARROW_CELL["LANES"]
@@ -143,6 +155,7 @@ class BlendTiles:
             PICK=pick,
             RECORDS=records,
             CARRIED=carried,
+            STEEP=steep,
             MASKED=self.shader == "blend_subgroups" and not panorama,
             **constants,
         )
