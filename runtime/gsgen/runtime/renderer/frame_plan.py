@@ -348,7 +348,13 @@ class Plan:
         count = layers.count if layers else 0
         carried = self.slabs is not None
         kernel = self._kernels.blend(
-            pick, self._panorama, count, self._records, carried, self._steep
+            pick,
+            self._panorama,
+            count,
+            self._records,
+            carried,
+            self._steep,
+            name == "color" and self._kernels.lists,
         )
         among = None
         if layers is not None:

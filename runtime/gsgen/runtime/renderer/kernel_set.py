@@ -64,15 +64,18 @@ class Kernels:
         self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records, carried=False, steep=False: BlendTiles(
-                device,
-                pick=pick,
-                panorama=panorama,
-                layers=layers,
-                tile=self.cut.tile,
-                records=records,
-                carried=carried,
-                steep=steep,
+            lambda pick, panorama, layers, records, carried=False, steep=False, windows=False: (
+                BlendTiles(
+                    device,
+                    pick=pick,
+                    panorama=panorama,
+                    layers=layers,
+                    tile=self.cut.tile,
+                    records=records,
+                    carried=carried,
+                    steep=steep,
+                    windows=windows,
+                )
             )
         )
         self.project = cache(

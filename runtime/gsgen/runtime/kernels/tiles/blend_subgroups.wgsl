@@ -46,8 +46,11 @@ fn blend(
     for (var first = range.x; first < range.y; first += LANES) {
         let own_id = pair_splats[min(first + lane, range.y - 1u)];
         let own_shape = vector_of(shapes[shape_at(own_id)]);
-        let own_weight = vector_of(weights[weight_at(own_id)]);
+        var own_weight = vector_of(weights[weight_at(own_id)]);
         let own_color = vector_of(colors[own_id]);
+        if (WINDOWS) {
+            own_weight.w = own_color.w;  // so that fewer numbers are read
+        }
         let own_cells = open & cells_touched(tile.xy, own_shape, own_weight);
         let own_falloff = falloff_of(tile.xy, own_shape, own_weight);
         let count = min(LANES, range.y - first);

@@ -128,7 +128,8 @@ fn passed_by(layer: LayerCell, light: vec4f) -> vec4f {
 // transmittance below MIN_TRANSMITTANCE finishes the pixel.
 fn blended(cell: Cell, alpha: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
     var result = cell;
-    let before = select(ZERO, cell.transmittance, cell.transmittance > ZERO);
+    // At a finished pixel all three are negative.
+    let before = cell.transmittance;
     let share = alpha * before;
     let after = before - share;
     let is_open = after > vec4f(MIN_TRANSMITTANCE);

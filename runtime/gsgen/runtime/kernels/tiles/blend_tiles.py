@@ -122,6 +122,7 @@ class BlendTiles:
         carried: Whether pixels keep their state in the image between slabs. Ids are then computed
             from arrays of ``place_splats.wgsl`` in place of colours.
         steep: Whether the dilation may be below LEAST_DILATION.
+        windows: Whether colours are followed by variances, as ``ProjectKernel`` writes them.
 
     Attributes:
         kernel: The kernel.
@@ -139,6 +140,7 @@ class BlendTiles:
         records: bool = False,
         carried: bool = False,
         steep: bool = False,
+        windows: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
         narrow = device.software and not together and lanes(device) == _NARROW_CELL["LANES"]
@@ -156,6 +158,7 @@ class BlendTiles:
             RECORDS=records,
             CARRIED=carried,
             STEEP=steep,
+            WINDOWS=windows,
             MASKED=self.shader == "blend_subgroups" and not panorama,
             **constants,
         )
