@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -25,6 +25,7 @@ from typing import Any
 
 from mutation.patching import Functions, index_functions, patch
 from mutation.sampling import PACKAGES
+from mutation.selection import parameter_words
 
 _LIBRARIES = ("hypothesis", "jsonschema", "numpy", "onnx", "onnx_ir", "onnxscript", "pytest")
 _LIBRARIES += ("rich", "scipy", "torch", "typer")
@@ -58,20 +59,25 @@ class TestRun:
 class _Recorder:
     """A pytest plugin that writes a line of JSON to a pipe for every test and failure."""
 
-    def __init__(self, pipe: int, known: dict[str, float]) -> None:
-        self.pipe, self.known, self.began = pipe, known, 0.0
+    def __init__(self, pipe: int, known: dict[str, float], parameters: set[str]) -> None:
+        self.pipe, self.known, self.parameters, self.began = pipe, known, parameters, 0.0
         self.seconds: Counter[str] = Counter()  # of the files
 
     def write(self, kind: str, node: str, seconds: float = 0) -> None:
         os.write(self.pipe, json.dumps([kind, node, seconds]).encode() + b"\n")
 
     def chosen(self, items: list[Any]) -> list[Any]:
-        """Return the items but slow ones, the quick ones first."""
+        """Return the items but slow ones: those of the parameters first, then the quick ones."""
         bad = {name for name, seconds in self.known.items() if seconds == float("inf")}
         items = [item for item in items if item.nodeid.partition("[")[0] not in bad]
         times = {item.nodeid: self.known.get(item.nodeid, 0) for item in items}
         quick = [item for item in items if times[item.nodeid] <= SLOW_SECONDS]
-        return sorted(quick, key=lambda item: max(1, times[item.nodeid]))
+
+        def rank(item: Any) -> tuple[bool, float]:
+            others = self.parameters.isdisjoint(parameter_words(item.nodeid))
+            return others, max(1, times[item.nodeid])
+
+        return sorted(quick, key=rank)
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
         items[:] = self.chosen(items)
@@ -195,9 +201,9 @@ class FreshTests:
         self._process = context.Process(target=self._serve, args=(remote,), daemon=False)
         self._process.start()
 
-    def run(self, tests: Sequence[str], known: dict[str, float]) -> TestRun:
-        """Run test files or node ids until the first failure."""
-        self._connection.send((list(tests), known))
+    def run(self, tests: Sequence[str], known: dict[str, float], first: set[str]) -> TestRun:
+        """Run test files until the first failure, tests with a parameter in ``first`` first."""
+        self._connection.send((list(tests), known, first))
         run: TestRun = self._connection.recv()
         return run
 
@@ -211,10 +217,12 @@ class FreshTests:
         import pytest
 
         while (job := connection.recv()) is not None:
-            tests, known = job
+            tests, known, first = job
 
-            def action(pipe: int, tests: list[str] = tests, known: Any = known) -> None:
-                recorder = _Recorder(pipe, known)
+            def action(
+                pipe: int, tests: list[str] = tests, known: Any = known, first: set[str] = first
+            ) -> None:
+                recorder = _Recorder(pipe, known, first)
                 code = pytest.main(_arguments(tests), plugins=[recorder])
                 if code not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
                     recorder.write("failed", tests[0])  # if nothing else failed: a conftest.py
@@ -238,8 +246,17 @@ class CollectedTests:
         gc.collect()
         gc.freeze()
 
+    @property
+    def node_ids(self) -> list[str]:
+        """Node ids of all tests."""
+        return [item.nodeid for item in self._session.items]
+
     def run(
-        self, tests: Sequence[str], known: dict[str, float], changes: Changes
+        self,
+        tests: Sequence[str],
+        known: dict[str, float],
+        changes: Changes,
+        first: Set[str] = frozenset(),
     ) -> TestRun | None:
         """Run test files or node ids with changed functions; None if one cannot be changed."""
         functions = self._functions
@@ -251,7 +268,7 @@ class CollectedTests:
             import pytest
 
             patch(changes, functions)
-            recorder = _Recorder(pipe, known)
+            recorder = _Recorder(pipe, known, set(first))
             session = self._session
             session.config.pluginmanager.register(recorder)
             rank = {name: number for number, name in enumerate(tests)}
