@@ -35,7 +35,9 @@ ENOUGH_SECONDS = 25
 """No test starts after this processor time of a fork and its children."""
 FILE_SECONDS = 10
 """The rest of a file is skipped after this processor time, so that other files have their turn."""
-WALL_SECONDS = 240
+IDLE_SECONDS = 90
+"""A fork without a second of processor time in this time hangs; a busy machine only slows it."""
+WALL_SECONDS = 1500
 SLOW_SECONDS = 25
 """Tests that are known to take longer do not run."""
 Changes = list[tuple[CodeType, CodeType]]
@@ -152,11 +154,17 @@ def _isolate(folder: str) -> None:
 
 
 def _lines(process: int, reader: int) -> list[bytes]:
-    """Read the lines that a fork writes until it ends, or its time is over."""
+    """Read the lines that a fork writes until it ends, idles, or its time is over."""
     os.set_blocking(reader, False)
-    deadline, content, ended = time.monotonic() + WALL_SECONDS, b"", False
-    while not ended and time.monotonic() < deadline:
+    now = time.monotonic()
+    end, idle, next_check, used, content, ended = now + WALL_SECONDS, now, now, 0.0, b"", False
+    while not ended and now < min(end, idle + IDLE_SECONDS):
         time.sleep(0.01)
+        now = time.monotonic()
+        if now > next_check:
+            next_check, total = now + 2, _session_time(process)
+            if total >= used + 1:
+                used, idle = total, now
         ended = bool(os.waitpid(process, os.WNOHANG)[0])
         with suppress(BlockingIOError):
             while part := os.read(reader, 65536):
@@ -167,6 +175,17 @@ def _lines(process: int, reader: int) -> list[bytes]:
         os.waitpid(process, 0)
     os.close(reader)
     return content.splitlines()
+
+
+def _session_time(leader: int) -> float:
+    """Return the processor time of all processes of a session, and of their ended children."""
+    total = 0
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended since
+            fields = file.read_text("utf-8").rpartition(")")[2].split()
+            if int(fields[3]) == leader:
+                total += sum(map(int, fields[11:15]))
+    return total / os.sysconf("SC_CLK_TCK")
 
 
 def _arguments(tests: Sequence[str]) -> list[str]:

@@ -12,7 +12,7 @@ from support.commands import ROOT
 sys.path.insert(0, str(ROOT / "scripts"))
 from mutation.patching import changed_functions, index_functions, patch
 from mutation.sampling import Mutant, is_equivalent
-from mutation.selection import SuiteFiles, definitions_at
+from mutation.selection import SuiteFiles, definitions_at, parameter_words
 
 CODE = """
 from dataclasses import dataclass
@@ -105,3 +105,33 @@ def test_the_nearest_tests_name_or_import_what_changed() -> None:
     nearest = SuiteFiles(ROOT).nearest(mutant)
     assert nearest[0] == "tests/runtime/renderer/test_bands.py"
     assert "tests/runtime/renderer/test_limits.py" in nearest
+
+
+def test_tests_that_use_a_constant_are_near_to_it() -> None:
+    path = Path("sdk/gsgen/sdk/passes/framework/value_facts.py")
+    code = (ROOT / path).read_text("utf-8")
+    line = code.split("\nUNBOUNDED_END = ")[0].count("\n") + 2
+    mutant = Mutant(path, "operator", "", f"    @@ -{line} +{line} @@")
+    assert definitions_at(code, mutant.diff) == {"UNBOUNDED_END"}
+    nearest = SuiteFiles(ROOT).nearest(mutant)
+    assert "tests/sdk/passes/rows/test_row_gathers.py" in nearest
+
+
+def test_tests_whose_parameters_name_a_rule_are_near_to_it() -> None:
+    path = Path("contract/gsgen/contract/rules/interface/avatar_inputs.py")
+    code = (ROOT / path).read_text("utf-8")
+    line = code.split("def _order_faults")[0].count("\n") + 2
+    node_id = "tests/contract/rules/test_corpus.py::test_rules[GI030-joint_before_parent]"
+    suite = SuiteFiles(ROOT, [node_id])
+    mutant = Mutant(path, "operator", "", f"    @@ -{line} +{line} @@")
+    assert suite.nearest(mutant)[0] == "tests/contract/rules/test_corpus.py"
+    assert not suite.parameters(mutant).isdisjoint(parameter_words(node_id))
+    assert suite.parameters(mutant).isdisjoint(parameter_words(node_id.replace("GI030", "GI001")))
+
+
+def test_tests_that_run_a_command_are_near_to_it() -> None:
+    path = Path("contract/gsgen/contract/commands/diff.py")
+    mutant = Mutant(path, "operator", "", "    @@ -59 +59 @@")
+    near = SuiteFiles(ROOT).nearest(mutant)
+    assert near[0] == "tests/cli/validating/test_diff.py"
+    assert "tests/cli/house_rules/test_exit_codes.py" in near
