@@ -89,7 +89,7 @@ def _beyond(
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
-    """Return whether Gaussians, colours and cells (groups) can be compared field by field."""
+    """Return whether Gaussians, colours and groups of Gaussians can be compared field by field."""
     rows, second_rows = first.gaussians, second.gaussians
     if rows is None or second_rows is None or rows.shape != second_rows.shape:
         return False, False, False

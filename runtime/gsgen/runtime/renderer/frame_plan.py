@@ -387,7 +387,7 @@ class Plan:
         return self.slabs.draw(stages, run)
 
     def visible(self, placed: Sequence[Placed], camera: Camera) -> int | None:
-        """Return how many splats a larger image shows; None if sets are blended by weighted sums."""
+        """Return the number of splats in view; None if sets are blended by weighted sums."""
         if self._weighted is not None or not placed:
             return None
         only = ("project", "sort")

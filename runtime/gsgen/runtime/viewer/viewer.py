@@ -187,7 +187,7 @@ class Viewer:
         return replace(coarse, dilation=camera.dilation / coarseness**2)
 
     def _coarseness(self) -> int:
-        """Return how much coarser than the surface an image is so that it is drawn in time."""
+        """Return the factor by which image size is reduced, so that a frame is drawn in time."""
         drawn = self._renderer.drawn
         if drawn is None:
             return 1

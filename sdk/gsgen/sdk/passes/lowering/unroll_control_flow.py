@@ -20,7 +20,7 @@ _AXES_AS_INPUT = 13
 
 
 class UnrollControlFlow(CautiousRewrite):
-    """Unroll If, Loop and Scan nodes whose branches and iterations are known beforehand.
+    """Unroll If, Loop and Scan nodes whose branches and iteration counts do not depend on inputs.
 
     One control-flow node makes a WebGPU provider refuse graph capture for the whole model, and
     most of them only count joints, bands or steps::
