@@ -174,7 +174,7 @@ def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _color_errors(a: np.ndarray, b: np.ndarray, *, is_sh: bool) -> Measured:
-    """Return how much each Gaussian's colour differs between two runs, and its magnitude."""
+    """Return each Gaussian's colour difference between two runs, and the colour's magnitude."""
     if not is_sh:
         part = slice(0, 3)
         return _distance(a, b, part), np.abs(a[:, part]).max(axis=1)

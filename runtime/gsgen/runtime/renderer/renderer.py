@@ -419,7 +419,7 @@ class Renderer:
         return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
 
     def _grow(self, pairs: int) -> None:
-        """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
+        """Increase the capacity for splat-tile pairs; raise if the device cannot hold as many."""
         most = self._most_pairs
         if pairs > most:
             raise PairsExceeded(

@@ -285,7 +285,7 @@ def _cells(page: Page) -> int:
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill the uniform data of a page (GPU buffers) with weighting parameters, and return it."""
+    """Fill the uniform data of a page (GPU buffers) with weighting parameters; return the data."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

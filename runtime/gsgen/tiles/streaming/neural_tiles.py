@@ -353,7 +353,7 @@ class NeuralTiles:
         return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
 
     def _close_others(self, tiles: Sequence[int], time: float) -> None:
-        """Close the longest unused ONNX generators, as many as this frame's new ones need."""
+        """Close the longest unused ONNX generators to make room for those that this frame needs."""
         for tile in tiles:
             if tile in self._open:
                 self._open[tile].last_drawn = time

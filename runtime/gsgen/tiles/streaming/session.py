@@ -93,7 +93,7 @@ class ArrivalLink(Link, Protocol):
     """Protocol of network links that deliver decoded tiles."""
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Set the tiles to request as connections become free, in place of those set before."""
+        """Replace the queue of tiles to request as network connections become free."""
         ...
 
     def take_started(self) -> list[int]:

@@ -87,7 +87,7 @@ class TileArrival:
 @final
 @dataclass(frozen=True, slots=True)
 class DrawnTile:
-    """A resident tile that is drawn in a frame.
+    """A tile in GPU memory that is drawn in a frame.
 
     Attributes:
         tile: Key of the tile.

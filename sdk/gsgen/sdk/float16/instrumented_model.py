@@ -153,7 +153,7 @@ def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> di
 
 
 def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
-    """Turn weight tables into graph inputs, so that each run can feed them rounded."""
+    """Turn weight tables into graph inputs, so that each run can feed rounded tables."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
         if value is not None:

@@ -43,7 +43,7 @@ class UnrollControlFlow(CautiousRewrite):
         self.used_names: set[str | None] = set()
 
     def rewrite(self, model: ir.Model) -> None:
-        """Unroll control flow, outer nodes first, which may make inner iterations known."""
+        """Unroll control flow, outer nodes first, since this may fix inner iteration counts."""
         refused: set[ir.Node] = set()
         self.used_names = _used_names(model)
         while True:

@@ -236,7 +236,7 @@ class _Attempt:
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Replace inputs that hold the number of selected rows by N; return whether all were replaced.
+        """Replace inputs that count selected rows by the number of all rows; return whether done.
 
         Any node may read numbers from a shape if they do not depend on the count.
         """

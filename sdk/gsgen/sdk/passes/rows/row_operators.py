@@ -215,7 +215,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Gather on all N rows, not the K that a mask selects; None along the row axis."""
+    """Create a Gather on all N rows, not the K that a mask selects; None if it gathers rows."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
@@ -377,7 +377,7 @@ _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
 
 
 def split_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> list[Rows] | None:
-    """Return the outputs of a Split along another axis than that of the rows."""
+    """Return the outputs of a Split along an axis other than the row axis, with all N rows."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.flat or any(facts[1:]):
         return None

@@ -245,7 +245,7 @@ def _write_operator(
 
 
 def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
-    """Split a tensor that another part of the graph computes into columns of shape [rows].
+    """Split a tensor from another part of the graph into columns of shape [rows].
 
     Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """
