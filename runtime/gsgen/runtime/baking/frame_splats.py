@@ -98,5 +98,5 @@ class FrameConverter:
 
 
 def _selection(mask: Bool[np.ndarray, " n"]) -> slice | Int64[np.ndarray, " m"]:
-    """Return what selects the rows of a mask; a slice of all rows copies nothing."""
+    """Return an index for the rows that a mask selects: for all rows a slice, without copying."""
     return slice(None) if mask.all() else np.flatnonzero(mask)

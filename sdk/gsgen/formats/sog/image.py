@@ -15,7 +15,7 @@ Image = UInt8[np.ndarray, "p 4"]
 
 
 def most_pixels(needed: int) -> int:
-    """Return the largest number of pixels allowed for an image of ``needed`` values."""
+    """Return the most pixels that an image may have of which a SOG file needs ``needed``."""
     return 2 * needed + (1 << 16)
 
 
