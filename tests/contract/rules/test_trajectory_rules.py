@@ -30,7 +30,7 @@ def runs_of(futures: list[np.ndarray | None]) -> ProbeRuns:
 
 @pytest.mark.parametrize("wrong", [0, 1, 3])
 def test_one_wrong_run_is_found_wherever_it_is(wrong: int) -> None:
-    states = np.tile(np.float32([1, 2, 3, 0, 1, 0, 0]), (3, 1))
+    states = np.tile(np.array([1, 2, 3, 0, 1, 0, 0], np.float32), (3, 1))
     futures: list[np.ndarray | None] = [states, states.copy(), None, states.copy()]
     assert not list(predicted_quaternions_unit.check(runs_of(futures)))
     double = states.copy()

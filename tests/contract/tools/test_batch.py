@@ -30,13 +30,20 @@ def write_slowly(path: Path, settings: Settings) -> Entry:
     return path  # type: ignore[return-value]
 
 
-def test_workers_end_at_once_when_the_user_interrupts(tmp_path: Path) -> None:
+def test_workers_and_no_other_children_end_when_the_user_interrupts(tmp_path: Path) -> None:
+    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(DURATION,))
+    other.start()
+    others = multiprocessing.active_children()
+
     def interrupt(text: str) -> None:
         raise KeyboardInterrupt
 
     paths = [tmp_path / "first", tmp_path / "second"]
     with pytest.raises(KeyboardInterrupt):
         validate_in_processes(write_slowly, paths, Settings(), 2, interrupt)
-    for process in multiprocessing.active_children():
+    for process in set(multiprocessing.active_children()).difference(others):
         process.join()
     assert not paths[1].exists()
+    assert other.is_alive()
+    other.terminate()
+    other.join()
