@@ -62,7 +62,7 @@ class FrameConverter:
         return finite & (gaussians.opacity >= np.float32(CULL_OPACITY)), int((~finite).sum())
 
     def convert(self, gaussians: DecodedGaussians, is_drawn: Bool[np.ndarray, " n"]) -> Splats:
-        """Convert the drawn Gaussians of a frame, whose numbers are finite.
+        """Convert the Gaussians of a frame that are drawn, and hence finite, to splats.
 
         The colours are those of ``gaussians`` where all are drawn, and no copy.
         """

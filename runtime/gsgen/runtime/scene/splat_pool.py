@@ -273,7 +273,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Write rows into slots, and drop earlier writes to these slots that are still queued."""
+        """Write rows into splat pool slots, and drop queued writes to the same slots."""
         self._drop_writes(slots)
         self._write(slots, rows, appearance, origin)
 

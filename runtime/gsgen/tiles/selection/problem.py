@@ -177,7 +177,7 @@ def _solve_deadlines(problem: JsonObject) -> Choice:
     cells = len(tiles) * (max((tile.deadline for tile in tiles), default=0) + 1)
     if cells > MOST_CELLS:
         raise TilesetInvalid(
-            f"the problem has {cells:,} combinations of a tile and a download time slot",
+            f"the tile choice problem has {cells:,} pairs of a tile and a download time slot",
             location=problem.at("tiles"),
             expected=f"{MOST_CELLS:,} or fewer",
             hint="Make the time slots longer, so that fewer lie before the last deadline.",

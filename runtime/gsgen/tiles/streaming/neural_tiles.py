@@ -43,7 +43,7 @@ from gsgen.tiles.streaming.session_frame import TileArrival
 
 
 class _RunInputs(NamedTuple):
-    """The varying inputs of an ONNX generator's run, comparable with those of another run.
+    """The varying inputs of an ONNX generator's run, to compare with those of the last run.
 
     Attributes:
         camera: View matrix and intrinsics; None for a generator without a camera.

@@ -15,7 +15,7 @@ Image = UInt8[np.ndarray, "p 4"]
 
 
 def most_pixels(needed: int) -> int:
-    """Return the most pixels that an image may have of which a SOG file needs ``needed``."""
+    """Return the largest allowed pixel count of a SOG image with ``needed`` used pixels."""
     return 2 * needed + (1 << 16)
 
 
