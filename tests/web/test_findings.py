@@ -40,7 +40,8 @@ def expected_findings(path: Path, target_name: str) -> list[dict[str, str]]:
     """Return the violations of the compared rules, but of those that need one that is broken."""
     target = load_target(target_name)
     subject = inspect_model(open_model(path), target, Limits())
-    unknown, broken, findings = open_outputs(subject), set(), []
+    unknown, broken = open_outputs(subject), set[str]()
+    findings: list[dict[str, str]] = []
     for rule in _RULES:
         if rule.target not in ("", target.name) or (rule.limit and rule.limit not in target.limits):
             continue
