@@ -19,7 +19,7 @@ from gsgen.sdk.math import sample_plane
 
 
 class _TimePlane(nn.Module):
-    """A hexplane's plane of one axis of space and time, evaluated at fixed points."""
+    """A hexplane's plane of a space axis and time, evaluated at fixed points."""
 
     table: Tensor
     below: Tensor

@@ -50,7 +50,7 @@ class _FrontMerger:
     def rows(
         self, cost: Float64[np.ndarray, " p"], utility: Float64[np.ndarray, " p"]
     ) -> Int64[np.ndarray, " m"]:
-        """Return the Pareto-optimal choices (cost, utility), by ascending cost."""
+        """Return rows of the Pareto-optimal choices (cost, utility) of tiles, by ascending cost."""
         if not len(cost):
             return np.zeros(0, np.int64)
         priced = utility - self._price * cost

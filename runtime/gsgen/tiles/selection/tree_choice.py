@@ -167,7 +167,7 @@ def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return how many of a parent's first ``prefix`` steps come from each child's utility curve."""
+    """Return how many of a parent's first ``prefix`` utility curve steps belong to each child."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]
@@ -181,7 +181,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return what each tile of a tree level and its subtree gain for every number of bytes."""
+    """Return the curves of utility over cost of one tree level's tiles, each with its subtree."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])
@@ -198,7 +198,7 @@ def _build_level(
 
 
 def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
-    """Set the utility curves of one tree level to the merged curves of the level below."""
+    """Set each tile's utility curve to the merged curves of its children, for one tree level."""
     is_first = np.r_[True, below.owner[1:] != below.owner[:-1]]
     steps = np.flatnonzero(~is_first)
     cost = below.cost[steps] - below.cost[steps - 1]

@@ -190,7 +190,7 @@ class _TileRenderer:
         return self._tileset.up
 
     def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
-        """Return whether any list of contents has too many splats to draw; record the reason."""
+        """Return whether any list of tile contents has too many splats to draw; record why."""
         count = max(map(self.count, cuts))
         if count > MAX_DRAWN:
             tile = cuts[0][0][0]

@@ -56,7 +56,7 @@ def _error(rows: Rows, palette: Rows, labels: Int64[np.ndarray, " n"]) -> float:
 
 
 def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
-    """Return the nearest SH palette entry of each row, searched in the closest blocks only."""
+    """Return the nearest SH palette entry of each row, searched in the nearest palette blocks."""
     block = max(1, round(len(palette) ** 0.5))
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
@@ -78,7 +78,7 @@ def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
 
 
 def _split_clusters(rows: Rows, size: int) -> Rows:
-    """Split clusters of a palette until there are ``size``, or all rows of each are equal."""
+    """Split clusters of palette rows until there are ``size`` clusters, or none can be split."""
     starts = np.zeros(1, np.int64)
     while len(starts) < size:
         counts = np.diff(starts, append=len(rows))
@@ -122,7 +122,7 @@ def _group_means(rows: Rows, starts: Int64[np.ndarray, " k"]) -> Rows:
 
 
 def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
-    """Return the mean of the rows of each cluster label; a label without rows keeps its entry."""
+    """Return the mean of the rows of each palette label; a label without rows keeps its mean."""
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     moved = palette.copy()
