@@ -450,9 +450,10 @@ class Plan:
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
             clock.begin()
+        # Later slabs of depth are blended among the cells that were drawn before the first.
+        cells = self._weighted and only and set(only).isdisjoint(self._weighted.stages)
         for clear in self.clears:
-            # Later slabs of depth are blended among the cells that the first one has drawn.
-            if only is None or self._weighted is None or clear not in self._weighted.clears:
+            if not (cells and self._weighted and clear in self._weighted.clears):
                 encoder.clear_buffer(*clear)
         if self._meshes is not None and (only is None or "meshes" in only):
             self._meshes.encode(encoder, background, clock.around("meshes") if clock else None)
