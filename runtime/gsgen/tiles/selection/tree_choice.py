@@ -56,7 +56,7 @@ def _no_values() -> Points:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
-    """The concave curves of utility over cost of all tree nodes at one depth, concatenated.
+    """The concave curves of utility over download cost of all tile-tree nodes at one depth.
 
     Attributes:
         nodes: The nodes, ascending.
@@ -79,14 +79,14 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return where each tree node's points begin in the concatenated curves of a tree level."""
+        """Return where each node's points begin in the concatenated utility curves of a level."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeFrontier:
-    """The concave curves of utility over cost of all tile-tree nodes, the root's curve first.
+    """The concave curves of utility over download cost of tile-tree nodes, the root's first.
 
     Attributes:
         levels: By depth.
@@ -113,7 +113,7 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """The total costs at the points of a tile tree's curve of utility over cost, ascending."""
+        """The download costs at the points of a tile tree's utility curve, in ascending order."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:
@@ -162,7 +162,7 @@ def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
 
 
 def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
-    """Return the position of each node's parent in the tree level above."""
+    """Return the position of each tile-tree node's parent in the level above."""
     return np.asarray(np.searchsorted(level.nodes, options.parent[below.nodes]))
 
 
@@ -222,14 +222,14 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return cumulative sums of sorted values, which start again at each tree node."""
+    """Return cumulative sums of sorted values, which start again at each tile-tree node."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
 
 
 def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Rows) -> None:
-    """Add a point to the utility curves of some tree nodes, and drop dominated points.
+    """Add a point to the utility curves of some tile-tree nodes, and drop dominated points.
 
     Frontiers stay strictly concave and ascending: the tangents from the new point on both
     sides end at the first points that remain.

@@ -241,7 +241,7 @@ class _View:
     def around(
         cls, parts: list[PlacedSplats], up: Float64[np.ndarray, " 3"], error: float = 0.0
     ) -> "_View":
-        """Return a view in which a geometric error is as large as when viewers load finer tiles.
+        """Return a view from the distance at which viewers load finer tiles for a geometric error.
 
         The splats fill the picture if its size is within limits. Beyond the upper one they are
         seen from as near; below the lower one, from farther away.
