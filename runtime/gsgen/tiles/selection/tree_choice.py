@@ -113,7 +113,7 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """The total costs at the points of a tile tree's curve of utility over cost, ascending."""
+        """The download costs at the points of a tile tree's utility curve, in ascending order."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:

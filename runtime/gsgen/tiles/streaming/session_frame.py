@@ -63,7 +63,7 @@ class TileArrival:
             object.__setattr__(self, "end_row", len(self.rows))
 
     def next_part(self, room: int, slot_rows: int, *, first_row: int) -> "TileArrival":
-        """Return the tile's part to upload from ``first_row``: at most ``room`` bytes or a slot."""
+        """Return the tile with the rows to upload from ``first_row`` on: about ``room`` bytes."""
         slots = max(1, room // (slot_rows * pool_row_bytes(self.appearance.shape[1])))
         end_row = min(len(self.rows), first_row + slots * slot_rows)
         return replace(self, first_row=first_row, end_row=end_row)
