@@ -54,6 +54,7 @@ class Judge:
         prepare(copy)
         self._fresh = FreshTests()
         self._collected = CollectedTests(list(self.tests.texts))
+        self.tests.node_ids.extend(self._collected.node_ids)
 
     def outcome(self, mutant: Mutant, files: Sequence[str]) -> str:
         """Run test files on a mutant, and return the outcome."""
@@ -76,9 +77,10 @@ class Judge:
 
     def _run(self, mutant: Mutant, original: str, target: str, files: Sequence[str]) -> TestRun:
         changes = changed_functions(original, mutant.code, target)
-        run = None if changes is None else self._collected.run(files, self.known, changes)
+        first = self.tests.parameters(mutant)
+        run = None if changes is None else self._collected.run(files, self.known, changes, first)
         if run is None:  # code that runs at import, or a module that no test file imports
-            run = self._fresh.run(files, self.known)
+            run = self._fresh.run(files, self.known, first)
         self.known |= run.seconds
         with self._file.open("a", encoding="utf-8") as file:
             file.writelines(json.dumps(entry) + "\n" for entry in run.seconds.items())

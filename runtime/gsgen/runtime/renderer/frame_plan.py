@@ -180,7 +180,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Return projected splats' GPU buffers: what projection writes, and what blending reads."""
+        """Return two lists of projected splats' GPU buffers: to write to, and to blend from."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
@@ -387,7 +387,7 @@ class Plan:
         return self.slabs.draw(stages, run)
 
     def visible(self, placed: Sequence[Placed], camera: Camera) -> int | None:
-        """Return how many splats a larger image shows; None if sets are blended by weighted sums."""
+        """Return the number of splats in view; None if sets are blended by weighted sums."""
         if self._weighted is not None or not placed:
             return None
         only = ("project", "sort")

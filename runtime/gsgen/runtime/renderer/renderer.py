@@ -282,7 +282,7 @@ class Renderer:
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a frame with buffer sizes of earlier frames; wait for the GPU if there are none."""
+        """Draw a frame with buffer sizes of earlier frames; without these, wait for the GPU."""
         for parts in self.late.read():
             self._take(parts)
         placed, meshes = self._uploaded(scene)
@@ -395,7 +395,7 @@ class Renderer:
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Return whether quads draw the colours; "auto" uses tiles if other outputs are asked."""
+        """Return whether to draw quads; an automatic choice of quads applies to colour alone."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
@@ -419,7 +419,7 @@ class Renderer:
         return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
 
     def _grow(self, pairs: int) -> None:
-        """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
+        """Increase the capacity for splat-tile pairs; raise if the device cannot hold as many."""
         most = self._most_pairs
         if pairs > most:
             raise PairsExceeded(

@@ -33,7 +33,7 @@ Tally = Callable[[int, int], np.ndarray]
 
 
 class Run(Protocol):
-    """Runs GPU stages of a frame, and returns the counters, and the images after the last."""
+    """Function that runs GPU stages of a frame, and returns counters and, at the end, images."""
 
     def __call__(self, only: Sequence[str], *, resumes: bool, continues: bool) -> Drawing:
         """Run some GPU stages of a frame; see ``Plan.submit`` for the arguments."""

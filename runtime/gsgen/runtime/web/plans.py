@@ -220,7 +220,7 @@ def _fields(dtype: np.dtype[np.void]) -> dict[str, Any]:
 
 
 def plans_text() -> str:
-    """Return the text of ``plans.json``, with one table row a line, so that diffs are readable."""
+    """Return the text of ``plans.json`` with one table row per line, so that diffs are readable."""
     lines = []
     for key, value in plans_document().items():
         if isinstance(value, list):
