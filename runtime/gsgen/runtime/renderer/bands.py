@@ -56,7 +56,7 @@ class Band:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Drawn:
     """A rendered image that stays in GPU memory, to be shown from there.
 
@@ -77,8 +77,13 @@ class Drawn:
     @classmethod
     def of(cls, image: Buffer, band: Band, counts: np.ndarray) -> "Drawn":
         """Return the image of a band, with the GPU counters of its frame."""
-        visible, pairs = int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS])
-        return cls(image, image.size // band.rows // VEC4, visible, pairs, band.first)
+        return cls(
+            image=image,
+            row=image.size // band.rows // VEC4,
+            visible=int(counts[Counts.VISIBLE]),
+            pairs=int(counts[Counts.PAIRS]),
+            first=band.first,
+        )
 
 
 @final

@@ -144,8 +144,15 @@ class SurfaceRenderer:
             for image, band in zip(self._upload[2], bands, strict=True):
                 device.write(image, band)
         return [
-            Drawn(image, width, frame.visible if number == 0 else 0, 0, number * rows)
-            for number, image in enumerate(self._upload[2])
+            # The first band has the counts of all.
+            Drawn(
+                image=image,
+                row=width,
+                visible=0 if first else frame.visible,
+                pairs=0 if first else frame.pairs,
+                first=first,
+            )
+            for first, image in zip(range(0, height, rows), self._upload[2], strict=True)
         ]
 
     def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
