@@ -62,8 +62,11 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         if rule in causes:
             lines += _consequence(causes.pop(rule), verbose=verbose)
     lines += _crashes(report)
+    known = {finding.rule for finding in report.findings if finding.known}
     for cause in causes.values():
         rule, status = cause.outcome.rule, cause.outcome.status
+        if rule.id in known:
+            status = f"{status} (known)"
         lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
         lines += _consequence(cause, verbose=verbose)
     lines += (
