@@ -49,6 +49,16 @@ class SuiteFiles:
         }
 
     @cached_property
+    def _words(self) -> dict[str, set[str]]:
+        """The words of each test file."""
+        return {name: set(re.findall(r"\w+", text)) for name, text in self.texts.items()}
+
+    @cached_property
+    def _module_words(self) -> dict[Path, set[str]]:
+        """The words of each module."""
+        return {path: set(re.findall(r"\w+", text)) for path, text in self._modules.items()}
+
+    @cached_property
     def _parametrized(self) -> dict[str, set[str]]:
         """The test files with each word of a parameter."""
         files: dict[str, set[str]] = {}
@@ -87,11 +97,12 @@ class SuiteFiles:
         dotted = ".".join(mutant.path.with_suffix("").parts[1:])
         names = definitions_at(self._modules[mutant.path], mutant.diff)
         mentions = [
-            {file for file, text in self.texts.items() if _mentions(text, name)} for name in names
+            {file for file, words in self._words.items() if name in words} for name in names
         ]
         mentions += [self._tests_of_users(name, mutant.path) for name in names]
         mentions += [self._parametrized.get(name, set()) for name in self.parameters(mutant)]
         words, stem_words = _words(mutant.path), _words(Path(mutant.path.stem))
+        folder_words = _words(Path(mutant.path.parent.name))
         scores = {}
         for name in self.texts:
             stem = Path(name).stem.removeprefix("test_")
@@ -102,6 +113,7 @@ class SuiteFiles:
                 + sum(10 / (1 + len(files)) for files in mentions if name in files)
                 + 0.5 * len(words & _words(Path(name)))
                 + 1.0 * len(stem_words & _words(Path(stem)))
+                + 2.0 * len(folder_words & _words(Path(stem)))
                 + 0.2 * (Path(name).parts[1] in mutant.path.parts[2:])
             )
         nearest = sorted(scores, key=lambda name: -scores[name])[:MOST_FILES]
@@ -111,8 +123,8 @@ class SuiteFiles:
         """Return the test files that import a module that uses a name of the module ``home``."""
         users = {
             ".".join(path.with_suffix("").parts[1:])
-            for path, text in self._modules.items()
-            if path != home and _mentions(text, name)
+            for path, words in self._module_words.items()
+            if path != home and name in words
         }
         return {
             file
@@ -124,10 +136,6 @@ class SuiteFiles:
         """Return the names around a mutant, and those of rules and fixtures in its module."""
         code = self._modules[mutant.path]
         return definitions_at(code, mutant.diff) | set(_registered(code))
-
-
-def _mentions(text: str, name: str) -> bool:
-    return re.search(rf"\b{re.escape(name)}\b", text) is not None
 
 
 def parameter_words(node_id: str) -> list[str]:

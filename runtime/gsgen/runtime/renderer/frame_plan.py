@@ -124,10 +124,8 @@ class Plan:
         self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
-        # Weighted sets become a layer, which the hardware's blending does not support.
-        quads = quads and not summed
-        # Weighted sets alone write the image themselves, without layers.
-        alone = bool(summed) and not placed and not meshes
+        quads = quads and not summed  # weighted sets become a layer, which quads do not blend
+        alone = bool(summed) and not placed and not meshes  # they write the image, without layers
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             count, normal = bool(summed) + bool(meshes), "normal" in tiled
@@ -347,17 +345,9 @@ class Plan:
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        count = layers.count if layers else 0
+        variant = (pick, self._panorama, layers.count if layers else 0, self._records)
         carried = 0 if self.slabs is None else 1 + OUTPUTS.index(name)
-        kernel = self._kernels.blend(
-            pick,
-            self._panorama,
-            count,
-            self._records,
-            carried,
-            self._steep,
-            name == "color" and self._kernels.lists,
-        )
+        kernel = self._kernels.blend(*variant, carried, self._steep, name == "color")
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors

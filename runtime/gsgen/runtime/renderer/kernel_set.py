@@ -64,18 +64,16 @@ class Kernels:
         self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records, carried=0, steep=False, windows=False: (
-                BlendTiles(
-                    device,
-                    pick=pick,
-                    panorama=panorama,
-                    layers=layers,
-                    tile=self.cut.tile,
-                    records=records,
-                    carried=carried,
-                    steep=steep,
-                    windows=windows,
-                )
+            lambda pick, panorama, layers, records, carried=0, steep=False, color=False: BlendTiles(
+                device,
+                pick=pick,
+                panorama=panorama,
+                layers=layers,
+                tile=self.cut.tile,
+                records=records,
+                carried=carried,
+                steep=steep,
+                windows=color and self.lists,
             )
         )
         self.project = cache(
