@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from gsgen.reference_plugins.synthetic import (
+    AnchorOptions,
     HexPlaneOptions,
     PersonOptions,
     write_gauhuman,
     write_hexplane,
+    write_scaffold,
 )
 
 BAR = 4.0e9  # bytes
@@ -37,13 +39,19 @@ def write_4dgaussians(folder: Path) -> list[str]:
     return ["hexplane-4dgs", "--checkpoint", str(write_hexplane(folder, options))]
 
 
+def write_anchors(folder: Path) -> list[str]:
+    """Write as many anchors as the mean scene of MipNeRF360 has: 5.4 million Gaussians."""
+    options = AnchorOptions(anchors=541_000, per_anchor=10, width=32, united=True)
+    return ["scaffold-gs", "--checkpoint", str(write_scaffold(folder, options))]
+
+
 def write_person(folder: Path) -> list[str]:
     options = PersonOptions(count=40_000, kind="smplx", vertices=10_475, nets=True, width=128)
     return ["gauhuman", "--checkpoint", str(write_gauhuman(folder, options))]
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float16"])
-@pytest.mark.parametrize("write", [write_4dgaussians, write_person])
+@pytest.mark.parametrize("write", [write_anchors, write_4dgaussians, write_person])
 def bench_export_memory(write, dtype: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     words = ["export", *write(tmp_path / "run"), "-o", str(tmp_path / "out.onnx")]
     began = time.perf_counter()

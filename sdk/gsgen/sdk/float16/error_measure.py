@@ -30,7 +30,7 @@ class ErrorProbe:
     """Measures output errors of nodes or weights rounded to float16, relative to tolerances.
 
     With ``half_outputs``, outputs are stored in float16, too; their rounding is added to the
-    tolerances ``roundings`` times.
+    tolerances ``roundings`` times. With ``weights_only``, no node can be rounded.
 
     Attributes:
         weights: Name of each table that can be stored in 16 bits a number.
@@ -48,6 +48,7 @@ class ErrorProbe:
         *,
         half_outputs: bool,
         roundings: int,
+        weights_only: bool = False,
     ) -> None:
         self.roundings = roundings
         declared = manifest.outputs
@@ -64,7 +65,7 @@ class ErrorProbe:
         )
         self.space, self.tolerances = declared.appearance.space, tolerances
         self.probes, self.storage = probes, np.float16 if half_outputs else np.float32
-        self.model = InstrumentedModel(model)
+        self.model = InstrumentedModel(model, weights_only=weights_only)
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
         # The search compares every step-th row of large outputs; the result is compared in full.
