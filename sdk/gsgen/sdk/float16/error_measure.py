@@ -72,6 +72,8 @@ class ErrorProbe:
         self._step = max(1, -(-len(probes) * self.frame_bytes // KEPT_BYTES))
         self._references = [self._reference(probe, self._step) for probe in probes]
         self._unseen = _unseen(manifest, probes)
+        # A search with a smaller share of the tolerance asks for most choices again.
+        self._measured: dict[tuple[frozenset[int], ...], tuple[float, str]] = {}
         self.rounded = self.parity(frozenset())
         self._stored = {field.field: _excess(field) for field in self.rounded.fields}
 
@@ -117,9 +119,12 @@ class ErrorProbe:
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
         """Return the largest share of a tolerance that float16 nodes use, and its output field."""
-        used = {field.field: self._used(field) for field in self.parity(selected).fields}
-        worst = max(used, key=lambda field: used[field], default="")
-        return used.get(worst, 0.0), worst
+        key = (frozenset(selected), frozenset(self.stored), self.model.unstepped)
+        if key not in self._measured:
+            used = {field.field: self._used(field) for field in self.parity(selected).fields}
+            worst = max(used, key=lambda field: used[field], default="")
+            self._measured[key] = (used.get(worst, 0.0), worst)
+        return self._measured[key]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
         """Return the largest share of a tolerance that 16-bit weights use, and its output field."""
