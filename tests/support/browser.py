@@ -26,6 +26,9 @@ GPU_FLAGS = (
     "--use-angle=swiftshader",
     "--use-vulkan=swiftshader",
     "--ignore-gpu-blocklist",
+    # Dawn then clears workgroup memory by a loop in each shader. With the extension SwiftShader
+    # compiles a store of each word, which takes a page four CPU-seconds.
+    "--disable-dawn-features=use_vulkan_zero_initialize_workgroup_memory_extension",
 )
 """WebGPU on SwiftShader, which Debian's chromium brings."""
 

@@ -11,7 +11,7 @@ import pytest
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from support.browser import serving
 from support.commands import ROOT
-from support.web.pages import CLIENT
+from support.web.pages import CLIENT, float32_result
 from support.web.steady_frames import steady_frames
 
 _GUIDE = ROOT / "docs/guides/models-in-a-page.md"
@@ -88,13 +88,9 @@ def test_the_person_stands_upright_and_walks(article: Any, tmp_path: Path) -> No
         article.evaluate(f"{_ELEMENT}.currentTime = {number} * {_ELEMENT}.duration / 3")
         settled(article)
         article.screenshot(path=tmp_path / f"walk-{number}.png")
-        size, words = article.evaluate(
-            f"""(async () => {{
-              const {{ camera, _renderer }} = {_ELEMENT};
-              return [[camera.height, camera.width, 4], [...await _renderer.readImage("color")]];
-            }})()"""
-        )
-        pictures.append(np.array(words, np.float32).reshape(size))
+        numbers = float32_result(article, f'() => {_ELEMENT}._renderer.readImage("color")')
+        height, width = article.evaluate(f"[{_ELEMENT}.camera.height, {_ELEMENT}.camera.width]")
+        pictures.append(numbers.reshape(height, width, 4))
     view = np.array(article.evaluate(f"{_ELEMENT}.camera.view")).reshape(4, 4)
     assert view[1, :3] @ [0, 1, 0] < -0.9  # the body's y axis points up in the picture
     for picture in pictures:

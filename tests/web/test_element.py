@@ -13,7 +13,7 @@ from gsgen.formats import write_ply, write_spz
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, single_file_page
 from gsgen.runtime.web.serving import ModelServer
-from support.web.pages import WebSite, running
+from support.web.pages import WebSite, float32_result, running
 from support.web.steady_frames import steady_frames
 
 _ELEMENT = "document.querySelector('gsgen-model')"
@@ -63,14 +63,9 @@ def errors_of(page: Any) -> list[dict[str, str]]:
 
 def pixels(page: Any) -> np.ndarray:
     """Return the picture of the element's last frame, as [height, width, 4]."""
-    numbers, width, height = page.evaluate(
-        f"""async () => {{
-          const model = {_ELEMENT};
-          const image = await model._renderer.readImage("color");
-          return [[...image], model.camera.width, model.camera.height];
-        }}"""
-    )
-    return np.array(numbers, np.float32).reshape(height, width, 4)
+    numbers = float32_result(page, f'() => {_ELEMENT}._renderer.readImage("color")')
+    width, height = page.evaluate(f"[{_ELEMENT}.camera.width, {_ELEMENT}.camera.height]")
+    return numbers.reshape(height, width, 4)
 
 
 def test_a_served_page_shows_models_and_reloads_them(page: Any, knot: Path, tmp_path: Path) -> None:

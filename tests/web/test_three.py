@@ -13,7 +13,7 @@ from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from support.browser import serving
 from support.commands import ROOT
 from support.web.packages import package
-from support.web.pages import CLIENT
+from support.web.pages import CLIENT, float32_result
 
 VERSIONS = ("three-0.180.0", "three-0.187.0")
 _EXAMPLE = ROOT / "docs/examples/three"
@@ -37,7 +37,7 @@ _PLANES = """async () => {
   plane(0x00ff00, 0, 4, 4, 8, { transparent: true, opacity: 0.5 });
   scene.add(await GsgenObject.load("white.spz"));
   await compositor.render(scene, camera);
-  return [...await compositor.gaussians.readImage("color")];
+  return compositor.gaussians.readImage("color");
 }"""
 
 
@@ -83,7 +83,7 @@ def page(
 
 def test_surfaces_hide_gaussians_and_are_hidden(page: Any) -> None:
     """Each corner of the image against the blend of its surfaces, front to back."""
-    image = np.array(page.evaluate(_PLANES)).reshape(80, 160, 4)
+    image = float32_result(page, _PLANES).reshape(80, 160, 4)
     red, green, blue, white = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
     deviation = 4 / 10 * 40 / np.tan(np.pi / 6)  # of the Gaussian in the image, pixels
 
@@ -112,12 +112,12 @@ def test_a_person_walks_and_casts_a_shadow(page: Any, tmp_path: Path) -> None:
       for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
       walkTo(share * person.model.time.seconds);
       await compositor.render(scene, camera);
-      return [...await compositor.gaussians.readImage("color")];
+      return compositor.gaussians.readImage("color");
     }"""
 
     def picture(share: float, *, has_shadows: bool = True) -> np.ndarray:
-        numbers = page.evaluate(script, [share, has_shadows])
-        return np.array(numbers).reshape(80, 160, 4)[..., :3]
+        numbers = float32_result(page, script, [share, has_shadows])
+        return numbers.reshape(80, 160, 4)[..., :3]
 
     pictures = [picture(number / 3) for number in range(3)]
     for number, image in enumerate(pictures):

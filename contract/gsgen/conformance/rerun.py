@@ -48,7 +48,7 @@ class Replay:
     settings: Settings
 
     def outputs(self, probe: int) -> Arrays:
-        """Return the model outputs for a set of test inputs; empty if the run ended before it."""
+        """Return the outputs of the run with a set of test inputs; empty without a finished run."""
         for run in self.execution.runs:
             if run.probe == probe:
                 return self.execution.samples[run.sample].outputs

@@ -103,7 +103,7 @@ def _screen() -> Check:
 
 
 def _widget() -> Check:
-    """Check the packages for views in notebooks: rendercanvas needs one of two."""
+    """Check the packages for views in notebooks: rendercanvas needs anywidget or jupyter_rfb."""
     remedy = "pip install anywidget"
     widgets = [check_package(n, remedy, purpose=_NOTEBOOK) for n in ("anywidget", "jupyter_rfb")]
     return next((check for check in widgets if check.state == "ok"), widgets[0])

@@ -43,7 +43,7 @@ class PlyParts:
     most_degree: int
 
     def __iter__(self) -> Iterator[Splats]:
-        """Yield the edited parts of the PLY file that still have splats.
+        """Yield the edited parts of a PLY file; parts without remaining splats are left out.
 
         Raises:
             ValueInvalid: A value cannot be drawn; rows count from the start of the part.
@@ -86,7 +86,7 @@ class PlyParts:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _CountedParts:
-    """The edited splats of a PLY file, whose number is known beforehand."""
+    """The edited splats of a PLY file, with their number, which a first pass has counted."""
 
     parts: PlyParts
     count: int

@@ -388,7 +388,7 @@ def _cell_fields(
 
 
 def _visible_cells(reference: Reference) -> Bool[np.ndarray, " c"]:
-    """Return the mask of visible cells (groups) that contain a visible Gaussian."""
+    """Return the mask of visible groups of Gaussians (cells) that contain a visible Gaussian."""
     assert reference.cells is not None
     opacity = reference.gaussians.opacity
     live = np.where(np.arange(len(opacity)) < reference.count, opacity, 0.0)
@@ -443,7 +443,7 @@ def _largest(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
 
 
 def _rounding(dtype: str) -> float:
-    """Return the relative error that storage and float32 arithmetic may cause."""
+    """Return the relative rounding error allowed for outputs stored as ``dtype``."""
     return _EPSILON[dtype] + _ULPS * _EPSILON["float32"]
 
 

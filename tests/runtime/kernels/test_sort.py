@@ -64,6 +64,14 @@ def test_low_bits_with_values(device: Device, cut: SortConfig, bits: int, n: int
     np.testing.assert_array_equal(keys_out, keys[wanted])
 
 
+def test_few_keys_take_few_workgroups(device: Device) -> None:
+    """Rows of a histogram are divided among as many workgroups as there are blocks of keys."""
+    steps = Bench(device, GPU, 32, 3 * GPU.block, compact=True).steps
+    scans = [step.groups for step in steps if step.kernel.label == "scan_rows"]
+    assert scans == [step.groups for step in steps if step.kernel.label == "scatter"]
+    assert scans[0] == (3, 1, 1)
+
+
 @pytest.mark.parametrize("kind", KEYS)
 def test_many_keys(many: Bench, kind: str) -> None:
     """As many as let the scan of a GPU go by blocks; `make fuzz-sort` has four million."""

@@ -98,6 +98,26 @@ def _keep(errors: list[str], message: Any) -> None:
         errors.append(f"console: {message.text}")
 
 
+def float32_result(page: Any, function: str, argument: Any = None) -> np.ndarray:
+    """Return the Float32Array that an async JavaScript function yields; as JSON it takes seconds.
+
+    Args:
+        page: The page, by playwright.
+        function: Source of the function.
+        argument: Its argument.
+    """
+    script = f"""async (argument) => {{
+      const numbers = await ({function})(argument);
+      const url = await new Promise((resolve) => {{
+        const reader = new FileReader();
+        reader.onload = () => resolve(reader.result);
+        reader.readAsDataURL(new Blob([numbers]));
+      }});
+      return url.slice(url.indexOf(",") + 1);
+    }}"""
+    return unpacked(page.evaluate(script, argument), np.float32)
+
+
 def packed(array: np.ndarray) -> str:
     """Return an array's bytes as base64, as harness.js reads them."""
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()

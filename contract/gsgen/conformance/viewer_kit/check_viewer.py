@@ -80,7 +80,7 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
 
 
 def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, Any]]:
-    """Return the viewer faults whose test cases all failed, unless another explains more."""
+    """Return viewer faults whose test cases all failed; a fault with a superset of cases wins."""
     whole = {
         fault["id"]: set(fault["cases"])
         for fault in index["faults"]

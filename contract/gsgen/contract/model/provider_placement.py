@@ -101,7 +101,7 @@ def shape_arguments(node: NodeProto) -> list[str]:
 
 
 def placements(graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]) -> list[Placement]:
-    """Predict for each node run in a frame whether WebGPU graph capture supports the node."""
+    """Predict for every node of a frame whether WebGPU graph capture supports the node."""
     nodes = frame_nodes(graph)
     varying = {tensor.name for tensor in graph.inputs}
     varying.update(name for node in nodes for name in node.output)
@@ -169,7 +169,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 
 
 def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
-    """Return a node's case in tables of supported operators, such as ``5d``; empty if usual."""
+    """Return a node's operator variant for support tables, such as ``5d``; empty if usual."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:

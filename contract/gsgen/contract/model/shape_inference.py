@@ -115,7 +115,7 @@ def _is_long(value: ValueInfoProto) -> bool:
 
 
 def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
-    """Run ONNX data propagation in a child process; return None on failure or at its limits."""
+    """Run ONNX data propagation in a child process; return None if it fails or exceeds limits."""
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],

@@ -74,7 +74,7 @@ def trial_probes(
 
 
 def turned_away(manifest: Manifest, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs with the camera turned by 180° about its y axis, for camera inputs."""
+    """Yield test inputs whose camera is turned by 180° about the camera's y axis."""
     if isinstance(manifest, GeneratorManifest):
         order = manifest.space.matrix_order if manifest.space else "column"
         for entry in _of_role(manifest, "view")[:1]:
@@ -122,7 +122,7 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs with the camera turned about its centre: tilted, looking away, and far."""
+    """Yield test inputs whose camera is turned about its own centre: tilted, and looking away."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = as_tensor(base.inputs[entry.name], order).astype(np.float64)

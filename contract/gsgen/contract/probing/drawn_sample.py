@@ -163,7 +163,7 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
 
 
 def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
-    """Return rows of patches of close Gaussians, and how many of each get neighbours."""
+    """Return patches of close Gaussians: row indices, and how many of them get neighbours."""
     total = len(position)
     if total <= _WHOLE:
         return [(np.arange(total), total)]

@@ -46,7 +46,7 @@ _UP = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPlacement:
-    """Tells the sandbox to move a test camera to the centre of a Gaussian of an earlier run.
+    """Instruction to move a test camera to the centre of a Gaussian that an earlier run computed.
 
     Attributes:
         rows: The output of packed rows, whose first visible row is taken.

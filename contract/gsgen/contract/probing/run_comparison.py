@@ -99,7 +99,7 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Copy the results of all model runs for one rule, with no run noted as unfinished."""
+        """Copy the comparisons of model runs for one rule, without a record of unfinished runs."""
         return replace(self, unfinished_probes=[])
 
     @property
@@ -158,7 +158,7 @@ class Behaviour:
 
 
 def read_behaviour(trial: ProbeRuns) -> Behaviour:
-    """Return how the model's outputs differ between test runs that are repeated or vary one input."""
+    """Compare the model's outputs between test runs that repeat the inputs or vary one of them."""
     plan = trial.plan
     assert plan.repeated is not None
     varied = {

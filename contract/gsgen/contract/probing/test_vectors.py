@@ -102,7 +102,7 @@ def vector_probes(
     seed: int,
     count: int,
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield test inputs that a manifest's test vectors store, or that their own seeds generate.
+    """Yield the test inputs of a manifest's test vectors, as stored or generated from seeds.
 
     Args:
         manifest: Holds the test vectors.

@@ -88,7 +88,7 @@ def basis(
 def largest_sum(
     weights: Float[np.ndarray, "d k"], sh: Float[np.ndarray, "n k c"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the largest |Σ Y_k c_k| of each Gaussian over given directions and channels.
+    """Return the largest absolute SH sum of each Gaussian, over given directions and channels.
 
     ``weights`` are values of :func:`basis`; one matrix product serves all rows.
     """

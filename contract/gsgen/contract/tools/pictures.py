@@ -56,7 +56,7 @@ def _obstacle(report: Report) -> str:
 
 
 def _probe(report: Report) -> str:
-    """Return the label of the test inputs to draw: those of a finding, else the middle ones."""
+    """Return the label of the test inputs to draw: a finding's label, or else the middle label."""
     labels = [label for label in report.probes if label != _ZEROS] or list(report.probes)
     named = (
         example.probe

@@ -89,7 +89,7 @@ def _beyond(
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
-    """Return whether Gaussians, colours and cells (groups) can be compared field by field."""
+    """Return whether Gaussians, colours and groups of Gaussians can be compared field by field."""
     rows, second_rows = first.gaussians, second.gaussians
     if rows is None or second_rows is None or rows.shape != second_rows.shape:
         return False, False, False
@@ -174,7 +174,7 @@ def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _color_errors(a: np.ndarray, b: np.ndarray, *, is_sh: bool) -> Measured:
-    """Return how much each Gaussian's colour differs between two runs, and its magnitude."""
+    """Return each Gaussian's colour difference between two runs, and the colour's magnitude."""
     if not is_sh:
         part = slice(0, 3)
         return _distance(a, b, part), np.abs(a[:, part]).max(axis=1)

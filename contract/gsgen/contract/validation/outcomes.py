@@ -157,7 +157,7 @@ class ResultCollector:
                 self.outcomes[rule.id] = outcome
 
     def withdraw_consequences(self) -> None:
-        """Withdraw findings that a rule's failure at a later validation level explains away."""
+        """Withdraw findings that another rule's failure, at a later level, already explains."""
         for rule in self.registry.rules.values():
             causes = [id for id in rule.explained_by if self._explains(id)]
             if causes and rule.id in self._counters:

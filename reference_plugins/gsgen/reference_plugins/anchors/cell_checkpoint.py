@@ -1,4 +1,4 @@
-"""Reads checkpoints of Duplex-GS: those of Octree-GS, whose anchors are ellipsoidal cells.
+"""Reads checkpoints of Duplex-GS, which resemble Octree-GS but have ellipsoidal cells as anchors.
 
 The PLY (``scene/gaussian_model.py``: ``save_ply``) has a size and a rotation for each anchor in
 place of scales, and spherical harmonics of the cell's visibility from a direction. The column

@@ -236,7 +236,7 @@ def _network(inputs: int, width: int, outputs: int, generator: torch.Generator) 
 
 
 def _shape_head(name: str, head: nn.Sequential, per_anchor: int) -> None:
-    """Set a decoding network so that the colour follows the feature's hue and opacity is high."""
+    """Set a decoding network's weights: colour follows the feature's hue, and opacity is high."""
     first, last = head[0], head[2]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)

@@ -215,7 +215,7 @@ def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
 
 
 def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the voxel grid of a checkpoint and its corners, by default the hexplane's bounds."""
+    """Return a checkpoint's voxel grid, and the grid's corners or else the hexplane's corners."""
     upper, lower = read["grid.aabb"]
     low = read.get("empty_voxel.xyz_min", lower)
     return read["empty_voxel.grid"][0, 0], low, read.get("empty_voxel.xyz_max", upper)

@@ -45,7 +45,7 @@ class _CellIndex(nn.Module):
 
 
 class _TimePlane(nn.Module):
-    """A hexplane's plane of one axis of space and time, evaluated at fixed points."""
+    """A hexplane's plane of a space axis and time, evaluated at fixed points."""
 
     table: Tensor
     ticks: Tensor
@@ -149,7 +149,7 @@ class HexPlaneField(nn.Module):
     def __init__(
         self, nets: HexPlaneNets, position: Float[Tensor, "n 3"], bake: Bake = "auto"
     ) -> None:
-        """Bake a hexplane at fixed points: store products of its space planes, or the planes.
+        """Bake a hexplane at fixed points: store its space planes or, if smaller, their products.
 
         Points outside the box take the values of its border. ``bake``: ``always`` stores products
         of the planes of space, ``never`` the planes, ``auto`` the smaller ones.

@@ -112,9 +112,10 @@ def _set_identity(coder: Autoencoder) -> None:
 
 
 def _set_blotch_removal(unet: UNet, scale: float) -> None:
-    """Make the U-Net predict x₀ = −f(d) of a latent x, where d = x − the mean of four pixels.
+    """Set the U-Net to predict x₀ = −f(d): the soft contrasts f of a latent's detail d, negated.
 
-    f keeps soft contrasts only. Groups of eight hold x, −x, four times d, K and −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
+    d is the latent x minus the mean of four pixels. Groups of eight hold x, −x, four times d, K and
+    −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
     """
     weights = Weights(unet)
     first, last, steps = (

@@ -138,7 +138,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _is_unspellable(value: ast.expr) -> bool:
-    """Return whether an expression is a dict of option names that are not Python identifiers."""
+    """Return whether a dict expression has only keys that are not Python identifiers."""
     return isinstance(value, ast.Dict) and all(
         isinstance(key, ast.Constant)
         and isinstance(key.value, str)

@@ -119,7 +119,7 @@ def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
 
 
 def required_file(path: Path, content: str) -> Path:
-    """Return the path of a required file; if it is missing, raise and name other iterations."""
+    """Return the path of a required file; if missing, raise and name iterations that have it."""
     if not path.is_file():
         hint = _elsewhere(path)
         raise CheckpointInvalid(f"is missing: {content}", where=str(path), hint=hint)

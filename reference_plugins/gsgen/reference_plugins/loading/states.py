@@ -50,7 +50,7 @@ def load_network(path: Path) -> dict[str, Any]:
 
 
 def _unwrapped(value: Any) -> Any:
-    """Remove the prefixes of wrappers from a state dict's names; return other values unchanged."""
+    """Remove wrapper prefixes from the names in a state dict; return any other object unchanged."""
     for prefix in 2 * _WRAPPERS if isinstance(value, dict) and value else ():
         if all(str(name).startswith(prefix) for name in value):
             value = {str(name).removeprefix(prefix): entry for name, entry in value.items()}

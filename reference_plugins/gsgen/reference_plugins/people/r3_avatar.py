@@ -197,7 +197,7 @@ class R3Avatar(GaussianGenerator):
     def _square(
         self, point: Float[Tensor, "n 3"], vertex: Int[Tensor, " n"]
     ) -> Float[Tensor, " n"]:
-        """Return the squared distances of points to vertices in the big pose."""
+        """Return squared distances of points to vertices of the body in GauHuman's big pose."""
         assert self.rest is not None
         offset = point - torch.index_select(self.rest, 0, vertex)
         return (offset * offset).sum(dim=1)

@@ -137,7 +137,7 @@ def _find_file(path: Path, iteration: int | None) -> Path:
 
 
 def _captured(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
-    """Return the saved values of ``capture()`` and the iteration; raise for other methods."""
+    """Return the saved ``capture()`` tuple and iteration; raise unless rotor 4DGS wrote both."""
     is_pair = isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple)
     values = content[0] if is_pair else ()
     if len(values) == _STATIC_LENGTH:

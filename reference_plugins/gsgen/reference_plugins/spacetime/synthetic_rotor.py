@@ -77,7 +77,7 @@ def write_rotor(
 def _rotors(
     velocity: Float[Tensor, "n 3"], turn: Float[Tensor, "n 4"]
 ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n 4"]]:
-    """Return quaternion pairs of 4D rotations: in space, then tilting time along a velocity.
+    """Return quaternion pairs of 4D rotations: a rotation in space, then a tilt along a velocity.
 
     The latter is x ↦ b x b with b = (cos θ/2, sin θ/2 v) and tan θ = ‖velocity‖, so the pair of
     both is x ↦ (b g) x (g* b), of which the second factor is stored conjugated.

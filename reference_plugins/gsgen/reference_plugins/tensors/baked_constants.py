@@ -1,4 +1,4 @@
-"""Stores tensors that follow from weights alone: the results, or their sources if smaller.
+"""Stores the constant results of a computation, or its input tensors where these are smaller.
 
 ONNX Runtime computes nodes without inputs once, when it loads a model, on any device. So a product
 larger than its factors need not be in the file: neither choice costs time in a frame.
@@ -23,7 +23,7 @@ class Constants(nn.Module):
     def __init__(
         self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"
     ) -> None:
-        """Compute a module's constant results, and store the results or the buffers they depend on.
+        """Compute a module's constant outputs; store the outputs, or instead the module's buffers.
 
         Args:
             make: Module that returns a tuple of tensors, computed from its buffers.

@@ -276,7 +276,7 @@ class _Job:
         return gaussians
 
     def _decoded(self) -> DecodedGaussians:
-        """Copy the live Gaussians of the source; of colours that stay one copy is kept."""
+        """Copy the live Gaussians of the source; unchanged colours share an earlier copy."""
         data = self.source.data
         rows, version = data.rows[: data.count], (data.appearance_version, data.count)
         if self.decoded is None or self.version != version:

@@ -62,7 +62,7 @@ class FrameConverter:
         return finite & (gaussians.opacity >= np.float32(CULL_OPACITY)), int((~finite).sum())
 
     def convert(self, gaussians: DecodedGaussians, is_drawn: Bool[np.ndarray, " n"]) -> Splats:
-        """Convert the drawn Gaussians of a frame, whose numbers are finite.
+        """Convert the Gaussians of a frame that are drawn, and hence finite, to splats.
 
         The colours are those of ``gaussians`` where all are drawn, and no copy.
         """
@@ -98,5 +98,5 @@ class FrameConverter:
 
 
 def _selection(mask: Bool[np.ndarray, " n"]) -> slice | Int64[np.ndarray, " m"]:
-    """Return what selects the rows of a mask; a slice of all rows copies nothing."""
+    """Return an index for the rows that a mask selects: for all rows a slice, without copying."""
     return slice(None) if mask.all() else np.flatnonzero(mask)

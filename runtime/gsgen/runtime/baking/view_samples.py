@@ -133,7 +133,7 @@ def _colors(view: _View) -> np.ndarray:
 
 
 def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Scatter arrays of several cameras' Gaussians into rows of the union; absent rows are 0."""
+    """Scatter each camera's array into the rows of all cameras' Gaussians; missing rows are 0."""
     size = max(int(rows.max(initial=-1)) for rows in ids) + 1
     result = np.zeros((len(arrays), size, *arrays[0].shape[1:]), np.float32)
     for view, (rows, array) in enumerate(zip(ids, arrays, strict=True)):

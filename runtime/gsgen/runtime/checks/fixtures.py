@@ -58,7 +58,7 @@ def opaque_behind_opaque() -> ModelSpec:
 
 @invalid("GB021", level=Level.RENDER)
 def looks_otherwise() -> ModelSpec:
-    """Fixture: a model whose reference image is red, while the model is drawn otherwise."""
+    """Fixture: a model whose reference image is red, unlike the picture that the model draws."""
     from gsgen.runtime.media.pictures import png_of
 
     red = np.zeros((36, 64, 3), np.uint8)

@@ -96,7 +96,7 @@ def record_source_pictures(
     renderer: Renderer | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> SourcePictures:
-    """Record training-code pictures as references in a model's copy, and compare its pictures.
+    """Record pictures of the training code as a model copy's references, and compare the model.
 
     Args:
         source: A generator with a manifest; it stays as it is, unless ``model`` is the same file.

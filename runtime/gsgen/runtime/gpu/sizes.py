@@ -4,7 +4,7 @@ __all__ = ["at_least"]
 
 
 def at_least(value: int, least: int) -> int:
-    """Return the larger of two integers without comparing, so that the result can be a formula.
+    """Return the larger of two integers by arithmetic alone, which a size formula can record.
 
     ``max`` compares, and a comparison of recorded sizes is a branch that holds for some of them
     only. Sums and absolute values are recorded as a formula for all sizes (gsgen.runtime.web).

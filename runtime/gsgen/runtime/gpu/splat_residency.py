@@ -56,7 +56,7 @@ def stride(channels: int, *, half: bool) -> int:
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
-    """Return the bytes of GPU memory of a splat set: Gaussians, colours and cells (groups)."""
+    """Return the bytes of GPU memory of a splat set: Gaussians, colours, groups of Gaussians."""
     half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
@@ -203,7 +203,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """The array versions and the number of rows in use of a splat set at the start of a frame."""
+    """The versions of a splat set's arrays, and its live rows, at the start of a frame."""
 
     rows: int
     appearance: int
@@ -262,7 +262,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame that draws a splat set; sort its rows in space if it was drawn before.
+        """Begin a frame that draws a splat set; sort the rows in space if the set was drawn before.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they

@@ -1,1 +1,1 @@
-"""Reference renderer: what should the renderer draw, in float64 NumPy without its kernels?"""
+"""Reference renderer in float64 NumPy: which picture should the GPU kernels draw?"""

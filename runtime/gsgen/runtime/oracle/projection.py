@@ -87,7 +87,7 @@ class Ellipses:
 
 
 def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
-    """Project Gaussians or cells (groups) of a splat set into an image, as ellipses."""
+    """Project Gaussians, or groups (cells) of them, of a splat set into an image, as ellipses."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound

@@ -179,7 +179,7 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
 
 
 class _State:
-    """Each pixel's weighted sums and transmittance after some cells (groups), nearest first."""
+    """Each pixel's weighted sums and transmittance after some of the groups of Gaussians."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -269,7 +269,7 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
 
 
 def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return circle radii of a cell's (group's) Gaussians in pixels, and their float32 error."""
+    """Return circle radii of projected Gaussians in pixels, and the radii's float32 error."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = deviations * np.sqrt(longest)
@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks of the pixels that a cell (group) covers, and that rounding may add or remove."""
+    """Return masks: pixels that a group of Gaussians covers, and pixels that rounding may flip."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)
@@ -290,7 +290,7 @@ def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.n
 
 
 def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:
-    """Return the pixel mask of image tiles that a cell's (group's) bounding circle may touch."""
+    """Return the pixel mask of image tiles that the circle around some Gaussians may touch."""
     inside = []
     for axis, side in enumerate((camera.width, camera.height)):
         tile = np.arange(side) // _TILE

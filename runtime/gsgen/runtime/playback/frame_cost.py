@@ -187,7 +187,7 @@ def _stage(sequence: FrameSequence) -> _Staged:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _PlannedFrame:
-    """A frame with the recorded GPU work, which can be drawn again up to any stage."""
+    """The recorded GPU work of a frame, which can be drawn again up to any stage."""
 
     plan: Plan
     placed: list[Placed]

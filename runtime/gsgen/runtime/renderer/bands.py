@@ -72,7 +72,7 @@ def band_rows(device: Device, camera: Camera, images: int, layers: int) -> int:
 
 
 def _whole_tiles(rows: int) -> int:
-    """Round image rows down to a multiple of the largest image tile, but at least one tile."""
+    """Round a number of image rows down to whole image tiles of the largest size, at least one."""
     return max(rows // LARGE_TILE, 1) * LARGE_TILE
 
 

@@ -64,7 +64,7 @@ class Kernels:
         self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records, carried=False: BlendTiles(
+            lambda pick, panorama, layers, records, carried=0: BlendTiles(
                 device,
                 pick=pick,
                 panorama=panorama,
@@ -91,7 +91,9 @@ class Kernels:
         self.tally = cache(lambda: TallyKeys(device))
         self.place = cache(lambda arranged: PlaceSplats(device, arranged=arranged))
         self.cull_slots = cache(
-            lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
+            lambda slot_rows, panorama, keys_only=False: CullSlots(
+                device, slot_rows, panorama=panorama, keys_only=keys_only
+            )
         )
         self.normals = cache(
             lambda packed, slot_rows, placed=False: NormalsKernel(
@@ -117,7 +119,7 @@ class Kernels:
         return MOST_GROUPS * WALK_THREADS * self.cut.walk
 
     def records(self, gaussians: int) -> bool:
-        """Return whether splats are projected to structs, which have to fit one GPU buffer."""
+        """Return whether projected splats are stored as structs; all have to fit one GPU buffer."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 

@@ -27,7 +27,7 @@ def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 
 def slot_rows(page: Page) -> int:
-    """Return how many rows of GPU buffers each streamed tile's slot has; 0 without slots."""
+    """Return the number of rows in a slot of the page's splat pool; 0 for a page without a pool."""
     return 0 if page.slots is None else page.slots.pool.slot_rows
 
 

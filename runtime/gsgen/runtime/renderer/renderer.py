@@ -26,16 +26,16 @@ from gsgen.runtime.renderer.frame_images import frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import LateCounts
-from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.placed_pages import Placed, sorted_pages
 from gsgen.runtime.renderer.rasteriser_choice import (
     Rasteriser,
     RasteriserOption,
     choose,
     chosen_cut,
 )
-from gsgen.runtime.renderer.slabs import most_splats, require_pools_fit
+from gsgen.runtime.renderer.slabs import most_splats
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
+from gsgen.runtime.scene.frame import COLOR_ONLY, OUTPUTS, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
@@ -49,7 +49,6 @@ PAIRS_ROOM: Final = 1.25
 _ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
 
 _MANY: Final = 1 << 32  # splats: more than any device draws at once
-_OUTPUTS: Final = ("color", "depth", "normal")
 
 
 @final
@@ -244,7 +243,6 @@ class Renderer:
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
-        require_pools_fit(scene, self.device, self._kernels)
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -271,7 +269,7 @@ class Renderer:
                     return plan, counts, images
             except PairsExceeded:
                 # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
-                if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed, meshes):
+                if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed):
                     raise
                 continue
             if counts[Counts.TIED]:
@@ -282,7 +280,7 @@ class Renderer:
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a frame with buffer sizes of earlier frames; wait for the GPU if there are none."""
+        """Draw a frame with buffer sizes of earlier frames; without these, wait for the GPU."""
         for parts in self.late.read():
             self._take(parts)
         placed, meshes = self._uploaded(scene)
@@ -385,30 +383,29 @@ class Renderer:
                 outputs,
                 self._pairs,
                 meshes=meshes,
-                quads=self._takes_quads(outputs) and self._slab_splats(placed, meshes) is None,
+                quads=self._takes_quads(outputs) and self._slab_splats(placed) is None,
                 panorama=panorama,
                 published=self._published,
                 deep=self._deep,
-                slab_splats=self._slab_splats(placed, meshes),
+                slab_splats=self._slab_splats(placed),
             )
             self._key = key
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Return whether quads draw the colours; "auto" uses tiles if other outputs are asked."""
+        """Return whether to draw quads; an automatic choice of quads applies to colour alone."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
-    def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
-        """Return the number of splats per depth slab if a scene needs and allows slabs."""
+    def _slab_splats(self, placed: Sequence[Placed]) -> int | None:
+        """Return the number of splats per depth slab if a scene needs slabs."""
         most = min(most_splats(self.device, self._kernels), self._most_in_slab)
-        is_large = sum(page.capacity for _, page in placed) > most
-        return most if is_large and _fits_slabs(placed, meshes) else None
+        return most if _sorted_splats(placed) > most else None
 
-    def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
+    def _halve_slabs(self, placed: Sequence[Placed]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
-        splats = sum(page.capacity for _, page in placed)
-        most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
-        if most < 2 or not _fits_slabs(placed, meshes):
+        most = most_splats(self.device, self._kernels)
+        most = min(_sorted_splats(placed), most, self._most_in_slab)
+        if most < 2:
             return False
         self._most_in_slab = most // 2
         return True
@@ -419,7 +416,7 @@ class Renderer:
         return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
 
     def _grow(self, pairs: int) -> None:
-        """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
+        """Increase the capacity for splat-tile pairs; raise if the device cannot hold as many."""
         most = self._most_pairs
         if pairs > most:
             raise PairsExceeded(
@@ -431,9 +428,9 @@ class Renderer:
         self._pairs = min(int(pairs * PAIRS_ROOM), most)
 
 
-def _fits_slabs(placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-    """Return whether a scene can be drawn in depth slabs: only depth-sorted sets of splats can."""
-    return not meshes and not any(splat_set.weighted or page.slots for splat_set, page in placed)
+def _sorted_splats(placed: Sequence[Placed]) -> int:
+    """Return the number of splats that a scene may have to sort by depth."""
+    return sum(page.capacity for _, page in sorted_pages(placed))
 
 
 def _bare_set(pooled: PooledSet) -> SplatSet:
@@ -479,9 +476,9 @@ def _require_alone(scene: Scene) -> None:
 
 def _known(outputs: Collection[Output]) -> frozenset[Output]:
     requested = frozenset(outputs)
-    if not requested or requested - set(_OUTPUTS):
+    if not requested or requested - set(OUTPUTS):
         raise SceneInvalid(
-            f"is {sorted(requested)}, expected some of {', '.join(_OUTPUTS)}", where="outputs"
+            f"is {sorted(requested)}, expected some of {', '.join(OUTPUTS)}", where="outputs"
         )
     return requested
 

@@ -53,7 +53,7 @@ class TileLists:
 def list_splats(
     kernels: Kernels, lists: TileLists, *, panorama: bool, records: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
-    """Return the stages that list splats by tile, the lists, and buffers to clear before."""
+    """Return the stages that list splats by image tile, the lists, and buffers to clear first."""
     if kernels.lists:
         return _counted(kernels, lists, panorama=panorama)
     pairs = [_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
@@ -66,7 +66,7 @@ def list_splats(
 def _counted(
     kernels: Kernels, lists: TileLists, *, panorama: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
-    """Return what :func:`list_splats` does, for kernels that count instead of sorting pairs."""
+    """Return stages, lists and buffers to clear; kernels count splats instead of sorting pairs."""
     counters = lists.storage("counters of tiles", 4 * runs_for(lists.tiles) * lists.tiles)
     totals = lists.storage("totals of tiles", 4 * lists.tiles)
     members = lists.storage("splats of tiles", 4 * lists.pair_capacity)

@@ -212,7 +212,7 @@ class WeightedPart:
         ]
 
     def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
-        """Return GPU dispatches that sort cells (groups) by depth, and their result buffer."""
+        """Return GPU dispatches that sort groups of Gaussians by depth, and the sorted buffer."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
@@ -229,7 +229,7 @@ class WeightedPart:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return GPU dispatches that sort pairs of cell (group) and tile, and their buffer."""
+        """Return GPU dispatches that sort pairs of Gaussian group and tile, and their buffer."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self.counts,
@@ -285,7 +285,7 @@ def _cells(page: Page) -> int:
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill the uniform data of a page (GPU buffers) with weighting parameters, and return it."""
+    """Fill the uniform data of a page (GPU buffers) with weighting parameters; return the data."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

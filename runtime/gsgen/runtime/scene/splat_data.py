@@ -116,7 +116,7 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
-        """Replace packed Gaussians, colours or cells (groups) by arrays of equal shapes and dtypes.
+        """Replace packed Gaussians, colours or groups of Gaussians; shapes and dtypes stay equal.
 
         Arrays that are None stay as they are; ``count`` rows are live, or all if it is None.
 

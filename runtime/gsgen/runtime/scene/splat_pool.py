@@ -46,7 +46,7 @@ class SlotWrite:
 
 @final
 class SplatPool:
-    """GPU memory in slots for streamed tiles of Gaussians, and the tiles that frames draw.
+    """GPU memory for streamed tiles of Gaussians, divided into slots, and the tiles to draw.
 
     Args:
         rows: Number of rows, rounded up to whole slots.
@@ -150,7 +150,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Replace a tile's Gaussians in the splat pool on the GPU, as for :meth:`insert`.
+        """Replace the Gaussians of a tile in the splat pool on the GPU; arguments as in ``insert``.
 
         Raises:
             CapacityExceeded: The slots of the tile do not suffice.
@@ -273,7 +273,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Do what :meth:`_write` does for slots whose last upload may still be queued."""
+        """Write rows into splat pool slots, and drop queued writes to the same slots."""
         self._drop_writes(slots)
         self._write(slots, rows, appearance, origin)
 

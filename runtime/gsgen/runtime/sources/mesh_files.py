@@ -41,7 +41,7 @@ _GltfObject: TypeAlias = dict[str, Any]
 
 
 def is_mesh(path: Path) -> bool:
-    """Return whether a file holds a mesh, judged by its content where possible.
+    """Return whether a file holds a mesh, recognised by its content where possible.
 
     A PLY file must have faces and no splats, a GLB or glTF file must not use
     KHR_gaussian_splatting, and the length of an STL file must agree with its header. OBJ files, and

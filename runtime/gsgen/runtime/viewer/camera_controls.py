@@ -107,7 +107,7 @@ class Controls:
         self._rotation = left @ right
 
     def pan(self, right: float, down: float, width: int, height: int) -> None:
-        """Move the camera so that its pivot follows a mouse drag, in pixels of an image size."""
+        """Move the camera so that its pivot follows a mouse drag in pixels, for an image size."""
         camera = self.camera(width, height)
         depth = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._reach}
         steps = -depth[camera.kind] * np.array([right / camera.fx, down / camera.fy, 0])

@@ -187,7 +187,7 @@ class Viewer:
         return replace(coarse, dilation=camera.dilation / coarseness**2)
 
     def _coarseness(self) -> int:
-        """Return how much coarser than the surface an image is so that it is drawn in time."""
+        """Return the factor by which image size is reduced, so that a frame is drawn in time."""
         drawn = self._renderer.drawn
         if drawn is None:
             return 1
@@ -397,7 +397,7 @@ def _next(choices: Sequence[Choice], current: Choice) -> Choice:
 
 
 def _unused_path(folder: Path) -> Path:
-    """Return the first path ``view_001.png``, ``view_002.png``, … without a picture or camera."""
+    """Return the first of ``view_001.png``, … whose picture and camera file do not exist yet."""
     number = 1
     while any(
         (folder / f"view_{number:03}").with_suffix(suffix).exists() for suffix in (".png", ".json")

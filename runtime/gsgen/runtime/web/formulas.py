@@ -152,7 +152,7 @@ class Formula(int):
         return int.__hash__(self)
 
     def bit_length(self) -> int:
-        """Return the bit length, and limit the recorded plan to numbers of at most that many bits.
+        """Return the integer's bit length; the recorded plan then holds for at most as many bits.
 
         The tile sort asks for it, to sort by no more bits than tiles need. More do no harm.
         """
@@ -162,7 +162,7 @@ class Formula(int):
 
 
 def tree_of(value: int) -> Tree:
-    """Return the recorded formula of an integer, or the integer itself if none was recorded."""
+    """Return the recorded formula of an integer, or the integer itself without a formula."""
     return value.tree if isinstance(value, Formula) else int(value)
 
 

@@ -27,7 +27,7 @@ ORT_FILES: Final = (*_BUILDS, *_BUILDS.values())
 
 
 def cached_ort() -> Path:
-    """Return the folder in the user's cache where ONNX Runtime Web lies once it was fetched."""
+    """Return the cache folder of the user for the downloaded files of ONNX Runtime Web."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "gsgen" / f"{_PACKAGE}-{ORT_VERSION}"
 

@@ -206,7 +206,7 @@ class _PlanWriter:
         return self._tables.row("binds", {"kinds": bind.kinds, "entries": entries})
 
     def _buffer(self, buffer: RecordedBuffer) -> int | str:
-        """Return a buffer's row in the JSON table of GPU buffers; equal labels get a number."""
+        """Return a buffer's row in the JSON table of GPU buffers; repeated labels get a number."""
         if buffer not in self._buffers:
             number, sizes = self._labels.get(buffer.label, 0), self._recorded.sizes
             self._labels[buffer.label] = number + 1
@@ -226,7 +226,7 @@ class _PlanWriter:
         return self._tree(tree_of(buffer.size))
 
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
-        """Replace the names of recorded sizes in a formula by those of the browser client."""
+        """Replace the names of recorded sizes in a formula by the names in the browser client."""
         for name, total in self._recorded.totals.items():
             tree = replaced(tree, total, name)
         if slot is None:
@@ -237,7 +237,7 @@ class _PlanWriter:
 
 
 def _data(buffer: RecordedBuffer, recorded_sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Return a buffer's initial bytes, and the offsets at which sizes have to be filled in."""
+    """Return a buffer's initial bytes, and the offsets where recorded sizes are filled in."""
     if not buffer.data:
         return {}
     assert list(buffer.data) == [0], f"{buffer.label} is written in parts"

@@ -58,7 +58,7 @@ class CountTask:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanTask:
-    """A build task on one scene chunk, octree partition or cell above the partitions.
+    """A task of a tileset build: one scene chunk, octree partition, or cell above the partitions.
 
     Attributes:
         plan: Path of ``plan.json``.

@@ -43,7 +43,7 @@ class _Changes:
     utility: Amounts
 
     def core(self, price: float) -> "_Changes":
-        """Return the changes of drawn tiles that gain most utility, less ``price`` per byte."""
+        """Return the changes of drawn tiles with the most utility gain minus ``price`` × bytes."""
         loss = price * self.cost - self.utility
         if len(loss) <= CORE_CHANGES:
             return self
@@ -77,7 +77,7 @@ def exchange_tiles(
 
 @final
 class _Exchange:
-    """The tiles drawn so far, improved step by step, with the costs and utilities of all tiles."""
+    """A choice of drawn tiles, improved step by step, with costs and utilities of all tiles."""
 
     def __init__(self, options: CutOptions, option: Int64[np.ndarray, " n"], price: float) -> None:
         self.option = option.copy()
@@ -123,7 +123,7 @@ class _Exchange:
         return float(self._cost[rows, columns].sum()), float(self._utility[rows, columns].sum())
 
     def improve(self, left: float, least_gain: float) -> bool:
-        """Apply up to four changes of drawn tiles that add most utility; return whether any."""
+        """Apply up to four tile changes that add most utility; return whether there were any."""
         changes = self._changes().core(self._price)
         is_apart = self._are_apart(changes.node)
         rows = best_changes(changes.cost, changes.utility, is_apart, left, least_gain)
@@ -168,7 +168,7 @@ class _Exchange:
         return np.asarray(is_apart & is_apart.T)
 
     def _make(self, node: int, option: int) -> None:
-        """Draw a subtree's root instead, or if ``option`` < 0 the best tiles below the root."""
+        """Draw a tile in place of all tiles below it, or the best tiles below if ``option`` < 0."""
         opened, is_split = np.array([node]), np.array([option < 0])
         self.option[node] = option
         while len(opened):

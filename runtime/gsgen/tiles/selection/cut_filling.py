@@ -155,7 +155,7 @@ class _SubtreeSolver:
         )
 
     def _potential(self, depth: int, child: int, point: dict[int, int], left: float) -> float:
-        """Estimate a child's utility gain from the budget left, at its next upgrade's rate."""
+        """Estimate a child tile's utility gain from ``left`` bytes, at its next upgrade's rate."""
         row, costs, values = point[child], self._costs[depth], self._values[depth]
         return (values[row + 1] - values[row]) * left / (costs[row + 1] - costs[row])
 

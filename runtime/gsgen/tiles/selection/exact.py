@@ -50,7 +50,7 @@ class _FrontMerger:
     def rows(
         self, cost: Float64[np.ndarray, " p"], utility: Float64[np.ndarray, " p"]
     ) -> Int64[np.ndarray, " m"]:
-        """Return the Pareto-optimal choices (cost, utility), by ascending cost."""
+        """Return rows of the Pareto-optimal choices (cost, utility) of tiles, by ascending cost."""
         if not len(cost):
             return np.zeros(0, np.int64)
         priced = utility - self._price * cost
@@ -108,7 +108,7 @@ def _children(parent: Int64[np.ndarray, " n"]) -> list[list[int]]:
 def _front(
     options: CutOptions, node: int, below: list[_Front | None], merger: _FrontMerger
 ) -> _Front:
-    """Return the Pareto front of a tree node from its file qualities and its children's fronts."""
+    """Return the Pareto front (cost, utility) of a tile-tree node, from its files and children."""
     own = np.flatnonzero(np.isfinite(options.cost[node]))
     cost, utility = options.cost[node, own], options.utility[node, own]
     option, source = own, np.full(len(own), -1)

@@ -24,7 +24,7 @@ def choose_jointly(
     byte_budget: float,
     splat_budget: float,
 ) -> Choice | None:
-    """Choose tiles and file qualities of the most utility within bytes and Gaussians.
+    """Choose tiles and file qualities of greatest utility, within limits on bytes and Gaussians.
 
     The limit on Gaussians becomes a price of each (Lagrangian relaxation): at a price p, the tree's
     frontier maximises utility − p · Gaussians within the bytes. Each price gives an upper bound of
@@ -107,7 +107,7 @@ class _PriceSearch:
         self.best: _Candidate | None = None
 
     def keeps_limit(self, price: float) -> bool:
-        """Choose tiles by utility − ``price`` × Gaussians; return whether few enough Gaussians."""
+        """Choose tiles by utility − ``price`` × Gaussians; return whether these fit the budget."""
         priced = self._options.utility - price * self._splats
         options = CutOptions(self._options.parent, self._options.cost, priced)
         frontier = TreeFrontier.of_options(options)
@@ -136,7 +136,7 @@ class _PriceSearch:
         return keeps_limit
 
     def first_price(self) -> float:
-        """Return the first price to try: utility per Gaussian of tiles chosen by bytes alone."""
+        """Return the first price of a Gaussian to try: mean utility per Gaussian without limit."""
         assert self.best is not None
         return max(self.best.utility, 1e-12) / max(self.best.splats, 1)
 

@@ -99,7 +99,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
 
 
 def _read_nodes(problem: JsonObject) -> CutOptions:
-    """Read a problem's tile tree: a single root, and at least one file quality for each leaf."""
+    """Read the tile tree of a tile choice problem: one root, and file qualities for each leaf."""
     nodes = list(problem.objects("nodes"))
     if not nodes:
         problem.refuse("nodes", "one node at least")
@@ -125,7 +125,7 @@ def _read_nodes(problem: JsonObject) -> CutOptions:
 
 
 def _reaches_root(parent: np.ndarray) -> bool:
-    """Return whether the root is an ancestor of every node of a problem's tile tree."""
+    """Return whether the parents of every node of a tile tree lead to a root."""
     above, steps = parent.copy(), 1
     while (above >= 0).any() and steps <= len(parent):
         above = np.where(above >= 0, above[above], -1)
@@ -177,7 +177,7 @@ def _solve_deadlines(problem: JsonObject) -> Choice:
     cells = len(tiles) * (max((tile.deadline for tile in tiles), default=0) + 1)
     if cells > MOST_CELLS:
         raise TilesetInvalid(
-            f"the problem has {cells:,} combinations of a tile and a download time slot",
+            f"the tile choice problem has {cells:,} pairs of a tile and a download time slot",
             location=problem.at("tiles"),
             expected=f"{MOST_CELLS:,} or fewer",
             hint="Make the time slots longer, so that fewer lie before the last deadline.",

@@ -96,7 +96,7 @@ class SeenTiles:
 def _file_costs(
     size: Float64[np.ndarray, "m q"], held: Int64[np.ndarray, " m"], dead: Bool[np.ndarray, " m"]
 ) -> Float64[np.ndarray, "m q"]:
-    """Return the bytes that each file quality of tiles still costs; infinite if unavailable."""
+    """Return the bytes still to load for each file quality of tiles; infinite if unavailable."""
     cost = np.where(((held >= 0) | dead)[:, None], np.inf, size)
     rows = np.flatnonzero(held >= 0)
     cost[rows, held[rows]] = 0

@@ -56,7 +56,7 @@ def _no_values() -> Points:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
-    """The concave curves of utility over cost of all tree nodes at one depth, concatenated.
+    """The concave curves of utility over download cost of all tile-tree nodes at one depth.
 
     Attributes:
         nodes: The nodes, ascending.
@@ -79,14 +79,14 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return where each tree node's points begin in the concatenated curves of a tree level."""
+        """Return where each node's points begin in the concatenated utility curves of a level."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeFrontier:
-    """The concave curves of utility over cost of all tile-tree nodes, the root's curve first.
+    """The concave curves of utility over download cost of tile-tree nodes, the root's first.
 
     Attributes:
         levels: By depth.
@@ -113,7 +113,7 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """The total costs at the points of a tile tree's curve of utility over cost, ascending."""
+        """The download costs at the points of a tile tree's utility curve, in ascending order."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:
@@ -162,12 +162,12 @@ def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
 
 
 def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
-    """Return the position of each node's parent in the tree level above."""
+    """Return the position of each tile-tree node's parent in the level above."""
     return np.asarray(np.searchsorted(level.nodes, options.parent[below.nodes]))
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return how many of a parent's first ``prefix`` steps come from each child's utility curve."""
+    """Return how many of a parent's first ``prefix`` utility curve steps belong to each child."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]
@@ -181,7 +181,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return what each tile of a tree level and its subtree gain for every number of bytes."""
+    """Return the curves of utility over cost of one tree level's tiles, each with its subtree."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])
@@ -198,7 +198,7 @@ def _build_level(
 
 
 def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
-    """Set the utility curves of one tree level to the merged curves of the level below."""
+    """Set each tile's utility curve to the merged curves of its children, for one tree level."""
     is_first = np.r_[True, below.owner[1:] != below.owner[:-1]]
     steps = np.flatnonzero(~is_first)
     cost = below.cost[steps] - below.cost[steps - 1]
@@ -222,14 +222,14 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return cumulative sums of sorted values, which start again at each tree node."""
+    """Return cumulative sums of sorted values, which start again at each tile-tree node."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
 
 
 def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Rows) -> None:
-    """Add a point to the utility curves of some tree nodes, and drop dominated points.
+    """Add a point to the utility curves of some tile-tree nodes, and drop dominated points.
 
     Frontiers stay strictly concave and ascending: the tangents from the new point on both
     sides end at the first points that remain.

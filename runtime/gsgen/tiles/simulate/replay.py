@@ -56,7 +56,7 @@ class FrameDifference:
 
 
 def _entries(decision: object, other: object) -> str:
-    """Return the entries of a decision that another one lacks, or else all, as a short text."""
+    """Return as text the entries of ``decision`` that ``other`` lacks, or else all entries."""
     if isinstance(decision, tuple) and isinstance(other, tuple):
         only = tuple(entry for entry in decision if entry not in other)
         decision = list(only or decision)

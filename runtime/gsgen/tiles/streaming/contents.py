@@ -140,7 +140,7 @@ class ContentReader:
         )
 
     def _entry(self, tile: int) -> Tile:
-        """Return a tile whose content files have the quality that was read last."""
+        """Return a tile with content files of the quality that was fetched last for this tile."""
         if self._ladder is None:
             return self._tree.tiles[tile]
         return self._ladder.tiles[self._fetched[tile]][tile]

@@ -45,7 +45,7 @@ _HINT: Final = "Name an event log that `gsgen render` or `gsgen view` wrote with
 
 
 def tree_digest(tree: TileTree) -> str:
-    """Return the SHA-256 of the tree structure, errors, splat counts and files of a tileset."""
+    """Return the SHA-256 of a tileset's tree, geometric errors, splat counts and file URIs."""
     tiles = [
         [
             int(tree.parent[index]),
@@ -238,7 +238,7 @@ def _frame_events(line: int, values: JsonDict) -> FrameEvents:
 
 
 def _pairs(values: JsonDict, tiles: str, qualities: str) -> tuple[tuple[int, int], ...]:
-    """Return the tiles of one member and the qualities of another as pairs."""
+    """Return pairs of a tile and its quality from two arrays of a log line's JSON object."""
     return tuple((int(t), int(q)) for t, q in zip(values[tiles], values[qualities], strict=True))
 
 

@@ -95,7 +95,7 @@ class FetchLink(Generic[Decoded]):
             self._begin(tile)
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Set the tiles to request as connections become free, in place of those set before."""
+        """Replace the queue of tiles to request as network connections become free."""
         with self._lock:
             self._queue = deque(tiles)
 

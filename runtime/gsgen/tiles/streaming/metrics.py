@@ -129,7 +129,7 @@ class MetricsRecorder:
         return False
 
     def summary(self) -> StreamingMetrics:
-        """Return the streaming metrics so far; missing tiles count as waiting until now."""
+        """Return the streaming metrics of all frames; missing tiles count as waiting until now."""
         waits = [self._time - entry for entries in self._waiting.values() for entry in entries]
         delays = np.array([*self._delays, *waits])
         count = len(delays)

@@ -43,7 +43,7 @@ from gsgen.tiles.streaming.session_frame import TileArrival
 
 
 class _RunInputs(NamedTuple):
-    """The varying inputs of an ONNX generator's run, comparable with those of another run.
+    """The varying inputs of an ONNX generator's run, to compare with those of the last run.
 
     Attributes:
         camera: View matrix and intrinsics; None for a generator without a camera.
@@ -57,7 +57,7 @@ class _RunInputs(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeuralTilesOptions:
-    """Limits on running the ONNX generators of tiles: open sessions, runs a second, bytes.
+    """Limits on running ONNX generators of tiles: open sessions, runs per second, uploaded bytes.
 
     Attributes:
         sessions: Most generators that are open at once.
@@ -171,7 +171,7 @@ class NeuralTiles:
         return tuple(self._neural)
 
     def reserved_rows(self, tile: int) -> int:
-        """Return the rows of a tile's slots: twice as many where new rows may come in parts."""
+        """Return how many splat pool rows a tile reserves: twice as many for partial uploads."""
         splats_max, slot_rows = self._neural[tile].splats_max, self._options.slot_rows
         most = max(splats_max, int(self._tree.splats[tile]) if self._tree.is_counted else 0)
         slots = -(-most // slot_rows)
@@ -353,7 +353,7 @@ class NeuralTiles:
         return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
 
     def _close_others(self, tiles: Sequence[int], time: float) -> None:
-        """Close the longest unused ONNX generators, as many as this frame's new ones need."""
+        """Close the longest unused ONNX generators to make room for those that this frame needs."""
         for tile in tiles:
             if tile in self._open:
                 self._open[tile].last_drawn = time
@@ -383,7 +383,7 @@ class NeuralTiles:
         return _RunInputs(view, self._time(tile, values))
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
-        """Return the time input of a tile's ONNX generator, in its range; None without time."""
+        """Return the time to feed to a tile's ONNX generator; None if it has no time input."""
         span = self._neural[tile].time_range
         if span is None:
             return None

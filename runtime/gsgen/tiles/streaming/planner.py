@@ -106,7 +106,7 @@ class RequestPlanner:
                     del self._in_flight[tile]
 
     def prioritise(self, tiles: Bool[np.ndarray, " n"]) -> None:
-        """Request some of the needed tiles before all others, each group in the given order."""
+        """Move some needed tiles to the front of the request order, in unchanged relative order."""
         self._demand = self._demand[np.argsort(~tiles[self._demand], kind="stable")]
 
     def arrive(self, tile: int, time: float) -> None:

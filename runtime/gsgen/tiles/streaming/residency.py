@@ -53,7 +53,7 @@ class ResidentTiles:
         self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return a mask of tiles with the root and all ancestors of these tiles added."""
+        """Return a mask of the given tiles, all their ancestors, and the root."""
         marked = self._tree.with_ancestors(tiles)
         marked[0] = True
         return marked

@@ -93,7 +93,7 @@ class ArrivalLink(Link, Protocol):
     """Protocol of network links that deliver decoded tiles."""
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Set the tiles to request as connections become free, in place of those set before."""
+        """Replace the queue of tiles to request as network connections become free."""
         ...
 
     def take_started(self) -> list[int]:
@@ -263,7 +263,7 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the rows that slots must hold for each tile's ONNX generator; 0 without one."""
+        """Return how many splat pool rows each tile reserves; 0 for tiles without a generator."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
@@ -319,7 +319,7 @@ class TilesetSession:
         return frame
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a requested tile arrives or fails, unless others wait for their upload."""
+        """Sleep until a requested tile arrives or fails; return at once if uploads are pending."""
         if not (self._pending or self._partial):
             self._link.wait(seconds)
 
@@ -421,7 +421,7 @@ class TilesetSession:
         return part
 
     def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident for this frame; return the tiles that leave, or None if full."""
+        """Reserve GPU memory for a tile; return the evicted tiles, or None if there is no room."""
         tile = arrival.tile
         if not arrival.is_upgrade:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
@@ -469,7 +469,7 @@ class TilesetSession:
     def _choose_qualities(
         self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]
     ) -> None:
-        """Choose the file qualities of tiles to request; if idle, request one finer file."""
+        """Choose the file qualities of tiles to request; without requests, take one finer file."""
         assert self._frustum is not None
         in_flight = list(self._planner.in_flight)
         there = chooser.held.copy()

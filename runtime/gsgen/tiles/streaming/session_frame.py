@@ -63,19 +63,19 @@ class TileArrival:
             object.__setattr__(self, "end_row", len(self.rows))
 
     def next_part(self, room: int, slot_rows: int, *, first_row: int) -> "TileArrival":
-        """Return the tile with the part to upload from a row on: slots of ``room`` bytes, or one."""
+        """Return the tile with the rows to upload from ``first_row`` on: about ``room`` bytes."""
         slots = max(1, room // (slot_rows * pool_row_bytes(self.appearance.shape[1])))
         end_row = min(len(self.rows), first_row + slots * slot_rows)
         return replace(self, first_row=first_row, end_row=end_row)
 
     @property
     def is_last(self) -> bool:
-        """Whether the whole tile is in GPU memory after this part."""
+        """Whether the whole tile is in GPU memory after this part is uploaded."""
         return self.end_row == len(self.rows)
 
     @property
     def part(self) -> slice:
-        """The rows that are uploaded now."""
+        """The rows of the tile that are uploaded in this frame."""
         return slice(self.first_row, self.end_row)
 
     @property
@@ -87,7 +87,7 @@ class TileArrival:
 @final
 @dataclass(frozen=True, slots=True)
 class DrawnTile:
-    """A resident tile that is drawn in a frame.
+    """A tile in GPU memory that is drawn in a frame.
 
     Attributes:
         tile: Key of the tile.

@@ -82,7 +82,7 @@ class TilesSource(Source):
         self._values |= values
 
     def finish(self) -> None:
-        """Take the tiles that arrived; if set to wait, take all tiles that the camera needs."""
+        """Take the tiles that arrived; with a waiting time, wait for all tiles the camera needs."""
         if self._camera is None:
             return
         frustum = Frustum.from_camera(self._camera)

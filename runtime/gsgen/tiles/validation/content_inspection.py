@@ -86,7 +86,7 @@ def inspect_content_file(
 @final
 @dataclass(slots=True, kw_only=True)
 class _FileResult:
-    """The result of reading a tile's content file once, for one of the tiles that name it.
+    """The result of reading a tile's content file, which several tiles may name.
 
     Attributes:
         header: None where the file cannot be read.

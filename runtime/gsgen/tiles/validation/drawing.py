@@ -190,7 +190,7 @@ class _TileRenderer:
         return self._tileset.up
 
     def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
-        """Return whether any list of contents has too many splats to draw; record the reason."""
+        """Return whether any list of tile contents has too many splats to draw; record why."""
         count = max(map(self.count, cuts))
         if count > MAX_DRAWN:
             tile = cuts[0][0][0]
@@ -241,7 +241,7 @@ class _View:
     def around(
         cls, parts: list[PlacedSplats], up: Float64[np.ndarray, " 3"], error: float = 0.0
     ) -> "_View":
-        """Return a view in which a geometric error is as large as when viewers load finer tiles.
+        """Return a view from the distance at which viewers load finer tiles for a geometric error.
 
         The splats fill the picture if its size is within limits. Beyond the upper one they are
         seen from as near; below the lower one, from farther away.

@@ -85,7 +85,7 @@ class _Machine:
         self.stack.append(_object_of(name, arguments))
 
     def refer(self) -> None:
-        """Push the storage that a persistent id names: ('storage', class, key, device, count)."""
+        """Push the storage that a pickle's persistent id names: class, key, device and count."""
         (_, kind, key, *_), *_ = self.popped(1)
         self.stack.append(Storage(str(key), _STORAGES.get(kind.name.rpartition(".")[2], "")))
 

@@ -49,7 +49,7 @@ def scales_and_quaternions(
 def _diagonalised(
     covariance: Float[np.ndarray, "n 6"], scratch: Float64[np.ndarray, "4 m"]
 ) -> Float64[np.ndarray, "10 n"]:
-    """Return the eigenvalues of covariances, 0 0 0, and quaternions to their eigenvectors.
+    """Return [10, n]: eigenvalues of covariances, three zeros, and quaternions of the eigenvectors.
 
     Jacobi's method (1846): each turn about an own axis makes the entry of the other two axes zero.
     The quaternions are not normalised.
@@ -73,7 +73,7 @@ def _diagonalised(
 
 
 def _sweep(state: Float64[np.ndarray, "10 n"], scratch: Float64[np.ndarray, "4 n"]) -> None:
-    """Turn about each axis once, in place; whole columns are fast, and new arrays are not."""
+    """Apply one Jacobi rotation about each axis, in place: new arrays would take longer."""
     diagonal, between, turn = state[:3], state[3:6], state[6:]
     first, tangent, length, second = scratch
     for axis in range(3):
@@ -110,7 +110,7 @@ def _turn_about(
     tangent: Column,
     scratch: Float64[np.ndarray, "4 n"],
 ) -> None:
-    """Multiply quaternions from the right by 1 - t e, for an axis e and t, a half angle's tangent.
+    """Multiply quaternions from the right by 1 − t e: t = tan(θ / 2), for angle θ and axis e.
 
     ``tangent`` may be the second column of ``scratch``.
     """

@@ -15,7 +15,7 @@ Image = UInt8[np.ndarray, "p 4"]
 
 
 def most_pixels(needed: int) -> int:
-    """Return the largest number of pixels allowed for an image of ``needed`` values."""
+    """Return the largest allowed pixel count of a SOG image with ``needed`` used pixels."""
     return 2 * needed + (1 << 16)
 
 

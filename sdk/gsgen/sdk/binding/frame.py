@@ -105,7 +105,7 @@ class Frame:
 
     @property
     def cells(self) -> np.ndarray:
-        """The packed cells (groups) that contain a live Gaussian, [cells, 10], in model dtype."""
+        """The packed groups (cells) that contain a live Gaussian, [cells, 10], in model dtype."""
         outputs = self._declared()
         if outputs.cells is None:
             raise _undeclared("cells")

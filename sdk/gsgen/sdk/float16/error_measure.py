@@ -105,7 +105,7 @@ class ErrorProbe:
             return ModelOutput(rows, color, output.count, cells)
 
     def parity(self, selected: Collection[int]) -> Parity:
-        """Compare outputs with the selected nodes and tables rounded to float16 against float32."""
+        """Compare a model whose selected nodes and tables are float16 with the float32 model."""
         flags = np.zeros(len(self.model.units), np.bool_)
         flags[list(selected)] = True
         stored = np.zeros(len(self.weights), np.bool_)
@@ -132,7 +132,7 @@ class ErrorProbe:
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return which share of a field's tolerance is used, without rounding of the outputs."""
+        """Return the share of a field's tolerance that is used beyond rounding the outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 

@@ -106,7 +106,7 @@ class InstrumentedModel:
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
-        """Store given weight tables as float16; others may still be quantised in even steps."""
+        """Store the given weight tables as float16; only other tables may be quantised evenly."""
         for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
@@ -159,7 +159,7 @@ def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> di
 
 
 def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
-    """Turn weight tables into graph inputs, so that each run can feed them rounded."""
+    """Turn weight tables into graph inputs, so that each run can feed rounded tables."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
         if value is not None:

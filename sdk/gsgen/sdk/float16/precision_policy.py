@@ -1,4 +1,4 @@
-"""Decides which nodes and weights stay float32: sensitive ones, tiny ε terms, isolated ones."""
+"""Decides which nodes and weights stay float32, by output error, tiny ε terms and neighbours."""
 
 __all__ = ["RetainedFloat32", "choose_tables", "epsilon_guards", "merge_islands", "retained_nodes"]
 

@@ -206,7 +206,7 @@ def _convert_weight(
 
 
 def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs) -> None:
-    """Store a weight of the graph in 16 bits, for nodes that read float16 and float32."""
+    """Store a graph weight in 16 bits, followed by nodes that decode the weight for its readers."""
     value.const_value = ir.tensor(table.numbers, name=value.name)
     value.type = ir.TensorType(value.const_value.dtype)
     if table.step is None or table.start is None:
@@ -230,7 +230,7 @@ def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: Half
 def _convert_value(
     graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, is_half: bool
 ) -> None:
-    """Insert a Cast after a graph value, for nodes that read it in the other float dtype."""
+    """Cast a graph value from float16 to float32 or back, for readers that need the cast dtype."""
     mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched:
         return

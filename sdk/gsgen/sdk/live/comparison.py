@@ -92,7 +92,7 @@ def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOu
 
 
 def _some_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
-    """Select the indices of Gaussians and cells (groups) to compare, evenly spaced if many."""
+    """Select the indices of Gaussians, and of groups (cells) of them, to compare; evenly spaced."""
     if outputs.cells is None or outputs.gaussians is None:
         return _even_indices(outputs.count, _MOST_ROWS), None
     per_cell = len(outputs.gaussians) // len(outputs.cells)

@@ -41,7 +41,7 @@ class CastCount(_OutputRepair):
     """
 
     def repair(self, model: ir.Model) -> bool:
-        """Reshape the row count to [1], then cast it to int32, in an order that capture supports."""
+        """Reshape the row count to [1], then cast to int32: graph capture supports this order."""
         graph, count = model.graph, _output(model, self.name)
         flat = count.shape is not None and list(count.shape) == [1]
         if flat and count.dtype == ir.DataType.INT32:
@@ -135,7 +135,7 @@ class RenameOutputs(_Repair):
         self.names = names
 
     def repair(self, model: ir.Model) -> bool:
-        """Rename outputs of a model; inner values that already have a new name get another."""
+        """Rename outputs of a model; an inner value that has a new name already is renamed, too."""
         renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
         ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in renames)}

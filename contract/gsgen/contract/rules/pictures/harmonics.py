@@ -65,7 +65,7 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _readings(color: Float[np.ndarray, "e c"]) -> Iterator[tuple[str, Float[np.ndarray, "e k 3"]]]:
-    """Yield the view-dependent SH coefficients in other files' column orders, with order names."""
+    """Yield view-dependent SH coefficients in the column order of each file format, with names."""
     rest = color[:, 3:]
     yield "f_rest is read channel-major, as in a 3DGS PLY", _by_channel(rest)
     degrees = np.split(rest, [9, 24], axis=1)

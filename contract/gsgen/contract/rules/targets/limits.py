@@ -39,7 +39,7 @@ def _mib(size: int) -> str:
 
 
 def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
-    """Yield a violation for each output or weight (stored or unpacked) above ``limit`` bytes."""
+    """Yield a violation for each output or weight, as stored or unpacked, above ``limit`` bytes."""
     for location, size in _buffers(subject):
         if size > limit:
             yield Violation.at(location, _mib(size), f"{_mib(limit)} at most")

@@ -68,7 +68,7 @@ class Input:
         return low + (high - low) * frame / count
 
     def frame_at(self, time: float) -> int:
-        """Return the frame index at a time; a loop's end has frame 0, other ends the last frame."""
+        """Return the index of the frame at a time; beyond the range, loops wrap, others clamp."""
         low, high, count = self._frames()
         frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
         return frame % count if self.loop else min(max(frame, 0), count - 1)

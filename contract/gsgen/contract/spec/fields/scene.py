@@ -72,7 +72,7 @@ class Bounds:
 
 
 def _rounded(value: float, rounding: str) -> float:
-    """Round to 6 significant digits, up or down."""
+    """Round a number up or down to 6 significant digits."""
     return float(Context(prec=6, rounding=rounding).create_decimal(float(value)))
 
 

@@ -25,7 +25,7 @@ PAGE_BYTES: Final = 256
 
 @final
 class PlaceSplats:
-    """The kernels of ``place_splats.wgsl``, which number the splats of a depth range (slab).
+    """The kernels of ``place_splats.wgsl``, which index the splats of a depth slab consecutively.
 
     Args:
         device: Device of the kernels.
@@ -51,7 +51,7 @@ class PlaceSplats:
     def steps(
         self, resources: tuple[Buffer, ...], ends: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> list[Step]:
-        """Return the dispatches that number the splats of one GPU page (range of Gaussians).
+        """Return the dispatches that give the splats of one page (GPU buffers) consecutive indices.
 
         Args:
             resources: Resources of bind group 0 of the shader without ``ends``, in order.

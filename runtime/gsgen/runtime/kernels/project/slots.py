@@ -25,7 +25,7 @@ SLOT: Final = np.dtype(
 def slot_table(
     pool: SplatPool, first: int, count: int, transform: Float[np.ndarray, "4 4"], camera: Camera
 ) -> Shaped[np.ndarray, " s"]:
-    """Return the shader data of ``count`` tile slots; positions are split into two float32.
+    """Return the shader data of ``count`` splat pool slots; positions are split into two float32.
 
     The camera centre is relative to the origin of each slot, so that positions far from the origin
     of the scene lose nothing.

@@ -297,7 +297,7 @@ def seen_reference(
 def _beside_reference(
     point: Float[np.ndarray, "3"], uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return a point's offsets from each pixel's ray, to the right and down, and its depth."""
+    """Return a point's offsets from each pixel's ray, right and down, and the point's depth."""
     (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)
     x, y, z = point
     if uniform["period"]:

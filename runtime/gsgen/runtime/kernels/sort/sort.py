@@ -2,7 +2,7 @@
 
 __all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for", "sort_reference"]
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -145,7 +145,7 @@ class RadixSort:
             )
             if not self._cut.staged or number == 0:  # else the scatter before has counted
                 recorded.append(count)
-            recorded += [replace(step, groups=(1 << digits, 1, 1)) for step in rows]
+            recorded += rows
             if not self._cut.staged or first:
                 recorded += self._scan.steps(
                     counts,

@@ -77,32 +77,46 @@ fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loca
     }
 }
 
-// One workgroup per digit. Rows of few blocks are summed by one invocation, without barriers.
+// As many workgroups as blocks share the rows: each takes one or more, and divides its invocations
+// among them. Few keys so take few workgroups, whose invocations are most of the cost on CPUs.
 @compute @workgroup_size(THREADS)
 fn scan_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let digits = 1u << digit.bits;
     let blocks = groups(counts[digit.source], BLOCK);
-    let row = row_of(digit.table, group.x);
-    let next_row = row_of(1u - digit.table, group.x);
-    let is_short = blocks <= SPAN;
-    let run = select(groups(blocks, THREADS), SPAN, is_short);
-    let start = min(local.x * run, blocks);
-    let end = min(start + run, blocks);
-    var before = 0u;
-    if (!is_short) {
-        var sum = 0u;
-        for (var i = start; i < end; i++) {
-            sum += atomicLoad(&histogram[row + i]);
-        }
-        before = sum_before(local.x, sum);
+    let rows = groups(digits, max(blocks, 1u));  // of this workgroup, at most THREADS
+    if (group.x * rows >= digits) {
+        return;
     }
+    let lanes = THREADS / rows;                  // invocations of a row
+    let slot = local.x / lanes;
+    let lane = local.x % lanes;
+    let value = group.x * rows + slot;
+    let is_row = slot < rows && value < digits;
+    let row = row_of(digit.table, value);
+    let next_row = row_of(1u - digit.table, value);
+    // Step 1: sum the columns of each invocation.
+    let run = groups(blocks, lanes);
+    let start = select(blocks, min(lane * run, blocks), is_row);
+    let end = min(start + run, blocks);
+    var sum = 0u;
+    for (var i = start; i < end; i++) {
+        sum += atomicLoad(&histogram[row + i]);
+    }
+    // Step 2: add the sums of the invocations before in the same row.
+    let below = sum_before(local.x, sum);
+    if (is_row && lane == 0u) {
+        firsts[slot] = below;
+    }
+    workgroupBarrier();
+    var before = below - firsts[min(slot, rows - 1u)];
     for (var i = start; i < end; i++) {
         let amount = atomicLoad(&histogram[row + i]);
         atomicStore(&histogram[row + i], before);
         atomicStore(&histogram[next_row + i], 0u);
         before += amount;
     }
-    if (local.x == select(THREADS - 1u, 0u, is_short)) {
-        totals[group.x] = before;
+    if (is_row && lane == lanes - 1u) {
+        totals[value] = before;
     }
 }
 

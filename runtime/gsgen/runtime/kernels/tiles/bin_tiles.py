@@ -19,7 +19,7 @@ _BINDINGS = {"bin_tiles": "urrrwwwrr", "bin_cells": "urrrwww"}
 
 @final
 class BinTiles:
-    """The kernels of ``bin_tiles.wgsl`` (splats) or ``bin_cells.wgsl``, which list touched tiles.
+    """The kernels of ``bin_tiles.wgsl`` or ``bin_cells.wgsl``: list image tiles that splats touch.
 
     Args:
         device: Device of the kernels.
@@ -55,7 +55,9 @@ class BinTiles:
         )
 
     def steps(self, counts: Buffer, resources: tuple[Buffer, ...]) -> tuple[Step, Step]:
-        """Return the two dispatches that count and list touched tiles, with a prefix sum between.
+        """Return the dispatches that count the image tiles of each splat, then list these tiles.
+
+        A prefix sum of the counts runs between the two.
 
         Args:
             counts: The frame's counts, or those of its cells.

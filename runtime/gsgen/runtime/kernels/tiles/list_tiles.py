@@ -21,7 +21,7 @@ _WINDOW_BITS: Final = WINDOW_HEIGHT * _WINDOW_WIDTH
 
 
 def runs_for(tiles: int) -> int:
-    """Return into how many runs sorted splats are divided to be listed in this many tiles."""
+    """Return into how many parts the sorted splats are divided to be listed by image tile."""
     return _INVOCATIONS * int(
         np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS)
     )
@@ -57,9 +57,10 @@ class ListTiles:
     def steps(
         self, tiles: int, walked: tuple[Buffer, ...], ranged: tuple[Buffer, ...]
     ) -> tuple[Step, Step, Step, Step]:
-        """Return the dispatches that count by run, count by tile, begin each list, and fill it.
+        """Return the dispatches that list the sorted splats of each image tile by counting.
 
-        Totals are replaced by their prefix sums between the second and the third.
+        They count by run, count by tile, begin each list, and fill it. Totals are replaced by their
+        prefix sums between the second and the third.
 
         Args:
             tiles: Number of tiles of the image.
@@ -77,7 +78,7 @@ class ListTiles:
 
 
 def window_tiles(word: int, across: int) -> list[int]:
-    """Return the tiles that a word tells, in order: the reference of ``tile_window.wgsl``.
+    """Return the image tiles that a packed word encodes, in order: as ``tile_window.wgsl`` does.
 
     Args:
         word: The word, which is not ABSENT.

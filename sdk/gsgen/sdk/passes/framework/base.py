@@ -184,7 +184,7 @@ class ByTables(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite, or None if the operators of the target runtime are unknown."""
+        """Return the graph rewrite; None if the target runtime has no operator tables."""
         return cls(target) if target.tables else None
 
 
@@ -237,7 +237,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return a node's case in tables of supported operators, such as ``5d``; empty if usual."""
+        """Return a node's operator variant for support tables, such as ``5d``; empty if usual."""
         return ""
 
 

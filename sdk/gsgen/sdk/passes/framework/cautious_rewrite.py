@@ -42,10 +42,10 @@ class CautiousRewrite(Rewrite):
 
 
 class CautiousNodeRewrite(CautiousRewrite, NodeRewrite):
-    """A graph rewrite that replaces single nodes, unless a node has an obstacle."""
+    """A graph rewrite of single nodes; nodes that cannot be replaced stay, with a reason."""
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace every matching node, also in subgraphs; record an obstacle where one exists."""
+        """Replace every matching node, also in subgraphs; record why some cannot be replaced."""
         for node in [node for node in every_node(model) if self.matches(node)]:
             obstacle = self.obstacle(node)
             if obstacle:

@@ -43,7 +43,7 @@ def is_never_zero(value: ir.Value | None) -> bool:
 
 
 def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
-    """Return a lower bound of the elements of a graph value; −∞ if none is known."""
+    """Return a lower bound of the elements of a graph value; −∞ if no bound is known."""
     known = constant_of(value)
     if known is not None:
         return float(known.min()) if known.size and not np.isnan(known).any() else -math.inf

@@ -13,7 +13,7 @@ Arrays = Sequence[np.ndarray | None]
 
 
 def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
-    """Evaluate an ONNX node on integers in NumPy; None if the result is not exact, or an error.
+    """Evaluate an ONNX node on integers in NumPy; None if the result is inexact or raises an error.
 
     Arithmetic is limited to integers and booleans. Floats are only moved, compared and cast,
     because sums and products round differently on other machines.

@@ -1,4 +1,4 @@
-"""Rewrites Split, Slice and GatherND by Slice and Gather, for runtimes without their kernels."""
+"""Replaces Split by Slice, and some Slice and GatherND by Gather, where runtimes lack a kernel."""
 
 __all__ = ["GatherSlices"]
 
@@ -36,7 +36,7 @@ class GatherSlices(Substitute):
     kinds = frozenset({"GatherND", "Slice", "Split"})
 
     def variant(self, node: ir.Node) -> str:
-        """Return a node's case in tables of supported operators: constant, backwards or empty."""
+        """Return the variant of a GatherND or Slice for operator support tables; empty if usual."""
         if is_op(node, "GatherND"):
             return "constant" if constant_of(node.inputs[1]) is not None else ""
         steps = constant_of(node.inputs[4]) if len(node.inputs) > 4 else None
@@ -57,7 +57,7 @@ class GatherSlices(Substitute):
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Replace a Split, Slice or GatherND by Slice or Gather."""
+        """Replace a Split by Slices, or a Slice or GatherND by Gathers."""
         write, x = InsertionPoint(node), required(node.inputs[0])
         if is_op(node, "Split"):  # Case 1
             write.replace(*_split_slices(write, node, x))

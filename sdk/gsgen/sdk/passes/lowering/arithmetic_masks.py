@@ -39,7 +39,7 @@ class ArithmeticMasks(Substitute):
     })  # fmt: skip
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node lacks a boolean kernel, or only casts a boolean mask back."""
+        """Return whether a node lacks a boolean kernel, or casts a boolean mask to numbers."""
         return super().matches(node) or _undoes_mask_cast(node)
 
     def can_replace(self, node: ir.Node) -> bool:

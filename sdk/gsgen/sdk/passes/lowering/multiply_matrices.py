@@ -29,7 +29,7 @@ class MultiplyMatrices(NodeRewrite):
         return bool(_vector_operands(node))
 
     def replace(self, node: ir.Node) -> None:
-        """Add an axis to each vector of a MatMul, and remove it from the product."""
+        """Add an axis to each vector of a MatMul, and remove the axis from the product."""
         graph = node.graph
         assert isinstance(graph, ir.Graph)
         vectors, old = _vector_operands(node), node.outputs[0]

@@ -20,7 +20,7 @@ _AXES_AS_INPUT = 13
 
 
 class UnrollControlFlow(CautiousRewrite):
-    """Unroll If, Loop and Scan nodes whose branches and iterations are known beforehand.
+    """Unroll If, Loop and Scan nodes whose branches and iteration counts do not depend on inputs.
 
     One control-flow node makes a WebGPU provider refuse graph capture for the whole model, and
     most of them only count joints, bands or steps::
@@ -43,7 +43,7 @@ class UnrollControlFlow(CautiousRewrite):
         self.used_names: set[str | None] = set()
 
     def rewrite(self, model: ir.Model) -> None:
-        """Unroll control flow, outer nodes first, which may make inner iterations known."""
+        """Unroll control flow, outer nodes first, since this may fix inner iteration counts."""
         refused: set[ir.Node] = set()
         self.used_names = _used_names(model)
         while True:

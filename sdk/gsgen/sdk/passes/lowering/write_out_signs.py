@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 
 class WriteOutSigns(Substitute):
-    """Write Sign, IsNaN and IsInf with comparisons, and integer Abs, Neg and Relu with a difference.
+    """Replace Sign, IsNaN, IsInf, and integer Abs, Neg and Relu by comparisons and subtractions.
 
     No release has kernels for the first three, nor for Abs, Neg and Relu of int32::
 
@@ -28,7 +28,7 @@ class WriteOutSigns(Substitute):
     kinds = frozenset({"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"})
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether the node's dtype is known; Abs, Neg and Relu must be of integers."""
+        """Return whether a node's dtype is known; Abs, Neg and Relu must have int32 or int64."""
         value = node.inputs[0]
         if value is None or value.dtype is None:
             return False

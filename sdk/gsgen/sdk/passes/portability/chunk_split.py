@@ -29,7 +29,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
     limited_by = "split_outputs"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Divide every Split that has too many outputs and known sizes."""
+        """Replace every Split that has known sizes and too many outputs by a tree of Splits."""
         for node in list(model.graph.all_nodes()):
             if not is_op(node, "Split") or len(node.outputs) <= self.limit:
                 continue

@@ -46,7 +46,7 @@ _REDUCTIONS = (
 
 
 class LowerOpset(CautiousRewrite):
-    """Lower the ONNX operator set to one that the target runtime has kernels for: 18.
+    """Lower the ONNX operator set to version 18, for which the target runtime has kernels.
 
     ONNX Runtime uses a kernel only up to the last version of the operator that it was written for.
     Sin, Cos and a dozen others have a newer version from operator set 22 on, GridSample from 20 on;
@@ -71,7 +71,7 @@ class LowerOpset(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite to the requested ONNX operator set, by default 18."""
+        """Return the rewrite to the requested ONNX operator set, by default version 18."""
         if target.opset is None and not target.tables:
             return None
         return cls(target.opset or SAFEST_OPSET, target.target.ir)

@@ -1,4 +1,4 @@
-"""Restores guards against division by a vector's zero length, which an exporter removed."""
+"""Restores the guards, removed by exporters, against division by a vector's zero length."""
 
 __all__ = ["RestoreGuards"]
 
@@ -122,7 +122,7 @@ def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
 
 
 def _guarded_input(node: ir.Node) -> int | None:
-    """Return the input index of a zero guard, such as Max(x, ε), with too small an ε; or None."""
+    """Return the index of x in a zero guard such as Max(x, ε) whose ε is too small; else None."""
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None
     for input_index in (0, 1):

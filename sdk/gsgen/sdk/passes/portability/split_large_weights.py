@@ -81,7 +81,7 @@ class SplitLargeWeights(CautiousRewrite):
         graph.initializers.pop(value.name or "")
 
     def _plan(self, value: ir.Value, node: ir.Node, input_index: int) -> "str | Callable[[], None]":
-        """Return a function that divides a node's weight into smaller parts, or why none can."""
+        """Return a function that divides a weight of a node, or why the weight is indivisible."""
         splitting = _splitting_axis(value, node, input_index)
         if isinstance(splitting, str):
             return splitting
@@ -120,7 +120,7 @@ Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
 def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[int, Write] | str:
-    """Return the axis to split a node's weight along and a rewriting function, or the obstacle."""
+    """Return the axis along which to split a node's weight and the rewriter, or why none exists."""
     rank = rank_of(value) or 0
     # Case 1
     if is_op(node, "Gather") and input_index == 0 and rank_of(node.inputs[1]) is not None:

@@ -163,7 +163,7 @@ class _Attempt:
             raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
     def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
-        """Create a fixed-size output of a node whose own output size depends on a row mask."""
+        """Create a fixed-size value in place of a node's output, whose size depends on a mask."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
@@ -236,7 +236,7 @@ class _Attempt:
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Replace inputs that hold the number of selected rows by N; return whether all were replaced.
+        """Replace inputs that count selected rows by the number of all rows; return whether done.
 
         Any node may read numbers from a shape if they do not depend on the count.
         """
@@ -253,7 +253,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Replace outputs of K selected rows by N rows, if another output is the row count K."""
+        """Replace outputs of K mask-selected rows by all N rows, if the model also outputs K."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated

@@ -200,7 +200,7 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Draft the Slice for all N rows, not K masked ones; None if it cuts along the row axis."""
+    """Create a Slice of all N rows, not the K that a mask selects; None if it cuts the row axis."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
@@ -215,7 +215,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Draft the Gather for all N rows, not K masked ones; None if it gathers along the row axis."""
+    """Create a Gather on all N rows, not the K that a mask selects; None if it gathers rows."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
@@ -286,7 +286,7 @@ def _transpose(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows
 
 
 def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Reshape of all N rows instead of K masked ones; None if it divides rows."""
+    """Create a Reshape of all N rows, not the K that a mask selects; None if it divides rows."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
         return None
@@ -330,7 +330,7 @@ def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
 
 
 def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an Expand of all N rows instead of K masked ones; None if it repeats rows."""
+    """Create an Expand of all N rows, not the K that a mask selects; None if it repeats rows."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
         known = constant_of(node.inputs[1])
@@ -377,7 +377,7 @@ _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
 
 
 def split_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> list[Rows] | None:
-    """Return the outputs of a Split along another axis than that of the rows."""
+    """Return the outputs of a Split along an axis other than the row axis, with all N rows."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.flat or any(facts[1:]):
         return None

@@ -45,7 +45,7 @@ class WorkInColumns(Rewrite):
     exactness = ErrorBudget(relative=2e-6)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Compute groups of nodes column by column wherever the predicted cost drops enough."""
+        """Compute groups of nodes column by column where this is predicted to take less time."""
         for group in _groups(model.graph):
             planned = _Plan(group)
             if planned.cost_after() <= _MAX_COST_RATIO * planned.cost_before():
@@ -63,7 +63,7 @@ class _Group:
 
 
 def _groups(graph: ir.Graph) -> Iterator[_Group]:
-    """Yield groups of connected nodes on narrow tensors that depend on an input, in graph order."""
+    """Yield groups of connected, input-dependent nodes on long, narrow tensors, in graph order."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     owner: dict[ir.Value, _Group] = {}
     groups: list[_Group] = []
@@ -102,7 +102,7 @@ def _rows(node: ir.Node) -> int | None:
 
 
 class _Plan:
-    """The predicted costs of computing a group of nodes as it is and column by column."""
+    """A plan to compute nodes column by column, with the predicted times before and after."""
 
     def __init__(self, group: _Group) -> None:
         self.rows, self.nodes = group.rows, group.nodes
@@ -117,11 +117,11 @@ class _Plan:
         }
 
     def cost_before(self) -> float:
-        """Return the predicted time of the original nodes of a group, in nanoseconds per row."""
+        """Return the predicted time of a group's nodes as they are, in nanoseconds per row."""
         return sum(_cost(node, self.rows) for node in self.nodes)
 
     def cost_after(self) -> float:
-        """Return the predicted time of the column-wise nodes of a group, in nanoseconds per row."""
+        """Return the predicted time of a group's nodes column by column, in nanoseconds per row."""
         numbers: dict[Hashable, int] = {}
         split_values: set[ir.Value] = set()
 
@@ -149,7 +149,7 @@ class _Plan:
         )
 
     def build(self) -> None:
-        """Insert nodes that compute single columns, and join columns for all other nodes."""
+        """Replace the group by nodes on single columns; join columns that other nodes read."""
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
@@ -245,7 +245,7 @@ def _write_operator(
 
 
 def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
-    """Split a tensor that another part of the graph computes into columns of shape [rows].
+    """Split a tensor from another part of the graph into columns of shape [rows].
 
     Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """

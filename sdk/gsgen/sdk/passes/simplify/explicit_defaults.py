@@ -28,7 +28,7 @@ class MakeDefaultsExplicit(NodeRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite, or None if the operators of the target runtime are unknown."""
+        """Return the graph rewrite; None if the target runtime has no operator tables."""
         return cls() if target.tables else None
 
     def matches(self, node: ir.Node) -> bool:

@@ -30,7 +30,7 @@ class MergeReshapes(NodeRewrite):
         return shape is not None and 0 not in shape and is_op(node.inputs[0].producer(), *_SHAPERS)
 
     def replace(self, node: ir.Node) -> None:
-        """Reshape the input of two reshaping nodes directly to the last shape."""
+        """Replace consecutive reshaping nodes by one Reshape of the first one's input."""
         write, shape = InsertionPoint(node), required(fixed_shape(node.outputs[0]))
         x = node.inputs[0]
         while x is not None and is_op(x.producer(), *_SHAPERS):
