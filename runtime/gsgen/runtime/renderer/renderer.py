@@ -200,8 +200,7 @@ class Renderer:
 
         def draw(band: Band) -> Drawing:
             plan, counts = self._drawn_at_once(scene, band, background, output)
-            image = self._bands.copy(len(drawn), plan.images[output])
-            drawn.append(Drawn.of(image, band, counts))
+            drawn.append(Drawn.of(self._bands.copy(len(drawn), plan.images[output]), band, counts))
             return counts, {}
 
         self._steady = None
@@ -284,6 +283,7 @@ class Renderer:
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
             try:
                 if not self._must_redraw(counts):
+                    self._grow_early(counts)
                     return plan, counts, images
             except PairsExceeded:
                 # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
@@ -327,9 +327,13 @@ class Renderer:
         if self._steady is not None:
             # If rows must return to their own order, the next frame is waited for.
             self._steady = None if counts[Counts.TIED] else (self._steady[0], counts)
+        self._grow_early(counts)
+        return incomplete
+
+    def _grow_early(self, counts: np.ndarray) -> None:
+        """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
         if int(counts[Counts.WANTED_PAIRS]) > _ENOUGH * self._pairs:
             self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
-        return incomplete
 
     def settle(self) -> bool:
         """Wait for frames of ``draw(wait=False)``; return whether the last frame is incomplete."""
