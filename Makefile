@@ -113,7 +113,7 @@ gallery: setup drivers
 hero: setup drivers
 	$(BIN)/python scripts/hero/write_hero.py
 
-# The frame plans that the browser executes, written from the renderer.
+# What the browser takes from Python: frame plans from the renderer, rules from the contract.
 web: setup
 	$(BIN)/python scripts/write_plans.py
 

@@ -4,7 +4,8 @@ cosmic-ray writes the mutants; a copy of the working tree holds them. A mutant i
 fails that passes on the original, or takes five times as long as there and exceeds the limit.
 Prints each survivor as a diff, and exits 1 if fewer mutants than the bar are killed. A run that
 was stopped goes on where it was: outcomes are kept in a file, those of survivors until a test of
-theirs changes. mutation/survivors.toml has the reasons of survivors that no test can kill.
+theirs changes. mutation/survivors.toml has the reasons of survivors that no test can kill: these
+count as survivors, and run no test.
 
     .venv/bin/python scripts/mutants.py --count 300 --seed 0 --minutes 90
 """
@@ -54,6 +55,7 @@ class Judge:
         prepare(copy)
         self._fresh = FreshTests()
         self._collected = CollectedTests(list(self.tests.texts))
+        self.tests.node_ids.extend(self._collected.node_ids)
 
     def outcome(self, mutant: Mutant, files: Sequence[str]) -> str:
         """Run test files on a mutant, and return the outcome."""
@@ -76,9 +78,10 @@ class Judge:
 
     def _run(self, mutant: Mutant, original: str, target: str, files: Sequence[str]) -> TestRun:
         changes = changed_functions(original, mutant.code, target)
-        run = None if changes is None else self._collected.run(files, self.known, changes)
+        first = self.tests.parameters(mutant)
+        run = None if changes is None else self._collected.run(files, self.known, changes, first)
         if run is None:  # code that runs at import, or a module that no test file imports
-            run = self._fresh.run(files, self.known)
+            run = self._fresh.run(files, self.known, first)
         self.known |= run.seconds
         with self._file.open("a", encoding="utf-8") as file:
             file.writelines(json.dumps(entry) + "\n" for entry in run.seconds.items())
@@ -112,11 +115,14 @@ def main() -> int:
             if time.monotonic() > deadline:
                 break
             mutant = draw(options.seed, number, judge.copy)
-            files = judge.tests.nearest(mutant)
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
+            files: list[str] = []
             if known.get(key) != "killed":
+                files = judge.tests.nearest(mutant)
                 key += f" {_digest(files, judge.copy)}"
-            if known.get(key, "tests fail") == "tests fail":
+            if reason(mutant):
+                known[key] = "survived"
+            elif known.get(key, "tests fail") == "tests fail":
                 known[key] = judge.outcome(mutant, files) if files else "without tests"
                 saved = key if known[key] != "killed" else key.rpartition(" ")[0]
                 with options.results.open("a", encoding="utf-8") as file:

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -25,6 +25,7 @@ from typing import Any
 
 from mutation.patching import Functions, index_functions, patch
 from mutation.sampling import PACKAGES
+from mutation.selection import parameter_words
 
 _LIBRARIES = ("hypothesis", "jsonschema", "numpy", "onnx", "onnx_ir", "onnxscript", "pytest")
 _LIBRARIES += ("rich", "scipy", "torch", "typer")
@@ -34,7 +35,9 @@ ENOUGH_SECONDS = 25
 """No test starts after this processor time of a fork and its children."""
 FILE_SECONDS = 10
 """The rest of a file is skipped after this processor time, so that other files have their turn."""
-WALL_SECONDS = 240
+IDLE_SECONDS = 90
+"""A fork without a second of processor time in this time hangs; a busy machine only slows it."""
+WALL_SECONDS = 1500
 SLOW_SECONDS = 25
 """Tests that are known to take longer do not run."""
 Changes = list[tuple[CodeType, CodeType]]
@@ -58,20 +61,25 @@ class TestRun:
 class _Recorder:
     """A pytest plugin that writes a line of JSON to a pipe for every test and failure."""
 
-    def __init__(self, pipe: int, known: dict[str, float]) -> None:
-        self.pipe, self.known, self.began = pipe, known, 0.0
+    def __init__(self, pipe: int, known: dict[str, float], parameters: set[str]) -> None:
+        self.pipe, self.known, self.parameters, self.began = pipe, known, parameters, 0.0
         self.seconds: Counter[str] = Counter()  # of the files
 
     def write(self, kind: str, node: str, seconds: float = 0) -> None:
         os.write(self.pipe, json.dumps([kind, node, seconds]).encode() + b"\n")
 
     def chosen(self, items: list[Any]) -> list[Any]:
-        """Return the items but slow ones, the quick ones first."""
+        """Return the items but slow ones: those of the parameters first, then the quick ones."""
         bad = {name for name, seconds in self.known.items() if seconds == float("inf")}
         items = [item for item in items if item.nodeid.partition("[")[0] not in bad]
         times = {item.nodeid: self.known.get(item.nodeid, 0) for item in items}
         quick = [item for item in items if times[item.nodeid] <= SLOW_SECONDS]
-        return sorted(quick, key=lambda item: max(1, times[item.nodeid]))
+
+        def rank(item: Any) -> tuple[bool, float]:
+            others = self.parameters.isdisjoint(parameter_words(item.nodeid))
+            return others, max(1, times[item.nodeid])
+
+        return sorted(quick, key=rank)
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
         items[:] = self.chosen(items)
@@ -146,11 +154,17 @@ def _isolate(folder: str) -> None:
 
 
 def _lines(process: int, reader: int) -> list[bytes]:
-    """Read the lines that a fork writes until it ends, or its time is over."""
+    """Read the lines that a fork writes until it ends, idles, or its time is over."""
     os.set_blocking(reader, False)
-    deadline, content, ended = time.monotonic() + WALL_SECONDS, b"", False
-    while not ended and time.monotonic() < deadline:
+    now = time.monotonic()
+    end, idle, next_check, used, content, ended = now + WALL_SECONDS, now, now, 0.0, b"", False
+    while not ended and now < min(end, idle + IDLE_SECONDS):
         time.sleep(0.01)
+        now = time.monotonic()
+        if now > next_check:
+            next_check, total = now + 2, _session_time(process)
+            if total >= used + 1:
+                used, idle = total, now
         ended = bool(os.waitpid(process, os.WNOHANG)[0])
         with suppress(BlockingIOError):
             while part := os.read(reader, 65536):
@@ -161,6 +175,17 @@ def _lines(process: int, reader: int) -> list[bytes]:
         os.waitpid(process, 0)
     os.close(reader)
     return content.splitlines()
+
+
+def _session_time(leader: int) -> float:
+    """Return the processor time of all processes of a session, and of their ended children."""
+    total = 0
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended since
+            fields = file.read_text("utf-8").rpartition(")")[2].split()
+            if int(fields[3]) == leader:
+                total += sum(map(int, fields[11:15]))
+    return total / os.sysconf("SC_CLK_TCK")
 
 
 def _arguments(tests: Sequence[str]) -> list[str]:
@@ -195,9 +220,9 @@ class FreshTests:
         self._process = context.Process(target=self._serve, args=(remote,), daemon=False)
         self._process.start()
 
-    def run(self, tests: Sequence[str], known: dict[str, float]) -> TestRun:
-        """Run test files or node ids until the first failure."""
-        self._connection.send((list(tests), known))
+    def run(self, tests: Sequence[str], known: dict[str, float], first: set[str]) -> TestRun:
+        """Run test files until the first failure, tests with a parameter in ``first`` first."""
+        self._connection.send((list(tests), known, first))
         run: TestRun = self._connection.recv()
         return run
 
@@ -211,10 +236,12 @@ class FreshTests:
         import pytest
 
         while (job := connection.recv()) is not None:
-            tests, known = job
+            tests, known, first = job
 
-            def action(pipe: int, tests: list[str] = tests, known: Any = known) -> None:
-                recorder = _Recorder(pipe, known)
+            def action(
+                pipe: int, tests: list[str] = tests, known: Any = known, first: set[str] = first
+            ) -> None:
+                recorder = _Recorder(pipe, known, first)
                 code = pytest.main(_arguments(tests), plugins=[recorder])
                 if code not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
                     recorder.write("failed", tests[0])  # if nothing else failed: a conftest.py
@@ -238,8 +265,17 @@ class CollectedTests:
         gc.collect()
         gc.freeze()
 
+    @property
+    def node_ids(self) -> list[str]:
+        """Node ids of all tests."""
+        return [item.nodeid for item in self._session.items]
+
     def run(
-        self, tests: Sequence[str], known: dict[str, float], changes: Changes
+        self,
+        tests: Sequence[str],
+        known: dict[str, float],
+        changes: Changes,
+        first: Set[str] = frozenset(),
     ) -> TestRun | None:
         """Run test files or node ids with changed functions; None if one cannot be changed."""
         functions = self._functions
@@ -251,7 +287,7 @@ class CollectedTests:
             import pytest
 
             patch(changes, functions)
-            recorder = _Recorder(pipe, known)
+            recorder = _Recorder(pipe, known, set(first))
             session = self._session
             session.config.pluginmanager.register(recorder)
             rank = {name: number for number, name in enumerate(tests)}

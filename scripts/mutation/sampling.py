@@ -85,12 +85,13 @@ def is_equivalent(before: str, after: str) -> bool:
     3. decorators that type checkers read, or that cache;
     4. flags that refuse what only a wrong program does (``frozen``, ``slots``, ``strict`` …);
     5. ``is None`` as ``== None``, which only arrays tell apart;
-    6. blocks under ``if TYPE_CHECKING``.
+    6. blocks under ``if TYPE_CHECKING``;
+    7. the ``*`` before keyword-only parameters as ``/``: it is no operator.
     """
     try:
         return _essence(before) == _essence(after)
     except SyntaxError:
-        return True  # the `*` before keyword-only parameters is no multiplication
+        return True
 
 
 def _essence(code: str) -> str:
@@ -107,6 +108,16 @@ class _Essence(ast.NodeTransformer):
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
         node.annotation = ast.Constant(None)  # Case 1
         return self.generic_visit(node)
+
+    def visit_arguments(self, node: ast.arguments) -> ast.AST:
+        # Case 7: parameters of all kinds become keyword-only ones, with their defaults.
+        self.generic_visit(node)
+        defaults = [*[None] * (len(node.posonlyargs) + len(node.args) - len(node.defaults))]
+        defaults += [*node.defaults, *node.kw_defaults]
+        parameters = [*node.posonlyargs, *node.args, *node.kwonlyargs]
+        node.posonlyargs, node.args, node.defaults = [], [], []
+        node.kwonlyargs, node.kw_defaults = parameters, defaults
+        return node
 
     def visit_Assign(self, node: ast.Assign) -> ast.AST | None:
         names = [target.id for target in node.targets if isinstance(target, ast.Name)]

@@ -157,6 +157,7 @@ def test_colours_of_an_appearance_network_are_refused(tmp_path):
         ({"gaussian_warp.weight": torch.ones(2)}, ("Deformable-3DGS", "deformable-3dgs")),
         (((3, torch.ones(2, 3), {"a": 1}), 7), ("4DGaussians", "hexplane-4dgs")),
         (((torch.ones(2, 3), torch.ones(2, 5, 3)), 7), ("Scaffold-GS", "scaffold-gs")),
+        (((torch.ones(2, 3), torch.ones(2, 5)), 7), ("tuple (capture) has 2 values", "the 12 of")),
         ({"state_dict": {}, "epoch": 3}, ("state_dict, epoch", "gsplat (splats)")),
         ([1, 2], ("a list", "splatfacto")),
         (((3, 4, 5), 7), ("tuple (capture) has 3 values", "the 12 of 3DGS")),

@@ -22,6 +22,7 @@ from gsgen.formats import (
     read_spz,
     write_spz,
 )
+from gsgen.formats.spz import zstd
 from support.commands import shared
 from support.splat_files import FIELDS, GOLDENS, assert_near, scene
 
@@ -430,3 +431,11 @@ def test_other_axes_are_read_as_they_were_written(tmp_path, axes):
 def test_axes_that_are_none_are_refused(tmp_path, axes):
     with pytest.raises(ValueInvalid, match="expected R or L, U or D, F or B"):
         write_spz(tmp_path / "a.spz", scene(3, 0), axes=axes)
+
+
+@pytest.mark.parametrize(("size", "words"), [(999, "more than 999"), (1001, "1000"), (0, "more")])
+def test_zstd_data_of_another_size_is_refused(size, words):
+    with pytest.raises(ArchiveDamaged, match=f"unpacks to {words}") as caught:
+        zstd.unpack(zstd.pack(bytes(1000)), size, "the body")
+    assert caught.value.expected == f"{size}"
+    assert zstd.unpack(zstd.pack(bytes(1000)), 1000, "the body") == bytes(1000)

@@ -69,3 +69,14 @@ def test_no_widget_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None
     check = named("anywidget")
     assert (check.state, check.remedy) == ("missing", "pip install anywidget")
     assert "notebooks" in check.purpose
+
+
+def test_every_adapter_has_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    adapters = [
+        {"device": "llvmpipe", "adapter_type": "CPU", "backend_type": "Vulkan"},
+        {"device": "Arc", "adapter_type": "IntegratedGPU", "description": "driver 25"},
+    ]
+    told(monkeypatch, adapters)
+    installed(monkeypatch, "wgpu")
+    details = [check.detail for check in doctor.checks() if check.name == "adapter"]
+    assert details == ["llvmpipe (CPU, Vulkan)", "Arc (IntegratedGPU, ?) driver 25"]

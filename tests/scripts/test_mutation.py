@@ -12,7 +12,7 @@ from support.commands import ROOT
 sys.path.insert(0, str(ROOT / "scripts"))
 from mutation.patching import changed_functions, index_functions, patch
 from mutation.sampling import Mutant, is_equivalent
-from mutation.selection import SuiteFiles, definitions_at
+from mutation.selection import SuiteFiles, definitions_at, parameter_words
 
 CODE = """
 from dataclasses import dataclass
@@ -43,6 +43,8 @@ class Box:
         ("x is None", "x == None"),
         ("if TYPE_CHECKING:\n    import a", "if not TYPE_CHECKING:\n    import a"),
         ("def f(*, a): pass", "def f(^, a): pass"),
+        ("def f(a, b=1, *, c, d=2): pass", "def f(a, b=1, /, c, d=2): pass"),
+        ("def f(a, *, c): pass", "def f(a, /, c): pass"),
     ],
 )
 def test_what_no_test_can_notice_is_no_mutant(before: str, after: str) -> None:
@@ -57,6 +59,7 @@ def test_what_no_test_can_notice_is_no_mutant(before: str, after: str) -> None:
         ("raise E(n + 1)", "raise E(n - 1)"),
         ("@rule\ndef f(): pass", "def f(): pass"),
         ("f(deep=True)", "f(deep=False)"),
+        ("def f(a, *, b=1): pass", "def f(a, *, b=2): pass"),
     ],
 )
 def test_what_changes_a_result_is_a_mutant(before: str, after: str) -> None:
@@ -97,11 +100,48 @@ def test_a_function_that_does_not_live_is_told(module: ModuleType) -> None:
     assert not patch(changes, index_functions(str(Path(str(module.__file__)).parent)))
 
 
-def test_the_nearest_tests_name_or_import_what_changed() -> None:
+@pytest.fixture(scope="module")
+def suite() -> SuiteFiles:
+    return SuiteFiles(ROOT)
+
+
+def test_the_nearest_tests_name_or_import_what_changed(suite: SuiteFiles) -> None:
     path = Path("runtime/gsgen/runtime/renderer/bands.py")
     line = (ROOT / path).read_text("utf-8").split("def draw_bands")[0].count("\n") + 3
     mutant = Mutant(path, "operator", "", f"    @@ -{line} +{line} @@")
     assert definitions_at((ROOT / path).read_text("utf-8"), mutant.diff) == {"draw_bands"}
-    nearest = SuiteFiles(ROOT).nearest(mutant)
+    nearest = suite.nearest(mutant)
     assert nearest[0] == "tests/runtime/renderer/test_bands.py"
     assert "tests/runtime/renderer/test_limits.py" in nearest
+
+
+def test_tests_that_use_a_constant_are_near_to_it(suite: SuiteFiles) -> None:
+    path = Path("sdk/gsgen/sdk/passes/framework/value_facts.py")
+    code = (ROOT / path).read_text("utf-8")
+    line = code.split("\nUNBOUNDED_END = ")[0].count("\n") + 2
+    mutant = Mutant(path, "operator", "", f"    @@ -{line} +{line} @@")
+    assert definitions_at(code, mutant.diff) == {"UNBOUNDED_END"}
+    nearest = suite.nearest(mutant)
+    assert "tests/sdk/passes/rows/test_row_gathers.py" in nearest
+
+
+def test_tests_whose_parameters_name_a_rule_are_near_to_it() -> None:
+    path = Path("contract/gsgen/contract/rules/interface/avatar_inputs.py")
+    code = (ROOT / path).read_text("utf-8")
+    line = code.split("def _order_faults")[0].count("\n") + 2
+    node_id = "tests/contract/rules/test_corpus.py::test_rules[GI030-joint_before_parent]"
+    suite = SuiteFiles(ROOT, [node_id])
+    mutant = Mutant(path, "operator", "", f"    @@ -{line} +{line} @@")
+    corpus = "tests/contract/rules/test_corpus.py"
+    assert corpus in suite.nearest(mutant)[:2]
+    assert corpus not in SuiteFiles(ROOT).nearest(mutant)[:2]
+    assert not suite.parameters(mutant).isdisjoint(parameter_words(node_id))
+    assert suite.parameters(mutant).isdisjoint(parameter_words(node_id.replace("GI030", "GI001")))
+
+
+def test_tests_that_run_a_command_are_near_to_it(suite: SuiteFiles) -> None:
+    path = Path("contract/gsgen/contract/commands/diff.py")
+    mutant = Mutant(path, "operator", "", "    @@ -59 +59 @@")
+    near = suite.nearest(mutant)
+    assert near[0] == "tests/cli/validating/test_diff.py"
+    assert "tests/cli/house_rules/test_exit_codes.py" in near

@@ -275,6 +275,9 @@ def test_headers_of_the_server(folder: Path) -> None:
         assert (tail.status, tail.data) == (206, BODY[-7:])
         last = len(BODY) - 1
         assert tail.headers["Content-Range"] == f"bytes {last - 6}-{last}/{len(BODY)}"
+        whole = pool.request("GET", url, headers={"Range": "bytes=0-"})
+        assert (whole.status, whole.data) == (200, BODY)  # the range is all of the file
+        assert "Content-Range" not in whole.headers
         beyond = pool.request("GET", url, headers={"Range": f"bytes={len(BODY)}-"})
         assert beyond.status == 416
         other = {"Range": "bytes=0-3", "If-Range": '"other"'}

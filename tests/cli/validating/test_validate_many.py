@@ -66,6 +66,13 @@ def test_several_jobs_give_the_report_of_one(folder: Path) -> None:
     assert alone.out == parallel.out  # byte for byte, in the order of the files
 
 
+@pytest.mark.parametrize("jobs", ["0", "-1"])
+def test_fewer_than_one_job_are_refused(folder: Path, jobs: str) -> None:
+    ran = gsgen_here("validate", folder, "--jobs", jobs)
+    assert ran.code == 2
+    assert "--jobs" in ran.err
+
+
 def test_two_runs_give_equal_reports_and_times_only_where_asked(nan: Path) -> None:
     for format in ("text", "json", "sarif", "junit", "markdown", "github", "html"):
         words = ("validate", nan, "--level", "values", "--format", format, "--verbose")

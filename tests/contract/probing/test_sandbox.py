@@ -5,13 +5,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.probing import sandbox
+from gsgen.contract.probing import sandbox, sandbox_worker
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Fault, execute
 from gsgen.contract.process.limits import Limits
@@ -376,6 +377,20 @@ def test_an_extra_probe_that_fails_is_no_fault_of_the_model(folder):
         assert "out of data bounds" in execution.runs[1].error
     with execute(path, ["y"], [probe(x=far)], Limits()) as execution:
         assert execution.fault.stage == "run"
+
+
+def test_an_extra_probe_that_the_time_does_not_allow_has_no_outputs(folder, monkeypatch):
+    path = save(folder / "a.onnx", DOUBLE)
+    extra = replace(pair(3, 4), label="extra", extra=True)
+    job_folder, events = folder / "job", []
+    job_folder.mkdir()
+    limits = Limits(seconds=1e-9)
+    sandbox._write_job(job_folder, path, ["y"], [pair(1, 2), extra], limits, rows="", count="")
+    job = json.loads((job_folder / "job.json").read_text("utf-8"))
+    monkeypatch.setattr(sandbox_worker, "limit_memory", lambda _: None)
+    sandbox_worker._work(job_folder, job, lambda event, **facts: events.append((event, facts)))
+    runs = [(facts["probe"], facts["sample"]) for event, facts in events if event == "run"]
+    assert runs == [(0, 0), (1, -1)]
 
 
 def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(folder):

@@ -7,7 +7,7 @@ import pytest
 
 from gsgen.contract.probing.probes import CameraPlacement, Probe, as_tensor, default_probes
 from gsgen.contract.probing.sandbox import execute
-from gsgen.contract.probing.survey_probes import survey_probes
+from gsgen.contract.probing.survey_probes import SIDE_LABEL, survey_probes
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.geometry import look_at
 from gsgen.contract.spec.manifest import Bounds, Input, Space
@@ -54,6 +54,15 @@ def test_cameras_stand_inside_far_away_and_on_twenty_sides(order):
         looked_at = view[:3, :3] @ center + view[:3, 3]
         np.testing.assert_allclose(looked_at[:2], 0, atol=1e-3)
         assert looked_at[2] > 0
+
+
+def test_labels_say_whether_a_camera_stands_within_the_bounds():
+    sides = [probe for probe in surveyed(VIEW) if "side" in probe.label]
+    assert len(sides) == 20
+    for probe in sides:
+        eye = eye_of(as_tensor(probe.inputs["view"], "column"))
+        is_inside = bool(((eye > LOW) & (eye < HIGH)).all())
+        assert probe.label.startswith("from within, side" if is_inside else SIDE_LABEL)
 
 
 def test_a_camera_position_is_that_of_the_view():

@@ -4,6 +4,7 @@ import pytest
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.rule import Registry, rule, rules_in
 from support.reports.rules import made_up
 
@@ -176,3 +177,13 @@ def test_only_ids_that_exist_are_suggested(typed, hint):
     with pytest.raises(UnknownName) as caught:
         ALL.find(typed)
     assert caught.value.hint == hint
+
+
+def test_the_rules_of_runs_need_that_the_model_runs_and_static_rules_do_not():
+    registry = Registry.of(
+        [made_up("GV901", over="rows"), made_up(MODEL_RUNS, over="execution"), made_up("GM901")]
+    )
+    assert registry.rules["GV901"].level > registry.rules["GM901"].level == Level.STATIC
+    assert registry.with_needs(["GV901"]).rules.keys() == {"GV901", MODEL_RUNS}
+    assert registry.with_needs(["GM901"]).rules.keys() == {"GM901"}
+    assert registry.with_needs(["GV901", "GM901"]).rules.keys() == registry.rules.keys()

@@ -1,5 +1,6 @@
 """Avatars against plain implementations of their methods, over many configurations."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from gsgen.reference_plugins.bodies.actors import ActorInputs
+from gsgen.reference_plugins.people import r3_avatar_plugin
 from gsgen.reference_plugins.people.gauhuman import GauHuman
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm import LHM
@@ -190,3 +192,15 @@ def test_weights_are_stored_once_for_all_bodies(tmp_path: Path) -> None:
         generator = GauHuman(read.canonical, read.body, bodies=bodies)
         sizes.append(sum(buffer.numel() for buffer in generator.buffers()))
     assert sizes[0] == sizes[1]
+
+
+def test_progress_is_erased_after_the_last_frame(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for frame in (999, 1000):
+        r3_avatar_plugin._show_progress(frame, int("1000"))
+    lines = capsys.readouterr().err.split("\r")
+    assert "999 of 1000" in lines[1]
+    assert "1000 of 1000" in lines[2]
+    assert lines[3:] == ["\x1b[2K"]

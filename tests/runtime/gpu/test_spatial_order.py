@@ -1,5 +1,8 @@
 """Rows that are neighbours in space become neighbours in memory; no picture shows it."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.morton_order import along_curve
 from gsgen.runtime.gpu.spatial_order import SpatialOrder
 from gsgen.runtime.gpu.splat_residency import Residency
+from gsgen.runtime.renderer.placed_pages import Placed, scene_order
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -190,3 +194,29 @@ def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -
     for _ in range(2):
         assert same(one.render(scene, camera(), outputs=ALL), before)
     assert one.placed(scene)[0][1].rows_of is None
+
+
+def pages_of(count: int, sizes: list[int], order: np.ndarray | None) -> list[Placed]:
+    """Return the pages of a splat set; ``order`` has the set's row of each GPU row."""
+    assert sum(sizes) == count
+    pages, first = [], 0
+    for size in sizes:
+        rows = None if order is None else order[first : first + size]
+        page = SimpleNamespace(first=first, capacity=size, rows_of=rows)
+        pages.append(cast(Placed, (None, page)))
+        first += size
+    return pages
+
+
+def test_rows_of_a_scene_are_counted_over_all_sets_and_pages() -> None:
+    rng = np.random.default_rng(3)
+    order = rng.permutation(9).astype(np.uint32)
+    placed = [*pages_of(5, [5], None), *pages_of(9, [4, 5], order), *pages_of(6, [2, 4], None)]
+    result = scene_order(placed)
+    assert result is not None
+    assert result.dtype == np.uint32
+    np.testing.assert_array_equal(result, [*range(5), *(5 + order), *range(14, 20)])
+
+
+def test_sets_in_their_own_order_need_no_table() -> None:
+    assert scene_order([*pages_of(5, [5], None), *pages_of(6, [2, 4], None)]) is None

@@ -18,12 +18,11 @@ from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.renderer import kernel_set
 from gsgen.runtime.renderer import renderer as renderers
 from gsgen.runtime.renderer.renderer import Renderer
-from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from support.rendering.failing_devices import memory_of
-from support.rendering.mesh_scenes import ball
 from support.rendering.splat_scenes import camera, cloud, single
+from support.rendering.weighted_scenes import WEIGHTED
 
 
 def test_room_for_pairs_grows_by_itself(device: Device) -> None:
@@ -35,14 +34,15 @@ def test_room_for_pairs_grows_by_itself(device: Device) -> None:
     assert np.array_equal(frame.rgba, again.rgba)
 
 
-def test_more_pairs_than_a_binding_holds_is_an_error_among_meshes(
+def test_more_pairs_of_cells_than_a_binding_holds_is_an_error(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without meshes the scene is drawn in slabs."""
-    monkeypatch.setattr(renderer.device, "largest_binding", 1 << 18)
-    scene = Scene([cloud(3000, size=2.0, depth=(2, 3))], meshes=[Mesh(ball())])
-    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 65,536"):
-        renderer.draw(scene, camera(width=120, height=120))
+    """Gaussians that are sorted are drawn in slabs of depth instead."""
+    monkeypatch.setattr(renderers, "MOST_GROUPS", 1)
+    monkeypatch.setattr(renderer, "_pairs", 2048)
+    scene, view = WEIGHTED["many_cells"]()
+    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 2,048"):
+        renderer.draw(scene, view.scaled(640, 480))
 
 
 def test_more_pairs_than_a_dispatch_has_are_drawn_in_bands(

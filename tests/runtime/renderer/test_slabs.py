@@ -5,17 +5,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu import splat_residency
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.place_splats import place_reference
 from gsgen.runtime.kernels.project.tally_keys import BINS, tally_reference
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.renderer import Renderer
-from gsgen.runtime.renderer.slabs import slab_ranges
+from gsgen.runtime.renderer.slabs import KeyRange, Tally, slab_ranges
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
 from support.rendering.splat_scenes import SCENES, camera, cloud, turned
 from support.rendering.weighted_scenes import MIXED
 
@@ -108,12 +108,53 @@ def test_pairs_that_exceed_a_binding_are_drawn_in_parts(
     assert drawn.pairs == expected.pairs
 
 
-def test_more_splats_of_one_depth_than_a_slab_holds(renderers: tuple[Renderer, Renderer]) -> None:
-    data = cloud(SMALL // 16 + 1, size=0.01)
+@pytest.mark.parametrize("tilt", [0, 1e-9])
+def test_more_splats_of_one_depth_than_a_slab_holds(
+    renderers: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch, tilt: float
+) -> None:
+    """They are divided by the remainders of their depths, and by their rows."""
+    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
+    data = cloud(SMALL // 16 + 500, 3, size=0.01)
     data.rows[:, 2] = 3
     data.rows[:, :2] *= 0.1
-    with pytest.raises(CapacityExceeded, match=r"scene: 2,049 splats are at depth 3\.0; .* 2,048"):
-        renderers[1].render(Scene([data]), camera())
+    scene = Scene([cloud(300, 5, size=0.02), SplatSet(data, turned(tilt, (0, 1, 0)))])
+    whole, small = renderers
+    for _ in range(2):  # arranged when they are drawn again
+        expected = whole.render(scene, camera(), outputs=("color", "depth"))
+        assert_equal(small.render(scene, camera(), outputs=("color", "depth")), expected)
+    assert expected.visible > SMALL // 16 + 500
+
+
+def test_meshes_and_weighted_sums_among_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+    scene, view = MIXED["among_everything"]()
+    view, (whole, small) = view.scaled(32, 37), renderers
+    # Software drivers take long to compile kernels of many layers and outputs.
+    sets, outputs = list(scene.sets), ("color", "depth")
+    if whole.device.software:
+        sets, outputs = [], ("color",)
+    scene = Scene([*sets, cloud(4000, 1, size=0.02)], meshes=scene.meshes)
+    expected = whole.render(scene, view, outputs=outputs)
+    seen, again = (small.render(scene, view, outputs=outputs) for _ in range(2))
+    assert_equal(seen, expected)
+    assert_equal(again, expected)
+    assert again.visible == seen.visible
+    assert expected.visible > SMALL // 16
+    assert {"meshes", "tally"} <= set(small._plan.stages)
+    assert ("sum" in small._plan.stages) == (not whole.device.software)
+
+
+def test_a_pool_in_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+    data, around = cloud(5000, 4, size=0.02, degree=1), SplatSet(cloud(500, 2, size=0.03))
+    frames = []
+    for renderer in renderers:
+        pool = SplatPool(5000 + 128, 12, slot_rows=128)
+        pool.insert(0, data.rows, data.appearance, np.zeros(3))
+        pool.draw({0: 0.9})
+        pooled = PooledSet(pool, turned(0.4, (1, 2, 3), 1.3))
+        frames.append(renderer.render(Scene([around], pools=[pooled]), camera(), outputs=OUTPUTS))
+    assert_equal(frames[1], frames[0])
+    assert frames[0].visible == frames[1].visible > SMALL // 16
+    assert "tally" in renderers[1]._plan.stages
 
 
 def test_slabs_hold_at_most_their_capacity() -> None:
@@ -122,18 +163,46 @@ def test_slabs_hold_at_most_their_capacity() -> None:
     depths = np.concatenate([near, rng.lognormal(size=4000), np.repeat(7.5, 90)])
     keys = np.append(depths.astype(np.float32).view(np.uint32), np.uint32(ABSENT))
 
-    def tally(low: int, shift: int) -> np.ndarray:
-        return tally_reference(keys, low, low + (BINS << shift), shift)
-
-    ranges = slab_ranges(tally, 100)
-    assert ranges[0][0] == 0
-    assert ranges[-1][1] == 1 << 31
-    assert all(before[1] == after[0] for before, after in pairwise(ranges))
-    sizes = [int(((keys >= low) & (keys < high)).sum()) for low, high in ranges]
+    ranges = slab_ranges(tally_of(keys), 100)
+    assert ranges[0].low == 0
+    assert ranges[-1].high == 1 << 31
+    assert all(before.high == after.low for before, after in pairwise(ranges))
+    sizes = [int(((keys >= part.low) & (keys < part.high)).sum()) for part in ranges]
     assert sum(sizes) == len(depths)
     assert max(sizes) <= 100
     assert all(a + b > 100 for a, b in zip(sizes, sizes[2:], strict=False))
-    assert slab_ranges(lambda low, shift: np.zeros(BINS, np.uint32), 100) == [(0, 1 << 31)]
+    assert slab_ranges(tally_of(keys[:0]), 100) == [KeyRange(0, 1 << 31)]
+
+
+def test_splats_of_one_depth_are_divided_by_remainder_and_row() -> None:
+    rng = np.random.default_rng(0)
+    keys = rng.choice(np.array([5, 6, 7, 1 << 30], np.uint32), 900, p=[0.1, 0.7, 0.1, 0.1])
+    lows = rng.choice(np.array([0, 1 << 31, ABSENT - 1], np.uint32), 900, p=[0.8, 0.1, 0.1])
+    ranges = slab_ranges(tally_of(keys, lows), 50)
+    rows = np.arange(len(keys))
+    drawn = [rows[is_in(part, keys, lows)] for part in ranges]
+    assert all(len(part) <= 50 for part in drawn)
+    order = np.concatenate([part[np.lexsort((part, lows[part], keys[part]))] for part in drawn])
+    assert np.array_equal(order, np.lexsort((rows, lows, keys)))
+
+
+def is_in(part: KeyRange, *columns: np.ndarray) -> np.ndarray:
+    """Return the mask of splats in a range: of keys, of remainders, or of rows."""
+    ranks = (*columns, np.arange(len(columns[0])))
+    tied = [ranks[level] == key for level, key in enumerate(part.tied)]
+    rank = ranks[len(part.tied)]
+    return np.logical_and.reduce([*tied, rank >= part.low, rank < part.high])
+
+
+def tally_of(*columns: np.ndarray) -> Tally:
+    """Return a tally of keys, of remainders and of rows."""
+
+    def tally(tied: tuple[int, ...], low: int, shift: int) -> np.ndarray:
+        ranks = (*columns, np.arange(len(columns[0]), dtype=np.uint32))
+        counted = ranks[len(tied)][is_in(KeyRange(0, ABSENT, tied), *columns)]
+        return tally_reference(counted, low, min(low + (BINS << shift), ABSENT), shift)
+
+    return tally
 
 
 def test_the_kernels_of_slabs_equal_their_twins(renderers: tuple[Renderer, Renderer]) -> None:
@@ -146,16 +215,13 @@ def test_the_kernels_of_slabs_equal_their_twins(renderers: tuple[Renderer, Rende
         device.read(slabs.buffers[f"keys of page {slot}"], np.uint32, size)
         for slot, size in enumerate(rows)
     ]
-    last = slab_ranges(
-        lambda low, at: tally_reference(np.concatenate(keys), low, low + (BINS << at), at),
-        slabs.capacity,
-    )[-1]
+    last = slab_ranges(tally_of(np.concatenate(keys)), slabs.capacity)[-1]
     before = 0
     for key in keys:
-        places = place_reference(key, *last, before)
+        places = place_reference(key, last.low, last.high, before)
         before += int((places != ABSENT).sum())
     assert np.array_equal(
         device.read(slabs.buffers["places of a page"], np.uint32, rows[-1]), places
     )
-    origins = np.flatnonzero((np.concatenate(keys) >= last[0]) & (np.concatenate(keys) < last[1]))
+    origins = np.flatnonzero(is_in(last, np.concatenate(keys)))
     assert np.array_equal(device.read(slabs.origins, np.uint32, before), origins)

@@ -4,7 +4,12 @@ import gzip
 from importlib.resources import files
 
 _CLIENT = files("gsgen.runtime.web").joinpath("client")
-_TEXTS = [file.read_text("utf-8") for file in _CLIENT.iterdir() if file.name.endswith(".js")]
+_WRITTEN = "contract_rules.js"  # by `make web`, and loaded with the first generator
+_TEXTS = [
+    file.read_text("utf-8")
+    for file in _CLIENT.iterdir()
+    if file.name.endswith(".js") and file.name != _WRITTEN
+]
 
 
 def test_the_client_has_few_lines() -> None:

@@ -15,7 +15,7 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
-from gsgen.runtime.web import plans
+from gsgen.runtime.web import plans, rule_module
 from gsgen.runtime.web.formulas import Formula, evaluate
 from gsgen.runtime.web.plan_tables import PlanTables
 from gsgen.runtime.web.plans import LAYERS
@@ -38,6 +38,14 @@ def document() -> dict[str, Any]:
 
 def test_the_written_plans_are_current() -> None:
     assert plans.written_plans() == plans.plans_text(), "run `make web`"
+
+
+def test_the_written_rules_are_current() -> None:
+    assert rule_module.written_rules() == rule_module.rules_text(), "run `make web`"
+
+
+def test_the_written_rules_are_small() -> None:
+    assert len(gzip.compress(rule_module.written_rules().encode())) <= 40_000
 
 
 def test_the_written_plans_are_small() -> None:

@@ -10,6 +10,7 @@ import pytest
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, ProviderUnavailable, warm_up
 from gsgen.sdk.binding.providers import selection, webgpu
+from gsgen.sdk.binding.providers.node_placement import error_text
 from gsgen.sdk.binding.providers.selection import (
     Choice,
     SessionOptions,
@@ -215,3 +216,9 @@ def test_a_stale_capture_of_cuda_is_given_up_on_a_stand_in(models, stand_in, mon
     ):
         FrameSession(models["drift-float32"], provider="cuda").close()
     assert stand_in[-2:] == [True, False]
+
+
+def test_an_error_text_is_one_line_of_500_characters_at_most() -> None:
+    text = error_text(RuntimeError("[ONNXRuntimeError] : 1 : FAIL : no\n  kernel " + "x" * 600))
+    assert text == f"no kernel {'x' * 490}"
+    assert error_text(RuntimeError("")) == "RuntimeError"

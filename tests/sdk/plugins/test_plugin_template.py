@@ -1,6 +1,7 @@
 """`gsgen new`: a package that passes its own tests as it is, wherever it is installed."""
 
 import os
+import stat
 import subprocess
 import sys
 import tomllib
@@ -68,6 +69,12 @@ def test_no_placeholder_is_left(package: Path) -> None:
             assert "@name@" not in text
             assert "@package@" not in text
     assert (package / "src" / "acme_splats" / "generator.py").is_file()
+
+
+def test_the_folder_has_the_permissions_of_any_new_folder(package: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    assert stat.filemode(package.stat().st_mode) == stat.filemode(other.stat().st_mode)
 
 
 def test_the_workflow_installs_gsgen_from_the_address_of_its_metadata(package: Path) -> None:

@@ -2,10 +2,11 @@
 
 import { turnTowards, viewOf } from "/client/camera.js";
 import { openDevice } from "/client/device.js";
-import { findingsOf } from "/client/findings.js";
+import { findingsOf, inspected } from "/client/findings.js";
 import { KernelCache } from "/client/host.js";
 import { openModel } from "/client/model.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
+import * as py from "/client/python.js";
 import { Renderer } from "/client/renderer.js";
 import { readSplats } from "/client/splat_files.js";
 import { SplatBuffers } from "/client/splat_buffers.js";
@@ -112,10 +113,22 @@ export async function splatFile(path) {
   }
 }
 
-/** Return what the page finds wrong with a served model. */
-export async function findings(path) {
-  const data = await (await fetch(path)).arrayBuffer();
-  return findingsOf(new Uint8Array(data), await loadPlans("/client/plans.json"));
+/** Return what the page finds wrong with served models: an address and a target each. */
+export async function findings(models) {
+  const judged = async ([path, target]) => {
+    const data = await (await fetch(path)).arrayBuffer();
+    return findingsOf(inspected(new Uint8Array(data), { target }));
+  };
+  return Promise.all(models.map(judged));
+}
+
+/** Return numbers and texts as rules write them. */
+export function written(numbers, texts, specs) {
+  const rows = numbers.map((number) => {
+    const value = py.float(number);
+    return [py.repr(value), ...specs.map((spec) => py.format(value, spec))];
+  });
+  return [rows, texts.map(py.repr)];
 }
 
 /** Draw frames of a generator one after the other in one session, as an element does. */

@@ -71,8 +71,9 @@ def test_workers_that_die_again_and_again_end_the_build(engine):
 
 
 def test_engines_that_are_not_there_are_named(monkeypatch):
-    with pytest.raises(ConfigInvalid, match="unknown engine 'threads'"):
-        open_engine("threads")
+    for name in ("threads", "cloud", "local"):  # before, between and after known names
+        with pytest.raises(ConfigInvalid, match=f"unknown engine '{name}'"):
+            open_engine(name)
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(ConfigInvalid, match=r"gsgen\[cluster\]|needs distributed"):
         open_engine("dask")

@@ -88,7 +88,7 @@ class ModelOutputs:
 
     @cached_property
     def field_order(self) -> FieldOrder | None:
-        """The likely column order of packed Gaussians, if it clearly differs from the specified."""
+        """The likely column order of packed Gaussians, if not that of the packed layout."""
         if self.gaussians is None or self.zeros:
             return None
         step = max(1, self.count // _ORDER_SAMPLE)

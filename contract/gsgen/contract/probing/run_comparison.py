@@ -158,7 +158,7 @@ class Behaviour:
 
 
 def read_behaviour(trial: ProbeRuns) -> Behaviour:
-    """Return how the model's outputs differ between test runs that are repeated or vary one input."""
+    """Compare the model's outputs between test runs that repeat the inputs or vary one of them."""
     plan = trial.plan
     assert plan.repeated is not None
     varied = {

@@ -1,94 +1,154 @@
-"""Checks JSON documents against a JSON Schema quickly, without explaining faults.
+"""Checks JSON documents against a JSON Schema quickly, without a library.
 
 Importing jsonschema takes a sixth of a static validation. Documents that :func:`accepts` are valid;
-for all others, jsonschema decides and finds the faults.
+for all others, jsonschema decides. Web pages, which have no such library, report
+:func:`schema_faults`: this module is translated for them.
 """
 
-__all__ = ["accepts"]
+__all__ = ["Schema", "SchemaFault", "accepts", "schema_faults"]
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
-Schema = Mapping[str, Any]
+Schema = dict[str, Any]
 
-# Keywords that say nothing about validity.
-_NOTES = frozenset({"$schema", "$defs", "title", "description", "default", "examples"})
+# Keywords that say nothing about validity, and one that `properties` needs.
+_NOTES = ("$schema", "$defs", "title", "description", "default", "examples")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SchemaFault:
+    """A keyword of a JSON Schema that a part of a document breaks, as jsonschema's errors are.
+
+    Attributes:
+        validator: The keyword.
+        validator_value: Its value.
+        instance: The part of the document.
+        schema: The schema of that part.
+        absolute_path: The keys that lead to the part.
+        message: The missing name in quotes where the keyword is ``required``; else empty.
+    """
+
+    validator: str
+    validator_value: Any
+    instance: Any
+    schema: Any
+    absolute_path: tuple[str | int, ...]
+    message: str = ""
 
 
 def accepts(schema: Schema, document: object) -> bool:
     """Return True only if a JSON document surely follows a schema; unknown keywords give False."""
-    return _Check(schema.get("$defs", {})).accepts(schema, document)
+    return next(iter(schema_faults(document, schema)), None) is None
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def schema_faults(document: object, schema: Schema) -> Iterator[SchemaFault]:
+    """Yield each keyword of a JSON Schema that a part of a document breaks, or that is unknown."""
+    yield from _faults(document, schema, (), schema.get("$defs", {}))
 
 
-_TYPES: dict[str, Callable[[Any], bool]] = {
-    "object": lambda value: isinstance(value, dict),
-    "array": lambda value: isinstance(value, list),
-    "string": lambda value: isinstance(value, str),
-    "boolean": lambda value: isinstance(value, bool),
-    "number": _is_number,
-    "integer": lambda value: _is_number(value) and value == int(value),
-    "null": lambda value: value is None,
-}
-# Keyword → whether (its value, the document) agree; a keyword concerns documents of its type only.
-_LIMITS: dict[str, Callable[[Any, Any], bool]] = {
-    "minimum": lambda bound, value: not _is_number(value) or value >= bound,
-    "maximum": lambda bound, value: not _is_number(value) or value <= bound,
-    "exclusiveMinimum": lambda bound, value: not _is_number(value) or value > bound,
-    "minLength": lambda bound, value: not isinstance(value, str) or len(value) >= bound,
-    "pattern": lambda regex, value: not isinstance(value, str) or bool(re.search(regex, value)),
-    "minItems": lambda bound, value: not isinstance(value, list) or len(value) >= bound,
-    "maxItems": lambda bound, value: not isinstance(value, list) or len(value) <= bound,
-    "required": lambda names, value: not isinstance(value, dict) or value.keys() >= set(names),
-}
+def _faults(
+    value: Any, schema: Any, path: tuple[str | int, ...], definitions: dict[str, Schema]
+) -> Iterator[SchemaFault]:
+    if isinstance(schema, bool):
+        return
+    for word, entry in schema.items():
+        if word in _NOTES:
+            continue
+        if word == "$ref":
+            yield from _faults(value, definitions[entry.split("/")[-1]], path, definitions)
+        elif word == "items":
+            for number, item in enumerate(value if isinstance(value, list) else ()):
+                yield from _faults(item, entry, (*path, number), definitions)
+        elif word == "required":
+            for name in entry if isinstance(value, dict) else ():
+                if name not in value:
+                    yield _fault(word, value, schema, path, message=repr(name))
+        elif word in ("properties", "patternProperties", "additionalProperties"):
+            if isinstance(value, dict):
+                yield from _member_faults(word, value, schema, path, definitions)
+        elif word == "anyOf":
+            options = [list(_faults(value, option, path, definitions)) for option in entry]
+            if all(options):
+                yield _fault(word, value, schema, path)
+        elif not _holds(word, entry, value):
+            yield _fault(word, value, schema, path)
 
 
-class _Check:
-    """Evaluates the keywords of one JSON Schema."""
+def _fault(
+    word: str, value: object, schema: Schema, path: tuple[str | int, ...], *, message: str = ""
+) -> SchemaFault:
+    return SchemaFault(
+        validator=word,
+        validator_value=schema[word],
+        instance=value,
+        schema=schema,
+        absolute_path=path,
+        message=message,
+    )
 
-    def __init__(self, definitions: Mapping[str, Schema]) -> None:
-        self.definitions = definitions
 
-    def accepts(self, schema: Any, value: object) -> bool:
-        if isinstance(schema, bool):
-            return schema
-        return all(self._holds(word, schema, value) for word in schema if word not in _NOTES)
+def _member_faults(
+    word: str,
+    value: dict[str, Any],
+    schema: Schema,
+    path: tuple[str | int, ...],
+    definitions: dict[str, Schema],
+) -> Iterator[SchemaFault]:
+    """Yield the faults that one of the three keywords of an object's members has."""
+    properties, patterns = schema.get("properties", {}), schema.get("patternProperties", {})
+    for name, part in value.items():
+        matching = [rule for pattern, rule in patterns.items() if re.search(pattern, name)]
+        rules = matching if word == "patternProperties" else []
+        if word == "properties" and name in properties:
+            rules = [properties[name]]
+        elif word == "additionalProperties" and name not in properties and not matching:
+            if schema[word] is False:
+                yield _fault(word, value, schema, path)
+                return  # one fault for all names
+            rules = [schema[word]]
+        for rule in rules:
+            yield from _faults(part, rule, (*path, name), definitions)
 
-    def _holds(self, keyword: str, schema: Schema, value: object) -> bool:
-        entry = schema[keyword]
-        if keyword == "type":
-            return isinstance(entry, str) and entry in _TYPES and _TYPES[entry](value)
-        if keyword == "enum":  # true is not 1
-            return any(type(option) is type(value) and option == value for option in entry)
-        if keyword in _LIMITS:
-            return _LIMITS[keyword](entry, value)
-        if keyword == "$ref":
-            name = str(entry).removeprefix("#/$defs/")
-            return name in self.definitions and self.accepts(self.definitions[name], value)
-        if keyword == "anyOf":
-            return any(self.accepts(option, value) for option in entry)
-        if keyword == "items":
-            return not isinstance(value, list) or all(self.accepts(entry, item) for item in value)
-        if keyword in ("properties", "patternProperties", "additionalProperties"):
-            return not isinstance(value, dict) or self._members(keyword, schema, value)
-        return False
 
-    def _members(self, keyword: str, schema: Schema, value: dict[str, object]) -> bool:
-        properties = schema.get("properties", {})
-        patterns = schema.get("patternProperties", {})
-        if keyword == "properties":
-            return all(self.accepts(properties[k], v) for k, v in value.items() if k in properties)
-        matching = {
-            name: [rule for pattern, rule in patterns.items() if re.search(pattern, name)]
-            for name in value
-        }
-        if keyword == "patternProperties":
-            return all(
-                self.accepts(rule, value[k]) for k, rules in matching.items() for rule in rules
-            )
-        others = (k for k in value if k not in properties and not matching[k])
-        return all(self.accepts(schema["additionalProperties"], value[name]) for name in others)
+def _holds(word: str, bound: Any, value: Any) -> bool:
+    """Return whether a keyword without further schemas holds; False for unknown keywords."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if word == "type":
+        return _is_type(bound, value)
+    if word == "enum":  # true is not 1
+        is_bool = isinstance(value, bool)
+        return any(isinstance(option, bool) == is_bool and option == value for option in bound)
+    if word in ("minimum", "maximum", "exclusiveMinimum"):
+        if not is_number:
+            return True
+        if word == "maximum":
+            return bool(value <= bound)
+        return bool(value >= bound if word == "minimum" else value > bound)
+    if word in ("minItems", "maxItems"):
+        if not isinstance(value, list):
+            return True
+        return bool(len(value) >= bound if word == "minItems" else len(value) <= bound)
+    if word in ("minLength", "pattern"):
+        if not isinstance(value, str):
+            return True
+        return bool(len(value) >= bound if word == "minLength" else re.search(bound, value))
+    return False
+
+
+def _is_type(name: str, value: Any) -> bool:
+    """Return whether a JSON value has a type of JSON Schema; False for unknown types."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if name == "integer":
+        return is_number and bool(value == int(value))
+    if name == "number":
+        return is_number
+    if name == "object":
+        return isinstance(value, dict)
+    if name == "array":
+        return isinstance(value, list)
+    if name == "string":
+        return isinstance(value, str)
+    return isinstance(value, bool) if name == "boolean" else name == "null" and value is None

@@ -46,6 +46,7 @@ def validate_in_processes(
         WorkerDied: A process was killed.
     """
     context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
+    others = multiprocessing.active_children()
     with ProcessPoolExecutor(jobs, context, _start_worker) as pool:
         futures = [pool.submit(validate, path, settings) for path in paths]
         try:
@@ -60,7 +61,7 @@ def validate_in_processes(
             ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
+            for process in set(multiprocessing.active_children()).difference(others):
                 process.terminate()
             raise
 

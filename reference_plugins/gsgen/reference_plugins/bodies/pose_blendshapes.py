@@ -70,7 +70,7 @@ class PoseBlendshapes(nn.Module):
         self.refiner = nn.ModuleList(Dense(*layer) for layer in layers)
 
     def forward(self, actor: Actor) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
-        """Return joint transforms, and what pose and shape add to each template vertex."""
+        """Return joint transforms, and the offsets of each template vertex by pose and shape."""
         pose = actor.pose if self.hands is None else actor.pose + self.hands
         turns = self._joint_rotations(pose)
         bodies = turns.shape[0]

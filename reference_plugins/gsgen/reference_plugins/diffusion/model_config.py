@@ -23,11 +23,11 @@ class ModelConfig:
     values: Mapping[str, Any]  # option → JSON value
 
     def option_error(self, problem: str, *, where: str) -> CheckpointInvalid:
-        """Return an error about the network option ``where``, to be raised by the caller."""
+        """Return an error about the neural network option ``where``; the caller raises it."""
         return CheckpointInvalid(f"{where} {problem}", where=str(self.path))
 
     def choice(self, name: str, values: Sequence[Any], default: Any = None) -> Any:
-        """Return a network option that must be one of the supported values."""
+        """Return an option of a neural network that must be one of the supported values."""
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
             words = ", ".join(json.dumps(allowed) for allowed in values)
@@ -35,7 +35,7 @@ class ModelConfig:
         return value
 
     def integer(self, name: str, default: int, *, least: int = 1) -> int:
-        """Return a network option that must be an integer above a lower limit."""
+        """Return an option of a neural network that must be an integer above a lower limit."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise self.option_error(
@@ -44,7 +44,7 @@ class ModelConfig:
         return value
 
     def number(self, name: str, default: float) -> float:
-        """Return a network option that must be a finite number."""
+        """Return an option of a neural network that must be a finite number."""
         value = self.values.get(name, default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
@@ -52,14 +52,14 @@ class ModelConfig:
         return float(value)
 
     def flag(self, name: str, *, default: bool) -> bool:
-        """Return a network option that must be true or false."""
+        """Return an option of a neural network that must be true or false."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             raise self.option_error(f"is {value!r}, expected true or false", where=name)
         return value
 
     def integers(self, name: str) -> tuple[int, ...]:
-        """Return a network option that must be a list of positive integers."""
+        """Return an option of a neural network that must be a list of positive integers."""
         value = self.values.get(name)
         fits = isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
         if not fits:
@@ -69,7 +69,7 @@ class ModelConfig:
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
-        """Return a network option as an integer per resolution level; one number counts for all."""
+        """Return a neural network option as an integer per resolution level, of one or of each."""
         if not isinstance(self.values.get(name), list):
             return (self.integer(name, default),) * levels
         numbers = self.integers(name)

@@ -90,7 +90,7 @@ class Appearance(nn.Module):
         self.heads = Dense(weight, bias)
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "11 n"]:
-        """Return what a frame adds to position, √scale, rotation and opacity of Gaussians."""
+        """Return a frame's offsets to position, √scale, rotation and opacity of the Gaussians."""
         hidden = torch.cat([grid(frame) for grid in self.grids], dim=1)
         for layer in self.inner:
             hidden = torch.relu(layer(hidden))

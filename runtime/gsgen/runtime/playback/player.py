@@ -151,7 +151,7 @@ class Player:
 
 
 def _each(values: Sequence[Values]) -> Iterator[Values]:
-    """Yield the given sets of input values in turn, and then empty mappings without end."""
+    """Yield the given sets of input values in order, and then empty mappings without end."""
     yield from values
     yield from repeat({})
 

@@ -50,7 +50,7 @@ class Timeline:
         self._lengths = [self._length(track) for track in tracks]
 
     def _length(self, track: Track) -> int:
-        """Return the number of frames of an input track, by the shapes of the inputs it sets."""
+        """Return the number of frames of an input track, by the shapes of the track's inputs."""
         shapes = [
             model.shape(spec.name) for model in self._models for spec in model.named(track.word)
         ]

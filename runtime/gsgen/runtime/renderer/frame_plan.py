@@ -38,11 +38,11 @@ from gsgen.runtime.renderer.placed_pages import (
     sorted_pages,
     weighted_pages,
 )
-from gsgen.runtime.renderer.slabs import KEY_STAGES, Slabs
+from gsgen.runtime.renderer.slabs import Slabs, SlabState
 from gsgen.runtime.renderer.tile_lists import TileLists, list_splats
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.frame import OUTPUTS, Output
 from gsgen.runtime.scene.scene import SplatSet
 
 
@@ -62,9 +62,9 @@ class Plan:
         meshes: Meshes among the Gaussians; only their buffers are kept.
         layers: Image layers that the caller writes, into inputs; only for sorted colours.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
+        steep: Whether a camera's dilation may be below LEAST_DILATION.
         deep: Whether the depth sort is deep, because very many depths share a key.
-        slab_splats: Most splats that are drawn at once, if the scene may have more; its sets are
-            sorted, in pages that belong to no pool, and among no meshes.
+        slab_splats: Most depth-sorted splats that are drawn at once, if the scene may have more.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -93,6 +93,7 @@ class Plan:
         quads: bool = False,
         panorama: bool = False,
         published: bool = False,
+        steep: bool = False,
         deep: bool = False,
         slab_splats: int | None = None,
     ) -> None:
@@ -101,7 +102,7 @@ class Plan:
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
-        self._size, self._panorama, self._deep = size, panorama, deep
+        self._size, self._panorama, self._steep, self._deep = size, panorama, steep, deep
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
@@ -112,9 +113,7 @@ class Plan:
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
-        self.slabs: Slabs | None = None
-        if slab_splats is not None:
-            self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
+        self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
         self._records = kernels.records(n)
@@ -125,14 +124,14 @@ class Plan:
         self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
-        # Weighted sets become a layer, which the hardware's blending does not support.
-        quads = quads and not summed
-        # Weighted sets alone write the image themselves, without layers.
-        alone = bool(summed) and not placed and not meshes
+        quads = quads and not summed  # weighted sets become a layer, which quads do not blend
+        alone = bool(summed) and not placed and not meshes  # they write the image, without layers
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             count, normal = bool(summed) + bool(meshes), "normal" in tiled
-            self._layers = allocate_layers(self._storage, count, size, normal=normal)
+            self._layers = allocate_layers(
+                self._storage, count, size, normal=normal, carried=self.slabs is not None
+            )
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -167,8 +166,12 @@ class Plan:
         self.stages |= part.stages
         self.clears += part.clears
 
-    def _slabs(self, placed: Sequence[Placed], splats: int, *, with_ids: bool) -> Slabs:
+    def _slabs(
+        self, placed: Sequence[Placed], splats: int | None, *, with_ids: bool
+    ) -> Slabs | None:
         """Return the depth ranges (slabs) in which a scene is drawn, one after the other."""
+        if splats is None:
+            return None
         pages = [page for _, page in placed]
         slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
         self.buffers |= slabs.buffers
@@ -337,15 +340,14 @@ class Plan:
         spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self._counts, columns, lows, origins, spare)
 
-    def _blend(self, name: str, members: Buffer, colors: Buffer, *, pick: bool) -> Step:
-        pixels = self._size[0] * self._size[1]
-        self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
+    def _blend(self, name: Output, members: Buffer, colors: Buffer, *, pick: bool) -> Step:
+        self.images[name] = self._storage(f"{name} image", VEC4 * self._size[0] * self._size[1])
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        count = layers.count if layers else 0
-        carried = self.slabs is not None
-        kernel = self._kernels.blend(pick, self._panorama, count, self._records, carried)
+        variant = (pick, self._panorama, layers.count if layers else 0, self._records)
+        carried = 0 if self.slabs is None else 1 + OUTPUTS.index(name)
+        kernel = self._kernels.blend(*variant, carried, self._steep, name == "color")
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors
@@ -367,8 +369,8 @@ class Plan:
         Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
         """
 
-        def run(only: Sequence[str] | None, *, resumes: bool, continues: bool) -> Drawing:
-            fetched = fetch and not continues
+        def run(only: Sequence[str] | None, state: SlabState) -> Drawing:
+            fetched = fetch and not state.continues
             self.submit(
                 placed,
                 band.camera,
@@ -377,14 +379,13 @@ class Plan:
                 only=only,
                 fetch=fetched,
                 band=band,
-                state=(resumes, continues),
+                state=state,
             )
-            return self.collect(fetch=fetched)
+            return self.collect(fetch=fetched, with_cells=not state.resumes)
 
         if self.slabs is None:
-            return run(only, resumes=False, continues=False)
-        stages = [name for name in only or self.stages if name not in KEY_STAGES]
-        return self.slabs.draw(stages, run)
+            return run(only, SlabState())
+        return self.slabs.draw(list(only or self.stages), run)
 
     def visible(self, placed: Sequence[Placed], camera: Camera) -> int | None:
         """Return the number of splats in view; None if sets are blended by weighted sums."""
@@ -406,7 +407,7 @@ class Plan:
         fetch: bool = True,
         staging: Staging | None = None,
         band: Band | None = None,
-        state: tuple[bool, bool] = (False, False),
+        state: SlabState | None = None,
     ) -> None:
         """Write the uniform buffers of a frame, and submit its GPU commands.
 
@@ -420,18 +421,16 @@ class Plan:
             fetch: Whether :meth:`collect` will read images, too.
             staging: From :meth:`counts_staging`: receives the counts in place of :meth:`collect`.
             band: The rows of a larger image that the plan draws, or None.
-            state: Whether the image holds the state of pixels after nearer slabs, and whether it
-                keeps their state for farther ones.
+            state: The slab of depth that is drawn, or None.
         """
-        band = band or Band.of(camera)
+        band, state = band or Band.of(camera), state or SlabState()
         device = self._device
         if self._weighted is not None:
             self._weighted.write(weighted_pages(placed), camera)
         placed = sorted_pages(placed)
         for buffer, color in ((self._frame, background), (self._bare_frame, np.zeros(3))):
             uniform = frame_uniform(band.whole, color, first_row=band.first, rows=band.rows)
-            uniform["resumes"], uniform["continues"] = state
-            device.write(buffer, uniform)
+            device.write(buffer, state.written_to(uniform))
         pages, base = list[tuple[SplatSet, int, int, int]](), 0
         for splat_set, page in placed:
             live = min(max(splat_set.data.count - page.first, 0), page.capacity)
@@ -451,17 +450,18 @@ class Plan:
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
             clock.begin()
-        for buffer, offset, size in self.clears:
-            encoder.clear_buffer(buffer, offset, size)
-        if self._meshes is not None:
-            stamps = clock.around("meshes") if clock else None
-            self._meshes.encode(encoder, background, stamps)
+        # Later slabs of depth are blended among the cells that were drawn before the first.
+        cells = self._weighted and only and set(only).isdisjoint(self._weighted.stages)
+        for clear in self.clears:
+            if not (cells and self._weighted and clear in self._weighted.clears):
+                encoder.clear_buffer(*clear)
+        if self._meshes is not None and (only is None or "meshes" in only):
+            self._meshes.encode(encoder, background, clock.around("meshes") if clock else None)
         for name, steps in self.stages.items():
             if only is None or name in only:
                 run(encoder, steps, name, clock.around(name) if clock else None)
         if self._quads is not None:
-            stamps = clock.around("quads") if clock else None
-            self._quads.encode(encoder, background, stamps)
+            self._quads.encode(encoder, background, clock.around("quads") if clock else None)
         if clock is not None:
             clock.encode(encoder)
         (staging or self._staging).encode(encoder, None if fetch else self._held)
@@ -471,11 +471,14 @@ class Plan:
         """Return a new staging buffer through which a frame's GPU counters are read."""
         return Staging(self._device, self._held)
 
-    def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def collect(
+        self, *, fetch: bool = True, with_cells: bool = True
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Args:
             fetch: Whether images are read; must be the same as in :meth:`submit`.
+            with_cells: Whether the counters of weighted sums are added.
 
         Raises:
             CapacityExceeded: More splats are drawn than the device dispatches at once.
@@ -483,7 +486,7 @@ class Plan:
         names = [*self._held, *(self.images if fetch else ())]
         words_by_name = self._staging.read(dict.fromkeys(names, np.uint32))
         parts = [words_by_name.pop(name) for name in self._held]
-        counts = frame_counts(self._device, self._kernels, parts)
+        counts = frame_counts(self._device, self._kernels, parts if with_cells else parts[:1])
         width, height = self._size
         images = {
             # Rows of a copied texture are padded.

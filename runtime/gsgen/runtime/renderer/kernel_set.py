@@ -64,7 +64,7 @@ class Kernels:
         self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records, carried=False: BlendTiles(
+            lambda pick, panorama, layers, records, carried=0, steep=False, color=False: BlendTiles(
                 device,
                 pick=pick,
                 panorama=panorama,
@@ -72,6 +72,8 @@ class Kernels:
                 tile=self.cut.tile,
                 records=records,
                 carried=carried,
+                steep=steep,
+                windows=color and self.lists,
             )
         )
         self.project = cache(
@@ -91,7 +93,9 @@ class Kernels:
         self.tally = cache(lambda: TallyKeys(device))
         self.place = cache(lambda arranged: PlaceSplats(device, arranged=arranged))
         self.cull_slots = cache(
-            lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
+            lambda slot_rows, panorama, keys_only=False: CullSlots(
+                device, slot_rows, panorama=panorama, keys_only=keys_only
+            )
         )
         self.normals = cache(
             lambda packed, slot_rows, placed=False: NormalsKernel(

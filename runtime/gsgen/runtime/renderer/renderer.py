@@ -1,44 +1,47 @@
 """The renderer: draws a scene from a camera and returns a frame."""
 
-__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Drawn", "Renderer"]
+__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
-from gsgen.contract.spec import layout
 from gsgen.runtime.errors import DeviceUnavailable, MemoryFull, SceneInvalid
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
-from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
 from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
+from gsgen.runtime.kernels.tiles.blend_tiles import LEAST_DILATION
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.bands import Band, Drawing, PairsExceeded, band_rows, draw_bands
+from gsgen.runtime.renderer.bands import (
+    Band,
+    BandImages,
+    Drawing,
+    Drawn,
+    PairsExceeded,
+    band_rows,
+    draw_bands,
+)
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.frame_images import frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import LateCounts
-from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.placed_pages import Placed, bare_set, sorted_pages
 from gsgen.runtime.renderer.rasteriser_choice import (
     Rasteriser,
     RasteriserOption,
     choose,
     chosen_cut,
 )
-from gsgen.runtime.renderer.slabs import most_splats, require_pools_fit
+from gsgen.runtime.renderer.slabs import most_splats
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
-from gsgen.runtime.scene.scene import Scene, SplatSet
-from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet
+from gsgen.runtime.scene.frame import COLOR_ONLY, OUTPUTS, Frame, Output
+from gsgen.runtime.scene.scene import Scene
 
 FIRST_PAIRS: Final = 1 << 16
 """Pairs of a splat and a tile for which a new renderer has room."""
@@ -49,25 +52,6 @@ PAIRS_ROOM: Final = 1.25
 _ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
 
 _MANY: Final = 1 << 32  # splats: more than any device draws at once
-_OUTPUTS: Final = ("color", "depth", "normal")
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
-    """A rendered image that stays in GPU memory, to be shown from there.
-
-    Attributes:
-        image: Buffer of four 32-bit words per pixel, as the kernels blend them.
-        row: Pixels from the start of one row to the next.
-        visible: Number of drawn Gaussians.
-        pairs: Number of pairs of a tile and a splat that touches it.
-    """
-
-    image: Buffer
-    row: int
-    visible: int
-    pairs: int
 
 
 @final
@@ -136,6 +120,7 @@ class Renderer:
         self._shape: object = None
         self._steady: tuple[object, np.ndarray] | None = None
         self.late = LateCounts()
+        self._bands = BandImages(self.device)
 
     def render(
         self,
@@ -186,14 +171,42 @@ class Renderer:
         """
         if wait:
             self._steady = None
-            plan, counts = self._drawn_at_once(scene, camera, background, output)
+            plan, counts = self._drawn_at_once(scene, Band.of(camera), background, output)
         else:
             behind = _premultiplied(background)
             with self._device_errors(scene, camera):
                 plan, counts = self._drawn_late(scene, camera, behind, _known((output,)))
-        image = plan.images[output]
-        row = image.size // camera.height // VEC4
-        return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
+        return Drawn.of(plan.images[output], Band.of(camera), counts)
+
+    def draw_bands(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        output: Output = "color",
+        wait: bool = True,
+    ) -> list[Drawn]:
+        """Draw one output of a scene into one GPU buffer, or into several if it is too large.
+
+        Arguments and errors are those of :meth:`draw`. Frames of several buffers are waited for,
+        and a Gaussian counts in each band that it touches. The buffers change with the next frame.
+        """
+        rows = self._band_rows(scene, camera, 1)
+        if rows >= camera.height:
+            self._bands.clear()
+            return [self.draw(scene, camera, background=background, output=output, wait=wait)]
+        drawn = list[Drawn]()
+
+        def draw(band: Band) -> Drawing:
+            plan, counts = self._drawn_at_once(scene, band, background, output)
+            drawn.append(Drawn.of(self._bands.copy(len(drawn), plan.images[output]), band, counts))
+            return counts, {}
+
+        self._steady = None
+        with self.device.translate_errors():
+            draw_bands(camera, rows, draw, lambda: None)
+        return drawn
 
     def _drawn(
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
@@ -210,23 +223,26 @@ class Renderer:
                 _, counts, images = self._fitted(scene, band, behind, requested, placed, meshes)
                 return counts, images
 
-            layers = bool(meshes) + any(splat_set.weighted is not None for splat_set, _ in placed)
-            rows = band_rows(self.device, camera, len(requested), layers)
+            rows = self._band_rows(scene, camera, len(requested))
             return draw_bands(
                 camera, rows, draw, lambda: self._plan and self._plan.visible(placed, camera)
             )
 
+    def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
+        """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
+        layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
+        return band_rows(self.device, camera, images, layers)
+
     def _drawn_at_once(
-        self, scene: Scene, camera: Camera, background: Sequence[float], output: Output
+        self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a whole image, without bands, which stays in one GPU buffer."""
+        """Draw a whole image, or a band of it, which stays in one GPU buffer."""
         requested = _known((output,))
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)
-        with self._device_errors(scene, camera):
+        with self._device_errors(scene, band.whole):
             placed, meshes = self._uploaded(scene)
-            band = Band.of(camera)
             return self._fitted(scene, band, behind, requested, placed, meshes, fetch=False)[:2]
 
     @contextmanager
@@ -244,7 +260,6 @@ class Renderer:
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
-        require_pools_fit(scene, self.device, self._kernels)
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -268,10 +283,11 @@ class Renderer:
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
             try:
                 if not self._must_redraw(counts):
+                    self._grow_early(counts)
                     return plan, counts, images
             except PairsExceeded:
                 # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
-                if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed, meshes):
+                if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed):
                     raise
                 continue
             if counts[Counts.TIED]:
@@ -311,9 +327,13 @@ class Renderer:
         if self._steady is not None:
             # If rows must return to their own order, the next frame is waited for.
             self._steady = None if counts[Counts.TIED] else (self._steady[0], counts)
+        self._grow_early(counts)
+        return incomplete
+
+    def _grow_early(self, counts: np.ndarray) -> None:
+        """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
         if int(counts[Counts.WANTED_PAIRS]) > _ENOUGH * self._pairs:
             self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
-        return incomplete
 
     def settle(self) -> bool:
         """Wait for frames of ``draw(wait=False)``; return whether the last frame is incomplete."""
@@ -346,7 +366,7 @@ class Renderer:
             for splat_set in scene.sets
             for page in self._residency.pages(splat_set.data)
         ] + [
-            (_bare_set(pooled), page)
+            (bare_set(pooled), page)
             for pooled in scene.pools
             for page in self._residency.pool_pages(pooled.pool)
         ]
@@ -373,7 +393,8 @@ class Renderer:
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
             self._rows, self._deep, self._most_in_slab = rows, False, _MANY
-        self._shape = (contents, size, outputs, panorama)
+        steep = camera.dilation < LEAST_DILATION
+        self._shape = (contents, size, outputs, panorama, steep)
         key = (self._shape, self._pairs, self._deep, self._most_in_slab)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
@@ -385,11 +406,12 @@ class Renderer:
                 outputs,
                 self._pairs,
                 meshes=meshes,
-                quads=self._takes_quads(outputs) and self._slab_splats(placed, meshes) is None,
+                quads=self._takes_quads(outputs) and self._slab_splats(placed) is None,
                 panorama=panorama,
                 published=self._published,
+                steep=steep,
                 deep=self._deep,
-                slab_splats=self._slab_splats(placed, meshes),
+                slab_splats=self._slab_splats(placed),
             )
             self._key = key
         return self._plan
@@ -398,17 +420,16 @@ class Renderer:
         """Return whether to draw quads; an automatic choice of quads applies to colour alone."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
-    def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
-        """Return the number of splats per depth slab if a scene needs and allows slabs."""
+    def _slab_splats(self, placed: Sequence[Placed]) -> int | None:
+        """Return the number of splats per depth slab if a scene needs slabs."""
         most = min(most_splats(self.device, self._kernels), self._most_in_slab)
-        is_large = sum(page.capacity for _, page in placed) > most
-        return most if is_large and _fits_slabs(placed, meshes) else None
+        return most if _sorted_splats(placed) > most else None
 
-    def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
+    def _halve_slabs(self, placed: Sequence[Placed]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
-        splats = sum(page.capacity for _, page in placed)
-        most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
-        if most < 2 or not _fits_slabs(placed, meshes):
+        most = most_splats(self.device, self._kernels)
+        most = min(_sorted_splats(placed), most, self._most_in_slab)
+        if most < 2:
             return False
         self._most_in_slab = most // 2
         return True
@@ -431,23 +452,9 @@ class Renderer:
         self._pairs = min(int(pairs * PAIRS_ROOM), most)
 
 
-def _fits_slabs(placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-    """Return whether a scene can be drawn in depth slabs: only depth-sorted sets of splats can."""
-    return not meshes and not any(splat_set.weighted or page.slots for splat_set, page in placed)
-
-
-def _bare_set(pooled: PooledSet) -> SplatSet:
-    """Return an empty splat set that has the drawing settings of a splat pool (streamed tiles)."""
-    pool = pooled.pool
-    rows = np.zeros((0, layout.ROW), np.float32)
-    data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
-    return SplatSet(
-        data,
-        pooled.transform,
-        opacity_scale=pooled.opacity_scale,
-        degree=pooled.degree,
-        antialias=pooled.antialias,
-    )
+def _sorted_splats(placed: Sequence[Placed]) -> int:
+    """Return the number of splats that a scene may have to sort by depth."""
+    return sum(page.capacity for _, page in sorted_pages(placed))
 
 
 def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
@@ -479,9 +486,9 @@ def _require_alone(scene: Scene) -> None:
 
 def _known(outputs: Collection[Output]) -> frozenset[Output]:
     requested = frozenset(outputs)
-    if not requested or requested - set(_OUTPUTS):
+    if not requested or requested - set(OUTPUTS):
         raise SceneInvalid(
-            f"is {sorted(requested)}, expected some of {', '.join(_OUTPUTS)}", where="outputs"
+            f"is {sorted(requested)}, expected some of {', '.join(OUTPUTS)}", where="outputs"
         )
     return requested
 

@@ -1,41 +1,85 @@
 """Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
-__all__ = ["KEY_STAGES", "Slabs", "most_splats", "require_pools_fit", "slab_ranges"]
+__all__ = ["KeyRange", "SlabState", "Slabs", "most_splats", "slab_ranges"]
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, final
 
 import numpy as np
+from jaxtyping import Shaped
 
-from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACE_BLOCK
 from gsgen.runtime.kernels.project.tally_keys import BINS
+from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
+from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.bands import Drawing
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.renderer.placed_pages import slot_rows
 
-KEY_STAGES: Final = ("keys", "tally")
-"""Stages that compute the keys of a frame and count them, before its slabs are drawn."""
+_SLAB_STAGES: Final = ("project", "sort", "bin", "group", "blend", "depth", "normal")
 
 _REDRAWN: Final = [Counts.TIED, Counts.UNSORTED]
+_BY_ROW: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows
 _SUMMED: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
 _BIN_BITS: Final = BINS.bit_length() - 1
-_KEY_END: Final = 1 << 31  # keys are bits of positive floats
-_FIRST_SHIFT: Final = 31 - _BIN_BITS
+_KEY_BITS: Final = 31  # keys are bits of positive floats
 
-Tally = Callable[[int, int], np.ndarray]
-"""Counts the sort keys of a frame in BINS bins, from a first key on, of 2^shift keys each."""
+Tally = Callable[[tuple[int, ...], int, int], np.ndarray]
+"""Counts the sort keys of a frame in BINS bins, from a first key on, of 2^shift keys each. The first
+argument is that of a :class:`KeyRange`."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class KeyRange:
+    """The splats of a depth slab: those whose sort keys are in a range.
+
+    Attributes:
+        low: First key.
+        high: One past the last key.
+        tied: Empty if keys are depths. If splats of one depth are divided, its key; then keys are
+            remainders. If splats of one remainder are divided, it follows; then keys are rows.
+    """
+
+    low: int
+    high: int
+    tied: tuple[int, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SlabState:
+    """How the stages of a frame draw one of its depth slabs.
+
+    Attributes:
+        resumes: Whether the image holds the state of pixels after nearer slabs.
+        continues: Whether the image keeps the state of pixels for farther slabs.
+        tied: See :class:`KeyRange`.
+    """
+
+    resumes: bool = False
+    continues: bool = False
+    tied: tuple[int, ...] = ()
+
+    def written_to(self, uniform: Shaped[np.ndarray, ""]) -> Shaped[np.ndarray, ""]:
+        """Write the slab to a frame's uniform data (WGSL struct ``Frame``), and return them."""
+        uniform["resumes"], uniform["continues"] = self.resumes, self.continues
+        uniform["rank"] = len(self.tied)
+        uniform["tied_key"], uniform["tied_low"] = (*self.tied, 0, 0)[:_BY_ROW]
+        return uniform
 
 
 class Run(Protocol):
     """Function that runs GPU stages of a frame, and returns counters and, at the end, images."""
 
-    def __call__(self, only: Sequence[str], *, resumes: bool, continues: bool) -> Drawing:
+    def __call__(self, only: Sequence[str], state: SlabState) -> Drawing:
         """Run some GPU stages of a frame; see ``Plan.submit`` for the arguments."""
         ...
 
@@ -45,68 +89,56 @@ def most_splats(device: Device, kernels: Kernels) -> int:
     return min(device.largest_binding // VEC4, kernels.most_binned)
 
 
-def require_pools_fit(scene: Scene, device: Device, kernels: Kernels) -> None:
-    """Raise if a scene with splat pools (streamed tiles) has more splats than a GPU draws at once.
+def slab_ranges(tally: Tally, capacity: int) -> list[KeyRange]:
+    """Divide all splats into ranges of sort keys, of at most ``capacity`` splats each.
 
-    Slabs draw pages of sets alone, since slots of pools are culled before keys are computed.
-
-    Raises:
-        CapacityExceeded: It has more.
-    """
-    pooled = sum(len(pooled.pool) for pooled in scene.pools)
-    splats = pooled + sum(len(splat_set.data) for splat_set in scene.sets)
-    most = most_splats(device, kernels)
-    if pooled and splats > most:
-        raise CapacityExceeded(
-            f"room for {pooled:,} streamed Gaussians makes {splats:,} in all; {device.name} draws "
-            f"at most {most:,} of a scene that streams",
-            where="scene",
-            hint="Give tilesets a smaller `--budget` (`max_splats`).",
-        )
-
-
-def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
-    """Divide all depth sort keys into ranges of at most ``capacity`` splats each.
+    Splats of one depth are divided by its remainder, and those of one remainder by their rows.
 
     Args:
         tally: Counts the keys of the frame.
         capacity: Most splats of a slab.
 
     Returns:
-        The first key of each range and one past its last, nearest first; at least one range.
-
-    Raises:
-        CapacityExceeded: More splats have one key.
+        At least one range, nearest first.
     """
-    ranges, low, splats = [], 0, 0
-    for start, amount in _bins(tally, 0, _FIRST_SHIFT, capacity):
-        if splats + amount > capacity:
-            ranges.append((low, start))
+    return list(_ranges(tally, capacity, ()))
+
+
+def _ranges(tally: Tally, capacity: int, tied: tuple[int, ...]) -> Iterator[KeyRange]:
+    """Yield ranges of sort keys, or of the ranks of splats whose first keys are ``tied``."""
+    bits = 32 if tied else _KEY_BITS
+    low, splats = 0, 0
+    for start, amount in _bins(partial(tally, tied), 0, bits - _BIN_BITS, capacity):
+        # Case 1: the range is full.
+        if splats and splats + amount > capacity:
+            yield KeyRange(low, start, tied)
             low, splats = start, 0
         splats += amount
-    return [*ranges, (low, _KEY_END)]
+        # Case 2: too many splats have this key.
+        if amount > capacity:
+            yield from _ranges(tally, capacity, (*tied, start))
+            low, splats = start + 1, 0
+    if splats or not tied:
+        yield KeyRange(low, min(1 << bits, ABSENT), tied)
 
 
 def _bins(
-    tally: Tally, low: int, shift: int, capacity: int, *, bins: int = BINS
+    tally: Callable[[int, int], np.ndarray],
+    low: int,
+    shift: int,
+    capacity: int,
+    *,
+    bins: int = BINS,
 ) -> Iterator[tuple[int, int]]:
-    """Yield first depth key and splat count of histogram bins; too full bins are divided."""
+    """Yield first key and splat count of histogram bins; too full bins are divided to one key."""
     amounts = tally(low, shift)[:bins]
     for number in np.flatnonzero(amounts).tolist():
         start, amount = low + (number << shift), int(amounts[number])
-        if amount <= capacity:
+        if amount <= capacity or shift == 0:
             yield start, amount
-        elif shift > 0:
+        else:
             narrower = max(shift - _BIN_BITS, 0)
             yield from _bins(tally, start, narrower, capacity, bins=1 << (shift - narrower))
-        else:
-            depth = np.uint32(start).view(np.float32)
-            raise CapacityExceeded(
-                f"{amount:,} splats are at depth {depth}; the device draws at most {capacity:,} "
-                "splats of one depth",
-                where="scene",
-                hint="Turn the camera a little, or draw fewer Gaussians.",
-            )
 
 
 def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -189,25 +221,33 @@ class Slabs:
         """Draw all depth slabs, and return the summed GPU counters and the images.
 
         Args:
-            stages: Names of the stages that draw one slab.
+            stages: Names of the frame's stages. Those of meshes and weighted sums run once.
             run: Runs stages of the plan.
-
-        Raises:
-            CapacityExceeded: More splats have one depth than a slab holds.
         """
-        key_stages = list(KEY_STAGES)
+        before = ["keys", "tally", *(name for name in stages if name not in _SLAB_STAGES)]
+        stages = [name for name in stages if name in _SLAB_STAGES]
+        ranked: tuple[int, ...] = ()  # by what the keys are
+        total = np.zeros(0, np.uint32)
 
-        def tally(low: int, shift: int) -> np.ndarray:
-            self._choose(low, low + (BINS << shift), shift)
-            run(key_stages, resumes=False, continues=True)
-            key_stages[:] = KEY_STAGES[1:]  # the keys stay the same
+        def tally(tied: tuple[int, ...], low: int, shift: int) -> np.ndarray:
+            nonlocal ranked
+            if tied != ranked:
+                before.append("keys")
+            self._choose(low, min(low + (BINS << shift), ABSENT), shift)
+            run(before, SlabState(continues=True, tied=tied))
+            before[:], ranked = ["tally"], tied  # the keys stay the same
             return self._device.read(self.tally, np.uint32, BINS)
 
-        ranges, total = slab_ranges(tally, self.capacity), np.zeros(0, np.uint32)
-        for number, (low, high) in enumerate(ranges):
-            self._choose(low, high)
-            continues = number + 1 < len(ranges)
-            counts, images = run(stages, resumes=number > 0, continues=continues)
+        ranges = slab_ranges(tally, self.capacity)
+        if self._row_origins and any(len(keys.tied) == _BY_ROW for keys in ranges):
+            total = np.zeros(counting.BYTES // 4, np.uint32)
+            total[Counts.TIED] = 1  # rows return to their own order, and the frame is drawn again
+            return total, {}
+        for number, keys in enumerate(ranges):
+            self._choose(keys.low, keys.high)
+            state = SlabState(number > 0, number + 1 < len(ranges), keys.tied)
+            counts, images = run([*(["keys"] if keys.tied != ranked else []), *stages], state)
+            ranked = keys.tied
             total = counts if number == 0 else _total(total, counts)
             if total[_REDRAWN].any() or total[Counts.WANTED_PAIRS] > total[Counts.PAIR_CAPACITY]:
                 break  # the frame is drawn again
@@ -223,12 +263,17 @@ class Slabs:
             uniform: Buffer with the uniforms of all pages.
             panorama: Whether the image is a panorama.
         """
-        return [
-            self._kernels.project(
-                page.half, page.stride, panorama, page.packed, 0, False, "keys"
-            ).step((outputs[0], keys, *outputs[2:]), uniform, slot, page)
-            for slot, (page, keys) in enumerate(zip(self._pages, self._keys, strict=True))
-        ]
+        steps, (frame, _, *others) = [], outputs
+        for slot, (page, keys) in enumerate(zip(self._pages, self._keys, strict=True)):
+            rows_of_slot = slot_rows(page)
+            if rows_of_slot:
+                cull = self._kernels.cull_slots(rows_of_slot, panorama, True)
+                steps.append(cull.step(frame, keys, others[-1], uniform, slot, page))
+            project = self._kernels.project(
+                page.half, page.stride, panorama, page.packed, rows_of_slot, False, "keys"
+            )
+            steps.append(project.step((frame, keys, *others), uniform, slot, page))
+        return steps
 
     def tally_steps(self, uniform: Buffer) -> list[Step]:
         """Return the dispatches that count the depth sort keys in the chosen range."""
@@ -266,10 +311,10 @@ class Slabs:
             written = (self.origins, self.takers, counts)
             steps += numbering.steps((*resources, *written), self._ends, uniform, slot, page)
             project = self._kernels.project(
-                page.half, page.stride, panorama, page.packed, 0, records, "splats"
+                page.half, page.stride, panorama, page.packed, slot_rows(page), records, "splats"
             )
             steps.append(project.step(outputs, uniform, slot, page, self._places))
             if normals is not None:
-                kernel = self._kernels.normals(page.packed, 0, True)
+                kernel = self._kernels.normals(page.packed, slot_rows(page), True)
                 steps.append(kernel.step(self._places, normals, uniform, slot, page))
         return steps

@@ -1,6 +1,6 @@
 """The result of rendering a scene: an image with depths, Gaussian ids and normals."""
 
-__all__ = ["COLOR_ONLY", "NOTHING", "Frame", "Output"]
+__all__ = ["COLOR_ONLY", "NOTHING", "OUTPUTS", "Frame", "Output"]
 
 import io
 from dataclasses import dataclass
@@ -12,6 +12,9 @@ from jaxtyping import Float, Float32, Int64, UInt8
 
 Output = Literal["color", "depth", "normal"]
 """Outputs of a frame; ``depth`` includes both depths and the ids."""
+
+OUTPUTS: Final[tuple[Output, ...]] = ("color", "depth", "normal")
+"""All outputs of a frame."""
 
 COLOR_ONLY: Final[tuple[Output, ...]] = ("color",)
 """The default outputs of a frame."""

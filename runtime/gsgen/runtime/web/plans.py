@@ -1,14 +1,6 @@
 """The document ``plans.json``: GPU buffers, dispatches and uniforms for the browser client."""
 
-__all__ = [
-    "PAGE_RULES",
-    "PLANS_FILE",
-    "SHAPES",
-    "plans_document",
-    "plans_text",
-    "pool_kinds",
-    "written_plans",
-]
+__all__ = ["PLANS_FILE", "SHAPES", "plans_document", "plans_text", "pool_kinds", "written_plans"]
 
 import json
 from collections.abc import Mapping
@@ -18,14 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
-from gsgen.contract.rules.catalogue import builtin_rules
-from gsgen.contract.rules.outputs.outputs import MEANINGS
-from gsgen.contract.spec.fields.roles import KINDS
-from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW, appearance_channels
-from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
-from gsgen.contract.spec.targets import load_target
-from gsgen.contract.spec.upgrades import CURRENT
+from gsgen.contract.spec.layout import ROW
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
 from gsgen.runtime.kernels.project.live_counts import LiveCounts
@@ -63,12 +48,6 @@ Weighted sums have smaller tiles.
 """
 
 _BOTH: Final = (False, True)
-
-PAGE_RULES: Final = (
-    "GM001", "GM002", "GM003", "GM004", "GM005", "GM006", "GM009", "GM015", "GM019",
-    "GO002", "GO003", "GO006", "GO007", "GO008", "GO009", "GL003",
-)  # fmt: skip
-"""Rules that the client checks by itself (findings.js)."""
 
 LAYERS: Final = 2
 """Image layers of a web page's other renderer: translucent surfaces, and those behind them."""
@@ -122,7 +101,6 @@ def plans_document() -> dict[str, Any]:
         "generators": generators,
         "layers": layers,
         "pools": pool_kinds(tables),
-        "contract": _contract(),
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
         "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
         "present": {
@@ -146,33 +124,8 @@ def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]
     return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}
 
 
-def _contract() -> dict[str, Any]:
-    """Return facts of the generator contract for the browser: version, model kinds, rules."""
-    rules = {entry.id: entry for entry in builtin_rules()}
-    limits = load_target("webgpu").limits
-    return {
-        "version": CURRENT,
-        "kinds": list(KINDS),
-        "channels": [appearance_channels("sh", degree, 4) for degree in range(MAX_DEGREE + 1)],
-        "appearance": {space: list(counts) for space, counts in APPEARANCE_CHANNELS.items()},
-        "rows": {
-            "width": ROW,
-            "most": limits["workgroups"] * limits["workgroup_size"],
-            "meanings": MEANINGS,
-        },
-        "rules": {
-            name: {"severity": rules[name].severity.word, "hint": rules[name].hint}
-            for name in PAGE_RULES
-        },
-    }
-
-
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return JSON of the kernels that copy model outputs, and of ONNX operators that only copy.
-
-    Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
-    captured graph of a model whose outputs they produce.
-    """
+    """Return JSON of the kernels that copy model outputs; rows that pages can bind have none."""
     device = Device(RecordingDevice())
     repacks = []
     sources = [("float16", ROW, "rows")]
@@ -202,8 +155,7 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
         )
     live = LiveCounts(device).kernel
     counts = {"pipeline": tables.pipeline(live.pipeline), "groups": [1, 1, 1]}
-    copies = {"always": sorted(VIEWS), "of one input": sorted(VARIADIC)}
-    return {"repacks": repacks, "live_counts": counts, "copies": copies}
+    return {"repacks": repacks, "live_counts": counts}
 
 
 def _fields(dtype: np.dtype[np.void]) -> dict[str, Any]:

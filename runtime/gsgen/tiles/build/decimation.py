@@ -60,7 +60,7 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
 
 
 def _spread(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
-    """Return Σ mass · |centre − mean|² over the splats of each octree cell."""
+    """Return each octree cell's sum of mass × squared distance from the mean, over its splats."""
     mass = mixture.mass
     total = np.maximum(np.bincount(cell, mass), np.finfo(np.float64).tiny)
     result = np.zeros(len(total))

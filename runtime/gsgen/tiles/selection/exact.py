@@ -18,7 +18,7 @@ _TOLERANCE = 1e-9  # of the utility: sums in another order differ by less
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Front:
-    """The Pareto-optimal choices (cost, utility) of a tile-tree node, by ascending cost.
+    """The Pareto-optimal choices (bytes, utility) of a tile-tree node, by ascending bytes.
 
     Attributes:
         cost: Of each point.
@@ -108,7 +108,7 @@ def _children(parent: Int64[np.ndarray, " n"]) -> list[list[int]]:
 def _front(
     options: CutOptions, node: int, below: list[_Front | None], merger: _FrontMerger
 ) -> _Front:
-    """Return the Pareto front of a tree node from its file qualities and its children's fronts."""
+    """Return the Pareto front (cost, utility) of a tile-tree node, from its files and children."""
     own = np.flatnonzero(np.isfinite(options.cost[node]))
     cost, utility = options.cost[node, own], options.utility[node, own]
     option, source = own, np.full(len(own), -1)

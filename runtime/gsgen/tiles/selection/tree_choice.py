@@ -1,8 +1,8 @@
-"""Chooses tiles and qualities of a tile tree within a budget, by concave frontiers.
+"""Chooses tiles and qualities of a tile tree within a budget, by concave utility curves.
 
-A node's frontier is the upper hull of its own options and of what its children give together:
-their first points added, then their steps by falling gain for cost. The root's frontier is the
-linear relaxation of the problem: it gives a choice, and a bound on every other.
+A node's frontier, its utility curve, is the upper hull of its own options and of what its children
+give together: their first points added, then their steps by falling gain for cost. The root's
+frontier is the linear relaxation of the problem: it gives a choice, and a bound on every other.
 """
 
 __all__ = ["CutOptions", "TreeFrontier", "choose_cut"]
@@ -23,7 +23,7 @@ Rows = Int64[np.ndarray, " m"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class CutOptions:
-    """Costs and utilities of each tile's file qualities in a tile tree, and each tile's parent.
+    """Bytes and utilities of each tile's file qualities in a tile tree, and each tile's parent.
 
     Attributes:
         parent: Index of the node above; −1 for the root, which is alone.
@@ -56,7 +56,7 @@ def _no_values() -> Points:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
-    """The concave curves of utility over cost of all tree nodes at one depth, concatenated.
+    """The concave curves of utility over download cost of all tile-tree nodes at one depth.
 
     Attributes:
         nodes: The nodes, ascending.
@@ -79,14 +79,14 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return where each tree node's points begin in the concatenated curves of a tree level."""
+        """Return where each node's points begin in the concatenated utility curves of a level."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeFrontier:
-    """The concave curves of utility over cost of all tile-tree nodes, the root's curve first.
+    """The concave curves of utility over download cost of tile-tree nodes, the root's first.
 
     Attributes:
         levels: By depth.
@@ -113,7 +113,7 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """The total costs at the points of a tile tree's curve of utility over cost, ascending."""
+        """The download costs at the points of a tile tree's utility curve, in ascending order."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:
@@ -147,7 +147,7 @@ class TreeFrontier:
 
 
 def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
-    """Choose the tiles and file qualities of greatest utility on the cost curve within a budget.
+    """Choose tiles and file qualities: the last point within a budget on the root's utility curve.
 
     Returns:
         The choice; None where every cut costs more than ``budget``.
@@ -162,12 +162,12 @@ def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
 
 
 def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
-    """Return the position of each node's parent in the tree level above."""
+    """Return the position of each tile-tree node's parent in the level above."""
     return np.asarray(np.searchsorted(level.nodes, options.parent[below.nodes]))
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return how many of a parent's first ``prefix`` utility curve steps belong to each child."""
+    """Count each child's steps among the first ``prefix`` steps of its parent's utility curve."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]
@@ -222,14 +222,14 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return cumulative sums of sorted values, which start again at each tree node."""
+    """Return cumulative sums of sorted values, which start again at each tile-tree node."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
 
 
 def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Rows) -> None:
-    """Add a point to the utility curves of some tree nodes, and drop dominated points.
+    """Add a point to the utility curves of some tile-tree nodes, and drop dominated points.
 
     Frontiers stay strictly concave and ascending: the tangents from the new point on both
     sides end at the first points that remain.
@@ -273,7 +273,7 @@ def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Row
 def _reduce(
     operation: np.ufunc, values: Points, starts: Rows, filled: Bool[np.ndarray, " m"], empty: float
 ) -> Points:
-    """Reduce each tree node's values by an operation such as minimum; ``empty`` if it has none."""
+    """Reduce each tree node's values by an operation such as minimum; without values, ``empty``."""
     result = np.full(len(starts), empty)
     if filled.any():
         result[filled] = operation.reduceat(values, starts[filled])

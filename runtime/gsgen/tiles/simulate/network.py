@@ -38,12 +38,12 @@ class RateTrace:
     rates: Float64[np.ndarray, " n"]
 
     def rate(self, time: float) -> float:
-        """Return the network's rate at a time, in bytes a second."""
+        """Return the simulated network's data rate at a time, in bytes per second."""
         index = int(np.searchsorted(self.times, time, side="right")) - 1
         return float(self.rates[max(index, 0)])
 
     def next_change(self, time: float) -> float:
-        """Return the next time at which the network's rate changes; infinite if never."""
+        """Return the next time at which the simulated data rate changes; infinite if never."""
         index = int(np.searchsorted(self.times, time, side="right"))
         if index == 0 and len(self.times) > 1:
             index = 1

@@ -45,7 +45,7 @@ _HINT: Final = "Name an event log that `gsgen render` or `gsgen view` wrote with
 
 
 def tree_digest(tree: TileTree) -> str:
-    """Return the SHA-256 of the tree structure, errors, splat counts and files of a tileset."""
+    """Return the SHA-256 of a tileset's tree, geometric errors, splat counts and file URIs."""
     tiles = [
         [
             int(tree.parent[index]),

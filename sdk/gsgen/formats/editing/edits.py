@@ -4,9 +4,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol, final
+from typing import Final, final
 
-from gsgen.contract._entry_points import registered_entry_points
 from gsgen.formats.editing.filters import (
     morton_ordered,
     where_value,
@@ -15,18 +14,11 @@ from gsgen.formats.editing.filters import (
     without_floaters,
 )
 from gsgen.formats.editing.transforms import rotated, scaled, translated
-from gsgen.formats.shared.errors import NotSupported, ValueInvalid, shown
+from gsgen.formats.shared.decimators import decimated
+from gsgen.formats.shared.errors import ValueInvalid, shown
 from gsgen.formats.shared.splats import Splats
 
 Edit = Callable[[Splats], Splats]
-
-
-class Decimator(Protocol):
-    """Plug-in function that reduces the number of splats (group ``gsgen.decimators``)."""
-
-    def __call__(self, splats: Splats, count: int) -> Splats:
-        """Return at most ``count`` splats that look like ``splats``."""
-        ...
 
 
 @final
@@ -94,20 +86,14 @@ def _numeric(edit: Callable[..., Splats], metavar: str) -> Option:
 def _decimation(text: str) -> Edit:
     match = re.fullmatch(r"(\d+(?:\.\d+)?)(%?)", text)
     amount = float(match[1]) if match else 0.0
-    if match is None or not amount or (match[2] and amount > 100):
+    is_invalid = amount > 100 if match and match[2] else amount % 1 > 0
+    if not amount or is_invalid:
         raise ValueInvalid(shown(text), expected="a number of splats, or a percentage such as 25%")
+    is_share = text.endswith("%")
 
     def decimate(splats: Splats) -> Splats:
-        count = int(len(splats) * amount / 100) if match[2] else int(amount)
-        points = registered_entry_points("gsgen.decimators")
-        for point in points:
-            decimator: Decimator = point.load()
-            return decimator(splats, max(1, count))
-        raise NotSupported(
-            "no package that merges splats is installed",
-            where="decimate",
-            hint="pip install 'gsgen[tiles]'",
-        )
+        count = int(len(splats) * amount / 100) if is_share else int(amount)
+        return decimated(splats, max(1, count))
 
     return decimate
 

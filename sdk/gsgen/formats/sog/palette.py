@@ -31,7 +31,7 @@ def training_step(count: int) -> int:
 
 
 def make_palette(rows: Rows, size: int) -> Rows:
-    """Return at most ``size`` palette entries that quantise rows with a small squared error."""
+    """Return at most ``size`` palette entries that quantise rows of SH with small squared error."""
     # Real scenes have clusters, which a tree finds; noise has none, and rows of it start better.
     spaced = rows[np.linspace(0, len(rows) - 1, min(size, len(rows))).astype(np.int64)]
     starts = [_split_clusters(candidate, size) for candidate in (rows, spaced)]
@@ -122,7 +122,7 @@ def _group_means(rows: Rows, starts: Int64[np.ndarray, " k"]) -> Rows:
 
 
 def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
-    """Return the mean of the rows of each palette label; a label without rows keeps its mean."""
+    """Return each palette entry as the mean of its rows; entries without rows stay unchanged."""
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     moved = palette.copy()
@@ -133,7 +133,7 @@ def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
 def _distances(
     rows: Rows, entries: Rows
 ) -> Float32[np.ndarray, "n k"] | Float64[np.ndarray, "n k"]:
-    """Return squared distances of rows to palette entries, up to a constant per row."""
+    """Return squared distances of SH rows to palette entries, minus a constant for each row."""
     distances = rows @ (-2 * entries).T
     distances += np.square(entries).sum(axis=1)
     return np.asarray(distances)

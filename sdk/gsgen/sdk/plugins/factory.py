@@ -177,7 +177,7 @@ def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
 
 
 def _candidates(holder: Any) -> list[str]:
-    """Return the names in a Python module of torch generators, and of functions returning one."""
+    """Return the names of torch generators in a Python module, and of functions returning one."""
     import torch
 
     module_name = getattr(holder, "__name__", None)

@@ -61,7 +61,7 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
-    """Return the wrong RGB-to-SH conversion that degree-0 coefficients look like; empty if none."""
+    """Return the wrong RGB-to-SH conversion that explains degree-0 coefficients; empty if none."""
     low, high = float(constant.min()), float(constant.max())
     shown = SH_OFFSET + SH_DC * constant
     bright = float((shown > 1).mean())

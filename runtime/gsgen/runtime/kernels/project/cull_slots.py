@@ -26,9 +26,12 @@ class CullSlots:
         device: Device of the kernel.
         slot_rows: Rows of a slot.
         panorama: Whether the image is a panorama.
+        keys_only: Whether keys are those of the page alone, before a frame is drawn in slabs.
     """
 
-    def __init__(self, device: Device, slot_rows: int, *, panorama: bool) -> None:
+    def __init__(
+        self, device: Device, slot_rows: int, *, panorama: bool, keys_only: bool = False
+    ) -> None:
         self.kernel = Kernel(
             device,
             "cull_slots",
@@ -38,6 +41,7 @@ class CullSlots:
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             CULL_MARGIN=CULL_MARGIN,
+            KEYS_ONLY=keys_only,
             **(PANORAMA_CONSTANTS if panorama else {}),
         )
 

@@ -62,8 +62,10 @@ fn cull_slots(
         return;
     }
     for (var row = thread; row < SLOT_ROWS; row += THREADS) {
-        let index = page.base + slot * SLOT_ROWS + row;
-        keys[index] = ABSENT;
-        lows[index] = ABSENT;
+        let own = slot * SLOT_ROWS + row;
+        keys[select(page.base + own, own, KEYS_ONLY)] = ABSENT;
+        if (!KEYS_ONLY) {
+            lows[page.base + own] = ABSENT;
+        }
     }
 }

@@ -62,6 +62,9 @@ FRAME: Final = _bytes(
         "continues": ("u4", 60),
         "background": ("4f4", 64),
         "extra_dilation": ("f4", 80),
+        "rank": ("u4", 84),
+        "tied_key": ("u4", 88),
+        "tied_low": ("u4", 92),
     },
 )
 """The bytes of ``struct Frame`` in frame.wgsl."""
@@ -206,7 +209,8 @@ class ProjectKernel:
         records: Whether each splat is one record.
         slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
             in a slab, to the indices of ``place_splats.wgsl``.
-        windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number.
+        windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number,
+            in whose place colours are followed by variances.
     """
 
     def __init__(
@@ -225,12 +229,13 @@ class ProjectKernel:
         windows: bool = False,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
-        name = "project_placed" if slab == "splats" else name
+        if slab == "splats":
+            name = "project_placed_pooled" if slot_rows else "project_placed"
         page_bindings = "urrur" if slot_rows else "urrr" if slab == "splats" else "urr"
         self.kernel = Kernel(
             device,
             name,
-            "project_pooled" if slot_rows else "project",
+            "project_pooled" if name == "project_pooled" else "project",
             ("uwwww", "urrr") if weighted else ("uwwwww", page_bindings),
             THREADS=THREADS,
             TILE=tile,
@@ -261,12 +266,15 @@ class ProjectKernel:
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         slots = page.slots
-        further = others if slots is None else (slots.table, slots.seen)
+        # Splats of a slab are not drawn by the list of seen slots: others are the rows' places.
+        further = others
+        if slots is not None:
+            further = (slots.table, *(others or (slots.seen,)))
         binds = (
             self.kernel.bind(*outputs),
             self.kernel.bind(page_binding, page.rows, page.appearance, *further, group=1),
         )
-        if slots is not None:
+        if slots is not None and not others:
             return Step(self.kernel, binds, (slots.dispatch, 0))
         return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
 

@@ -17,5 +17,6 @@ fn project_pooled(
     eye = slot_eye(slot);
     let opacity_scale = page.opacity_scale * slots[slot].fade;
     let own = slot * SLOT_ROWS + row;
-    project_row(own, page.base + own, row < slots[slot].live, opacity_scale);
+    // If KEYS_ONLY, keys are an array of the page alone.
+    project_row(own, select(page.base + own, own, KEYS_ONLY), row < slots[slot].live, opacity_scale);
 }

@@ -13,6 +13,9 @@ struct Frame {
     continues: u32,      // 1: it keeps their state for farther splats
     background: vec4f,   // red, green, blue; alpha stays that of the splats
     extra_dilation: f32, // pixels², beyond DILATION; negative for pictures that are enlarged
+    rank: u32,           // what the keys of slabs are: 0 depths, 1 remainders of one depth, 2 rows
+    tied_key: u32,       // the depth whose splats are ranked …
+    tied_low: u32,       // … and, for rows, its remainder
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -74,6 +74,8 @@ def source(name: str, **constants: int | float | bool) -> str:
         "KEYS_ONLY": False,
         "PLACED": False,
         "CARRIED": False,
+        "CARRIED_OUTPUT": 0,
+        "STEEP": False,
         "WIDE": False,
         "WINDOWS": False,
         "WINDOW_HEIGHT": WINDOW_HEIGHT,

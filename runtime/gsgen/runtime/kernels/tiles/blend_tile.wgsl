@@ -19,9 +19,10 @@
 @group(0) @binding(6) var<storage, read_write> image: array<vec4u>;
 
 // LAYERS images among the splats, front to back: see `Layers` in blend_tiles.py. Without layers no
-// entry point uses the second bind group.
+// entry point uses the second bind group. If CARRIED, `layer_depths` go on with the light that
+// reaches each pixel of each layer, once per output.
 @group(1) @binding(0) var<storage, read> layers: array<vec4f>;
-@group(1) @binding(1) var<storage, read> layer_depths: array<f32>;
+@group(1) @binding(1) var<storage, read_write> layer_depths: array<f32>;
 
 
 const ZERO = vec4f(0.0);
@@ -44,7 +45,7 @@ struct LayerCell {
 var<private> corner: vec2u;  // the first pixel of the first cell …
 var<private> x: f32;         // … and its centre, relative to the frame's origin,
 var<private> y: vec4f;       // with those of the three pixels below it
-var<private> lights: array<vec4f, max(LAYERS * CELLS, 1u)>;  // final light per layer and cell
+var<private> lights: array<vec4f, max(LAYERS * CELLS, 1u)>;  // light per layer and cell, of nearer slabs or at the end
 //!repeat CELL CELLS
 var<private> cell_CELL: Cell;
 //!repeat LAYER LAYERS
@@ -66,7 +67,27 @@ fn layer_cell(layer: u32, cell: u32) -> LayerCell {
     let upper = vec2f(layer_depths[index.x], layer_depths[index.y]);
     let lower = vec2f(layer_depths[index.z], layer_depths[index.w]);
     let alpha = vec4f(layers[index.x].a, layers[index.y].a, layers[index.z].a, layers[index.w].a);
-    return LayerCell(min(vec4f(upper, lower), vec4f(NOWHERE)), 1.0 - alpha, vec4f(-1.0));
+    let light = select(vec4f(-1.0), lights[layer * CELLS + cell], CARRIED);
+    return LayerCell(min(vec4f(upper, lower), vec4f(NOWHERE)), 1.0 - alpha, light);
+}
+
+// Read the light of all layers after nearer slabs, or write it for farther ones. The length of the
+// loop depends on the frame, as in `add_layer`.
+fn carry_lights(writes: bool) {
+    let pixels = select(0u, 4u * CELLS * LAYERS, frame.size.x > 0u);
+    for (var pixel = 0u; pixel < pixels; pixel++) {
+        let cell = pixel / 4u;
+        let position = corner + offset_of(cell % CELLS) + vec2u(0u, pixel % 4u);
+        if (all(position < frame.size)) {
+            let line = (CARRIED_OUTPUT * LAYERS + cell / CELLS) * frame.size.y + position.y;
+            let index = line * frame.size.x + position.x;
+            if (writes) {
+                layer_depths[index] = lights[cell][pixel % 4u];
+            } else {
+                lights[cell][pixel % 4u] = select(-1.0, layer_depths[index], frame.resumes != 0u);
+            }
+        }
+    }
 }
 
 // Return the state of a cell that `write_cell` kept after nearer splats.
@@ -92,6 +113,11 @@ fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
     x = f32(corner.x) + 0.5 - frame.origin.x;
     y = f32(corner.y) + 0.5 - frame.origin.y + vec4f(0.0, 1.0, 2.0, 3.0);
+//!repeat LAYER LAYERS
+    if (CARRIED && LAYERu == 0u) {
+        carry_lights(false);
+    }
+//!end
 //!repeat CELL CELLS
     cell_CELL = Cell(vec4f(1.0), ZERO, ZERO, ZERO, vec4u(ABSENT));
     if (CARRIED && frame.resumes != 0u) {
@@ -124,11 +150,12 @@ fn passed_by(layer: LayerCell, light: vec4f) -> vec4f {
     return select(vec4f(1.0), layer.transmittance, (layer.light < ZERO) & (light >= ZERO));
 }
 
-// Blend one splat over one cell. A transmittance below MIN_TRANSMITTANCE finishes the pixel.
-fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
+// Blend one splat over one cell, with opacities that are 0 at pixels which it does not reach. A
+// transmittance below MIN_TRANSMITTANCE finishes the pixel.
+fn blended(cell: Cell, alpha: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
     var result = cell;
-    let before = select(ZERO, cell.transmittance, cell.transmittance > ZERO);
-    let alpha = select(ZERO, opacity(above), above >= ZERO);
+    // At a finished pixel all three are negative.
+    let before = cell.transmittance;
     let share = alpha * before;
     let after = before - share;
     let is_open = after > vec4f(MIN_TRANSMITTANCE);
@@ -149,18 +176,24 @@ fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell 
     return result;
 }
 
-// Step 2: blend one splat over all cells. If MASKED, `touched` has a bit for each touched cell.
-fn blend_splat(id: u32, shape: vec4f, weight: vec3f, color: vec3f, touched: u32) {
 //!repeat CELL CELLS
-    if (!MASKED || (touched & (1u << CELLu)) != 0u) {
-        let above = strength_at(CELLu, shape, weight);
-        if (MASKED || any(above >= ZERO)) {
+fn blend_cell_CELL(alpha: vec4f, id: u32, depth: f32, color: vec3f) {
 //!repeat LAYER LAYERS
-            let light_LAYER = light_before(layer_LAYER_CELL, cell_CELL, weight.z);
-            cell_CELL.transmittance *= passed_by(layer_LAYER_CELL, light_LAYER);
-            layer_LAYER_CELL.light = light_LAYER;
+    let light_LAYER = light_before(layer_LAYER_CELL, cell_CELL, depth);
+    cell_CELL.transmittance *= passed_by(layer_LAYER_CELL, light_LAYER);
+    layer_LAYER_CELL.light = light_LAYER;
 //!end
-            cell_CELL = blended(cell_CELL, above, id, weight.z, color);
+    cell_CELL = blended(cell_CELL, alpha, id, depth, color);
+}
+
+//!end
+// Step 2: blend one splat over all cells.
+fn blend_splat(id: u32, shape: vec4f, weight: vec3f, color: vec3f) {
+//!repeat CELL CELLS
+    {
+        let above = strength_at(CELLu, shape, weight);
+        if (any(above >= ZERO)) {
+            blend_cell_CELL(select(ZERO, opacity(above), above >= ZERO), id, weight.z, color);
         }
     }
 //!end
@@ -236,11 +269,15 @@ fn add_layer(layer: u32) {
     }
 }
 
-// Step 3: write each pixel over the background, and then the layers' colours.
+// Step 3: write each pixel over the background, and then the layers' colours; before farther
+// slabs, keep its state instead.
 fn end_tile() {
+    let continues = CARRIED && frame.continues != 0u;
 //!repeat CELL CELLS
 //!repeat LAYER LAYERS
-    {
+    if (continues) {
+        lights[LAYERu * CELLS + CELLu] = layer_LAYER_CELL.light;
+    } else {
         let layer = layer_LAYER_CELL;
         let is_last = (layer.depth < vec4f(NOWHERE)) & (layer.light < ZERO);
         let light = select(max(layer.light, ZERO), abs(cell_CELL.transmittance), is_last);
@@ -250,9 +287,11 @@ fn end_tile() {
 //!end
     write_cell(CELLu, cell_CELL);
 //!end
-    if (!PICK) {
 //!repeat LAYER LAYERS
+    if (continues && LAYERu == 0u) {
+        carry_lights(true);
+    } else if (!continues && !PICK) {
         add_layer(LAYERu);
-//!end
     }
+//!end
 }

@@ -1,6 +1,13 @@
 """Blends the splats of each image tile, front to back."""
 
-__all__ = ["BlendTiles", "Layers", "allocate_layers", "blend_reference", "workgroup_shape"]
+__all__ = [
+    "LEAST_DILATION",
+    "BlendTiles",
+    "Layers",
+    "allocate_layers",
+    "blend_reference",
+    "workgroup_shape",
+]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,6 +29,10 @@ from gsgen.runtime.kernels.shared.shader import (
     TILE,
 )
 from gsgen.runtime.kernels.shared.subgroups import lanes
+from gsgen.runtime.scene.frame import OUTPUTS
+
+LEAST_DILATION: Final = 0.25
+"""Dilation, in pixels², below which opacities may underflow within four pixels of a column."""
 
 _GPU_CELL: Final = {"LANES": 32, "CELL_WIDTH": 16, "CELL_HEIGHT": 8}
 _NARROW_CELL: Final = {"LANES": 4, "CELL_WIDTH": 4, "CELL_HEIGHT": 4}  # of SwiftShader
@@ -39,7 +50,8 @@ class Layers:
     Attributes:
         count: Number of layers.
         colors: Buffer of four float32 per pixel, layer by layer.
-        depths: Buffer of one float32 per pixel, layer by layer.
+        depths: Buffer of one float32 per pixel, layer by layer. Of a scene in depth slabs, the
+            light that reaches each pixel of a layer follows, for each of OUTPUTS.
         normals: Like ``colors``, with normals in camera space in place of colours; None if
             normals are not requested.
     """
@@ -51,7 +63,12 @@ class Layers:
 
 
 def allocate_layers(
-    storage: Callable[[str, int], Buffer], count: int, size: tuple[int, int], *, normal: bool
+    storage: Callable[[str, int], Buffer],
+    count: int,
+    size: tuple[int, int],
+    *,
+    normal: bool,
+    carried: bool = False,
 ) -> Layers:
     """Allocate GPU buffers for image layers: colours, depths and normals.
 
@@ -60,12 +77,13 @@ def allocate_layers(
         count: Number of layers.
         size: Width and height of the image, in pixels.
         normal: Whether normals are requested.
+        carried: Whether the scene is drawn in depth slabs.
     """
     pixels = count * size[0] * size[1]
     return Layers(
         count,
         storage("layer colors", VEC4 * pixels),
-        storage("layer depths", 4 * pixels),
+        storage("layer depths", 4 * pixels * (1 + len(OUTPUTS) * carried)),
         storage("layer normals", VEC4 * pixels) if normal else None,
     )
 
@@ -109,8 +127,11 @@ class BlendTiles:
         layers: Number of image layers among the splats.
         tile: Edge of a tile, in pixels.
         records: Whether each splat is one record.
-        carried: Whether pixels keep their state in the image between slabs. Ids are then computed
-            from arrays of ``place_splats.wgsl`` in place of colours.
+        carried: The output, from 1 on in OUTPUTS, whose pixels keep their state in the
+            image between slabs; 0 if there are none. Ids of slabs are computed from arrays of
+            ``place_splats.wgsl`` in place of colours.
+        steep: Whether the dilation may be below LEAST_DILATION.
+        windows: Whether colours are followed by variances, as ``ProjectKernel`` writes them.
 
     Attributes:
         kernel: The kernel.
@@ -126,7 +147,9 @@ class BlendTiles:
         layers: int = 0,
         tile: int = TILE,
         records: bool = False,
-        carried: bool = False,
+        carried: int = 0,
+        steep: bool = False,
+        windows: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
         narrow = device.software and not together and lanes(device) == _NARROW_CELL["LANES"]
@@ -139,10 +162,13 @@ class BlendTiles:
             device,
             self.shader,
             "blend",
-            ("urrrrrw", "rr") if layers else ("urrrrrw",),
+            ("urrrrrw", "rw") if layers else ("urrrrrw",),
             PICK=pick,
             RECORDS=records,
-            CARRIED=carried,
+            CARRIED=carried > 0,
+            CARRIED_OUTPUT=carried,
+            STEEP=steep,
+            WINDOWS=windows,
             MASKED=self.shader == "blend_subgroups" and not panorama,
             **constants,
         )

@@ -222,6 +222,7 @@ export class GsgenModel extends HTMLElement {
     const number = (attribute) => parseFloat(this.getAttribute(attribute) ?? "") || undefined;
     const model = await openModel(kernels, bytes, name, {
       source,
+      target: this.getAttribute("target") ?? undefined,
       maxError: number("max-error"),
       maxSplats: number("max-splats"),
       onChange: () => this.requestFrame(),

@@ -6,13 +6,12 @@
  */
 
 import { GsgenError, failing } from "./errors.js";
-import { findingsOf } from "./findings.js";
+import { findingsOf, inspected } from "./findings.js";
 import { GeneratorSession } from "./generator_session.js";
 import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
 import { IDENTITY, plus } from "./matrices.js";
 import { extentOf } from "./model.js";
-import { manifestText } from "./onnx_metadata.js";
 import { evaluate } from "./plan.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
 
@@ -34,7 +33,7 @@ class GeneratorBuffers {
     const { cells } = manifest.outputs;
     /** Weights of sums cell by cell; null if Gaussians are sorted. */
     this.weighted =
-      manifest.blend === "wsr" ? { ...manifest.weighted_sum, perCell: cells.per_cell } : null;
+      cells && manifest.blend === "wsr" ? { ...manifest.weighted_sum, perCell: cells.per_cell } : null;
     /** @type {GPUBuffer | null} */
     this.liveCounts = null;
     this._commands = [];
@@ -113,26 +112,14 @@ class GeneratorBuffers {
   }
 }
 
-/** Check what a page can show of a manifest. */
-function requireDrawable(manifest, name) {
-  const fail = failing(name);
-  if (manifest.kind !== "gaussian-generator") {
-    fail(`is a ${manifest.kind}, expected a gaussian-generator`, "Show a generator.");
-  }
-  const { gaussians, appearance } = manifest.outputs ?? {};
-  if (!gaussians || !appearance) {
-    fail("declares no gaussians or no appearance, expected both", "gsgen validate MODEL", "GM002");
-  }
-  const required = manifest.extensions_required ?? [];
-  if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
-}
-
 /** A generator in a page. */
 export class GeneratorModel {
-  static async open(kernels, data, name) {
+  static async open(kernels, data, name, { target } = /** @type {{target?: string}} */ ({})) {
     const bytes = new Uint8Array(data);
-    const findings = findingsOf(bytes, kernels.plans);
-    const fatal = findings.find(({ severity }) => severity === "error");
+    const subject = inspected(bytes, { name, target });
+    const findings = findingsOf(subject);
+    // Whether a model exceeds the limits of the target is for the device to say.
+    const fatal = findings.find(({ severity, limit }) => severity === "error" && !limit);
     if (fatal) {
       const { rule, where, actual, expected, hint } = fatal;
       const command = "All rules: gsgen validate MODEL";
@@ -140,9 +127,12 @@ export class GeneratorModel {
         where: name, hint: `${hint} ${command}`, rule, findings,
       });
     }
-    const manifest = JSON.parse(manifestText(bytes) ?? "");
-    requireDrawable(manifest, name);
-    const session = await GeneratorSession.open(kernels, bytes, manifest, name);
+    const fail = failing(name);
+    const { kind, manifest: { extensions_required: required } } = subject;
+    if (!subject.generator) fail(`is a ${kind}, expected a gaussian-generator`, "Show a generator.");
+    if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
+    const manifest = JSON.parse(subject.file.manifest_text);
+    const session = await GeneratorSession.open(kernels, bytes, subject, manifest, name);
     const model = new GeneratorModel(kernels, session, manifest);
     model.findings = findings;
     await model._survey();

@@ -5,10 +5,10 @@
  * (most often the colours and the count) come from one run that is not captured.
  */
 
+import { isCopy } from "./contract_rules.js";
 import { GsgenError } from "./errors.js";
 import { GeneratorInputs } from "./generator_inputs.js";
 import { storageBuffer } from "./gpu_buffers.js";
-import { outputsByOrigin } from "./onnx_metadata.js";
 import { onnxRuntime, openSession, runInTurn } from "./onnx_runtime.js";
 
 /** @typedef {{type: string, dims: readonly number[], gpuBuffer: GPUBuffer}} GpuTensor */
@@ -16,12 +16,18 @@ import { onnxRuntime, openSession, runInTurn } from "./onnx_runtime.js";
 const BYTES = { float32: 4, float16: 2, int32: 4, uint32: 4, int64: 8 };
 
 export class GeneratorSession {
-  static async open({ device, plans }, bytes, manifest, name) {
+  static async open({ device }, bytes, { graph }, manifest, name) {
     const ort = await onnxRuntime();
-    const { all, constant, copied } = outputsByOrigin(bytes, plans.generators.copies);
+    const all = graph.output_names;
+    const constant = all.filter((output) => !graph.varies(output));
+    // A buffer copy is not recorded: its output is stale in all frames but the first.
+    const isStale = (output) => {
+      const { op_type, input } = graph.producers.get(output) ?? {};
+      return graph.varies(output) && (!op_type || isCopy(op_type, input.length, true));
+    };
     const open = (capture) => openSession(ort, device, bytes, name, { capture });
     const isStill = constant.length === all.length;
-    const captured = isStill || copied.length ? null : await open(true);
+    const captured = isStill || all.some(isStale) ? null : await open(true);
     const plain = captured && !constant.length ? null : await open(false);
     if ((await ort.env.webgpu.device) !== device) {
       throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });

@@ -8,13 +8,7 @@ export function times(a, x) {
 
 /** Return the product of two 3×3 matrices. @param {Matrix} a @param {Matrix} b @returns {Matrix} */
 export function product(a, b) {
-  const result = [];
-  for (let i = 0; i < 3; i++) {
-    for (let j = 0; j < 3; j++) {
-      result.push(a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]);
-    }
-  }
-  return result;
+  return [0, 3, 6].flatMap((first) => times(transposed(b), a.slice(first, first + 3)));
 }
 
 export function transposed(a) {

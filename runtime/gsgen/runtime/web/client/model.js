@@ -66,10 +66,11 @@ function stillModel({ device, plans }, splats) {
 }
 
 /**
- * @typedef {object} Options How tilesets are streamed.
+ * @typedef {object} Options How tilesets are streamed, and generators checked.
  * @property {string} [source] Address of the tileset, to which those of its tiles are relative.
  * @property {number} [maxError] Error in pixels above which tiles are refined.
  * @property {number} [maxSplats] Most Gaussians in GPU memory.
+ * @property {string} [target] Whose limits and quirks rules of generators check.
  * @property {() => void} onChange Called when tiles have arrived.
  * @property {(error: import("./errors.js").GsgenError) => void} onError
  */
@@ -82,10 +83,10 @@ function stillModel({ device, plans }, splats) {
  * @returns {Promise<Model>}
  */
 export async function openModel(kernels, data, name, options = { onChange() {}, onError() {} }) {
-  const { isOnnx } = await import("./onnx_metadata.js");
+  const { isOnnx } = await import("./onnx_file.js");
   if (isOnnx(new Uint8Array(data))) {
     const { GeneratorModel } = await import("./generator.js");
-    return GeneratorModel.open(kernels, data, name);
+    return GeneratorModel.open(kernels, data, name, options);
   }
   const tileset = parsedJson(data);
   if (tileset) {

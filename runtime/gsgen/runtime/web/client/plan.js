@@ -31,16 +31,9 @@ const OPERATORS = {
   mul: (a, b) => a * b,
   floor_div: (a, b) => Math.floor(a / b),
   ceil_div: (a, b) => Math.ceil(a / b),
-  mod: (a, b) => a - b * Math.floor(a / b),
-  neg: (a) => -a,
   abs: (a) => Math.abs(a),
   bits: (a) => (a === 0 ? 0 : Math.abs(a).toString(2).length),
-  lt: (a, b) => a < b,
   le: (a, b) => a <= b,
-  gt: (a, b) => a > b,
-  ge: (a, b) => a >= b,
-  eq: (a, b) => a === b,
-  ne: (a, b) => a !== b,
 };
 
 /** Return the value of a formula; conditions are 0 or 1. @param {Formula} formula @returns {number} */

@@ -41,13 +41,9 @@ export class Playback {
     const seconds = this._last ? Math.min((now - this._last) / 1000, 1) * this.rate : 0;
     this._last = now;
     this.currentTime += seconds;
-    if (this.currentTime >= this.duration) {
-      if (this.loop) this.currentTime %= this.duration;
-      else {
-        this.currentTime = this.duration;
-        this.paused = true;
-      }
-    }
+    if (this.currentTime < this.duration) return true;
+    this.paused = !this.loop;
+    this.currentTime = this.loop ? this.currentTime % this.duration : this.duration;
     return true;
   }
 }

@@ -54,9 +54,8 @@ export class UniformWriter {
 export function frameUniform(plans, camera, background) {
   const { JACOBIAN_MARGIN } = plans.constants;
   const uniform = new UniformWriter(plans.uniforms.frame);
-  const focal = [camera.fx, camera.fy];
-  const center = [camera.cx, camera.cy];
-  const size = [camera.width, camera.height];
+  const { fx, fy, cx, cy, width, height } = camera;
+  const [focal, center, size] = [[fx, fy], [cx, cy], [width, height]];
   const both = (formula) => [0, 1].map(formula);
   const margin = both((i) => (JACOBIAN_MARGIN * size[i]) / 2);
   const origin = both((i) => Math.min(Math.max(Math.floor(center[i]), 0), size[i]));

@@ -34,7 +34,7 @@ def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
 
 
 def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
-    """Return the rows that Compress selects; None if its condition is shorter than the axis."""
+    """Return the rows that a Compress selects; None if the condition is shorter than the axis."""
     value, shape = node.inputs[0], fixed_shape(node.inputs[0])
     if value is None or shape is None or len(mask.dims) != 1 or mask.repeats:
         return None
