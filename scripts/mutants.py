@@ -4,7 +4,8 @@ cosmic-ray writes the mutants; a copy of the working tree holds them. A mutant i
 fails that passes on the original, or takes five times as long as there and exceeds the limit.
 Prints each survivor as a diff, and exits 1 if fewer mutants than the bar are killed. A run that
 was stopped goes on where it was: outcomes are kept in a file, those of survivors until a test of
-theirs changes. mutation/survivors.toml has the reasons of survivors that no test can kill.
+theirs changes. mutation/survivors.toml has the reasons of survivors that no test can kill: these
+count as survivors, and run no test.
 
     .venv/bin/python scripts/mutants.py --count 300 --seed 0 --minutes 90
 """
@@ -118,7 +119,9 @@ def main() -> int:
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
             if known.get(key) != "killed":
                 key += f" {_digest(files, judge.copy)}"
-            if known.get(key, "tests fail") == "tests fail":
+            if reason(mutant):
+                known[key] = "survived"
+            elif known.get(key, "tests fail") == "tests fail":
                 known[key] = judge.outcome(mutant, files) if files else "without tests"
                 saved = key if known[key] != "killed" else key.rpartition(" ")[0]
                 with options.results.open("a", encoding="utf-8") as file:

@@ -92,6 +92,7 @@ class SuiteFiles:
         mentions += [self._tests_of_users(name, mutant.path) for name in names]
         mentions += [self._parametrized.get(name, set()) for name in self.parameters(mutant)]
         words, stem_words = _words(mutant.path), _words(Path(mutant.path.stem))
+        folder_words = _words(Path(mutant.path.parent.name))
         scores = {}
         for name in self.texts:
             stem = Path(name).stem.removeprefix("test_")
@@ -102,6 +103,7 @@ class SuiteFiles:
                 + sum(10 / (1 + len(files)) for files in mentions if name in files)
                 + 0.5 * len(words & _words(Path(name)))
                 + 1.0 * len(stem_words & _words(Path(stem)))
+                + 2.0 * len(folder_words & _words(Path(stem)))
                 + 0.2 * (Path(name).parts[1] in mutant.path.parts[2:])
             )
         nearest = sorted(scores, key=lambda name: -scores[name])[:MOST_FILES]

@@ -1,10 +1,14 @@
 """`gsgen --help`: commands in panels, and the lines that install those that are missing."""
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Annotated, Any
+
+import pytest
+import typer
+from typer.main import get_command
 
 from gsgen.cli.app import _epilog
-from gsgen.cli.help_panels import PANELS, panel_of, panel_order
+from gsgen.cli.help_panels import PANELS, arrange_options, panel_of, panel_order
 
 
 def command(name: str, remedy: str, *missing: str) -> Any:
@@ -30,3 +34,25 @@ def test_commands_stand_in_the_order_of_their_panels_and_others_come_last() -> N
     commands = sorted(["zebra", *listed, "acme"], key=panel_order)
     assert commands == [*listed, "acme", "zebra"]
     assert panel_of("acme") == panel_of("zebra") != panel_of(listed[-1])
+
+
+def test_brackets_of_a_help_text_are_shown_and_many_options_are_grouped(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def draw(
+        width: Annotated[int | None, typer.Option(help="In px. [default: the camera's]")] = None,
+        fov: Annotated[float, typer.Option(rich_help_panel="Lens")] = 0,
+    ) -> None:
+        """Draw."""
+
+    app = typer.Typer(add_completion=False)
+    app.command()(draw)
+    program: Any = get_command(app)
+    arrange_options(program)
+    program(["--help"], standalone_mode=False)
+    printed = capsys.readouterr().out
+    assert ("[default: the camera's]" in printed, "Camera" in printed) == (True, False)
+    program = get_command(app)
+    program.params *= 11
+    arrange_options(program)
+    assert [option.rich_help_panel for option in program.params[:2]] == ["Camera", "Lens"]

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Never
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from gsgen.cli.help_panels import panel_of, panel_order
+from gsgen.cli.help_panels import arrange_options, panel_of, panel_order
 from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
@@ -56,7 +56,9 @@ def _run() -> None:
     selected = [commands[command_name]] if command_name else list(commands.values())
     try:
         try:
-            build(selected)(arguments)
+            program = typer.main.get_command(build(selected))
+            arrange_options(program)
+            program(arguments)
         finally:
             sys.stdout.flush()  # a failed write must be reported before the interpreter exits
     except GsgenError as error:

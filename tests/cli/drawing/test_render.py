@@ -83,6 +83,13 @@ def test_a_picture(file: Path, tmp_path: Path) -> None:
     assert pixels[..., :3].max() > 60
 
 
+def test_a_generator_without_a_live_row_is_noted(tmp_path: Path) -> None:
+    model = find("count_stays_zero").write(tmp_path)
+    code, printed, notes = ran(str(model), "-o", str(tmp_path / "out.png"), *SMALL)
+    assert (code, "0 of 0 Gaussians" in printed) == (0, True)
+    assert "no Gaussians with these inputs: --time" in notes
+
+
 def test_json_and_floats(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.npy"
     _, printed, _ = ran(str(file), "-o", str(out), *SMALL, "--json")

@@ -103,6 +103,9 @@ def test_a_wrong_opacity_is_no_other_layout(fault, seed):
     upper = gaussians.covariance * ([1, 0, 0, 1, 0, 1] if "diagonal" in fault else 1)
     rows = np.concatenate([gaussians.position, opacity[:, None], upper], axis=1)
     assert suspect_order(rows, BOX, rows.reshape(10, -1).T) is None
+    rows[:, :3] = gaussians.position / 4 + 0.5  # a centre's x could be an opacity
+    assert 0 < rows[:, :3].min() < rows[:, :3].max() < 1
+    assert suspect_order(rows, None, rows.reshape(10, -1).T) is None
 
 
 @pytest.mark.parametrize("parts", range(6))

@@ -18,7 +18,7 @@ from gsgen.formats import (
     write_compressed_ply,
 )
 from gsgen.formats.shared.morton import morton_order
-from support.splat_files import FIELDS, GOLDENS, assert_near, opacity, scene, turn_between
+from support.splat_files import GOLDENS, assert_near, opacity, scene, turn_between
 
 C0 = 0.28209479177387814
 
@@ -285,15 +285,3 @@ def test_text_is_read_too(tmp_path):
     again = read_ply(file)
     assert isinstance(again, Splats)
     assert_near(splats, again)
-
-
-def test_boxes_beyond_those_of_the_splats_are_ignored(tmp_path):
-    write_compressed_ply(tmp_path / "a.ply", scene(300, 1))
-    head, end, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
-    assert b"element chunk 2\n" in head
-    more = head.replace(b"element chunk 2\n", b"element chunk 3\n")
-    boxes = body[: 2 * 72]
-    (tmp_path / "b.ply").write_bytes(more + end + boxes + bytes(72) + body[2 * 72 :])
-    expected, actual = read_ply(tmp_path / "a.ply"), read_ply(tmp_path / "b.ply")
-    for name in FIELDS:
-        np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name))

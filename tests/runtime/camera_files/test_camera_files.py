@@ -1,6 +1,7 @@
 """Files of cameras: each format gives back the cameras that were written by its own formulas."""
 
 import json
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ from PIL import Image
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.runtime.camera_files import CameraFile, open_cameras, split_pick
 from gsgen.runtime.camera_files.colmap_models import MODELS
+from gsgen.runtime.camera_files.fields import matrix
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.playback.frame_sequence import FrameSequence
@@ -441,3 +443,12 @@ def points(folder: Path) -> Path:
     path = folder / "points.npz"
     np.savez(path, points=np.zeros((4, 3), np.float32), colors=np.zeros((4, 3), np.uint8))
     return path
+
+
+@pytest.mark.parametrize(
+    "value", [[1, 2], [1, 2, 3, 4], [[1, 2, 3]], 1, [1, 2, math.nan], [1, 2, 1e999], ["a", 1, 2]]
+)
+def test_arrays_of_another_shape_or_without_numbers_are_refused(value: object) -> None:
+    with pytest.raises(ConfigInvalid, match="3 finite numbers"):
+        matrix({"position": value}, "position", (3,), "camera 5")
+    np.testing.assert_array_equal(matrix({"position": [1, 2, 3]}, "position", (3,), ""), [1, 2, 3])

@@ -6,9 +6,10 @@ import pytest
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.renderer import renderer as renderers
+from gsgen.runtime.renderer.bands import Drawn
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.late_counts import FRAMES_LATE
-from gsgen.runtime.renderer.renderer import Drawn, Renderer
+from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from support.rendering.splat_scenes import camera, cloud

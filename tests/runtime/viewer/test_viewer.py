@@ -52,6 +52,23 @@ def test_each_mode_is_that_of_render(
     assert len(np.unique(wanted)) > 20  # there is something to be compared
 
 
+@pytest.mark.parametrize("key", ["1", "2"])
+def test_a_window_larger_than_a_buffer_is_drawn_in_bands(
+    still: Hand, painter: SurfaceRenderer, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still.key(key)
+    wanted = still.bare()
+    drawn = painter.drawn
+    monkeypatch.setattr(painter.renderer.device, "largest_binding", 16 * SIZE[0] * 33)
+    monkeypatch.setattr(painter.renderer, "_pairs", 4 * SIZE[0] * 33)
+    painter._last_view = None
+    other = Hand(still.viewer.playback, painter)
+    other.key(key)
+    assert np.array_equal(other.bare(), wanted)
+    assert [band.first for band in painter._last_view[1].bands] == [0, 32, 64, 96]
+    assert painter.drawn.visible >= drawn.visible > 0
+
+
 def test_linear_colours_are_shown_as_srgb(cloud: SplatData, painter: SurfaceRenderer) -> None:
     hand = Hand(LivePlayback(sources_of(Scene([cloud], "linear"))), painter)
     plain = Hand(LivePlayback(sources_of(cloud)), painter).bare()
@@ -424,6 +441,12 @@ def test_post_process_models_work_on_what_is_shown(
     frame = stage.frame(stage.player(painter.renderer, (0, 0, 0, 1), "color"), camera)
     assert np.abs(made - frame.srgb8[..., :3].astype(int)).max() <= 1
     assert np.abs(made - expected(hand, painter)).max() > 10  # it does something
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(painter.renderer.device, "largest_binding", 16 * SIZE[0] * 33)
+        patch.setattr(painter.renderer, "_pairs", 4 * SIZE[0] * 33)
+        painter._last_view = None
+        assert np.array_equal(Hand(stage, painter).bare()[..., :3], made)
+        assert [band.first for band in painter._last_view[1].bands] == [0, 33, 66, 99]
     hand.key("5")  # what is no colour is as it was
     assert np.abs(hand.bare()[..., :3] - expected(hand, painter, "alpha")).max() <= 1
     stage.close()

@@ -19,15 +19,15 @@ class Cloud(GaussianGenerator):
 
     inputs = (inputs.time(),)
 
-    def __init__(self, size: float = 0.1) -> None:
+    def __init__(self, size: float = 0.1, opacity: float = 0.5) -> None:
         super().__init__()
-        self.size = size
+        self.size, self.opacity = size, opacity
 
     def forward(self, time: torch.Tensor) -> Gaussians:
         line = torch.linspace(-1, 1, 8)[:, None] * torch.ones(1, 3)
         return Gaussians(
             position=line + time,
-            opacity=torch.full((8,), 0.5),
+            opacity=torch.full((8,), self.opacity),
             scale=torch.full((8, 3), self.size),
             rotation=torch.tensor([[1.0, 0, 0, 0]]).repeat(8, 1),
             rgb=torch.full((8, 3), 0.5),
@@ -81,6 +81,12 @@ class NamedInputs(Cloud):
             "Gaussians.scale",
             "the scale is negative in 7 of 7 rows, down to -3; expected standard deviations",
             "torch.exp",
+        ),
+        (
+            lambda: Cloud(opacity=-4.0),
+            "Gaussians.opacity",
+            "the opacity is outside 0 to 1 in 7 of 7 rows, from -4 to -4; expected opacities",
+            "torch.sigmoid",
         ),
     ],
 )

@@ -58,7 +58,7 @@ class Tall(Dots):
     def forward(self, time):
         made = super().forward(time)
         return Gaussians(
-            made.position, 3 * made.opacity, made.scale, made.rotation, rgb=made.rgb
+            made.position, made.opacity + 0.4 * torch.linspace(0, 1, self.n), made.scale, made.rotation, rgb=made.rgb
         )
 
 

@@ -13,6 +13,8 @@ from gsgen.formats.shared.splat_values import ARRAYS
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.scan import scan_chunk
+from gsgen.tiles.build.source import Chunk, open_scenes
 from gsgen.tiles.leaves import read_leaves
 from gsgen.tiles.loading import open_tileset
 from support.tiles.builds import SMALL, build
@@ -97,6 +99,15 @@ def test_rows_that_cannot_be_drawn_are_left_out_and_reported(tmp_path):
     assert "5 rows" in notes[0]
     assert "row 7" in notes[0]
     assert len(read_leaves(tmp_path / "tiles" / "tileset.json")) == 1995
+
+
+def test_the_first_row_that_is_left_out_is_a_row_of_the_file(tmp_path):
+    _write_unchecked(tmp_path / "bad.ply", _with(scattered(60), slice(54, 56), position=math.nan))
+    (file,) = open_scenes([tmp_path / "bad.ply"])
+    facts = scan_chunk(Chunk(index=0, file=file, first=47, count=13, source=0))
+    assert (facts.count, facts.skipped, facts.first_skipped) == (11, 2, 54)
+    facts = scan_chunk(Chunk(index=0, file=file, first=0, count=47, source=0))
+    assert (facts.count, facts.skipped, facts.first_skipped) == (47, 0, -1)
 
 
 def test_scales_beyond_the_codec_are_reported(tmp_path):

@@ -93,7 +93,7 @@ def suspect_order(
     if len(rows) < _FEWEST:
         return None
     declared = _share(_unfit(rows, bounds, smallest))
-    if declared <= _BROKEN:
+    if declared <= _BROKEN or _is_opacity_alone(rows, smallest):
         return None
     if bounds is not None and _share(_outside(rows, bounds)) <= _SOUND:
         bounds = None  # measured on these columns, so they say nothing of others
@@ -145,6 +145,18 @@ def _unfit(
     for covariance, variances in ((xy, xx * yy), (xz, xx * zz), (yz, yy * zz)):
         fits &= covariance <= _CORRELATION * np.sqrt(variances) + smallest
     return np.asarray(~fits if bounds is None else ~fits | _outside(rows, bounds))
+
+
+def _is_opacity_alone(rows: Float[np.ndarray, "n 10"], smallest: float) -> bool:
+    """Return whether all covariances are valid, and centres in the unit cube look like opacities.
+
+    Then any of the first columns would pass as an opacity, which proves no other order.
+    """
+    if not (np.abs(rows[:, :3] - 0.5) <= 0.5 + _UNIT).all():
+        return False
+    opaque = rows.copy()
+    opaque[:, 3] = 1
+    return _share(_unfit(opaque, None, smallest)) <= _SOUND
 
 
 def _outside(rows: Float[np.ndarray, "n 10"], bounds: Box) -> Bool[np.ndarray, " n"]:

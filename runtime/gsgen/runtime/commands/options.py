@@ -137,8 +137,9 @@ RenderCamera = Annotated[
     str | None,
     typer.Option(
         "--camera",
-        help="orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ, or a file or "
-        "folder of cameras; #NAME or #NUMBER after it picks one. "
+        help="orbit[:AZ,EL[,RADIUS]] (azimuth and elevation in degrees), "
+        "look-at:EX,EY,EZ,TX,TY,TZ (eye and target), or a file or folder of cameras; #NAME or "
+        "#NUMBER after it picks one. "
         "[default: an orbit with the whole scene in view]",
     ),
 ]

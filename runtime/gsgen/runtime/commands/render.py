@@ -219,3 +219,8 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
         typer.echo(
             "note: no Gaussian is visible: all are behind the camera or transparent", err=True
         )
+    elif not document["gaussians"] and not document["triangles"]:
+        moment = "with these inputs" if sequence.frames == 1 else "in the last frame"
+        typer.echo(
+            f"note: there are no Gaussians {moment}: --time and --input set others", err=True
+        )

@@ -7,6 +7,7 @@ __all__ = [
     "Encoder",
     "PassTimestamps",
     "RawDevice",
+    "RenderPass",
     "RenderPipeline",
     "Resource",
     "Texture",
@@ -21,12 +22,13 @@ if TYPE_CHECKING:
     from wgpu import GPUBuffer as Buffer
     from wgpu import GPUCommandEncoder as Encoder
     from wgpu import GPUDevice as RawDevice
+    from wgpu import GPURenderPassEncoder as RenderPass
     from wgpu import GPURenderPipeline as RenderPipeline
     from wgpu import GPUTexture as Texture
     from wgpu import GPUTextureView as TextureView
 else:
     BindGroup = BindGroupLayout = Buffer = Encoder = object
-    RawDevice = RenderPipeline = Texture = TextureView = object
+    RawDevice = RenderPass = RenderPipeline = Texture = TextureView = object
 
 Resource: TypeAlias = Buffer | tuple[Buffer, int, int]
 """A resource that a kernel binds: a buffer, or a buffer with an offset and a size in bytes."""

@@ -1,6 +1,6 @@
 """Divides an image too large for one GPU buffer binding into bands of rows, drawn one by one."""
 
-__all__ = ["Band", "Drawing", "PairsExceeded", "band_rows", "draw_bands"]
+__all__ = ["Band", "BandImages", "Drawing", "Drawn", "PairsExceeded", "band_rows", "draw_bands"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ import numpy as np
 
 from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
@@ -52,6 +53,63 @@ class Band:
         if self.rows == self.whole.height:
             return self.whole
         return replace(self.whole, cy=self.whole.cy - self.first, height=self.rows)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Drawn:
+    """A rendered image that stays in GPU memory, to be shown from there.
+
+    Attributes:
+        image: Buffer of four 32-bit words per pixel, as the kernels blend them.
+        row: Pixels from the start of one row to the next.
+        visible: Number of drawn Gaussians.
+        pairs: Number of pairs of a tile and a splat that touches it.
+        first: First row, if the image is a band of a larger one.
+    """
+
+    image: Buffer
+    row: int
+    visible: int
+    pairs: int
+    first: int = 0
+
+    @classmethod
+    def of(cls, image: Buffer, band: Band, counts: np.ndarray) -> "Drawn":
+        """Return the image of a band, with the GPU counters of its frame."""
+        return cls(
+            image=image,
+            row=image.size // band.rows // VEC4,
+            visible=int(counts[Counts.VISIBLE]),
+            pairs=int(counts[Counts.PAIRS]),
+            first=band.first,
+        )
+
+
+@final
+class BandImages:
+    """GPU buffers that hold the bands of an image while its next bands are drawn.
+
+    Args:
+        device: Device of the buffers.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._images: list[Buffer] = []
+
+    def copy(self, number: int, image: Buffer) -> Buffer:
+        """Copy the image of the band ``number`` to a buffer of its own, and return this buffer."""
+        if number == len(self._images) or self._images[number].size != image.size:
+            self._images[number:] = [self._device.storage("band of the image", image.size)]
+        encoder = self._device.raw.create_command_encoder(label="band")
+        encoder.copy_buffer_to_buffer(image, 0, self._images[number], 0, image.size)
+        self._device.submit(encoder)
+        return self._images[number]
+
+    def clear(self) -> None:
+        """Free the buffers."""
+        self._images.clear()
 
 
 def band_rows(device: Device, camera: Camera, images: int, layers: int) -> int:

@@ -1,14 +1,17 @@
 """The GPU pages (buffers) of a scene with their splat sets, in drawing order."""
 
-__all__ = ["Placed", "scene_order", "slot_rows", "sorted_pages", "weighted_pages"]
+__all__ = ["Placed", "bare_set", "scene_order", "slot_rows", "sorted_pages", "weighted_pages"]
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import UInt32
 
+from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.scene.scene import SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import PooledSet
 
 Placed = tuple[SplatSet, Page]
 """A splat set with one of its pages (GPU buffers)."""
@@ -39,3 +42,17 @@ def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
 def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
     """Return the pages (GPU buffers) of splat sets that are sorted by depth."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
+
+
+def bare_set(pooled: PooledSet) -> SplatSet:
+    """Return an empty splat set that has the drawing settings of a splat pool (streamed tiles)."""
+    pool = pooled.pool
+    rows = np.zeros((0, layout.ROW), np.float32)
+    data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
+    return SplatSet(
+        data,
+        pooled.transform,
+        opacity_scale=pooled.opacity_scale,
+        degree=pooled.degree,
+        antialias=pooled.antialias,
+    )

@@ -1,32 +1,36 @@
 """The renderer: draws a scene from a camera and returns a frame."""
 
-__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Drawn", "Renderer"]
+__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
-from gsgen.contract.spec import layout
 from gsgen.runtime.errors import DeviceUnavailable, MemoryFull, SceneInvalid
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
-from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
 from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.bands import Band, Drawing, PairsExceeded, band_rows, draw_bands
+from gsgen.runtime.renderer.bands import (
+    Band,
+    BandImages,
+    Drawing,
+    Drawn,
+    PairsExceeded,
+    band_rows,
+    draw_bands,
+)
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.frame_images import frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import LateCounts
-from gsgen.runtime.renderer.placed_pages import Placed, sorted_pages
+from gsgen.runtime.renderer.placed_pages import Placed, bare_set, sorted_pages
 from gsgen.runtime.renderer.rasteriser_choice import (
     Rasteriser,
     RasteriserOption,
@@ -36,9 +40,7 @@ from gsgen.runtime.renderer.rasteriser_choice import (
 from gsgen.runtime.renderer.slabs import most_splats
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, OUTPUTS, Frame, Output
-from gsgen.runtime.scene.scene import Scene, SplatSet
-from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet
+from gsgen.runtime.scene.scene import Scene
 
 FIRST_PAIRS: Final = 1 << 16
 """Pairs of a splat and a tile for which a new renderer has room."""
@@ -49,24 +51,6 @@ PAIRS_ROOM: Final = 1.25
 _ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
 
 _MANY: Final = 1 << 32  # splats: more than any device draws at once
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
-    """A rendered image that stays in GPU memory, to be shown from there.
-
-    Attributes:
-        image: Buffer of four 32-bit words per pixel, as the kernels blend them.
-        row: Pixels from the start of one row to the next.
-        visible: Number of drawn Gaussians.
-        pairs: Number of pairs of a tile and a splat that touches it.
-    """
-
-    image: Buffer
-    row: int
-    visible: int
-    pairs: int
 
 
 @final
@@ -135,6 +119,7 @@ class Renderer:
         self._shape: object = None
         self._steady: tuple[object, np.ndarray] | None = None
         self.late = LateCounts()
+        self._bands = BandImages(self.device)
 
     def render(
         self,
@@ -185,14 +170,43 @@ class Renderer:
         """
         if wait:
             self._steady = None
-            plan, counts = self._drawn_at_once(scene, camera, background, output)
+            plan, counts = self._drawn_at_once(scene, Band.of(camera), background, output)
         else:
             behind = _premultiplied(background)
             with self._device_errors(scene, camera):
                 plan, counts = self._drawn_late(scene, camera, behind, _known((output,)))
-        image = plan.images[output]
-        row = image.size // camera.height // VEC4
-        return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
+        return Drawn.of(plan.images[output], Band.of(camera), counts)
+
+    def draw_bands(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        output: Output = "color",
+        wait: bool = True,
+    ) -> list[Drawn]:
+        """Draw one output of a scene into one GPU buffer, or into several if it is too large.
+
+        Arguments and errors are those of :meth:`draw`. Frames of several buffers are waited for,
+        and a Gaussian counts in each band that it touches. The buffers change with the next frame.
+        """
+        rows = self._band_rows(scene, camera, 1)
+        if rows >= camera.height:
+            self._bands.clear()
+            return [self.draw(scene, camera, background=background, output=output, wait=wait)]
+        drawn = list[Drawn]()
+
+        def draw(band: Band) -> Drawing:
+            plan, counts = self._drawn_at_once(scene, band, background, output)
+            image = self._bands.copy(len(drawn), plan.images[output])
+            drawn.append(Drawn.of(image, band, counts))
+            return counts, {}
+
+        self._steady = None
+        with self.device.translate_errors():
+            draw_bands(camera, rows, draw, lambda: None)
+        return drawn
 
     def _drawn(
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
@@ -209,23 +223,26 @@ class Renderer:
                 _, counts, images = self._fitted(scene, band, behind, requested, placed, meshes)
                 return counts, images
 
-            layers = bool(meshes) + any(splat_set.weighted is not None for splat_set, _ in placed)
-            rows = band_rows(self.device, camera, len(requested), layers)
+            rows = self._band_rows(scene, camera, len(requested))
             return draw_bands(
                 camera, rows, draw, lambda: self._plan and self._plan.visible(placed, camera)
             )
 
+    def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
+        """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
+        layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
+        return band_rows(self.device, camera, images, layers)
+
     def _drawn_at_once(
-        self, scene: Scene, camera: Camera, background: Sequence[float], output: Output
+        self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a whole image, without bands, which stays in one GPU buffer."""
+        """Draw a whole image, or a band of it, which stays in one GPU buffer."""
         requested = _known((output,))
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)
-        with self._device_errors(scene, camera):
+        with self._device_errors(scene, band.whole):
             placed, meshes = self._uploaded(scene)
-            band = Band.of(camera)
             return self._fitted(scene, band, behind, requested, placed, meshes, fetch=False)[:2]
 
     @contextmanager
@@ -344,7 +361,7 @@ class Renderer:
             for splat_set in scene.sets
             for page in self._residency.pages(splat_set.data)
         ] + [
-            (_bare_set(pooled), page)
+            (bare_set(pooled), page)
             for pooled in scene.pools
             for page in self._residency.pool_pages(pooled.pool)
         ]
@@ -431,20 +448,6 @@ class Renderer:
 def _sorted_splats(placed: Sequence[Placed]) -> int:
     """Return the number of splats that a scene may have to sort by depth."""
     return sum(page.capacity for _, page in sorted_pages(placed))
-
-
-def _bare_set(pooled: PooledSet) -> SplatSet:
-    """Return an empty splat set that has the drawing settings of a splat pool (streamed tiles)."""
-    pool = pooled.pool
-    rows = np.zeros((0, layout.ROW), np.float32)
-    data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
-    return SplatSet(
-        data,
-        pooled.transform,
-        opacity_scale=pooled.opacity_scale,
-        degree=pooled.degree,
-        antialias=pooled.antialias,
-    )
 
 
 def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:

@@ -2,6 +2,7 @@
 
 __all__ = ["SHOWING", "SHOWING_CONSTANTS", "Panel", "Present", "View"]
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, final
@@ -15,12 +16,13 @@ from gsgen.runtime.gpu.handles import (
     BindGroupLayout,
     Buffer,
     RawDevice,
+    RenderPass,
     RenderPipeline,
     Texture,
 )
 from gsgen.runtime.kernels.shared.shader import source
 from gsgen.runtime.media.pictures import MODES, Mode
-from gsgen.runtime.renderer.renderer import Drawn
+from gsgen.runtime.renderer.bands import Drawn
 from gsgen.runtime.scene.camera import Camera
 
 _MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
@@ -42,7 +44,8 @@ SHOWING: Final = np.dtype(
         ("near", np.float32),
         ("far", np.float32),
         ("is_linear", np.uint32),
-        ("filling", np.uint32, 3),
+        ("first", np.uint32),
+        ("filling", np.uint32, 2),
     ]
 )
 """The bytes of ``struct Showing`` in present.wgsl."""
@@ -62,9 +65,12 @@ class Panel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class View:
-    """A drawn image in GPU memory, with the settings of showing it on a window's surface."""
+    """A drawn image in GPU memory, with the settings of showing it on a window's surface.
 
-    drawn: Drawn
+    Its bands follow each other from the top to the bottom.
+    """
+
+    bands: Sequence[Drawn]
     camera: Camera
     mode: Mode
     depths: tuple[float, float] = (0.0, 1.0)
@@ -82,7 +88,6 @@ class Present:
 
     def __init__(self, device: Device, format: str) -> None:
         self._device, raw = device, device.raw
-        self._uniform = device.uniform("showing", SHOWING.itemsize)
         self._layout, self._pipeline = _pipeline(
             raw,
             "present",
@@ -95,7 +100,7 @@ class Present:
         self._panel_layout, self._panels = _pipeline(
             raw, "panel", {"texture": {"sample_type": "float"}}, format, blend
         )
-        self._bound: tuple[Buffer, BindGroup] | None = None
+        self._bindings: dict[Buffer, tuple[Buffer, BindGroup]] = {}
         self._panel_bindings: dict[Panel, tuple[Texture, BindGroup]] = {}
 
     def __call__(self, target: Texture, view: View | None, panels: Sequence[Panel]) -> None:
@@ -110,10 +115,7 @@ class Present:
         }
         render_pass = encoder.begin_render_pass(label="present", color_attachments=[attachment])
         if view is not None:
-            self._device.write(self._uniform, _uniforms(view, (width, height)))
-            render_pass.set_pipeline(self._pipeline)
-            render_pass.set_bind_group(0, self._bind(view.drawn.image))
-            render_pass.draw(3)
+            self._draw_bands(render_pass, view, (width, height))
         bindings = {panel: self._panel_binding(panel) for panel in panels}
         for panel, (_, bind_group) in bindings.items():
             panel_height, panel_width = panel.picture.shape[:2]
@@ -129,11 +131,29 @@ class Present:
         self._panel_bindings = bindings  # panels that are no longer shown are released
         self._device.submit(encoder)
 
-    def _bind(self, image: Buffer) -> BindGroup:
-        if self._bound is None or self._bound[0] is not image:
-            resources = [{"buffer": self._uniform}, {"buffer": image}]
-            self._bound = image, _bind_group(self._device.raw, self._layout, resources)
-        return self._bound[1]
+    def _draw_bands(self, render_pass: RenderPass, view: View, surface: tuple[int, int]) -> None:
+        """Draw each band of an image on its rows of a surface, and the last to its end."""
+        width, height = surface
+        self._bindings = {band.image: self._binding(band.image) for band in view.bands}
+        render_pass.set_pipeline(self._pipeline)
+        # A row belongs to the band that holds the pixel of the image at its centre.
+        scale = height / view.camera.height
+        tops = [math.ceil(band.first * scale - 0.5) for band in view.bands]
+        for band, top, bottom in zip(view.bands, tops, [*tops[1:], height], strict=True):
+            uniform, bind_group = self._bindings[band.image]
+            self._device.write(uniform, _uniforms(view, band, surface))
+            render_pass.set_bind_group(0, bind_group)
+            render_pass.set_scissor_rect(0, top, width, bottom - top)
+            render_pass.draw(3)
+        render_pass.set_scissor_rect(0, 0, width, height)
+
+    def _binding(self, image: Buffer) -> tuple[Buffer, BindGroup]:
+        """Return the uniform and the bind group of an image, created when it is first shown."""
+        if image in self._bindings:
+            return self._bindings[image]
+        uniform = self._device.uniform("showing", SHOWING.itemsize)
+        resources = [{"buffer": uniform}, {"buffer": image}]
+        return uniform, _bind_group(self._device.raw, self._layout, resources)
 
     def _panel_binding(self, panel: Panel) -> tuple[Texture, BindGroup]:
         """Return the texture and the bind group of a panel, created when it is first shown."""
@@ -159,14 +179,15 @@ class Present:
         return texture, _bind_group(raw, self._panel_layout, resources)
 
 
-def _uniforms(view: View, surface: tuple[int, int]) -> np.ndarray:
+def _uniforms(view: View, band: Drawn, surface: tuple[int, int]) -> np.ndarray:
     camera = view.camera
     uniforms = np.zeros(1, SHOWING)
     # The rows of world → camera are the columns of camera → world.
     uniforms["turn"][0, :, :3] = camera.view[:3, :3]
     uniforms["size"] = camera.width, camera.height
     uniforms["scale"] = camera.width / surface[0], camera.height / surface[1]
-    uniforms["row"], uniforms["mode"] = view.drawn.row, _MODES[view.mode]
+    uniforms["row"], uniforms["first"] = band.row, band.first
+    uniforms["mode"] = _MODES[view.mode]
     uniforms["near"], uniforms["far"] = view.depths
     uniforms["is_linear"] = view.color_space == "linear"
     return uniforms

@@ -4,7 +4,7 @@ __all__ = ["SurfaceRenderer", "ViewRequest"]
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -12,10 +12,12 @@ import numpy as np
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.live_playback import LivePlayback
+from gsgen.runtime.renderer.bands import Drawn
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption
-from gsgen.runtime.renderer.renderer import Drawn, Renderer
+from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.viewer.present import Panel, Present, View
@@ -57,7 +59,7 @@ class SurfaceRenderer:
         self._open = open_device
         self._rasteriser: RasteriserOption = rasteriser
         self._compact = compact
-        self._upload: tuple[Device, int, Buffer] | None = None
+        self._upload: tuple[Device, list[int], list[Buffer]] | None = None
         self.seconds = 0.0
         self._begin()
 
@@ -76,7 +78,7 @@ class SurfaceRenderer:
             return last[1]
         started = time.perf_counter()
         view = self._draw(playback, request)
-        self.seconds, self.drawn = time.perf_counter() - started, view.drawn
+        self.seconds, self.drawn = time.perf_counter() - started, _added(view.bands)
         # The key is computed again: a post-process model may have taken a new frame.
         self._last_view = request.key(playback), view
         return view
@@ -108,13 +110,13 @@ class SurfaceRenderer:
         if playback.post and request.mode == "color":
             player = playback.player(self.renderer, request.background, output)
             frame = playback.frame(player, camera)
-            drawn, camera = self._uploaded(frame), _resized(camera, frame)
+            bands, camera = self._uploaded(frame), _resized(camera, frame)
             color_space = frame.color_space
         else:
             scene = playback.scene()
             color_space = scene.color_space
             # Software drivers are waited for: they have no frame to draw meanwhile.
-            drawn = self.renderer.draw(
+            bands = self.renderer.draw_bands(
                 scene,
                 camera,
                 background=request.background,
@@ -122,20 +124,36 @@ class SurfaceRenderer:
                 wait=self.renderer.device.software,
             )
         return View(
-            drawn=drawn, camera=camera, mode=request.mode, depths=depths, color_space=color_space
+            bands=bands, camera=camera, mode=request.mode, depths=depths, color_space=color_space
         )
 
-    def _uploaded(self, frame: Frame) -> Drawn:
-        """Upload a frame that a post-process model computed on the CPU."""
+    def _uploaded(self, frame: Frame) -> list[Drawn]:
+        """Upload a frame that a post-process model computed on the CPU, in bands of rows."""
         assert frame.rgba is not None  # colours were drawn
-        device, size = self.renderer.device, frame.rgba.nbytes
-        if self._upload is None or self._upload[:2] != (device, size):
-            with device.translate_errors():
-                self._upload = device, size, device.storage("shown image", size)
-        image = self._upload[2]
+        device, (height, width) = self.renderer.device, frame.rgba.shape[:2]
+        rows = max(1, device.largest_binding // (VEC4 * width))
+        bands = [
+            np.ascontiguousarray(frame.rgba[first : first + rows], np.float32)
+            for first in range(0, height, rows)
+        ]
+        sizes = [band.nbytes for band in bands]
         with device.translate_errors():
-            device.write(image, np.ascontiguousarray(frame.rgba, np.float32))
-        return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
+            if self._upload is None or self._upload[:2] != (device, sizes):
+                images = [device.storage("shown image", size) for size in sizes]
+                self._upload = device, sizes, images
+            for image, band in zip(self._upload[2], bands, strict=True):
+                device.write(image, band)
+        return [
+            # The first band has the counts of all.
+            Drawn(
+                image=image,
+                row=width,
+                visible=0 if first else frame.visible,
+                pairs=0 if first else frame.pairs,
+                first=first,
+            )
+            for first, image in zip(range(0, height, rows), self._upload[2], strict=True)
+        ]
 
     def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
         """Draw a picture of a playback as arrays, through its post-process models."""
@@ -150,6 +168,12 @@ class SurfaceRenderer:
         except DeviceUnavailable as error:
             message = f"the graphics device was lost, and cannot be opened again: {error.message}"
             raise DeviceUnavailable(message, hint=error.hint) from error
+
+
+def _added(bands: Sequence[Drawn]) -> Drawn:
+    """Return the first band of an image, with the counts of all bands."""
+    visible, pairs = sum(band.visible for band in bands), sum(band.pairs for band in bands)
+    return replace(bands[0], visible=visible, pairs=pairs)
 
 
 def _resized(camera: Camera, frame: Frame) -> Camera:

@@ -153,6 +153,8 @@ def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Refer
     count = n if output.count is None else int(np.clip(int(output.count.reshape(-1)[0]), 0, n))
     if output.scale is not None and not probe.zeros:
         _refuse_negative(_array(output.scale[:count]))
+    if output.cells is None and not probe.zeros:
+        _refuse_logits(_array(output.opacity[:count]).reshape(-1))
     cells = None if output.cells is None else _unpacked_cells(output.cells)
     return Reference(probe, _unpacked(output), count, cells)
 
@@ -170,6 +172,18 @@ def _refuse_negative(scale: np.ndarray) -> None:
             "expected standard deviations",
             where="Gaussians.scale",
             hint="3DGS stores logarithms: take torch.exp of them; or take abs, if signs have no meaning.",
+        )
+
+
+def _refuse_logits(opacity: np.ndarray) -> None:
+    """Raise if most opacities lie outside 0 to 1, because they are probably logits."""
+    wrong = int(((opacity < 0) | (opacity > 1)).sum())
+    if wrong > len(opacity) / 2:
+        raise GeneratorInvalid(
+            f"the opacity is outside 0 to 1 in {wrong:,} of {len(opacity):,} rows, from "
+            f"{opacity.min():g} to {opacity.max():g}; expected opacities",
+            where="Gaussians.opacity",
+            hint="3DGS stores logits: take torch.sigmoid of them.",
         )
 
 

@@ -17,6 +17,7 @@ struct Showing {
     near: f32,      // the depth shown white
     far: f32,       // the depth shown nearly black
     is_linear: u32,
+    first: u32,     // first row of the image that its buffer holds
 }
 
 @group(0) @binding(0) var<uniform> showing: Showing;
@@ -42,8 +43,10 @@ fn color_at(@builtin(position) place: vec4f) -> @location(0) vec4f {
 
 // Return what the surface shows of a pixel of the image, or of the nearest one.
 fn pixel_color(column_row: vec2f) -> vec4f {
-    let at = vec2u(clamp(column_row, vec2f(0.0), showing.size - 1.0));
-    let pixel = image[at.y * showing.row + at.x];
+    let end = showing.first + arrayLength(&image) / showing.row;
+    let last = min(showing.size - 1.0, vec2f(showing.size.x, f32(end) - 1.0));
+    let at = vec2u(clamp(column_row, vec2f(0.0, f32(showing.first)), last));
+    let pixel = image[(at.y - showing.first) * showing.row + at.x];
     switch showing.mode {
         case MODE_DEPTH: {
             return grey(select(0.0, pixel.x / pixel.w, pixel.w > 0.0));

@@ -1,0 +1,45 @@
+"""Rules that compare one declared or drawn quantity with a limit: just within it, and beyond."""
+
+import math
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from gsgen.contract.probing.outputs import Rows
+from gsgen.contract.rules.interface.avatar_inputs import blend_weights_in_unit_range
+from gsgen.contract.rules.targets.visionary_drawing import visionary_fades_small
+from gsgen.contract.spec.manifest import Bounds, Input
+
+
+@pytest.mark.parametrize(
+    ("range", "count"),
+    [((0, 1), 0), ((0.5, 0.5), 0), ((0.8, 0.2), 1), ((-0.01, 1), 1), ((0, 1.01), 1)],
+)
+def test_blend_weights_of_arkit_lie_between_0_and_1(range: tuple[float, float], count: int) -> None:
+    entries = [
+        Input(name="face", role="expression", range=range, convention=convention)
+        for convention in ("arkit-52", "flame")
+    ]
+    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=tuple(entries)))
+    violations = list(blend_weights_in_unit_range.check(cast(Any, subject)))
+    assert len(violations) == count
+
+
+@pytest.mark.parametrize(
+    ("sigma", "fades"), [(0.2, True), (0.31, True), (0.32, False), (5.0, False)]
+)
+def test_gaussians_below_a_third_of_a_pixel_fade(sigma: float, fades: bool) -> None:
+    """The filter adds 0.1 px² to the variance: half of the opacity is left at that variance."""
+    diagonal, focal = math.sqrt(12), 1304.0
+    pixel = 2.2 * diagonal / 2 / focal  # in scene units, where all of the bounds are seen
+    widest = np.full(8, np.float32((sigma * pixel) ** 2))
+    generator = SimpleNamespace(bounds=Bounds((-1, -1, -1), (1, 1, 1)), antialias=None)
+    emission = SimpleNamespace(subject=SimpleNamespace(generator=generator), rows_place="output g")
+    rows = SimpleNamespace(
+        emission=emission, widest=widest, drawn=np.ones(8, bool), drawn_count=8, start=0
+    )
+    (violation,) = visionary_fades_small.check(cast(Rows, rows))
+    assert violation.invalid_rows is not None
+    assert violation.invalid_rows.tolist() == [fades] * 8
