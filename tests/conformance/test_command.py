@@ -26,7 +26,7 @@ def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(folder: P
     )
     assert ran.code == 1, ran.err
     lines = ran.out.splitlines()
-    good, broken = [i for i, line in enumerate(lines) if "judged for core@" in line]
+    good, broken = [i for i, line in enumerate(lines) if "validated for core@" in line]
     suites = [line.split()[0] for line in lines[good + 1 : broken - 1]]
     assert suites == ["basic", "time", "appearance", "capture"]
     assert lines[broken - 1].startswith("passed: ")

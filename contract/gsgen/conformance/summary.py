@@ -44,8 +44,8 @@ def exit_code(entries: Sequence[Entry]) -> ExitCode:
 def lines_of(run: ModelRun) -> list[Line]:
     """Return the text of a conformance run: suites, failures with commands, overall result."""
     report = run.report
-    judged = f"judged for {report.target.label} at level {report.level.word}"
-    lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {judged}", "bold")]
+    scope = f"validated for {report.target.label} at level {report.level.word}"
+    lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {scope}", "bold")]
     for name, cases in run.suites.items():
         worst = max((case.status for case in cases), key=_badness)
         lines.append(Line(f"  {name:<13} {_counts(cases)}", _STYLE.get(worst, "")))

@@ -95,7 +95,7 @@ def test_a_source_that_cannot_be_read_exits_4(tmp_path):
     invalid.write_bytes(b"ply\nnonsense\nend_header\n")
     ran = gsgen_here("convert", invalid, tmp_path / "a.spz")
     assert ran.code == 4
-    assert ran.err.startswith(f"gsgen: {invalid}: header line 2: 'nonsense'\nexpected format, ")
+    assert ran.err.startswith(f"gsgen: {invalid}: header line 2: 'nonsense'\n  expected format, ")
 
 
 @pytest.fixture
@@ -231,3 +231,13 @@ def test_half_of_the_splats_are_left(source: Path, tmp_path: Path) -> None:
     ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%")
     assert ran.code == 0, ran.err
     assert 15 <= len(open_splats(tmp_path / "a.ply")) <= 25
+    assert "nothing was lost by the format" in ran.out
+
+
+def test_a_fraction_of_the_splats_is_a_percentage(source: Path, tmp_path: Path) -> None:
+    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "0.1")
+    assert ran.code == 2
+    assert "expected a number of splats, or a percentage such as 25%" in ran.err
+    ran = gsgen_here("convert", tmp_path / "sourse.ply", tmp_path / "a.ply")
+    assert ran.err.startswith("gsgen: ")
+    assert "\n" not in ran.err.strip().replace("\n  ", "")

@@ -112,6 +112,12 @@ def test_causes_that_are_no_finding_are_named_all_the_same(reports):
     assert lines[index + 1] == "    so 1 rule could not be checked: GO008"
 
 
+def test_a_cause_in_the_baseline_is_marked_as_known(reports):
+    findings = tuple(replace(finding, known=True) for finding in reports["foreign"].findings)
+    lines = text_of(replace(reports["foreign"], findings=findings, baseline="b")).splitlines()
+    assert "  GO005 fail (known): appearance-declared" in lines
+
+
 def test_what_is_known_is_shown_only_where_all_is(reports):
     first, *remaining = reports["broken"].findings
     findings = (replace(first, known=True), *remaining)

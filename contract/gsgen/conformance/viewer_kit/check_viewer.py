@@ -29,7 +29,7 @@ _SHOWN_GAIN = 4.0  # of differences on the page
 
 
 class KitUnreadable(ValueError):
-    """Raised if index.json or an expected picture of a viewer test kit cannot be read."""
+    """Raised if a viewer test kit or the folder of the viewer's pictures cannot be read."""
 
 
 class PictureUnreadable(ValueError):
@@ -43,6 +43,8 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
         The result as docs describe it: verdict, cases with their frames, and suspected faults.
     """
     index = read_index(kit)
+    if not pictures.is_dir():
+        raise KitUnreadable(f"{pictures}: is not a folder, expected that of the viewer's pictures")
     cases = [_check_case(kit, pictures, case, index["tolerance"]) for case in index["cases"]]
     failed = {case["name"] for case in cases if case["verdict"] == "failed"}
     return {

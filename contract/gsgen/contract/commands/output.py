@@ -40,7 +40,9 @@ def echo_error(error: GsgenError) -> None:
     clear()
     if not error.hint and "No such file" in error.message:
         error.hint = similar_file_hint(str(error).partition(": ")[0])
-    typer.echo(f"gsgen: {error}", err=True)
+    first, *others = str(error).split("\n")
+    lines = [line if line.startswith(" ") else f"  {line}" for line in others]
+    typer.echo("\n".join((f"gsgen: {first}", *lines)), err=True)
 
 
 def append_text(path: Path, text: str) -> None:

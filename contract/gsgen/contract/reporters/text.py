@@ -62,9 +62,11 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         if rule in causes:
             lines += _consequence(causes.pop(rule), verbose=verbose)
     lines += _crashes(report)
+    known = {finding.rule for finding in report.findings if finding.known}
     for cause in causes.values():
         rule, status = cause.outcome.rule, cause.outcome.status
-        lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
+        mark = " (known)" if rule.id in known else ""
+        lines.append(Line(f"  {rule.id} {status}{mark}: {rule.slug}"))
         lines += _consequence(cause, verbose=verbose)
     lines += (
         _unchecked(report)

@@ -134,13 +134,14 @@ def convert(
         "histograms": histograms,
     }
     summaries: list[tuple[Statistics, ...]] = []
+    edits = edits_in_order(context, values, summaries)
     run = partial(
         convert_file,
         sources,
         target,
         codec,
         sh_degree=sh_degree,
-        edits=edits_in_order(context, values, summaries),
+        edits=edits,
         drop_invalid=drop_invalid,
         read=_reader(spz_axes, drop_invalid=drop_invalid),
         read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
@@ -149,7 +150,8 @@ def convert(
     result, notes = _reported(run, sources)
     document = _as_dict(result) | {"notes": notes}
     document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
-    text = "\n\n".join([*map(statistics_text, summaries), _as_text(result)])
+    text = _as_text(result, edited=bool(edits))
+    text = "\n\n".join([*map(statistics_text, summaries), text])
     typer.echo(json.dumps(document, indent=2) if as_json else text)
 
 
@@ -228,7 +230,7 @@ def _as_dict(result: "Conversion") -> dict[str, object]:
     return document
 
 
-def _as_text(result: "Conversion") -> str:
+def _as_text(result: "Conversion", *, edited: bool) -> str:
     before, after = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
@@ -248,5 +250,5 @@ def _as_text(result: "Conversion") -> str:
     ]
     lines += not_compared
     if result.degree and not changed and not result.lost and result.compared:
-        lines.append("nothing was lost")
+        lines.append("nothing was lost by the format" if edited else "nothing was lost")
     return "\n".join(lines)

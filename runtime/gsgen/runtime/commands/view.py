@@ -194,6 +194,12 @@ def _serve_page(
     from gsgen.runtime.web.serving import ModelServer
 
     for path in scenes:
+        if path.suffix.lower() in (".html", ".htm"):
+            raise ConfigInvalid(
+                "is a page, expected a scene",
+                where=str(path),
+                hint=f"--web serves a page; `gsgen export html SCENE -o {path.name}` writes one.",
+            )
         model_bytes(path)  # an unreadable file is an error here, not in the page alone
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
     folder = ort_folder(ort) if has_generator else None

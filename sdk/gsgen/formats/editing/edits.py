@@ -94,11 +94,13 @@ def _numeric(edit: Callable[..., Splats], metavar: str) -> Option:
 def _decimation(text: str) -> Edit:
     match = re.fullmatch(r"(\d+(?:\.\d+)?)(%?)", text)
     amount = float(match[1]) if match else 0.0
-    if match is None or not amount or (match[2] and amount > 100):
+    is_invalid = amount > 100 if match and match[2] else amount % 1 > 0
+    if not amount or is_invalid:
         raise ValueInvalid(shown(text), expected="a number of splats, or a percentage such as 25%")
+    is_share = text.endswith("%")
 
     def decimate(splats: Splats) -> Splats:
-        count = int(len(splats) * amount / 100) if match[2] else int(amount)
+        count = int(len(splats) * amount / 100) if is_share else int(amount)
         points = registered_entry_points("gsgen.decimators")
         for point in points:
             decimator: Decimator = point.load()
