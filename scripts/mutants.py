@@ -115,9 +115,10 @@ def main() -> int:
             if time.monotonic() > deadline:
                 break
             mutant = draw(options.seed, number, judge.copy)
-            files = judge.tests.nearest(mutant)
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
+            files: list[str] = []
             if known.get(key) != "killed":
+                files = judge.tests.nearest(mutant)
                 key += f" {_digest(files, judge.copy)}"
             if reason(mutant):
                 known[key] = "survived"

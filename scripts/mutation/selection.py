@@ -49,6 +49,16 @@ class SuiteFiles:
         }
 
     @cached_property
+    def _words(self) -> dict[str, set[str]]:
+        """The words of each test file."""
+        return {name: set(re.findall(r"\w+", text)) for name, text in self.texts.items()}
+
+    @cached_property
+    def _module_words(self) -> dict[Path, set[str]]:
+        """The words of each module."""
+        return {path: set(re.findall(r"\w+", text)) for path, text in self._modules.items()}
+
+    @cached_property
     def _parametrized(self) -> dict[str, set[str]]:
         """The test files with each word of a parameter."""
         files: dict[str, set[str]] = {}
@@ -87,7 +97,7 @@ class SuiteFiles:
         dotted = ".".join(mutant.path.with_suffix("").parts[1:])
         names = definitions_at(self._modules[mutant.path], mutant.diff)
         mentions = [
-            {file for file, text in self.texts.items() if _mentions(text, name)} for name in names
+            {file for file, words in self._words.items() if name in words} for name in names
         ]
         mentions += [self._tests_of_users(name, mutant.path) for name in names]
         mentions += [self._parametrized.get(name, set()) for name in self.parameters(mutant)]
@@ -113,8 +123,8 @@ class SuiteFiles:
         """Return the test files that import a module that uses a name of the module ``home``."""
         users = {
             ".".join(path.with_suffix("").parts[1:])
-            for path, text in self._modules.items()
-            if path != home and _mentions(text, name)
+            for path, words in self._module_words.items()
+            if path != home and name in words
         }
         return {
             file
@@ -126,10 +136,6 @@ class SuiteFiles:
         """Return the names around a mutant, and those of rules and fixtures in its module."""
         code = self._modules[mutant.path]
         return definitions_at(code, mutant.diff) | set(_registered(code))
-
-
-def _mentions(text: str, name: str) -> bool:
-    return re.search(rf"\b{re.escape(name)}\b", text) is not None
 
 
 def parameter_words(node_id: str) -> list[str]:

@@ -12,6 +12,7 @@ from gsgen.tiles.index import ContentRecord, TileRecord, box_numbers, write_tile
 from gsgen.tiles.info import describe_tileset
 from gsgen.tiles.leaves import read_leaves
 from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.metadata import TILE_CLASS, implicit_metadata_schema, metadata_schema
 from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
 
 
@@ -126,3 +127,17 @@ def test_up_is_a_unit_vector_in_the_root_s_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(replace(tileset, transform=turned).up, [0, 1, 0], atol=1e-12)
     turned[:3, 3] = 0, 6.4e6, 0  # on the globe
     np.testing.assert_allclose(replace(tileset, transform=turned).up, [0, 0, -1], atol=1e-12)
+
+
+def test_every_property_but_the_utility_is_required() -> None:
+    explicit = metadata_schema()["classes"][TILE_CLASS]["properties"]
+    assert explicit["utility"]["required"] is False
+    properties = [
+        entry
+        for schema in (metadata_schema(), implicit_metadata_schema())
+        for group in schema["classes"].values()
+        for name, entry in group["properties"].items()
+        if name != "utility"
+    ]
+    assert len(properties) > 10
+    assert all(entry["required"] is True for entry in properties)

@@ -166,7 +166,7 @@ def tileset_document(
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
 ) -> JsonDict:
-    """Return the JSON document that :func:`write_tileset` writes."""
+    """Return the ``tileset.json`` of a tree of tiles as a JSON object."""
     written = _tile(root, quality)
     tree = written.document
     if transform is not None:

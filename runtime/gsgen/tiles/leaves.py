@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float64
 
+from gsgen.formats.codecs import codec_named
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.tiles.downloads import names_one_file, read_download
@@ -33,7 +34,6 @@ from gsgen.tiles.uris import resolve_uri
 
 MAX_CONTENT: Final = 512 << 20
 """How many bytes the file of one tile may have."""
-_OTHER_INDICES: Final = ("meta.json", "lod-meta.json")  # of SOG
 _FAR: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
 
 
@@ -82,7 +82,7 @@ def recognises(path: str | os.PathLike[str]) -> bool:
     if text.lower().startswith(("http:/", "https:/")) or name.endswith(".3tz"):
         return True
     if name.endswith(".json"):
-        return name not in _OTHER_INDICES
+        return name not in codec_named("sog").suffixes
     return (Path(text) / INDEX).is_file()
 
 

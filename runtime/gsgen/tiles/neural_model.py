@@ -32,7 +32,7 @@ _BOUNDS_HOLD: Final = "GV021"  # a warning for a model, as no viewer culls by it
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBounds:
-    """The volume in which a tile's Gaussians have to stay, with the transform to its frame.
+    """The volume in which a tile's Gaussians have to stay, and the tile-to-volume transform.
 
     Attributes:
         volume: The volume.

@@ -1,4 +1,4 @@
-"""Finds each tile's content files at several qualities, in tilesets beside the main one."""
+"""Finds each tile's content files at several SPZ qualities, in files ``tileset-qN.json``."""
 
 __all__ = ["QualityLadder", "load_ladder"]
 

@@ -29,7 +29,7 @@ from gsgen.formats.shared.bytes import Data
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-from gsgen.formats.sog.meta import META
+from gsgen.formats.sog.meta import META, STREAMED_META
 from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.sog.write import sog_order, write_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat
@@ -137,8 +137,8 @@ CODECS: Final = (
     Codec(
         name="sog",
         title="SOG",
-        contents="version 2, zipped or its `meta.json`; the finest level of a streamed SOG, `lod-meta.json`",
-        suffixes=(".sog", META),
+        contents="version 2, zipped or its `meta.json`; the finest level of a streamed SOG, `lod-meta.json`, which is written with four levels",
+        suffixes=(".sog", META, STREAMED_META),
         read=read_sog,
         write=write_sog,
         marks=(ZIP_MAGIC, *_JSON_MARKS),

@@ -10,7 +10,6 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.formats.codecs import CODECS, Codec, Content
-from gsgen.formats.editing.filters import rows_of
 from gsgen.formats.loss import Difference, differences
 from gsgen.formats.open import find_tiled_reader, open_splats
 from gsgen.formats.packed import splats_of_rows
@@ -19,8 +18,9 @@ from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.joined import joined
-from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splat_values import ARRAYS, rows_of
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.sog.meta import STREAMED_META
 from gsgen.formats.sog.sog import written_bytes
 
 __all__ = ["Conversion", "convert"]
@@ -97,8 +97,8 @@ def convert(
     writer = write or _writer_of(codec, target)
     sources = [source] if isinstance(source, str | os.PathLike) else list(source)
     most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
-    is_default = read is None and write is None and not drop_invalid
-    if is_default and len(sources) == 1 and codec.name in PART_WRITERS:
+    in_parts = read is None and write is None and not drop_invalid and not _is_streamed(target)
+    if in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
         large = open_parts(sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED)
         if large is not None:
             return _convert_parts(large, target, codec, step)
@@ -141,6 +141,11 @@ def convert(
         differences=entries,
         compared=is_compared,
     )
+
+
+def _is_streamed(target: FilePath) -> bool:
+    """Return whether a path is that of a streamed SOG, whose levels need all splats at once."""
+    return Path(target).name.lower() == STREAMED_META
 
 
 def _compared(

@@ -13,7 +13,7 @@ __all__ = [
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -410,11 +410,11 @@ def _ellipsoids(
     trace = np.maximum(covariance[:, [0, 3, 5]].sum(axis=1), 1e-30)
     sigma = np.sqrt(trace / 3)
 
-    error = np.abs(rows[:, layout.POSITION] - position).max(axis=1)
-    scale = np.abs(position).max(axis=1)
+    error = _largest(rows[:, layout.POSITION] - position)
+    scale = _largest(position)
     yield "position", error / sigma, tolerances.position + (rounding * scale + tiny) / sigma
 
-    error = np.abs(rows[:, layout.COVARIANCE] - covariance).max(axis=1) / trace
+    error = _largest(rows[:, layout.COVARIANCE] - covariance) / trace
     yield "covariance", error, tolerances.covariance + rounding + tiny / trace
 
 
@@ -427,14 +427,19 @@ def _appearance(
 ) -> Measured:
     if expected.rgb is not None:
         rgb = expected.rgb[part]
-        allowed = tolerances.appearance + rounding * np.abs(rgb).max(axis=1)
-        return "appearance", np.abs(color[:, :3] - rgb).max(axis=1), allowed
+        allowed = tolerances.appearance + rounding * _largest(rgb)
+        return "appearance", _largest(color[:, :3] - rgb), allowed
     assert expected.sh is not None
     sh = expected.sh[part]
     weights = basis(fibonacci_directions(DIRECTIONS), degree_of(sh.shape[1]))
     error = largest_sum(weights, color.reshape(sh.shape) - sh)
     largest = largest_sum(np.abs(weights), np.abs(sh))
     return "appearance", error, tolerances.appearance + rounding * largest
+
+
+def _largest(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+    """Return the largest absolute value of each row; ``max(axis=1)`` takes four times as long."""
+    return np.asarray(reduce(np.maximum, np.abs(table).T))
 
 
 def _rounding(dtype: str) -> float:

@@ -3,31 +3,27 @@
 Each export is a process of its own, as a user starts it. Run by ``make bench``.
 """
 
-import json
+import resource
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from gsgen.reference_plugins.synthetic import (
+    AnchorOptions,
     HexPlaneOptions,
     PersonOptions,
     write_gauhuman,
     write_hexplane,
+    write_scaffold,
 )
+from support.measures import print_figure
 
 BAR = 4.0e9  # bytes
-# Runs `gsgen` with its arguments, and prints the peak of the process and of its largest child.
-PROGRAM = """
-import atexit, json, resource, runpy, sys
-usage = lambda who: 1024 * resource.getrusage(who).ru_maxrss
-peaks = lambda: [usage(resource.RUSAGE_SELF), usage(resource.RUSAGE_CHILDREN)]
-atexit.register(lambda: print(json.dumps(peaks())))
-sys.argv[0] = "gsgen"
-runpy.run_module("gsgen.cli", run_name="__main__")
-"""
+_PAUSE = 0.02  # seconds between two looks at the processes
 
 
 def write_4dgaussians(folder: Path) -> list[str]:
@@ -37,26 +33,71 @@ def write_4dgaussians(folder: Path) -> list[str]:
     return ["hexplane-4dgs", "--checkpoint", str(write_hexplane(folder, options))]
 
 
+def write_anchors(folder: Path) -> list[str]:
+    """Write as many anchors as the mean scene of MipNeRF360 has: 5.4 million Gaussians."""
+    options = AnchorOptions(anchors=541_000, per_anchor=10, width=32, united=True)
+    return ["scaffold-gs", "--checkpoint", str(write_scaffold(folder, options))]
+
+
 def write_person(folder: Path) -> list[str]:
     options = PersonOptions(count=40_000, kind="smplx", vertices=10_475, nets=True, width=128)
     return ["gauhuman", "--checkpoint", str(write_gauhuman(folder, options))]
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float16"])
-@pytest.mark.parametrize("write", [write_4dgaussians, write_person])
+@pytest.mark.parametrize("write", [write_anchors, write_4dgaussians, write_person])
 def bench_export_memory(write, dtype: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     words = ["export", *write(tmp_path / "run"), "-o", str(tmp_path / "out.onnx")]
-    began = time.perf_counter()
-    ran = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *words, "--dtype", dtype],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    seconds = time.perf_counter() - began
-    assert ran.returncode == 0, ran.stderr
-    own, child = json.loads(ran.stdout.splitlines()[-1])
+    began, used = time.perf_counter(), child_seconds()
+    with (tmp_path / "log").open("w") as log:
+        command = [sys.executable, "-m", "gsgen.cli", *words, "--dtype", dtype]
+        process = subprocess.Popen(command, stdout=log, stderr=log)
+        together, own = watch_memory(process)
+    seconds, used = time.perf_counter() - began, child_seconds() - used
+    assert process.returncode == 0, (tmp_path / "log").read_text()
     size = (tmp_path / "out.onnx").stat().st_size
-    sys.stdout.write(
-        f"\n  {words[1]} {dtype}: peak {(own + child) / 1e9:.2f} GB (bar {BAR / 1e9:g}; export "
-        f"{own / 1e9:.2f}, largest child {child / 1e9:.2f}), {seconds:.0f} s, {size / 1e6:.0f} MB"
+    print_figure(
+        f"{words[1]} {dtype}: peak {together / 1e9:.2f} GB with child processes (bar "
+        f"{BAR / 1e9:g}; the export alone {own / 1e9:.2f}), {seconds:.0f} s, "
+        f"{used:.0f} CPU-s, {size / 1e6:.0f} MB"
     )
-    assert own + child <= BAR
+    assert together <= BAR
+
+
+def watch_memory(process: subprocess.Popen[bytes]) -> tuple[int, int]:
+    """Return the peaks of a process with its descendants and of the process alone, in bytes.
+
+    The kernel's own figure for children begins with the size of the process that starts them.
+    """
+    together = own = 0
+    while process.poll() is None:
+        sizes = [resident_bytes(pid) for pid in descendants(process.pid)]
+        own = max(own, sizes[0][1])
+        together = max(together, own, sum(size for size, _ in sizes))
+        time.sleep(_PAUSE)
+    return together, own
+
+
+def descendants(pid: int) -> list[int]:
+    """Return the process and all processes that it started, which still run."""
+    pids = [pid]
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # the thread has ended
+            pids += [child for word in file.read_text().split() for child in descendants(int(word))]
+    return pids
+
+
+def resident_bytes(pid: int) -> tuple[int, int]:
+    """Return the resident memory of a process, and its peak; 0 if the process has ended."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0, 0
+    sizes = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith("Vm")}
+    return 1024 * int(sizes.get("VmRSS", 0)), 1024 * int(sizes.get("VmHWM", 0))
+
+
+def child_seconds() -> float:
+    """Return the processor time of all child processes that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime

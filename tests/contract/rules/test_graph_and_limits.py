@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import pytest
-from onnx import NodeProto
+from onnx import AttributeProto, NodeProto
 
 from gsgen.contract.rules.graph.graph import _node_location
+from gsgen.contract.rules.graph.replay import _copies
 from gsgen.contract.rules.interface.extensions import cost_plausible
 from gsgen.contract.rules.targets.limits import fits_dispatch
 from gsgen.contract.spec.targets import load_target
@@ -39,3 +40,25 @@ def test_a_frame_costs_no_less_than_its_rows(dtype: str, size: int, count: int) 
         declared_gaussians=SimpleNamespace(capacity=100, dtype=dtype),
     )
     assert len(list(cost_plausible.check(model))) == count  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("attributes", "inputs", "is_copy"),
+    [
+        ({"noop_with_empty_axes": 1}, 1, True),
+        ({"noop_with_empty_axes": 1, "keepdims": 1}, 1, True),
+        ({"noop_with_empty_axes": 0, "keepdims": 1}, 1, False),
+        ({"keepdims": 1}, 1, False),
+        ({"noop_with_empty_axes": 1, "axes": (0,)}, 1, False),
+        ({"noop_with_empty_axes": 1}, 2, False),
+    ],
+)
+def test_a_reduction_without_axes_copies_only_if_it_says_so(
+    attributes: dict[str, int | tuple[int]], inputs: int, is_copy: bool
+) -> None:
+    node = NodeProto(op_type="ReduceSum", input=["x", "axes"][:inputs], output=["y"])
+    for name, value in attributes.items():
+        listed = value if isinstance(value, tuple) else ()
+        node.attribute.append(AttributeProto(name=name, i=0 if listed else value, ints=listed))
+    graph = SimpleNamespace(tensors={"axes": SimpleNamespace(dims=(2,))})
+    assert _copies(graph, node) is is_copy  # type: ignore[arg-type]

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from gsgen.contract.spec.geometry import covariance_upper, symmetric
 from gsgen.formats import Splats, ValueInvalid
 from gsgen.formats.editing.edits import OPTIONS, parse_edit
-from gsgen.formats.editing.filters import morton_ordered, rows_of, without_floaters
+from gsgen.formats.editing.filters import morton_ordered, without_floaters
 from gsgen.formats.editing.statistics import histogram, statistics_text, summarise, write_histograms
 from gsgen.formats.shared.harmonics import sh_basis
+from gsgen.formats.shared.splat_values import rows_of
 from support.splat_files import assert_near, opacity, scene
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,9 @@ from gsgen.formats import (
     read_sog,
     write_sog,
 )
+from gsgen.formats.shared.morton import grid_codes, grid_order
+from gsgen.formats.sog.streamed_write import Chunks, write_levels
+from gsgen.formats.sog.write import InMemory, write_sog_parts
 from support.splat_files import FIELDS, GOLDENS, assert_near, scene
 
 
@@ -109,9 +113,70 @@ def test_deep_trees_missing_files_and_sizes_are_refused(tree: dict, tmp_path: Pa
         read_sog(file, max_bytes=1000)
 
 
-def test_a_streamed_sog_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(
-        NotSupported, match="the path is that of a streamed SOG, which gsgen cannot write"
-    ):
-        write_sog(tmp_path / "lod-meta.json", scene(3, 0))
+CHUNKS = Chunks(levels=3, file_rows=150, leaf_rows=20, leaf_size=1.0)
+
+
+def write_small(path: Path, splats: Splats) -> None:
+    """Write streamed SOG with several files and leaves, although the scene is small."""
+    low, high = splats.position.min(axis=0), splats.position.max(axis=0)
+    cells = np.rint((splats.position - low) / (high - low) * 65535).astype(np.int64)
+    write = partial(write_sog_parts, is_sorted=True)
+    order = grid_order(cells)
+    write_levels(
+        path,
+        rows(splats, order),
+        grid_codes(cells)[order],
+        lambda file, part: write(file, InMemory(part)),
+        CHUNKS,
+    )
+
+
+def leaves_of(node: dict) -> list[dict]:
+    if "lods" in node:
+        return [node]
+    return [leaf for child in node["children"] for leaf in leaves_of(child)]
+
+
+def test_a_streamed_sog_has_every_splat_once_in_the_box_of_its_leaf(tmp_path: Path) -> None:
+    splats = scene(400, 1, seed=5)
+    write_small(tmp_path / "lod-meta.json", splats)
+    document = json.loads((tmp_path / "lod-meta.json").read_text())
+    leaves = leaves_of(document["tree"])
+    assert len(leaves) > 8
+    assert document["counts"][0] == len(splats)
+    assert document["count"] == sum(document["counts"])
+    files = [read_sog(tmp_path / name) for name in document["filenames"]]
+    assert max(map(len, files)) <= CHUNKS.file_rows
+    taken = [np.zeros(len(file), int) for file in files]
+    for leaf in leaves:
+        assert sorted(leaf["lods"]) == ["0", "1", "2"]
+        sizes = []
+        for level in "012":
+            entry = leaf["lods"][level]
+            assert document["filenames"][entry["file"]].startswith(f"{level}_")
+            range_ = slice(entry["offset"], entry["offset"] + entry["count"])
+            taken[entry["file"]][range_] += 1
+            sizes.append(entry["count"])
+            position = files[entry["file"]].position[range_]
+            low, high = (np.array(leaf["bound"][end]) for end in ("min", "max"))
+            assert (position >= low - 1e-2).all()
+            assert (position <= high + 1e-2).all()
+        assert sizes[1] <= max(1, sizes[0] // 4)
+        assert sizes[2] <= max(1, sizes[1] // 4)
+    assert all((counts == 1).all() for counts in taken)
+
+
+def test_a_written_streamed_sog_reads_as_one_file_does(tmp_path: Path) -> None:
+    splats = scene(300, 2, seed=6)
+    write_sog(tmp_path / "lod-meta.json", splats)
+    back = read_sog(tmp_path / "lod-meta.json")
+    write_sog(tmp_path / "one.sog", splats)
+    assert_near(back, read_sog(tmp_path / "one.sog"))
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"lod-meta.json", "one.sog", "0_0", "1_0", "2_0", "3_0"}
+
+
+def test_harmonics_that_sog_cannot_hold_leave_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(NotSupported, match="SH degree 4"):
+        write_sog(tmp_path / "lod-meta.json", scene(3, 4))
     assert not list(tmp_path.iterdir())

@@ -1,11 +1,14 @@
 """Kernels are cut in several ways; the picture is the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.subgroups import lanes
 from gsgen.runtime.kernels.tiles import blend_tiles
+from gsgen.runtime.kernels.tiles.blend_tiles import LEAST_DILATION
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from support.rendering.splat_scenes import SCENES
@@ -78,6 +81,19 @@ def test_narrow_cells_draw_the_same_picture(
     np.testing.assert_array_equal(
         seen.ids[~wanted.fragile_median], wanted.ids[~wanted.fragile_median]
     )
+
+
+@pytest.mark.parametrize("dilation", [0.004, 0.06, LEAST_DILATION, 0.3])
+def test_thin_splats_do_not_underflow_between_rows(device: Device, dilation: float) -> None:
+    """Four pixels of a column are 2^1000 apart where a camera adds little to the covariances."""
+    for name in ("needles", "many"):
+        scene, camera = SCENES[name]()
+        camera = replace(camera, dilation=dilation)
+        seen = Renderer(device, rasteriser="tiles").render(scene, camera)
+        wanted = oracle.render(scene, camera)
+        error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
+        assert np.where(wanted.fragile, 0, error).max() <= 2e-5
+        assert wanted.visible > 0
 
 
 def test_subgroups_are_measured_where_there_are_any(device: Device) -> None:

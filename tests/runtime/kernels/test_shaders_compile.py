@@ -80,6 +80,7 @@ VARIANTS: dict[str, dict[str, int | float | bool]] = {
         "KEYS_ONLY": True,
         "PLACED": True,
         "CARRIED": True,
+        "STEEP": True,
         "MASKED": False,
         "HALF_APPEARANCE": False,
         "HALF_TARGET": False,

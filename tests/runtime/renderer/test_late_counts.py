@@ -1,12 +1,14 @@
 """Frames that are drawn without waiting for the GPU: their counts come two frames later."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.renderer import renderer as renderers
-from gsgen.runtime.renderer.bands import Drawn
+from gsgen.runtime.renderer.bands import Drawing, Drawn
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.late_counts import FRAMES_LATE
 from gsgen.runtime.renderer.renderer import Renderer
@@ -91,6 +93,27 @@ def test_room_for_pairs_grows_without_waiting(
     complete = own.render(scene, moved(0))
     assert drawn[-1].pairs < complete.pairs  # the counts are those of a frame without room
     np.testing.assert_array_equal(pixels(own, drawn[-1]), complete.rgba)
+
+
+def test_frames_that_are_read_grow_room_before_they_need_it(
+    device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    own, pairs, drawn = Renderer(device, rasteriser="tiles"), list[int](), list[Plan]()
+    draw = Plan.draw
+
+    def noted_draw(plan: Plan, *arguments: Any, **options: Any) -> Drawing:
+        drawn.append(plan)
+        return draw(plan, *arguments, **options)
+
+    monkeypatch.setattr(Plan, "draw", noted_draw)
+    for number in range(12):
+        scaled = 76 / 1.06**number
+        view = camera(width=61, height=47, fx=scaled, fy=scaled)
+        pairs.append(own.render(scene, view).pairs)
+    assert pairs[-1] > 1.3 * pairs[0]
+    assert len(drawn) == 1 + len(pairs)  # the first frame alone was drawn twice
+    assert len(set(map(id, drawn))) > 2  # and buffers grew
 
 
 def test_an_incomplete_last_frame_is_told(

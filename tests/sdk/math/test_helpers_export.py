@@ -35,6 +35,7 @@ CALLS: dict[str, Call] = {
     "covariance_matrix": lambda x, v, p, t: math.covariance_matrix(x),
     "upper_triangle": lambda x, v, p, t: math.upper_triangle(math.covariance_matrix(x)),
     "rotate_covariance": lambda x, v, p, t: math.rotate_covariance(x, v[:3, :3]),
+    "transform_points": lambda x, v, p, t: math.transform_points(v[:3, :3], x[:, :3]),
     "sh_from_channel_major": lambda x, v, p, t: math.sh_from_channel_major(
         torch.cat([x, x], dim=1)
     ),

@@ -24,6 +24,7 @@ from gsgen.sdk.math import (
     safe_normalize,
     skin,
     skinning_transforms,
+    transform_points,
 )
 
 _JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
@@ -112,10 +113,10 @@ class GaussianAvatars(GaussianGenerator):
         # Edges are differences of vertices: these keep more digits before the head is translated.
         frames, centres = self._triangles(self._vertices(pose, expression))
         centres = centres + root_translation.reshape(1, 3)
-        frame = frames.index_select(0, self.binding)
-        moved = (frame * self.position[:, None, :]).sum(dim=2)
+        rows = torch.cat([frames.flatten(1), centres], dim=1).index_select(0, self.binding)
+        frame = rows[:, :9].reshape(-1, 3, 3)
         return Gaussians(
-            position=moved + centres.index_select(0, self.binding),
+            position=transform_points(frame, self.position) + rows[:, 9:],
             opacity=self.opacity,
             covariance=rotate_covariance(self.covariance, frame),
             sh=self.sh,

@@ -62,6 +62,7 @@ class Plan:
         meshes: Meshes among the Gaussians; only their buffers are kept.
         layers: Image layers that the caller writes, into inputs; only for sorted colours.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
+        steep: Whether a camera's dilation may be below LEAST_DILATION.
         deep: Whether the depth sort is deep, because very many depths share a key.
         slab_splats: Most depth-sorted splats that are drawn at once, if the scene may have more.
 
@@ -92,6 +93,7 @@ class Plan:
         quads: bool = False,
         panorama: bool = False,
         published: bool = False,
+        steep: bool = False,
         deep: bool = False,
         slab_splats: int | None = None,
     ) -> None:
@@ -100,7 +102,7 @@ class Plan:
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
-        self._size, self._panorama, self._deep = size, panorama, deep
+        self._size, self._panorama, self._steep, self._deep = size, panorama, steep, deep
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
@@ -122,10 +124,8 @@ class Plan:
         self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
-        # Weighted sets become a layer, which the hardware's blending does not support.
-        quads = quads and not summed
-        # Weighted sets alone write the image themselves, without layers.
-        alone = bool(summed) and not placed and not meshes
+        quads = quads and not summed  # weighted sets become a layer, which quads do not blend
+        alone = bool(summed) and not placed and not meshes  # they write the image, without layers
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             count, normal = bool(summed) + bool(meshes), "normal" in tiled
@@ -345,9 +345,9 @@ class Plan:
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        count = layers.count if layers else 0
+        variant = (pick, self._panorama, layers.count if layers else 0, self._records)
         carried = 0 if self.slabs is None else 1 + OUTPUTS.index(name)
-        kernel = self._kernels.blend(pick, self._panorama, count, self._records, carried)
+        kernel = self._kernels.blend(*variant, carried, self._steep, name == "color")
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors

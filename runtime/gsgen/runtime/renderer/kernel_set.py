@@ -64,7 +64,7 @@ class Kernels:
         self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records, carried=0: BlendTiles(
+            lambda pick, panorama, layers, records, carried=0, steep=False, color=False: BlendTiles(
                 device,
                 pick=pick,
                 panorama=panorama,
@@ -72,6 +72,8 @@ class Kernels:
                 tile=self.cut.tile,
                 records=records,
                 carried=carried,
+                steep=steep,
+                windows=color and self.lists,
             )
         )
         self.project = cache(

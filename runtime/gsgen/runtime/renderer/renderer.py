@@ -15,6 +15,7 @@ from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
+from gsgen.runtime.kernels.tiles.blend_tiles import LEAST_DILATION
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.bands import (
     Band,
@@ -199,8 +200,7 @@ class Renderer:
 
         def draw(band: Band) -> Drawing:
             plan, counts = self._drawn_at_once(scene, band, background, output)
-            image = self._bands.copy(len(drawn), plan.images[output])
-            drawn.append(Drawn.of(image, band, counts))
+            drawn.append(Drawn.of(self._bands.copy(len(drawn), plan.images[output]), band, counts))
             return counts, {}
 
         self._steady = None
@@ -283,6 +283,7 @@ class Renderer:
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
             try:
                 if not self._must_redraw(counts):
+                    self._grow_early(counts)
                     return plan, counts, images
             except PairsExceeded:
                 # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
@@ -326,9 +327,13 @@ class Renderer:
         if self._steady is not None:
             # If rows must return to their own order, the next frame is waited for.
             self._steady = None if counts[Counts.TIED] else (self._steady[0], counts)
+        self._grow_early(counts)
+        return incomplete
+
+    def _grow_early(self, counts: np.ndarray) -> None:
+        """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
         if int(counts[Counts.WANTED_PAIRS]) > _ENOUGH * self._pairs:
             self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
-        return incomplete
 
     def settle(self) -> bool:
         """Wait for frames of ``draw(wait=False)``; return whether the last frame is incomplete."""
@@ -388,7 +393,8 @@ class Renderer:
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
             self._rows, self._deep, self._most_in_slab = rows, False, _MANY
-        self._shape = (contents, size, outputs, panorama)
+        steep = camera.dilation < LEAST_DILATION
+        self._shape = (contents, size, outputs, panorama, steep)
         key = (self._shape, self._pairs, self._deep, self._most_in_slab)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
@@ -403,6 +409,7 @@ class Renderer:
                 quads=self._takes_quads(outputs) and self._slab_splats(placed) is None,
                 panorama=panorama,
                 published=self._published,
+                steep=steep,
                 deep=self._deep,
                 slab_splats=self._slab_splats(placed),
             )

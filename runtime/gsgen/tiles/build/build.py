@@ -350,7 +350,7 @@ def _plan(
 def _count(
     run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Count the splats per octree cell, for cells that are small enough to form build tasks.
+    """Count the splats per octree cell; cells of more than ``limit`` splats are divided further.
 
     Cells that hold too many are counted again, deeper: a scene with a few splats far away has
     nearly all others in one cell.

@@ -55,7 +55,7 @@ class Partition:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The plan of a tileset build: scene chunks, octree partitions, upper cells and parameters.
+    """The plan of a tileset build: scene chunks, octree partitions, cells above, and parameters.
 
     Attributes:
         cube: The root cube.

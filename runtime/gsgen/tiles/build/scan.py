@@ -50,7 +50,7 @@ class ChunkFacts:
 
 
 def scan_chunk(chunk: Chunk) -> ChunkFacts:
-    """Read a chunk of a scene file and return its bounding box, counts and digests."""
+    """Read a chunk of a scene file; return its bounding box, splat counts and SHA-256 digests."""
     splats = read_chunk(chunk)
     valid = valid_rows(splats)
     count = int(np.count_nonzero(valid))

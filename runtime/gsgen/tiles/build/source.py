@@ -194,7 +194,7 @@ def read_chunk(chunk: Chunk) -> Splats:
 
 
 def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
-    """Return the mask of drawable splats: finite, except for allowed infinite opacity or scale."""
+    """Return the mask of drawable splats: finite, but opacity logits may be ±∞, log scales −∞."""
     with np.errstate(invalid="ignore", over="ignore"):
         valid = ~np.isnan(splats.logit_opacity)
         for axis in range(3):  # a NaN fails the comparison

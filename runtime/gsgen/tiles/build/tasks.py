@@ -70,7 +70,7 @@ class PlanTask:
 
 
 def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
-    """Scan a scene chunk; return its number of splats, bounding box, counts and digests."""
+    """Scan a scene chunk; return its size in rows, bounding box, splat counts and digests."""
     marker = Path(task.work) / "scan" / f"{task.chunk.index:06}.json"
     if marker.exists():
         content = read_json(marker)

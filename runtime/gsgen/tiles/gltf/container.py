@@ -94,7 +94,7 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
 
 @contextmanager
 def as_fault(location: str, fault: Fault) -> Iterator[None]:
-    """Convert a FormatError of a ``with`` block to a TilesetInvalid of the kind ``fault``."""
+    """Convert file format errors in a ``with`` block to tileset errors of a given fault kind."""
     try:
         yield
     except FormatError as error:

@@ -124,7 +124,10 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:
-    """Round bytes to multiples of 2^(8 − bits); nonzero bytes stay at or above ``least``."""
+    """Round each byte of SPZ data to ``bits`` leading bits; nonzero bytes stay ≥ ``least``.
+
+    The results are multiples of 2^(8 − bits), or 255.
+    """
     if bits == 8:
         return data
     step = 1 << (8 - bits)

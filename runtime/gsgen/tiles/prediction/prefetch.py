@@ -178,7 +178,7 @@ class PathPrefetch:
         self._time = -np.inf
 
     def observe(self, pose: Pose, waste: float) -> None:
-        """Record the time of a frame on the known camera path."""
+        """Record a frame's time: tiles that the known camera path needs later are prefetched."""
         del waste
         self._time = pose.time
 

@@ -91,7 +91,7 @@ class DocumentReader:
         return document
 
     def describe(self, path: str, document: JsonObject, above: tuple[str, ...]) -> Document:
-        """Return a ``tileset.json`` as Document, with metadata classes and the referring files."""
+        """Return the path, metadata classes and referring files of a ``tileset.json``."""
         schema = document.optional("schema")
         if schema is None and "schemaUri" in document:
             location = document.at("schemaUri")

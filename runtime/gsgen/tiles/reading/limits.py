@@ -42,7 +42,7 @@ class LoadReport(Protocol):
 
 @final
 class Strict:
-    """Raises every fault by which a part of a tileset would be left out; ignores other faults."""
+    """Raises faults that make a part of a tileset unreadable, and ignores all other faults."""
 
     def note(self, error: TilesetInvalid) -> None:
         """Ignore a fault that leaves all parts of the tileset readable."""

@@ -24,7 +24,7 @@ def best_changes(
     left: float,
     least_gain: float,
 ) -> list[int]:
-    """Return up to four changes of chosen tiles that cost at most ``left`` and add most utility.
+    """Return up to four changes of chosen tiles that add most utility within the remaining budget.
 
     The four are two pairs: sorted sums give each pair the best other pair that the rest of the
     budget holds (Horowitz and Sahni 1974). Where both share a tile, the pair stays alone: the

@@ -92,7 +92,7 @@ def _exchanged(
     budget: float,
     price: float,
 ) -> Choice:
-    """Improve the chosen file qualities of tiles by sets of four changes within the budget."""
+    """Exchange file qualities, up to four at a time, for more utility within the byte budget."""
     value = hulls.values * weight[:, None]
     exists = np.isfinite(hulls.costs)
     cost = np.where(exists, hulls.costs, 0.0)

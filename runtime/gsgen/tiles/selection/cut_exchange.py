@@ -54,7 +54,7 @@ class _Changes:
 def exchange_tiles(
     options: CutOptions, choice: Choice, budget: float, price: float, tolerance: float
 ) -> Choice:
-    """Return a choice of tiles within a cost budget, with at least the utility of ``choice``.
+    """Return a choice of tiles within a byte budget, with at least the utility of ``choice``.
 
     Args:
         options: Of the problem.
@@ -117,7 +117,7 @@ class _Exchange:
             np.add.at(row, self._parent[nodes[is_child]], added[is_child])
 
     def totals(self) -> tuple[float, float]:
-        """Return the total cost and utility of the chosen tiles."""
+        """Return the total size in bytes, and the total utility, of the chosen tiles."""
         rows = np.flatnonzero(self.option >= 0)
         columns = self.option[rows]
         return float(self._cost[rows, columns].sum()), float(self._utility[rows, columns].sum())

@@ -1,4 +1,4 @@
-"""Improves a choice of drawn tiles by spending the unused part of the cost budget.
+"""Improves a choice of drawn tiles by spending the unused part of the byte budget.
 
 Where tiles are worth what they are independently of the tiles below them, a step of the root's
 frontier may cost a large part of the budget: it opens a whole subtree. The last point within the
@@ -24,7 +24,7 @@ MAX_DEPTH: Final = 128
 
 
 def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Improve a choice of tiles greedily within a cost budget, without losing utility.
+    """Improve a choice of tiles greedily within a byte budget, without losing utility.
 
     A node takes its best option that fits, or the steps of its children by falling gain for cost,
     whichever is worth more; a child whose next step does not fit is solved the same way, with
@@ -41,7 +41,7 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 
 
 def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Improve a choice of tiles by spending the remaining bytes in subtrees, if that helps."""
+    """Spend the bytes that a choice of tiles leaves unused on subtrees, if that adds utility."""
     solver = _SubtreeSolver(frontier, TOLERANCE * choice.bound)
     solution = solver.solve(0, 0, budget)
     if solution is None or solution.utility <= choice.utility:
@@ -60,7 +60,7 @@ def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """Chosen tiles of a subtree: cost, utility, and each tile with its chosen file quality."""
+    """Chosen tiles of a subtree: bytes, utility, and each tile with its chosen file quality."""
 
     cost: float
     utility: float
@@ -155,7 +155,7 @@ class _SubtreeSolver:
         )
 
     def _potential(self, depth: int, child: int, point: dict[int, int], left: float) -> float:
-        """Estimate a child tile's utility gain from ``left`` bytes, at its next upgrade's rate."""
+        """Estimate a child tile's gain from ``left`` bytes at its next upgrade's gain per byte."""
         row, costs, values = point[child], self._costs[depth], self._values[depth]
         return (values[row + 1] - values[row]) * left / (costs[row + 1] - costs[row])
 

@@ -18,7 +18,7 @@ _TOLERANCE = 1e-9  # of the utility: sums in another order differ by less
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Front:
-    """The Pareto-optimal choices (cost, utility) of a tile-tree node, by ascending cost.
+    """The Pareto-optimal choices (bytes, utility) of a tile-tree node, by ascending bytes.
 
     Attributes:
         cost: Of each point.

@@ -160,7 +160,11 @@ class Frustum:
     def screen_space_error(
         self, error: Float64[np.ndarray, " n"], distance: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return tiles' screen-space errors, e·H / (2·d·tan(fov_y/2)); infinite within a box."""
+        """Return screen-space errors of tiles in pixels: geometric error × focal length / distance.
+
+        A positive error is infinite at distance 0, within a box. Orthographic cameras ignore the
+        distance.
+        """
         if self.flat:
             return error * self.focal
         with np.errstate(divide="ignore", invalid="ignore"):

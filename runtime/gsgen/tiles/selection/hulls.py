@@ -37,7 +37,7 @@ class OptionHulls:
 
     @property
     def count(self) -> int:
-        """The number of tiles."""
+        """The number of tiles whose quality upgrades are listed."""
         return len(self.costs)
 
     @classmethod

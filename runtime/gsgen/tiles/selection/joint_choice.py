@@ -136,7 +136,7 @@ class _PriceSearch:
         return keeps_limit
 
     def first_price(self) -> float:
-        """Return the first price of a Gaussian to try: mean utility per Gaussian without limit."""
+        """Return the Lagrange price to try first: mean utility per Gaussian of the best choice."""
         assert self.best is not None
         return max(self.best.utility, 1e-12) / max(self.best.splats, 1)
 

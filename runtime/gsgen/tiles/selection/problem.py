@@ -24,7 +24,7 @@ MOST_CELLS: Final = 1 << 27
 @final
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The best choice of tiles for a tile choice problem, with cost and utility.
+    """The best choice of tiles for a tile choice problem, with its utility and an upper bound.
 
     Attributes:
         utility: Of all chosen options together.
@@ -39,7 +39,7 @@ class Plan:
 
     @classmethod
     def of_choice(cls, choice: Choice) -> "Plan":
-        """Convert chosen file qualities of tiles to a plan: tiles, cost and utility."""
+        """Convert chosen file qualities of tiles to a plan: tiles, utility and its upper bound."""
         picked = np.flatnonzero(choice.option >= 0).tolist()
         chosen = tuple((index, int(choice.option[index])) for index in picked)
         return cls(choice.utility, chosen, choice.bound)

@@ -25,7 +25,7 @@ _HALF_WORTH: Final = 228.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenTiles:
-    """The optimisation problem of choosing visible tiles' files by bytes and Gaussians.
+    """The problem of choosing files of visible tiles within limits on bytes and Gaussians.
 
     Attributes:
         options: Costs in bytes, and utilities, of each quality; the last option draws nothing.

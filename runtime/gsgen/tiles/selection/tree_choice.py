@@ -1,8 +1,8 @@
-"""Chooses tiles and qualities of a tile tree within a budget, by concave frontiers.
+"""Chooses tiles and qualities of a tile tree within a budget, by concave utility curves.
 
-A node's frontier is the upper hull of its own options and of what its children give together:
-their first points added, then their steps by falling gain for cost. The root's frontier is the
-linear relaxation of the problem: it gives a choice, and a bound on every other.
+A node's frontier, its utility curve, is the upper hull of its own options and of what its children
+give together: their first points added, then their steps by falling gain for cost. The root's
+frontier is the linear relaxation of the problem: it gives a choice, and a bound on every other.
 """
 
 __all__ = ["CutOptions", "TreeFrontier", "choose_cut"]
@@ -23,7 +23,7 @@ Rows = Int64[np.ndarray, " m"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class CutOptions:
-    """Costs and utilities of each tile's file qualities in a tile tree, and each tile's parent.
+    """Bytes and utilities of each tile's file qualities in a tile tree, and each tile's parent.
 
     Attributes:
         parent: Index of the node above; −1 for the root, which is alone.
@@ -147,7 +147,7 @@ class TreeFrontier:
 
 
 def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
-    """Choose the tiles and file qualities of greatest utility on the cost curve within a budget.
+    """Choose tiles and file qualities: the last point within a budget on the root's utility curve.
 
     Returns:
         The choice; None where every cut costs more than ``budget``.
@@ -167,7 +167,7 @@ def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return how many of a parent's first ``prefix`` utility curve steps belong to each child."""
+    """Count each child's steps among the first ``prefix`` steps of its parent's utility curve."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]
@@ -273,7 +273,7 @@ def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Row
 def _reduce(
     operation: np.ufunc, values: Points, starts: Rows, filled: Bool[np.ndarray, " m"], empty: float
 ) -> Points:
-    """Reduce each tree node's values by an operation such as minimum; ``empty`` if it has none."""
+    """Reduce each tree node's values by an operation such as minimum; without values, ``empty``."""
     result = np.full(len(starts), empty)
     if filled.any():
         result[filled] = operation.reduceat(values, starts[filled])

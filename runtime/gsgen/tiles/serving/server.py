@@ -116,7 +116,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Do nothing, since every HTTP response has been logged already."""
+        """Write no log line of ``http.server``, since gsgen logs the HTTP responses itself."""
 
     def _answer(self, *, with_body: bool) -> None:
         faults = self.server.faults

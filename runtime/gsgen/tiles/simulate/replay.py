@@ -56,7 +56,7 @@ class FrameDifference:
 
 
 def _entries(decision: object, other: object) -> str:
-    """Return as text the entries of ``decision`` that ``other`` lacks, or else all entries."""
+    """Describe a streaming decision by the items that another lacks; by all if it lacks none."""
     if isinstance(decision, tuple) and isinstance(other, tuple):
         only = tuple(entry for entry in decision if entry not in other)
         decision = list(only or decision)

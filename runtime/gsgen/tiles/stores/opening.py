@@ -41,10 +41,7 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
 
 
 def address_of(source: str | Path) -> str:
-    """Return the http(s) address in a text, with the slash that ``Path`` removed; else empty.
-
-    A file or a folder has none: the result is empty.
-    """
+    """Return a URL with ``://``, which ``Path`` shortened to ``:/``; empty for a local path."""
     text = str(source)
     for scheme in ("http", "https"):
         if text.lower().startswith(f"{scheme}:/"):

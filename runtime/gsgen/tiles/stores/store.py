@@ -69,7 +69,7 @@ def missing(store: str, path: str, reason: str = "the file does not exist") -> C
 
 
 def _location(store: str, path: str) -> str:
-    """Return a file's full web address, or the path of the store and the file's path in it."""
+    """Return where a file is, for messages: its URL, or a folder or archive and the path in it."""
     return f"{store}/{path}" if "://" in store else f"{store}: {path}"
 
 

@@ -140,7 +140,7 @@ class ContentReader:
         )
 
     def _entry(self, tile: int) -> Tile:
-        """Return a tile with content files of the quality that was fetched last for this tile."""
+        """Return a tile as listed in the tileset of the SPZ quality fetched last for it."""
         if self._ladder is None:
             return self._tree.tiles[tile]
         return self._ladder.tiles[self._fetched[tile]][tile]

@@ -24,8 +24,9 @@ def default_cache_folder() -> Path:
 
 @final
 class DiskCache:
-    """A disk cache of downloaded files whose digests are known, from their names or otherwise.
+    """A disk cache of downloaded files with known SHA-256, by which cached bytes are verified.
 
+    Where no SHA-256 is given, the file's name has to hold its first digits.
     The least recently used files leave first. Several processes may share the folder: each locks
     the file ``FOLDER.lock`` to store a file, and adds the file's bytes to the sum that stands in it.
     A folder that cannot be written is as good as an empty cache.
@@ -41,7 +42,7 @@ class DiskCache:
 
     @property
     def total_bytes(self) -> int:
-        """The bytes of all cached files, those of other processes included."""
+        """The number of bytes of all cached files, also of those stored by other processes."""
         return sum(size for _, size, _ in self._files())
 
     def get(self, store: str, path: str, digest: str | None = None) -> bytes | None:

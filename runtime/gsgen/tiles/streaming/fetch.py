@@ -95,7 +95,7 @@ class FetchLink(Generic[Decoded]):
             self._begin(tile)
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Replace the queue of tiles to request as network connections become free."""
+        """Replace the queue of tiles; each is requested when a network connection is free."""
         with self._lock:
             self._queue = deque(tiles)
 
@@ -106,7 +106,7 @@ class FetchLink(Generic[Decoded]):
         return started
 
     def _begin(self, tile: int) -> None:
-        """Begin to fetch a tile; the caller holds the lock."""
+        """Start a thread that fetches a tile; the caller holds ``self._lock``."""
         request = self._active[tile] = _Request(tile)
         Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
 

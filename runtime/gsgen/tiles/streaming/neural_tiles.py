@@ -167,7 +167,7 @@ class NeuralTiles:
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The keys of the tiles whose ONNX generators may run."""
+        """The tiles whose ONNX generators may run: those whose Gaussians fit in the splat pool."""
         return tuple(self._neural)
 
     def reserved_rows(self, tile: int) -> int:
@@ -445,7 +445,7 @@ class NeuralTiles:
         return updates
 
     def _comes_in_parts(self, tile: int) -> bool:
-        """Return whether the slots of a tile hold its new Gaussians beside the drawn ones."""
+        """Return whether a tile's slots have room for new Gaussians besides those drawn now."""
         content, reserved = self._contents[tile], self.reserved_rows(tile)
         is_doubled = reserved > self._neural[tile].splats_max
         return is_doubled and 2 * len(content.rows) <= reserved

@@ -106,7 +106,7 @@ class RequestPlanner:
                     del self._in_flight[tile]
 
     def prioritise(self, tiles: Bool[np.ndarray, " n"]) -> None:
-        """Move some needed tiles to the front of the request order, in unchanged relative order."""
+        """Move the tiles of a mask to the front of the request queue; otherwise keep its order."""
         self._demand = self._demand[np.argsort(~tiles[self._demand], kind="stable")]
 
     def arrive(self, tile: int, time: float) -> None:
@@ -160,7 +160,7 @@ class RequestPlanner:
         return None, False
 
     def _may_waste(self, size: int, trust: float) -> bool:
-        """Return whether prefetching one more tile keeps the expected waste within the bound."""
+        """Return whether one more prefetch keeps the expected share of unused bytes low enough."""
         if not self._is_bounded:
             return True
         in_flight = [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]

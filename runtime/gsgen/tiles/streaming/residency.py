@@ -87,7 +87,7 @@ class ResidentTiles:
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles to evict that free ``lack`` slots of GPU memory; None if impossible."""
+        """Return tiles whose eviction frees ``lack`` slots of GPU memory; None if impossible."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

@@ -93,7 +93,7 @@ class ArrivalLink(Link, Protocol):
     """Protocol of network links that deliver decoded tiles."""
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Replace the queue of tiles to request as network connections become free."""
+        """Replace the queue of tiles; each is requested when a network connection is free."""
         ...
 
     def take_started(self) -> list[int]:
@@ -319,7 +319,7 @@ class TilesetSession:
         return frame
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a requested tile arrives or fails; return at once if uploads are pending."""
+        """Sleep until a requested tile arrives or fails; return at once if tiles await upload."""
         if not (self._pending or self._partial):
             self._link.wait(seconds)
 
@@ -469,7 +469,7 @@ class TilesetSession:
     def _choose_qualities(
         self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]
     ) -> None:
-        """Choose the file qualities of tiles to request; without requests, take one finer file."""
+        """Choose the file qualities of tiles to request; if none is missing, get a finer file."""
         assert self._frustum is not None
         in_flight = list(self._planner.in_flight)
         there = chooser.held.copy()

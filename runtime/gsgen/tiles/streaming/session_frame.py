@@ -63,7 +63,7 @@ class TileArrival:
             object.__setattr__(self, "end_row", len(self.rows))
 
     def next_part(self, room: int, slot_rows: int, *, first_row: int) -> "TileArrival":
-        """Return the tile with the rows to upload from ``first_row`` on: about ``room`` bytes."""
+        """Return the next part of a tile to upload: about ``room`` bytes from row ``first_row``."""
         slots = max(1, room // (slot_rows * pool_row_bytes(self.appearance.shape[1])))
         end_row = min(len(self.rows), first_row + slots * slot_rows)
         return replace(self, first_row=first_row, end_row=end_row)
@@ -80,7 +80,7 @@ class TileArrival:
 
     @property
     def upload_bytes(self) -> int:
-        """The bytes that are written to the GPU for the part of an arrived tile."""
+        """The number of bytes that this frame writes to GPU memory for a part of a tile."""
         return (self.end_row - self.first_row) * pool_row_bytes(self.appearance.shape[1])
 
 

@@ -77,12 +77,12 @@ class TilesSource(Source):
         self._changes = 0
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Record the camera of the frame, by which tiles are selected, and the input values."""
+        """Record the frame's camera, which selects the tiles, and the models' input values."""
         self._camera = camera
         self._values |= values
 
     def finish(self) -> None:
-        """Take the tiles that arrived; with a waiting time, wait for all tiles the camera needs."""
+        """Receive the tiles that arrived; if a waiting time is set, wait for all needed tiles."""
         if self._camera is None:
             return
         frustum = Frustum.from_camera(self._camera)
@@ -167,7 +167,7 @@ class TilesSource(Source):
             self._neural.interrupt()
 
     def abandon(self) -> None:
-        """Discard nothing: tiles that arrive after this frame are drawn in the next one."""
+        """Discard no tile request: tiles that arrive after this frame are drawn in the next one."""
 
     @property
     def count(self) -> int:
@@ -181,7 +181,7 @@ class TilesSource(Source):
 
     @property
     def follows_camera(self) -> bool:
-        """True, since the camera decides which tiles of a tileset are drawn."""
+        """Whether frames depend on the camera: always, since it decides which tiles are drawn."""
         return True
 
     @property
@@ -226,7 +226,7 @@ class TilesSource(Source):
         return (1,)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute no frames: the extent of a tileset is the bounding box of its root tile."""
+        """Do nothing: a tileset's extent is the box of its root tile, known without any frame."""
 
     def close(self) -> None:
         """Cancel all tile requests, and close the tileset's file store."""

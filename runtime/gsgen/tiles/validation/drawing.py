@@ -1,8 +1,8 @@
-"""Draws two tiles of a tileset, and their children, for the rules of level ``render``.
+"""Draws a tileset's root and largest leaf, and compares tiles with those that replace them.
 
 The root and the leaf with the most splats are drawn from three cameras around each. The root and
 the parent of that leaf are compared with the tiles that replace them, from the distance at which
-a viewer changes from one to the other.
+a viewer changes from one to the other. Rules of level ``render`` check the results.
 """
 
 __all__ = ["ComparedLevels", "DrawnTile", "DrawnTileset", "draw_tileset"]
@@ -190,7 +190,7 @@ class _TileRenderer:
         return self._tileset.up
 
     def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
-        """Return whether any list of tile contents has too many splats to draw; record why."""
+        """Return whether tiles have too many splats to draw; if so, note that a rule is skipped."""
         count = max(map(self.count, cuts))
         if count > MAX_DRAWN:
             tile = cuts[0][0][0]

@@ -152,7 +152,7 @@ def tiles_extension_missing() -> TilesetSketch:
 
 @_example("GT008")
 def tiles_hole_in_children() -> TilesetSketch:
-    """Fixture: a tileset whose leaves lack half of the root's splats."""
+    """Fixture: a tileset whose only leaf covers half of the splats of the root tile."""
     sketch = explicit_sketch(record=False)
     root = sketch.document["root"]
     removed_child = root["children"].pop()

@@ -50,7 +50,7 @@ class OutsideSplats:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentValues:
-    """Measurements of a tile content's splats against bounding volumes.
+    """A tile's splats that leave the content's volume, or have their centre in no child's volume.
 
     Attributes:
         outside: Those that reach out of its volume; None where none does.

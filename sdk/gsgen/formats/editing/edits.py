@@ -4,9 +4,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol, final
+from typing import Final, final
 
-from gsgen.contract._entry_points import registered_entry_points
 from gsgen.formats.editing.filters import (
     morton_ordered,
     where_value,
@@ -15,18 +14,11 @@ from gsgen.formats.editing.filters import (
     without_floaters,
 )
 from gsgen.formats.editing.transforms import rotated, scaled, translated
-from gsgen.formats.shared.errors import NotSupported, ValueInvalid, shown
+from gsgen.formats.shared.decimators import decimated
+from gsgen.formats.shared.errors import ValueInvalid, shown
 from gsgen.formats.shared.splats import Splats
 
 Edit = Callable[[Splats], Splats]
-
-
-class Decimator(Protocol):
-    """Plug-in function that reduces the number of splats (group ``gsgen.decimators``)."""
-
-    def __call__(self, splats: Splats, count: int) -> Splats:
-        """Return at most ``count`` splats that look like ``splats``."""
-        ...
 
 
 @final
@@ -101,15 +93,7 @@ def _decimation(text: str) -> Edit:
 
     def decimate(splats: Splats) -> Splats:
         count = int(len(splats) * amount / 100) if is_share else int(amount)
-        points = registered_entry_points("gsgen.decimators")
-        for point in points:
-            decimator: Decimator = point.load()
-            return decimator(splats, max(1, count))
-        raise NotSupported(
-            "no package that merges splats is installed",
-            where="decimate",
-            hint="pip install 'gsgen[tiles]'",
-        )
+        return decimated(splats, max(1, count))
 
     return decimate
 

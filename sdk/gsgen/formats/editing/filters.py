@@ -5,16 +5,15 @@ import math
 import operator
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float32, Integer
+from jaxtyping import Float32
 
 from gsgen.formats.shared.errors import ValueInvalid, shown
 from gsgen.formats.shared.morton import grid_order
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
-from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splat_values import rows_of
 from gsgen.formats.shared.splats import Splats
 
 _COMPARISONS: Final[dict[str, Callable[[np.ndarray, float], np.ndarray]]] = {
@@ -50,11 +49,6 @@ QUANTITIES: Final[dict[str, Quantity]] = {
     **{name: _color(channel) for channel, name in enumerate(("red", "green", "blue"))},
 }
 """The quantities of a splat by name: scales are linear, opacity and colour from 0 to 1."""
-
-
-def rows_of(splats: Splats, rows: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> Splats:
-    """Return the splats at the given row indices, or where a mask is true."""
-    return replace(splats, **{name: getattr(splats, name)[rows] for name in ARRAYS})
 
 
 def morton_ordered(splats: Splats) -> Splats:

@@ -30,15 +30,23 @@ def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"
 def grid_order(cells: Integer[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """Return the row order that sorts integer grid cells (below 2²¹) along a Morton curve.
 
+    Rows of the same cell keep their order.
+    """
+    return np.argsort(grid_codes(cells), kind="stable")
+
+
+def grid_codes(cells: Integer[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
+    """Return the place of integer grid cells (below 2²¹) on a Morton curve.
+
     G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
-    interleaved, are the index on the curve. Rows of the same cell keep their order.
+    interleaved, are the index on the curve.
     """
     codes = np.zeros(len(cells), np.uint64)
     for axis, shift in enumerate((2, 1, 0)):
         for start in range(0, len(cells), _ROWS):
             part = slice(start, start + _ROWS)
             codes[part] |= spread_bits(cells[part, axis].astype(np.uint64)) << np.uint64(shift)
-    return np.argsort(codes, kind="stable")
+    return codes
 
 
 def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:

@@ -1,9 +1,10 @@
 """Checks splats in memory: raises for arrays with values that cannot be drawn."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Integer
 
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.shared.values import require_finite, require_rows
@@ -13,6 +14,13 @@ INFINITE = {"logit_opacity": (math.inf, -math.inf), "log_scale": (-math.inf,)}
 
 ARRAYS = ("position", "rotation", "log_scale", "logit_opacity", "sh")
 """Names of the arrays of :class:`Splats`."""
+
+
+def rows_of(
+    splats: Splats, rows: slice | Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]
+) -> Splats:
+    """Return the splats at the given row indices, or where a mask is true."""
+    return replace(splats, **{name: getattr(splats, name)[rows] for name in ARRAYS})
 
 
 def require_drawable(splats: Splats) -> None:

@@ -27,7 +27,14 @@ from gsgen.formats.shared.quantities import from_largest, logit, unit
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.image import Image, decode_image, most_pixels
-from gsgen.formats.sog.meta import META, PALETTE_WIDTH, QUATERNION_TAG, Meta, parse_object
+from gsgen.formats.sog.meta import (
+    META,
+    PALETTE_WIDTH,
+    QUATERNION_TAG,
+    STREAMED_META,
+    Meta,
+    parse_object,
+)
 from gsgen.formats.sog.streamed import is_streamed, read_levels
 
 __all__ = ["read_sog"]
@@ -90,8 +97,11 @@ def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
 
 
 def written_bytes(path: FilePath) -> int:
-    """Return the size of a SOG in bytes: the archive, or meta.json with the images it names."""
+    """Return the size of a SOG in bytes, with all files that its meta.json or lod-meta.json names."""
     size = Path(path).stat().st_size
+    if Path(path).name.lower() == STREAMED_META:
+        files = parse_object(Path(path).read_bytes())["filenames"]
+        return size + sum(written_bytes(Path(path).parent / file) for file in files)
     if Path(path).name.lower() != META:
         return size
     with naming(path):

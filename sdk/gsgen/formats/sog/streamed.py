@@ -13,7 +13,7 @@ import numpy as np
 
 from gsgen.formats.shared.errors import HeaderMalformed, SizeExceeded, shown
 from gsgen.formats.shared.joined import joined
-from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splat_values import ARRAYS, rows_of
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.meta import STREAMED_META
 
@@ -68,7 +68,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
                 where=where,
                 expected="each splat once",
             )
-        parts.append(_rows(splats, selected))
+        parts.append(rows_of(splats, selected))
     environment = data.get("environment")
     if environment is not None:
         if not _is_inside(environment):
@@ -80,11 +80,6 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
             expected=f"{max_bytes} bytes or fewer",
         )
     return joined(parts)
-
-
-def _rows(splats: Splats, rows: np.ndarray) -> Splats:
-    arrays = {name: getattr(splats, name)[rows] for name in ARRAYS}
-    return Splats(**arrays, antialiased=splats.antialiased)
 
 
 def _bytes_of(splats: Splats) -> int:

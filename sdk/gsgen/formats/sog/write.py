@@ -5,6 +5,7 @@ import math
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol, final
 
@@ -13,9 +14,9 @@ from jaxtyping import Float32, Float64, Int64, UInt8, UInt16, UInt32
 
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, naming, replacing
-from gsgen.formats.shared.morton import grid_order
+from gsgen.formats.shared.morton import grid_codes, grid_order
 from gsgen.formats.shared.quantities import rounded, sigmoid, to_bytes, unit, without_largest
-from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splat_values import require_drawable, rows_of
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.codebook import codes, make_codebook
 from gsgen.formats.sog.image import encode_image
@@ -28,6 +29,7 @@ from gsgen.formats.sog.meta import (
     STREAMED_META,
 )
 from gsgen.formats.sog.palette import make_palette, nearest_entries, training_step
+from gsgen.formats.sog.streamed_write import write_levels
 
 __all__ = ["SplatParts", "sog_order", "write_sog", "write_sog_parts"]
 
@@ -61,7 +63,7 @@ class SplatParts(Protocol):
 
 @final
 @dataclass(frozen=True, slots=True)
-class _InMemory:
+class InMemory:
     """Splats whose arrays are all in memory, for :func:`write_sog_parts`."""
 
     splats: Splats
@@ -84,7 +86,7 @@ class _InMemory:
 def write_sog(path: FilePath, splats: Splats) -> None:
     """Write ``splats`` as a SOG archive, or as separate files if ``path`` is a meta.json.
 
-    Splats are written in the order of ``sog_order``. The bytes depend on the splats alone.
+    A lod-meta.json gets levels of detail in SOG files beside it (streamed SOG). Splats are written in the order of ``sog_order``. The bytes depend on the splats alone.
 
     Raises:
         ValueInvalid: ``splats`` is empty or holds values that cannot be drawn.
@@ -94,32 +96,29 @@ def write_sog(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
-    write_sog_parts(path, _InMemory(splats))
+        _require_encodable(InMemory(splats))
+    if Path(path).name.lower() == STREAMED_META:
+        codes = grid_codes(_stored_positions(splats.position)[0])
+        order = np.argsort(codes, kind="stable")
+        write = partial(_write_file, is_sorted=True)
+        write_levels(path, rows_of(splats, order), codes[order], write)
+        return
+    _write_file(path, splats, is_sorted=False)
 
 
-def write_sog_parts(path: FilePath, splats: SplatParts) -> None:
+def _write_file(path: FilePath, splats: Splats, *, is_sorted: bool) -> None:
+    write_sog_parts(path, InMemory(splats), is_sorted=is_sorted)
+
+
+def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = False) -> None:
     """Write valid splats as a SOG file, with one array of the splats in memory at a time.
 
-    SH coefficients above degree 0 are not held in memory: a sample chooses the palette.
+    SH coefficients above degree 0 are not held in memory: a sample chooses the palette. With
+    ``is_sorted``, the splats keep their order.
     """
     with naming(path):
-        if Path(path).name.lower() == STREAMED_META:
-            raise NotSupported(
-                "the path is that of a streamed SOG, which gsgen cannot write",
-                expected=f"{META}, or a suffix .sog",
-            )
-        if splats.degree > _MOST_DEGREE:
-            raise NotSupported(
-                f"the splats have SH degree {splats.degree}",
-                expected=f"degree {_MOST_DEGREE} or less",
-            )
-        if len(splats) > _WIDEST**2:
-            raise NotSupported(
-                f"the scene has {len(splats)} splats",
-                expected=f"{_WIDEST**2} or fewer, the pixels of an image",
-                hint="write several files, each of a box of the scene",
-            )
-        files = _files(splats)
+        _require_encodable(splats)
+        files = _files(splats, is_sorted=is_sorted)
     if Path(path).name.lower() == META:
         for name, content in files.items():  # meta.json is the last
             with replacing(Path(path).with_name(name) if name != META else path) as file:
@@ -128,6 +127,20 @@ def write_sog_parts(path: FilePath, splats: SplatParts) -> None:
     with replacing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name), content)
+
+
+def _require_encodable(splats: SplatParts) -> None:
+    """Raise NotSupported for harmonics above degree 3, and more splats than an image holds."""
+    if splats.degree > _MOST_DEGREE:
+        raise NotSupported(
+            f"the splats have SH degree {splats.degree}", expected=f"degree {_MOST_DEGREE} or less"
+        )
+    if len(splats) > _WIDEST**2:
+        raise NotSupported(
+            f"the scene has {len(splats)} splats",
+            expected=f"{_WIDEST**2} or fewer, the pixels of an image",
+            hint="write several files, each of a box of the scene",
+        )
 
 
 def sog_order(splats: Splats) -> Int64[np.ndarray, " n"]:
@@ -192,10 +205,10 @@ def _higher_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
         yield np.concatenate(parts)
 
 
-def _files(splats: SplatParts) -> dict[str, bytes]:
+def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     """Return the content of each file of a SOG, meta.json last."""
     steps, low, high = _stored_positions(_column(splats, lambda part: part.position))
-    images = _Images(grid_order(steps))
+    images = _Images(np.arange(len(steps)) if is_sorted else grid_order(steps))
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
         meta["model"] = ANTIALIASED

@@ -173,7 +173,13 @@ def to_float16(
     progress("running the model in float32")
     allowed = tolerances or manifest.tolerances or Tolerances()
     measure = ErrorProbe(
-        model, manifest, probes, allowed, half_outputs=outputs, roundings=roundings
+        model,
+        manifest,
+        probes,
+        allowed,
+        half_outputs=outputs,
+        roundings=roundings,
+        weights_only=not arithmetic,
     )
     search = _Search(model, measure, arithmetic=arithmetic, budget=budget)
     if not search.nodes and not measure.weights:

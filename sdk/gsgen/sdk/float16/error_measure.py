@@ -30,7 +30,7 @@ class ErrorProbe:
     """Measures output errors of nodes or weights rounded to float16, relative to tolerances.
 
     With ``half_outputs``, outputs are stored in float16, too; their rounding is added to the
-    tolerances ``roundings`` times.
+    tolerances ``roundings`` times. With ``weights_only``, no node can be rounded.
 
     Attributes:
         weights: Name of each table that can be stored in 16 bits a number.
@@ -48,6 +48,7 @@ class ErrorProbe:
         *,
         half_outputs: bool,
         roundings: int,
+        weights_only: bool = False,
     ) -> None:
         self.roundings = roundings
         declared = manifest.outputs
@@ -64,13 +65,15 @@ class ErrorProbe:
         )
         self.space, self.tolerances = declared.appearance.space, tolerances
         self.probes, self.storage = probes, np.float16 if half_outputs else np.float32
-        self.model = InstrumentedModel(model)
+        self.model = InstrumentedModel(model, weights_only=weights_only)
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
         # The search compares every step-th row of large outputs; the result is compared in full.
         self._step = max(1, -(-len(probes) * self.frame_bytes // KEPT_BYTES))
         self._references = [self._reference(probe, self._step) for probe in probes]
         self._unseen = _unseen(manifest, probes)
+        # A search with a smaller share of the tolerance asks for most choices again.
+        self._measured: dict[tuple[frozenset[int], ...], tuple[float, str]] = {}
         self.rounded = self.parity(frozenset())
         self._stored = {field.field: _excess(field) for field in self.rounded.fields}
 
@@ -116,9 +119,12 @@ class ErrorProbe:
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
         """Return the largest share of a tolerance that float16 nodes use, and its output field."""
-        used = {field.field: self._used(field) for field in self.parity(selected).fields}
-        worst = max(used, key=lambda field: used[field], default="")
-        return used.get(worst, 0.0), worst
+        key = (frozenset(selected), frozenset(self.stored), self.model.unstepped)
+        if key not in self._measured:
+            used = {field.field: self._used(field) for field in self.parity(selected).fields}
+            worst = max(used, key=lambda field: used[field], default="")
+            self._measured[key] = (used.get(worst, 0.0), worst)
+        return self._measured[key]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
         """Return the largest share of a tolerance that 16-bit weights use, and its output field."""

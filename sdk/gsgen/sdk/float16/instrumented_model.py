@@ -48,6 +48,11 @@ class InstrumentedModel:
     Nodes that depend on weights alone are computed once, in float32, and cannot be selected. Any
     table of weights can be stored in 16 bits a number.
 
+    Args:
+        model: The model in float32.
+        weights_only: No node can be selected. The session then lacks the nodes that round, which
+            cost most of its time and memory.
+
     Attributes:
         units: Name of each node that can be selected, in the order of the graph.
         weights: Name of each table that can be stored in 16 bits a number
@@ -56,11 +61,12 @@ class InstrumentedModel:
         unstepped: Indices of the tables that are stored as float16, also where even steps are closer.
     """
 
-    def __init__(self, model: ir.Model) -> None:
+    def __init__(self, model: ir.Model, *, weights_only: bool = False) -> None:
         part = partition_constants(model)
         copy = part.per_frame
         opset = opset_of(copy)
-        nodes = [node for node in copy.graph if can_compute_in_float16(node, opset)]
+        able = () if weights_only else copy.graph
+        nodes = [node for node in able if can_compute_in_float16(node, opset)]
         self.units = tuple(node_key(node) for node in nodes)
         self._tables = {table.name or "": _array(table) for table in tables(model.graph)}
         self._halves: dict[str, HalfTable] = {}
@@ -71,10 +77,10 @@ class InstrumentedModel:
         self._between, self._cached = list(part.boundary), _CachedConstants(b"", {})
         _feed_tables(copy, self.weights)
         _instrument(copy, nodes, opset)
-        self._session, self._once = _session(copy), None
+        self._session, self._once = _session(copy, rounds=bool(nodes)), None
         if part.constant is not None:
             _feed_tables(part.constant, self.weights)
-            self._once = _session(part.constant)
+            self._once = _session(part.constant, rounds=False)
 
     def run(
         self,
@@ -161,14 +167,16 @@ def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
             model.graph.inputs.append(value)
 
 
-def _session(model: ir.Model) -> Any:
+def _session(model: ir.Model, *, rounds: bool) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
-    # Optimisation would remove the pairs of Casts that round.
-    level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    options.graph_optimization_level = level
+    # An arena keeps the memory of the largest frame between the runs.
+    options.enable_cpu_mem_arena = False
+    if rounds:  # optimisation would remove the pairs of Casts
+        level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+        options.graph_optimization_level = level
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
         file = Path(folder) / "measured.onnx"
         save_model(model, file)

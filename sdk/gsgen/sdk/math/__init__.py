@@ -12,7 +12,8 @@ __all__ = [
     "frustum_mask", "hash_grid", "hex_plane", "inverse_3x3", "keep_rows", "quaternion_multiply", "quaternion_to_matrix",
     "rotate_covariance", "safe_normalize", "sample_plane", "sh_from_channel_major",
     "sh_from_coefficient_major", "sh_from_ply", "sh_from_rgb", "sh_of_degree", "skin",
-    "skinning_transforms", "to_unit_cube", "top_rows", "tri_plane", "upper_triangle",
+    "skinning_transforms", "to_unit_cube", "top_rows", "transform_points", "tri_plane",
+    "upper_triangle",
 ]  # fmt: skip
 
 from gsgen.sdk.math.cameras import camera_centre, frustum_mask
@@ -38,5 +39,6 @@ from gsgen.sdk.math.rotations import (
     quaternion_multiply,
     quaternion_to_matrix,
     safe_normalize,
+    transform_points,
 )
 from gsgen.sdk.math.skinning import skin, skinning_transforms

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.contract.spec.layout import UPPER_TRIANGLE
-from gsgen.sdk.math.rotations import quaternion_to_matrix
+from gsgen.sdk.math.rotations import matrix_entries, quaternion_to_matrix
 
 
 def covariance_upper(
@@ -48,5 +48,11 @@ def rotate_covariance(
         upper: Upper triangles of Σ.
         turn: T, one for all rows or one per row; it need not be orthonormal.
     """
-    rows, half = turn.unbind(dim=-2), (turn @ covariance_matrix(upper)).unbind(dim=-2)
-    return torch.stack([(half[a] * rows[b]).sum(dim=-1) for a, b in UPPER_TRIANGLE], dim=-1)
+    xx, xy, xz, yy, yz, zz = upper.chunk(6, dim=1)
+    rows = matrix_entries(turn)
+    half = [
+        (a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz)
+        for a, b, c in rows
+    ]
+    products = [[x * y for x, y in zip(half[a], rows[b], strict=True)] for a, b in UPPER_TRIANGLE]
+    return torch.cat([x + y + z for x, y, z in products], dim=1)

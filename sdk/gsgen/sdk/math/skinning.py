@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.math.rotations import transform_points
 
 # The number for "no parent" in kinematic trees that are stored as unsigned integers.
 NO_PARENT = (1 << 32) - 1
@@ -69,7 +70,7 @@ def skin(
     """
     blended = (weights @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
     turn, shift = blended[:, :, :3], blended[:, :, 3]
-    return (turn * position[:, None, :]).sum(dim=2) + shift, turn
+    return transform_points(turn, position) + shift, turn
 
 
 def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:

@@ -209,7 +209,8 @@ class ProjectKernel:
         records: Whether each splat is one record.
         slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
             in a slab, to the indices of ``place_splats.wgsl``.
-        windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number.
+        windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number,
+            in whose place colours are followed by variances.
     """
 
     def __init__(

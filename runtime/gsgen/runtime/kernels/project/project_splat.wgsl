@@ -10,7 +10,7 @@
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
 @group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy (WEIGHTED: radius² of the circle)
-@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles (0 if WINDOWS)
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles (if WINDOWS, variance yy)
 
 var<private> window: u32;  // if WINDOWS, the word of the splat that `write_splat` wrote
 
@@ -129,6 +129,6 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     } else {
         weights[index] = weight;
     }
-    colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
+    colors[index] = vec4f(max(color, vec3f(0.0)), select(f32(tiles), flat.dilated.z, WINDOWS));
     return bitcast<u32>(depth);
 }

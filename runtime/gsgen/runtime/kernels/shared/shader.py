@@ -75,6 +75,7 @@ def source(name: str, **constants: int | float | bool) -> str:
         "PLACED": False,
         "CARRIED": False,
         "CARRIED_OUTPUT": 0,
+        "STEEP": False,
         "WIDE": False,
         "WINDOWS": False,
         "WINDOW_HEIGHT": WINDOW_HEIGHT,

@@ -85,7 +85,7 @@ class RadixSort:
 
     def histogram(self, capacity: int) -> Buffer:
         """Return a new GPU buffer for the digit histograms of a radix sort of ``capacity`` keys."""
-        tables = 2 if self._cut.staged else 1
+        tables = 2 if self._cut.staged else 1 + self._cut.threads
         size = 4 * tables * (1 << self._cut.digit_bits) * self.blocks(capacity)
         return self._device.storage("histogram", size)
 

@@ -34,6 +34,11 @@ fn is_sorted(key: u32, i: u32, end: u32) -> bool {
     return i < end && (digit.first == 0u || key != ABSENT);
 }
 
+// Return where the histogram of a block's runs begins, after those of all blocks.
+fn runs_of(block: u32) -> u32 {
+    return arrayLength(&histogram) / (THREADS + 1u) + block * DIGITS * THREADS;
+}
+
 fn count_key(key: u32, i: u32, end: u32, thread: u32) {
     if (is_sorted(key, i, end)) {
         counters[counter_of(key, thread)] += 1u;
@@ -61,14 +66,17 @@ fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loca
     let blocks = (total + BLOCK - 1u) / BLOCK;
     count_run(group.x, local.x, total);
     workgroupBarrier();
+    if (group.x >= blocks) {
+        return;
+    }
+    let runs = runs_of(group.x);
     for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
         var sum = 0u;
         for (var t = 0u; t < THREADS; t++) {
+            histogram[runs + d * THREADS + t] = sum;
             sum += counters[d * THREADS + t];
         }
-        if (group.x < blocks) {
-            histogram[d * blocks + group.x] = sum;
-        }
+        histogram[d * blocks + group.x] = sum;
     }
 }
 
@@ -86,23 +94,16 @@ fn scatter_key(key: u32, value: u32, i: u32, end: u32, thread: u32) {
 fn scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let total = counts[digit.source];
     let blocks = (total + BLOCK - 1u) / BLOCK;
-    // Step 1: count again, which is cheaper than storing the counters of all runs.
-    count_run(group.x, local.x, total);
-    workgroupBarrier();
-    // Step 2: convert the counters of each digit to the first index of every run.
-    for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
-        var index = 0u;
-        if (group.x < blocks) {
-            index = histogram[d * blocks + group.x];
-        }
-        for (var t = 0u; t < THREADS; t++) {
-            let amount = counters[d * THREADS + t];
-            counters[d * THREADS + t] = index;
-            index += amount;
-        }
+    if (group.x >= blocks) {
+        return;
     }
-    workgroupBarrier();
-    // Step 3: write each key of the run where its counter points, in order, so that the sort is stable.
+    // Step 1: read where the keys of each digit begin, in this run.
+    let runs = runs_of(group.x);
+    for (var d = 0u; d < (1u << digit.bits); d++) {
+        let first = histogram[d * blocks + group.x];
+        counters[d * THREADS + local.x] = first + histogram[runs + d * THREADS + local.x];
+    }
+    // Step 2: write each key of the run where its counter points, in order, so that the sort is stable.
     let start = group.x * BLOCK + local.x * RUN;
     let end = min(start + RUN, total);
     for (var i = start; i < end; i += 4u) {

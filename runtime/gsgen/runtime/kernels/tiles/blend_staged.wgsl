@@ -44,7 +44,7 @@ fn blend_batch(cell: u32) {
         while (splats != 0u && is_open()) {
             let i = word * 32u + firstTrailingBit(splats);
             splats &= splats - 1u;
-            blend_splat(batch_ids[i], batch_shapes[i], batch_weights[i], batch_colors[i], 0u);
+            blend_splat(batch_ids[i], batch_shapes[i], batch_weights[i], batch_colors[i]);
         }
     }
 }

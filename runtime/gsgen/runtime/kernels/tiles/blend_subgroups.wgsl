@@ -5,9 +5,35 @@
 
 //!include blend_tile
 //!include cells_touched
+//!include column_falloff
 
 const CELL_WIDTH = LANES;
 const CELL_HEIGHT = 4u;
+
+fn shared_falloff(own: Falloff, lane: u32) -> Falloff {
+    return Falloff(
+        subgroupShuffle(own.mean, lane),
+        subgroupShuffle(own.across, lane),
+        subgroupShuffle(own.peak, lane),
+        subgroupShuffle(own.bend, lane),
+        subgroupShuffle(own.lean, lane),
+        subgroupShuffle(own.change, lane),
+    );
+}
+
+// Blend one splat over the cells that it touches, which have a bit of `touched` each. `column`: of
+// the invocation's left cells.
+fn blend_touched(splat: Falloff, column: f32, touched: u32, id: u32, depth: f32, color: vec3f) {
+    let x = column + vec2f(0.0, f32(CELL_WIDTH)) - splat.mean.x;
+    let exponent = splat.peak - splat.across * x * x;
+    let y = splat.lean * x - splat.mean.y;
+//!repeat CELL CELLS
+    if ((touched & (1u << CELLu)) != 0u) {
+        let first_y = y[CELLu / QUADS] + f32(CELLu % QUADS * 4u);
+        blend_cell_CELL(column_opacity(splat, exponent[CELLu / QUADS], first_y), id, depth, color);
+    }
+//!end
+}
 
 @compute @workgroup_size(TILE / COLUMNS, TILE / (4u * QUADS))
 fn blend(
@@ -20,18 +46,25 @@ fn blend(
     for (var first = range.x; first < range.y; first += LANES) {
         let own_id = pair_splats[min(first + lane, range.y - 1u)];
         let own_shape = vector_of(shapes[shape_at(own_id)]);
-        let own_weight = vector_of(weights[weight_at(own_id)]);
+        var own_weight = vector_of(weights[weight_at(own_id)]);
         let own_color = vector_of(colors[own_id]);
+        if (WINDOWS) {
+            own_weight.w = own_color.w;  // so that fewer numbers are read
+        }
         let own_cells = open & cells_touched(tile.xy, own_shape, own_weight);
+        let own_falloff = falloff_of(tile.xy, own_shape, own_weight);
         let count = min(LANES, range.y - first);
         for (var j = 0u; j < count; j++) {
-            blend_splat(
-                subgroupShuffle(own_id, j),
-                subgroupShuffle(own_shape, j),
-                subgroupShuffle(own_weight.xyz, j),
-                subgroupShuffle(own_color.xyz, j),
-                subgroupShuffle(own_cells, j),
-            );
+            let id = subgroupShuffle(own_id, j);
+            let color = subgroupShuffle(own_color.xyz, j);
+            let depth = subgroupShuffle(own_weight.z, j);
+            if (MASKED) {
+                let touched = subgroupShuffle(own_cells, j);
+                blend_touched(shared_falloff(own_falloff, j), f32(local.x), touched, id, depth, color);
+            } else {
+                let weight = vec3f(subgroupShuffle(own_weight.xy, j), depth);
+                blend_splat(id, subgroupShuffle(own_shape, j), weight, color);
+            }
         }
         open = subgroupOr(open_cells());
         if (open == 0u) {

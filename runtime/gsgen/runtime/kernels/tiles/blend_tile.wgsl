@@ -150,11 +150,12 @@ fn passed_by(layer: LayerCell, light: vec4f) -> vec4f {
     return select(vec4f(1.0), layer.transmittance, (layer.light < ZERO) & (light >= ZERO));
 }
 
-// Blend one splat over one cell. A transmittance below MIN_TRANSMITTANCE finishes the pixel.
-fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
+// Blend one splat over one cell, with opacities that are 0 at pixels which it does not reach. A
+// transmittance below MIN_TRANSMITTANCE finishes the pixel.
+fn blended(cell: Cell, alpha: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
     var result = cell;
-    let before = select(ZERO, cell.transmittance, cell.transmittance > ZERO);
-    let alpha = select(ZERO, opacity(above), above >= ZERO);
+    // At a finished pixel all three are negative.
+    let before = cell.transmittance;
     let share = alpha * before;
     let after = before - share;
     let is_open = after > vec4f(MIN_TRANSMITTANCE);
@@ -175,18 +176,24 @@ fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell 
     return result;
 }
 
-// Step 2: blend one splat over all cells. If MASKED, `touched` has a bit for each touched cell.
-fn blend_splat(id: u32, shape: vec4f, weight: vec3f, color: vec3f, touched: u32) {
 //!repeat CELL CELLS
-    if (!MASKED || (touched & (1u << CELLu)) != 0u) {
-        let above = strength_at(CELLu, shape, weight);
-        if (MASKED || any(above >= ZERO)) {
+fn blend_cell_CELL(alpha: vec4f, id: u32, depth: f32, color: vec3f) {
 //!repeat LAYER LAYERS
-            let light_LAYER = light_before(layer_LAYER_CELL, cell_CELL, weight.z);
-            cell_CELL.transmittance *= passed_by(layer_LAYER_CELL, light_LAYER);
-            layer_LAYER_CELL.light = light_LAYER;
+    let light_LAYER = light_before(layer_LAYER_CELL, cell_CELL, depth);
+    cell_CELL.transmittance *= passed_by(layer_LAYER_CELL, light_LAYER);
+    layer_LAYER_CELL.light = light_LAYER;
 //!end
-            cell_CELL = blended(cell_CELL, above, id, weight.z, color);
+    cell_CELL = blended(cell_CELL, alpha, id, depth, color);
+}
+
+//!end
+// Step 2: blend one splat over all cells.
+fn blend_splat(id: u32, shape: vec4f, weight: vec3f, color: vec3f) {
+//!repeat CELL CELLS
+    {
+        let above = strength_at(CELLu, shape, weight);
+        if (any(above >= ZERO)) {
+            blend_cell_CELL(select(ZERO, opacity(above), above >= ZERO), id, weight.z, color);
         }
     }
 //!end

@@ -1,6 +1,13 @@
 """Blends the splats of each image tile, front to back."""
 
-__all__ = ["BlendTiles", "Layers", "allocate_layers", "blend_reference", "workgroup_shape"]
+__all__ = [
+    "LEAST_DILATION",
+    "BlendTiles",
+    "Layers",
+    "allocate_layers",
+    "blend_reference",
+    "workgroup_shape",
+]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,6 +30,9 @@ from gsgen.runtime.kernels.shared.shader import (
 )
 from gsgen.runtime.kernels.shared.subgroups import lanes
 from gsgen.runtime.scene.frame import OUTPUTS
+
+LEAST_DILATION: Final = 0.25
+"""Dilation, in pixels², below which opacities may underflow within four pixels of a column."""
 
 _GPU_CELL: Final = {"LANES": 32, "CELL_WIDTH": 16, "CELL_HEIGHT": 8}
 _NARROW_CELL: Final = {"LANES": 4, "CELL_WIDTH": 4, "CELL_HEIGHT": 4}  # of SwiftShader
@@ -120,6 +130,8 @@ class BlendTiles:
         carried: The output, from 1 on in OUTPUTS, whose pixels keep their state in the
             image between slabs; 0 if there are none. Ids of slabs are computed from arrays of
             ``place_splats.wgsl`` in place of colours.
+        steep: Whether the dilation may be below LEAST_DILATION.
+        windows: Whether colours are followed by variances, as ``ProjectKernel`` writes them.
 
     Attributes:
         kernel: The kernel.
@@ -136,6 +148,8 @@ class BlendTiles:
         tile: int = TILE,
         records: bool = False,
         carried: int = 0,
+        steep: bool = False,
+        windows: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
         narrow = device.software and not together and lanes(device) == _NARROW_CELL["LANES"]
@@ -153,6 +167,8 @@ class BlendTiles:
             RECORDS=records,
             CARRIED=carried > 0,
             CARRIED_OUTPUT=carried,
+            STEEP=steep,
+            WINDOWS=windows,
             MASKED=self.shader == "blend_subgroups" and not panorama,
             **constants,
         )

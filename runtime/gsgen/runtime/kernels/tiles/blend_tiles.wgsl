@@ -17,7 +17,7 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
     for (var pair = range.x; pair < range.y; pair++) {
         let id = pair_splats[pair];
         let shape = vector_of(shapes[shape_at(id)]);
-        blend_splat(id, shape, vector_of(weights[weight_at(id)]).xyz, vector_of(colors[id]).xyz, 0u);
+        blend_splat(id, shape, vector_of(weights[weight_at(id)]).xyz, vector_of(colors[id]).xyz);
         if (!is_open()) {
             break;
         }

@@ -96,7 +96,7 @@ def _starts(cells: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
 
 
 def _cell_numbers(starts: Int64[np.ndarray, " m"], count: int) -> Int64[np.ndarray, " n"]:
-    """Return the number of the grid cell that each row is in, from 0."""
+    """Return the index of each splat's grid cell, for splats that are sorted by grid cell."""
     return np.repeat(np.arange(len(starts)), np.diff(starts, append=count))
 
 
