@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
+.PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours suite clean
 
 setup: $(READY)
 
@@ -34,7 +34,14 @@ demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
 	$(BIN)/python docs/examples/demo.py out/demo
 
-test: setup drivers check ort
+# Drivers are fetched beside the packages. The types are checked beside the tests, which leave
+# parts of two cores idle.
+test:
+	@$(MAKE) --no-print-directory -j2 setup drivers
+	@$(MAKE) --no-print-directory -j2 --output-sync style ort
+	@$(MAKE) --no-print-directory -j2 types suite
+
+suite:
 	scripts/test.sh
 
 # ONNX Runtime Web, which computes generators in a page: fetched once, into the user's cache.

@@ -1,7 +1,8 @@
-"""Write what the browser client takes from Python: plans.json, contract_rules.js."""
+"""Write what the browser client takes from Python: plans, rules and markup."""
 
 from pathlib import Path
 
+from gsgen.runtime.web.pages import MARKUP_FILE, markup_text
 from gsgen.runtime.web.plans import PLANS_FILE, plans_text
 from gsgen.runtime.web.rule_module import RULES_FILE, rules_text
 
@@ -9,8 +10,9 @@ _ROOT = Path(__file__).parents[1]
 
 
 def main() -> None:
-    """Write the recorded frame plans and the translated rules into the client's package."""
-    for file, text in ((PLANS_FILE, plans_text()), (RULES_FILE, rules_text())):
+    """Write the recorded frame plans, the translated rules and the markup into the client's package."""
+    written = ((PLANS_FILE, plans_text()), (RULES_FILE, rules_text()), (MARKUP_FILE, markup_text()))
+    for file, text in written:
         package, _, path = file.partition(":")
         folder = _ROOT / "runtime" / package.replace(".", "/")
         (folder / path).write_text(text, "utf-8")

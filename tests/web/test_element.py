@@ -131,7 +131,11 @@ def test_a_page_of_one_file_opens_from_disk(page: Any, knot: Path, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"no model", "is neither PLY nor SPZ nor SOG"), (None, "cannot be loaded: 404")],
+    [
+        (b"no model", "is neither PLY nor SPZ nor SOG"),
+        (b"\x08\x0a\x3a\xff\x01", "is not a whole ONNX file"),
+        (None, "cannot be loaded: 404"),
+    ],
 )
 def test_an_error_says_what_is_wrong_and_what_helps(
     content: bytes | None, message: str, site: WebSite, page: Any

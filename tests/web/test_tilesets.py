@@ -18,12 +18,13 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.container import open_content
 from gsgen.tiles.gltf.decoding import decode_content
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.loading import load_tileset, open_tileset
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import NetworkFaults
 from gsgen.tiles.stores.opening import open_store
+from support.tiles import foreign_tiles as foreign
 from support.tiles.builds import SMALL, build
 from support.tiles.level_scenes import knot
 from support.tiles.serving import served
@@ -148,17 +149,105 @@ def test_a_tile_may_hold_another_tileset(folder: Path, site: WebSite, tmp_path: 
     np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("root", "message"),
-    [
-        ({"boundingVolume": {"region": [0, 0, 1, 1, 0, 9]}}, "has a region, or implicit tiles"),
+@pytest.fixture(scope="module")
+def implicit_folder(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("implicit")
+    build([folder.parent / "knot.ply"], target / "tiles", replace(SMALL, leaf=900, implicit=True))
+    return target / "tiles"
+
+
+def test_a_page_draws_the_implicit_tiles_that_python_selects(
+    implicit_folder: Path, site: WebSite, renderer: Renderer
+) -> None:
+    with served(implicit_folder) as address:
+        result = frames_of(site, address)
+    assert (result["failures"], result["errors"]) == ([], [])
+    for camera, frame in zip(CAMERAS, result["frames"], strict=True):
+        sets = expected_sets(implicit_folder, camera)
+        assert frame["drawn"] == sorted(sets)
+        drawing = renderer.draw(Scene([part for parts in sets.values() for part in parts]), camera)
+        words = renderer.device.read(drawing.image, np.float32, 4 * camera.width * camera.height)
+        np.testing.assert_allclose(unpacked(frame["image"], np.float32), words, atol=1e-4)
+
+
+def foreign_tree(folder: Path, rng: np.random.Generator, dimensions: int) -> Path:
+    """Write a random implicit tree of two to three subtrees of two levels, without metadata."""
+    names = "".join(f".{{{axis}}}" for axis in "xyz"[:dimensions])
+    branching = 2**dimensions
+    below = [int(k) for k in rng.permutation(branching)[:2]]  # tiles of the second level
+    hanging = {branching * k + int(rng.integers(branching)) for k in below}
+    tiles = {0} | {1 + k for k in below}
+    files: dict[str, bytes] = {
+        f"s/0{'.0' * dimensions}.subtree": foreign.subtree(2, branching, tiles, tiles, hanging)
+    }
+    for number in hanging:
+        cells = [
+            2 * (number // branching >> axis & 1) + (number % branching >> axis & 1)
+            for axis in range(dimensions)
+        ]
+        leaves = {0, *(1 + int(k) for k in rng.permutation(branching)[:2])}
+        name = f"s/2{''.join(f'.{cell}' for cell in cells)}.subtree"
+        files[name] = foreign.subtree(2, branching, leaves, leaves - {0}, set())
+    root = {
+        "boundingVolume": {"box": [1, 2, 3, 9, 1, 0, -1, 8, 0, 0, 0, 7]},
+        "geometricError": 64,
+        "refine": "REPLACE",
+        "content": {"uri": f"{{level}}{names}.glb"},
+        "implicitTiling": {
+            "subdivisionScheme": "OCTREE" if dimensions == 3 else "QUADTREE",
+            "subtreeLevels": 2,
+            "availableLevels": 4,
+            "subtrees": {"uri": f"s/{{level}}{names}.subtree"},
+        },
+    }
+    return foreign.write(folder, files | {"tileset.json": foreign.tileset(root)})
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_implicit_trees_have_the_tiles_of_python(
+    seed: int, dimensions: int, site: WebSite, tmp_path: Path
+) -> None:
+    path = foreign_tree(tmp_path, np.random.default_rng(seed), dimensions)
+    with served(path.parent) as address:
+        actual = site.call("implicitTiles", f"{address}/tileset.json")
+    tiles = list(open_tileset(path).tiles())
+    expected = {
         (
-            {"boundingVolume": {"sphere": [0, 0, 0, 1]}, "implicitTiling": {}},
-            "has a region, or implicit tiles",
-        ),
+            tuple(content.uri for content in tile.contents),
+            *np.round([*tile.volume.center, *tile.volume.half_axes.ravel()], 9).tolist(),
+            tile.geometric_error,
+        )
+        for tile in tiles
+    }
+    assert {(tuple(uris), *np.round(box, 9).tolist(), e) for uris, box, e in actual} == expected
+    assert len(actual) == len(tiles) > 6
+
+
+@pytest.mark.parametrize(
+    "root",
+    [
+        {"boundingVolume": {"region": [0, 0, 1, 1, 0, 9]}},
+        {"boundingVolume": {"sphere": [0, 0, 0, 1]}, "implicitTiling": {}},
     ],
 )
-def test_what_pages_do_not_read_is_named(root: Any, message: str, site: WebSite) -> None:
+def test_volumes_that_pages_do_not_read_are_named(root: Any, site: WebSite) -> None:
     site.contents["/tileset.json"] = json.dumps({"root": root}).encode()
-    with pytest.raises(Exception, match=message):
+    with pytest.raises(Exception, match="has a volume that is not a box"):
         frames_of(site, site.address, CAMERAS[:1])
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [(b"{}", "is not a binary subtree"), (b"subt" + bytes(40), "is not whole")],
+    ids=["json", "cut off"],
+)
+def test_a_damaged_subtree_is_told(
+    data: bytes, message: str, implicit_folder: Path, site: WebSite, tmp_path: Path
+) -> None:
+    shutil.copytree(implicit_folder, tmp_path / "tiles")
+    [subtree] = (tmp_path / "tiles").rglob("*.subtree")
+    subtree.write_bytes(data)
+    with served(tmp_path / "tiles") as address:
+        [failure] = frames_of(site, address, CAMERAS[:1])["failures"]
+    assert message in failure

@@ -15,7 +15,7 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
-from gsgen.runtime.web import plans, rule_module
+from gsgen.runtime.web import pages, plans, rule_module
 from gsgen.runtime.web.formulas import Formula, evaluate
 from gsgen.runtime.web.plan_tables import PlanTables
 from gsgen.runtime.web.plans import LAYERS
@@ -42,6 +42,10 @@ def test_the_written_plans_are_current() -> None:
 
 def test_the_written_rules_are_current() -> None:
     assert rule_module.written_rules() == rule_module.rules_text(), "run `make web`"
+
+
+def test_the_written_markup_is_current() -> None:
+    assert pages.client_file("element_markup.js").decode() == pages.markup_text(), "run `make web`"
 
 
 def test_the_written_rules_are_small() -> None:

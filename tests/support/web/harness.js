@@ -4,6 +4,7 @@ import { turnTowards, viewOf } from "/client/camera.js";
 import { openDevice } from "/client/device.js";
 import { findingsOf, inspected } from "/client/findings.js";
 import { KernelCache } from "/client/host.js";
+import { firstSubtree, subtreeRoot } from "/client/implicit_tiles.js";
 import { openModel } from "/client/model.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
 import * as py from "/client/python.js";
@@ -111,6 +112,24 @@ export async function splatFile(path) {
   } catch (error) {
     return { error: error.message, hint: error.hint };
   }
+}
+
+/** Return uris, box and geometric error of all tiles of implicit trees, subtree by subtree. */
+export async function implicitTiles(address) {
+  const { root, schema } = await (await fetch(address)).json();
+  const tiles = [];
+  const visit = async (tile) => {
+    const subtree = tile.subtree ?? firstSubtree(tile);
+    if (subtree) {
+      const data = await (await fetch(new URL(subtree.uri, address))).arrayBuffer();
+      return visit(subtreeRoot(data, subtree, schema, subtree.uri));
+    }
+    const uris = (tile.contents ?? [tile.content ?? []]).flatMap(({ uri = [] }) => uri);
+    tiles.push([uris, tile.boundingVolume.box, tile.geometricError]);
+    for (const child of tile.children ?? []) await visit(child);
+  };
+  await visit(root);
+  return tiles;
 }
 
 /** Return what the page finds wrong with served models: an address and a target each. */

@@ -25,41 +25,47 @@ _RESERVED: Final = frozenset(
     }
 )
 _METHODS: Final = {
+    "add": "{0}.add({1})",
     "append": "{0}.push({1})",
+    "count": "py.count({0}, {1})",
     "decode": "{0}",
     "encode": "{0}",
     "extend": "{0}.push(...py.iter({1}))",
+    "get": "py.get({all})",
     "index": "{0}.indexOf({1})",
     "is_integer": "Number.isInteger(Number({0}))",
+    "isascii": r"/^[\0-\x7f]*$/.test({0})",
+    "isdigit": r"/^\d+$/.test({0})",
+    "isdisjoint": "!py.list({1}).some((entry) => {0}.has(entry))",
+    "isprintable": r"!/[\p{{C}}\p{{Zl}}\p{{Zp}}]|(?! )\p{{Zs}}/u.test({0})",
     "items": "{0}.entries()",
+    "join": "py.list({1}).join({0})",
     "lower": "{0}.toLowerCase()",
     "lstrip": "{0}.trimStart()",
     "match": "{0}.exec({1})",  # patterns that begin with ^
     "pop": "{0}.pop()",
     "split": "{0}.split({1})",
-    "strip": "{0}.trim()",
     "startswith": "{0}.startsWith({1})",
+    "strip": "{0}.trim()",
+    "update": "py.list({1}).forEach((entry) => {0}.add(entry))",
     "values": "{0}.values()",
-    **{
-        name: f"py.{name}({{all}})"
-        for name in (
-            *("add", "count", "get", "isascii", "isdigit", "isdisjoint", "isprintable"),
-            *("join", "update"),
-        )
-    },
 }
 """Methods of Python's own types."""
 
 _BUILTINS: Final = {
+    "py.chain": "[{0}, {1}].flatMap((part) => py.list(part))",
     "py.all": "py.list({0}).every(py.bool)",
     "py.any": "py.list({0}).some(py.bool)",
     "py.enumerate": "py.list({0}).entries()",
     "py.filter": "py.list({1}).filter(py.bool)",
     "py.getattr": "{0}[{1}]",
     "py.id": "{0}",
+    "py.fromkeys": "py.dict(py.map((key) => [key, null], {0}))",
     "py.next": "({0}.next().value ?? {1})",
+    "py.prod": "py.list({0}).reduce((product, size) => product * size, 1)",
     "py.range": "Array({0}).keys()",
     "py.reversed": "py.list({0}).reverse()",
+    "py.search": "new RegExp({0}).exec({1})",
     "py.sum": "py.list({0}).reduce(py.plus, 0)",
     "py.type": "{0}.constructor",
 }
@@ -86,7 +92,7 @@ _OPERATIONS: Final = {
     ast.Mult: "{0} * {1}",
     ast.Div: "{0} / {1}",
     ast.FloorDiv: "Math.floor({0} / {1})",
-    ast.Mod: "py.modulo({0}, {1})",
+    ast.Mod: "{0} - {1} * Math.floor({0} / {1})",
     ast.Pow: "{0} ** {1}",
     ast.BitOr: "py.union({0}, {1})",
     ast.LShift: "{0} * 2 ** {1}",
@@ -192,7 +198,7 @@ class FunctionTranslator:
 
     def _assign(self, target: ast.expr, value: str) -> str:
         if isinstance(target, ast.Subscript):
-            return f"py.store({self.value(target.value)}, {self.value(target.slice)}, {value});"
+            return f"{self.value(target.value)}.set({self.value(target.slice)}, {value});"
         return f"{self._target(target)} = {value};"
 
     def _target(self, node: ast.expr) -> str:
@@ -242,8 +248,10 @@ class FunctionTranslator:
                 return self._comparison([left, *others], operators)
             case ast.IfExp(test, body, orelse):
                 return f"({self.truth(test)} ? {self.value(body)} : {self.value(orelse)})"
-            case ast.Subscript(target, ast.Slice(lower, upper, step)):
-                limits = [self.value(part) if part else "null" for part in (lower, upper, step)]
+            case ast.Subscript(target, ast.Slice(None, None, ast.UnaryOp())):  # [::-1]
+                return f"py.list({self.value(target)}).reverse()"
+            case ast.Subscript(target, ast.Slice(lower, upper, None)):
+                limits = [self.value(part) if part else "null" for part in (lower, upper)]
                 return f"py.slice({self.value(target)}, {', '.join(limits)})"
             case ast.Subscript(target, index):
                 return f"py.item({self.value(target)}, {self.value(index)})"
@@ -354,6 +362,8 @@ class FunctionTranslator:
                 return _METHODS[target.attr].format(owner, *texts, all=", ".join([owner, *texts]))
             return f"{owner}.{target.attr}({', '.join(texts)})"
         name = self.value(target)
+        if name in ("py.min", "py.max") and len(node.args) > 1:
+            texts = [f"[{', '.join(texts)}]"]
         if name in _BUILTINS:
             return _BUILTINS[name].format(*texts, "null")
         is_class = name.rpartition(".")[2][:1].isupper()

@@ -165,7 +165,7 @@ static fields = [["name", null, null], ["dtype", null, null], ["dims", null, nul
 __str__() {
   const self = this;
   let dims;
-dims = ((self.dims == null) ? "?" : py.join(", ", (function* () { for (const d of py.iter(self.dims)) yield ((d == null) ? "?" : py.str(d)); })()));
+dims = ((self.dims == null) ? "?" : py.list((function* () { for (const d of py.iter(self.dims)) yield ((d == null) ? "?" : py.str(d)); })()).join(", "));
 return `${py.str(py.or(self.dtype, () => "?"))} [${py.str(dims)}]`;
 }
 }
@@ -182,11 +182,11 @@ _uses() {
 count = py.dict([]);
 for (names of py.iter(self._reads.values())) {
 for (name of py.iter(names)) {
-py.store(count, name, (py.plus(py.get(count, name, 0), 1)));
+count.set(name, (py.plus(py.get(count, name, 0), 1)));
 }
 }
 for (output of py.iter(self.outputs)) {
-py.store(count, output.name, (py.plus(py.get(count, output.name, 0), 1)));
+count.set(output.name, (py.plus(py.get(count, output.name, 0), 1)));
 }
 return count;
 }
@@ -207,7 +207,7 @@ return ((function* () { for (const tensor of py.iter(self.inputs)) if ((py.eq(te
 ancestors(name) {
   const self = this;
 if ((!py.contains(self._lineages, name))) {
-py.store(self._lineages, name, self._traced(name));
+self._lineages.set(name, self._traced(name));
 }
 return py.item(self._lineages, name);
 }
@@ -227,11 +227,11 @@ key = node;
 if (((node == null) || (py.contains(visited, key)))) {
 continue;
 }
-py.add(visited, key);
+visited.add(key);
 nodes.push(node);
 for (name of py.iter(py.item(self._reads, key))) {
 if ((!py.contains(names, name))) {
-py.add(names, name);
+names.add(name);
 queue.push(name);
 }
 }
@@ -346,7 +346,7 @@ return "";
 }
 function _looks_like_manifest$manifest(text) {
   let opening;
-opening = py.slice(text, null, 65536, null).trimStart();
+opening = py.slice(text, null, 65536).trimStart();
 return py.and(opening.startsWith("{"), () => py.list((function* () { for (const kind of py.iter(KINDS$0)) yield (py.contains(opening, `"${py.str(kind)}"`)); })()).some(py.bool));
 }
 function* manifest_schema$manifest(subject) {
@@ -398,7 +398,7 @@ yield py.violation(`manifest name ${py.str(py.repr(name))}`, "declared more than
 }
 function _one_of$manifest(names) {
   let listed;
-listed = (py.plus(py.join(", ", py.slice(names, null, 8, null)), ((py.compare(py.len(names), 8) > 0) ? ", …" : "")));
+listed = (py.plus(py.list(py.slice(names, null, 8)).join(", "), ((py.compare(py.len(names), 8) > 0) ? ", …" : "")));
 return (py.bool(names) ? `one of ${py.str(listed)}` : "a tensor that exists; the graph has none");
 }
 function* manifest_agrees_with_graph$manifest(subject) {
@@ -478,7 +478,7 @@ function appearance_channels$layout(space, degree, itemsize) {
 if ((py.eq(space, "sh"))) {
 return (3 * coefficients$spherical_harmonics(py.or(degree, () => 0)));
 }
-return ((py.eq((py.modulo((3 * itemsize), 4)), 0)) ? 3 : 4);
+return ((py.eq(((3 * itemsize) - 4 * Math.floor((3 * itemsize) / 4)), 0)) ? 3 : 4);
 }
 function coefficients$spherical_harmonics(degree) {
 return ((py.plus(degree, 1)) ** 2);
@@ -535,7 +535,7 @@ return;
 if (((producer.license != null) && !py.bool(_SPDX$2.exec(producer.license)))) {
 yield py.violation("manifest producer.license", py.repr(producer.license), "an SPDX expression");
 }
-if (!py.list((function* () { for (const letter of py.iter(producer.tool)) yield py.isdigit(letter); })()).some(py.bool)) {
+if (!py.list((function* () { for (const letter of py.iter(producer.tool)) yield /^\d+$/.test(letter); })()).some(py.bool)) {
 yield py.violation("manifest producer.tool", py.repr(producer.tool), "name and version");
 }
 }
@@ -564,11 +564,11 @@ generator = subject.generator;
 if (((generator == null) || (subject.candidate != null))) {
 return;
 }
-known = py.fromkeys((function* () { for (const entry of py.iter(generator.inputs)) for (const name of py.iter([entry.name, entry.role])) yield name; })());
+known = py.dict(py.map((key) => [key, null], (function* () { for (const entry of py.iter(generator.inputs)) for (const name of py.iter([entry.name, entry.role])) yield name; })()));
 for (role of py.iter(generator.depends_on)) {
 if ((!py.contains(known, role))) {
 actual = ((py.contains(ROLES$4, role)) ? "no input has this role" : "neither an input nor a role");
-listed = py.or(py.join(", ", known), () => "none: there are no inputs");
+listed = py.or(py.list(known).join(", "), () => "none: there are no inputs");
 yield py.violation(`manifest depends_on ${py.str(py.repr(role))}`, actual, `one of ${py.str(listed)}`, ((py.contains(ROLES$4, role)) ? "possible" : "confirmed"));
 }
 }
@@ -581,7 +581,7 @@ return;
 }
 declarations = py.dict([["blend: wsr", (py.eq(generator.blend, "wsr"))], ["weighted_sum", (generator.weighted_sum != null)], ["outputs.cells", (generator.outputs.cells != null)]]);
 if ((py.list(declarations.values()).some(py.bool) && !py.list(declarations.values()).every(py.bool))) {
-[present, lacking] = (function* () { for (const is_declared of py.iter([true, false])) yield py.join(" and ", (function* () { for (const [name, value] of py.iter(declarations.entries())) if ((value === is_declared)) yield name; })()); })();
+[present, lacking] = (function* () { for (const is_declared of py.iter([true, false])) yield py.list((function* () { for (const [name, value] of py.iter(declarations.entries())) if ((value === is_declared)) yield name; })()).join(" and "); })();
 yield py.violation("manifest", `${py.str(present)} without ${py.str(lacking)}`, "all three, or none");
 }
 }
@@ -627,7 +627,7 @@ function* required_extensions_known$extensions(subject) {
   let expected, known, name;
 for (name of py.iter((py.bool(subject.manifest) ? subject.manifest.extensions_required : []))) {
 if ((!py.contains(REGISTERED$5, name))) {
-known = py.or(py.join(", ", REGISTERED$5), () => "none is registered yet");
+known = py.or(py.list(REGISTERED$5).join(", "), () => "none is registered yet");
 expected = `a registered extension (${py.str(known)})`;
 yield py.violation("manifest extensions_required", name, expected);
 }
@@ -640,7 +640,7 @@ if ((name == null)) {
 return;
 }
 if ((!py.contains(PROFILES$6, name))) {
-expected = `one of ${py.str(py.join(", ", PROFILES$6))}`;
+expected = `one of ${py.str(py.list(PROFILES$6).join(", "))}`;
 yield py.violation("manifest operator_profile", py.repr(name), expected);
 return;
 }
@@ -653,7 +653,7 @@ yield py.violation("manifest operator_profile", `operator set ${py.str(opset)}`,
 missing = profile.missing((function* () { for (const node of py.iter(subject.graph.all_nodes())) yield node.op_type; })());
 if (py.bool(missing)) {
 remainder = ((py.compare(py.len(missing), 5) > 0) ? ` and ${py.str((py.minus(py.len(missing), 5)))} more` : "");
-actual = `${py.str(py.join(", ", py.slice(missing, null, 5, null)))}${py.str(remainder)} in the graph`;
+actual = `${py.str(py.list(py.slice(missing, null, 5)).join(", "))}${py.str(remainder)} in the graph`;
 yield py.violation("manifest operator_profile", actual, `operators of ${py.str(name)} alone`);
 }
 }
@@ -715,7 +715,7 @@ function _shape_text$inputs(tensor) {
 if ((tensor.dims == null)) {
 return "unknown";
 }
-return (py.plus((py.plus("[", py.join(", ", (function* () { for (const dim of py.iter(tensor.dims)) yield ((dim == null) ? "?" : py.str(dim)); })()))), "]"));
+return (py.plus((py.plus("[", py.list((function* () { for (const dim of py.iter(tensor.dims)) yield ((dim == null) ? "?" : py.str(dim)); })()).join(", "))), "]"));
 }
 function* projection_is_4x4$inputs(subject) {
 yield* py.iter(_wrong_shape$inputs(subject, "projection", [4, 4]));
@@ -729,7 +729,7 @@ for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : [])
 tensor = subject.graph.input(entry.name);
 dtypes = py.item(ROLES$4, entry.role).dtype;
 if (((tensor != null) && (!py.contains(dtypes, tensor.dtype)))) {
-yield py.violation(`input ${py.str(entry.name)}`, py.str(tensor.dtype), py.join(" or ", dtypes));
+yield py.violation(`input ${py.str(entry.name)}`, py.str(tensor.dtype), py.list(dtypes).join(" or "));
 }
 }
 }
@@ -766,7 +766,7 @@ if ((py.eq(kind, "gaussian-generator"))) {
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, "a static shape");
 } else {
 if (((py.eq(kind, "post-process")) && !py.bool(_is_open_image$inputs(tensor, role)))) {
-shapes = py.join(" or ", (function* () { for (const shape of py.iter(py.item(ROLES$4, role).shapes)) yield `[${py.str(py.join(", ", py.map(py.str, shape)))}]`; })());
+shapes = py.list((function* () { for (const shape of py.iter(py.item(ROLES$4, role).shapes)) yield `[${py.str(py.list(py.map(py.str, shape)).join(", "))}]`; })()).join(" or ");
 expected = `${py.str(shapes)}, channels first; only height and width may be open, not the batch`;
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, expected);
 }
@@ -774,7 +774,7 @@ yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, expe
 return;
 }
 if ((matching_shape$roles(py.item(ROLES$4, role), dims) == null)) {
-shapes = py.join(" or ", (function* () { for (const shape of py.iter(py.item(ROLES$4, role).shapes)) yield `[${py.str(py.join(", ", py.map(py.str, shape)))}]`; })());
+shapes = py.list((function* () { for (const shape of py.iter(py.item(ROLES$4, role).shapes)) yield `[${py.str(py.list(py.map(py.str, shape)).join(", "))}]`; })()).join(" or ");
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, `${py.str(shapes)}, as the role ${py.str(role)} has`);
 }
 }
@@ -870,17 +870,17 @@ return ((dims == null) ? entry.shape : py.list((function* () { for (const dim of
 function _misfit$input_declarations(entry, shape) {
   let actual, beyond, default_, high, low, numbers, room, turns;
 default_ = entry.default;
-turns = py.and((py.eq(entry.role, "pose")), () => (py.eq(py.slice(shape, (-1), null, null), [4])));
+turns = py.and((py.eq(entry.role, "pose")), () => (py.eq(py.slice(shape, (-1), null), [4])));
 if (((py.eq(default_, "identity")) && !((py.contains(_SQUARE$9, shape)) || py.bool(turns)))) {
 return [`default identity for shape ${py.str(py.list(shape))}`, "a matrix or quaternions"];
 }
-if ((py.isinstance(default_, py.list) && (!py.eq(py.len(default_), py.prod(shape))))) {
+if ((py.isinstance(default_, py.list) && (!py.eq(py.len(default_), py.list(shape).reduce((product, size) => product * size, 1))))) {
 actual = `default of ${py.str(py.len(default_))} numbers for shape ${py.str(py.list(shape))}`;
-return [actual, `${py.str(py.prod(shape))} numbers`];
+return [actual, `${py.str(py.list(shape).reduce((product, size) => product * size, 1))} numbers`];
 }
 numbers = _numbers$input_declarations(entry);
 [low, high] = py.or(entry.range, () => [py.min(numbers, 0), py.max(numbers, 0)]);
-room = (1e-06 * py.max(Math.abs(low), Math.abs(high), py.float(1.0)));
+room = (1e-06 * py.max([Math.abs(low), Math.abs(high), py.float(1.0)]));
 beyond = [...(function* () { for (const number of py.iter(numbers)) if (!(py.compare((py.minus(low, room)), number) <= 0 && py.compare(number, (py.plus(high, room))) <= 0)) yield number; })()];
 if (py.bool(beyond)) {
 return [`default ${py.format(py.item(beyond, 0), `g`)} beyond the range ${py.str([low, high])}`, "one within"];
@@ -908,15 +908,15 @@ continue;
 [known, shape] = [py.item(ROLES$4, entry.role).conventions, shape_of$input_declarations(subject, entry)];
 actual = `convention ${py.str(py.repr(entry.convention))}`;
 if ((!py.contains(known, entry.convention))) {
-expected = (py.bool(known) ? `one of ${py.str(py.join(", ", known))}` : `none, as ${py.str(entry.role)} has`);
+expected = (py.bool(known) ? `one of ${py.str(py.list(known).join(", "))}` : `none, as ${py.str(entry.role)} has`);
 yield py.violation(_place$input_declarations(entry), actual, expected);
 } else {
 if (((shape != null) && !py.bool(_holds$input_declarations(entry, shape)))) {
 expected = "a shape that can hold it";
 yield py.violation(_place$input_declarations(entry), `${py.str(actual)} for shape ${py.str(py.list(shape))}`, expected);
 } else {
-if (((shape != null) && (!py.contains(py.get(JOINTS$10, entry.convention, py.slice(shape, null, 1, null)), py.item(shape, 0))))) {
-joints = py.join(" or ", py.map(py.str, py.item(JOINTS$10, entry.convention)));
+if (((shape != null) && (!py.contains(py.get(JOINTS$10, entry.convention, py.slice(shape, null, 1)), py.item(shape, 0))))) {
+joints = py.list(py.map(py.str, py.item(JOINTS$10, entry.convention))).join(" or ");
 expected = `${py.str(joints)} joints; a skeleton of its own has no convention of SMPL`;
 yield py.violation(_place$input_declarations(entry), `${py.str(actual)} for ${py.str(py.item(shape, 0))} joints`, expected);
 }
@@ -934,9 +934,9 @@ if ((py.eq(convention, "matrix"))) {
 return (py.eq(shape, [3, 3]));
 }
 if ((py.eq(convention, "quaternion-wxyz"))) {
-return (py.eq(py.slice(shape, (-1), null, null), [4]));
+return (py.eq(py.slice(shape, (-1), null), [4]));
 }
-return py.and((py.eq(py.slice(shape, (-1), null, null), [3])), () => py.or((!py.eq(entry.role, "root_rotation")), () => (py.eq(py.len(shape), 1))));
+return py.and((py.eq(py.slice(shape, (-1), null), [3])), () => py.or((!py.eq(entry.role, "root_rotation")), () => (py.eq(py.len(shape), 1))));
 }
 function* input_has_a_start$input_declarations(subject) {
   let actual, entry, low;
@@ -957,7 +957,7 @@ for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 timing = py.dict([["loop", entry.loop], ["fps", entry.fps], ["frames", entry.frames]]);
 declared = [...(function* () { for (const [name, value] of py.iter(timing.entries())) if ((value != null)) yield name; })()];
 if ((py.bool(declared) && (!py.contains(_TIMED$13, entry.role)))) {
-actual = `role ${py.str(entry.role)} with ${py.str(py.join(", ", declared))}`;
+actual = `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`;
 yield py.violation(_place$input_declarations(entry), actual, "role time or frame_index");
 } else {
 if ((py.eq(entry.fps, 0))) {
@@ -976,7 +976,7 @@ shape = shape_of$input_declarations(subject, entry);
 if (((!py.contains(ROTATION_ROLES$14, entry.role)) || (entry.range == null) || (shape == null))) {
 continue;
 }
-is_vector = py.and((py.eq(py.slice(shape, (-1), null, null), [3])), () => (!py.eq(entry.convention, "matrix")));
+is_vector = py.and((py.eq(py.slice(shape, (-1), null), [3])), () => (!py.eq(entry.convention, "matrix")));
 if ((py.bool(is_vector) && (!py.eq(shape, [3, 3])) && (py.compare(py.max(py.map(Math.abs, entry.range)), 6.3) > 0))) {
 actual = `range ${py.str(py.list(entry.range))}, which looks like degrees`;
 yield py.violation(_place$input_declarations(entry), actual, "radians, within ±2π (±6.28)");
@@ -1025,7 +1025,7 @@ if (((joint.parent != null) && (!py.contains(earlier_names, joint.parent)))) {
 actual = `joint ${py.str(py.repr(joint.name))} before its parent ${py.str(py.repr(joint.parent))}`;
 yield _at$avatar_inputs(entry, actual, "parents first");
 }
-py.add(earlier_names, joint.name);
+earlier_names.add(joint.name);
 }
 }
 function _at$avatar_inputs(entry, actual, expected) {
@@ -1048,16 +1048,16 @@ for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 declared = [...(function* () { for (const name of py.iter(_SOUND$15)) if ((entry[name] != null)) yield name; })()];
 if ((!py.eq(entry.role, "audio"))) {
 if (py.bool(declared)) {
-yield _at$avatar_inputs(entry, `role ${py.str(entry.role)} with ${py.str(py.join(", ", declared))}`, "role audio");
+yield _at$avatar_inputs(entry, `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`, "role audio");
 }
 continue;
 }
 shape = shape_of$input_declarations(subject, entry);
 is_mel = py.or((py.eq(entry.convention, "mel")), () => py.and((shape != null), () => (py.compare(py.len(shape), 1) > 0)));
-needed = (py.bool(is_mel) ? _SOUND$15 : py.slice(_SOUND$15, null, 1, null));
+needed = (py.bool(is_mel) ? _SOUND$15 : py.slice(_SOUND$15, null, 1));
 missing = [...(function* () { for (const name of py.iter(needed)) if ((!py.contains(declared, name))) yield name; })()];
 if (py.bool(missing)) {
-yield _at$avatar_inputs(entry, `no ${py.str(py.join(", ", missing))}`, `${py.str(py.join(", ", needed))} of the sound`);
+yield _at$avatar_inputs(entry, `no ${py.str(py.list(missing).join(", "))}`, `${py.str(py.list(needed).join(", "))} of the sound`);
 } else {
 if ((py.bool(is_mel) && (py.compare(py.or(entry.hop, () => 0), py.or(entry.window, () => 0)) > 0))) {
 actual = `hop ${py.str(entry.hop)} beyond the window ${py.str(entry.window)}`;
@@ -1071,7 +1071,7 @@ function* gaussians_declared$outputs(subject) {
 if ((subject.gaussians != null)) {
 return;
 }
-outputs = py.or(py.join(", ", (function* () { for (const tensor of py.iter(subject.graph.outputs)) yield py.str(tensor); })()), () => "nothing");
+outputs = py.or(py.list((function* () { for (const tensor of py.iter(subject.graph.outputs)) yield py.str(tensor); })()).join(", "), () => "nothing");
 yield py.violation("outputs", `no packed Gaussians among ${py.str(outputs)}`, `one [N, ${py.str(10)}] output`);
 }
 function* gaussians_rank_2$outputs(subject) {
@@ -1207,7 +1207,7 @@ if (((tensor == null) || !py.isinstance(channels, py.int))) {
 continue;
 }
 size = (channels * py.get(ITEMSIZE$1, py.or(tensor.dtype, () => ""), 4));
-if (py.bool((py.modulo(size, 4)))) {
+if (py.bool((size - 4 * Math.floor(size / 4)))) {
 actual = `${py.str(channels)} channels of ${py.str(tensor.dtype)}, ${py.str(size)} bytes a row`;
 yield py.violation(`output ${py.str(tensor.name)}`, actual, `a multiple of ${py.str(4)} bytes`);
 }
@@ -1235,10 +1235,10 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, "a name with 'color'
 function* outputs_declared$graph_outputs(subject) {
   let declared, name, passed_on;
 declared = subject.output_names;
-for (name of py.iter(py.fromkeys(subject.graph.output_names))) {
+for (name of py.iter(py.dict(py.map((key) => [key, null], subject.graph.output_names)))) {
 passed_on = (subject.graph.input(name) != null);
 if ((py.bool(declared) && (!py.contains(declared, name)) && !py.bool(passed_on))) {
-yield py.violation(`output ${py.str(name)}`, "not declared", `only ${py.str(py.join(", ", declared))}`);
+yield py.violation(`output ${py.str(name)}`, "not declared", `only ${py.str(py.list(declared).join(", "))}`);
 }
 }
 }
@@ -1395,7 +1395,7 @@ graph = subject.graph;
 needed = py.set((function* () { for (const tensor of py.iter(graph.outputs)) for (const node of py.iter(py.item(graph.ancestors(tensor.name), 1))) yield node; })());
 idle = (py.minus(py.set((function* () { for (const node of py.iter(graph.nodes)) yield node; })()), needed));
 functions = (function* () { for (const function_ of py.iter(subject.file.proto.functions)) for (const node of py.iter(function_.node)) yield node; })();
-for (node of py.iter(py.chain(graph.all_nodes(), functions))) {
+for (node of py.iter([graph.all_nodes(), functions].flatMap((part) => py.list(part)))) {
 if (((py.contains(MAIN_DOMAIN$7, node.domain)) && (!py.contains(idle, node)))) {
 yield node;
 }
@@ -1414,7 +1414,7 @@ yield py.violation(`node ${py.str(name)}`, `${py.str(count)} nodes have this nam
 }
 for ([kind, tensors] of py.iter([["input", subject.graph.inputs], ["output", subject.graph.outputs]])) {
 for (tensor of py.iter(tensors)) {
-if ((!py.bool(py.isprintable(tensor.name)) || (py.contains(tensor.name, " ")))) {
+if ((!py.bool(!/[\p{C}\p{Zl}\p{Zp}]|(?! )\p{Zs}/u.test(tensor.name)) || (py.contains(tensor.name, " ")))) {
 yield py.violation(`${py.str(kind)} ${py.str(py.repr(tensor.name))}`, "the name contains a blank", "a name without blanks");
 }
 }
@@ -1450,7 +1450,7 @@ return false;
 }
 idle = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
 has_axes = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "axes")), () => attribute.ints); })()).some(py.bool);
-axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2, null))) if (py.bool(name)) yield name; })()];
+axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2))) if (py.bool(name)) yield name; })()];
 axes = (py.bool(axes_inputs) ? py.get(graph.tensors, py.item(axes_inputs, 0)) : null);
 empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
 return is_copy$buffer_copies(node.op_type, py.len(node.input), py.and(idle, () => empty, () => !py.bool(has_axes)));
@@ -1513,7 +1513,7 @@ function* _computed_once$limits(graph) {
 running = frame_nodes$provider_placement(graph);
 frame_tensors = py.set((function* () { for (const node of py.iter(running)) for (const name of py.iter(node.output)) yield name; })());
 outputs = py.set((function* () { for (const tensor of py.iter(graph.outputs)) yield tensor.name; })());
-for (name of py.iter(py.fromkeys((function* () { for (const node of py.iter(running)) for (const name of py.iter(reads$graph(node))) yield name; })()))) {
+for (name of py.iter(py.dict(py.map((key) => [key, null], (function* () { for (const node of py.iter(running)) for (const name of py.iter(reads$graph(node))) yield name; })())))) {
 if (((py.contains(graph.producers, name)) && (!py.contains(frame_tensors, name)) && (!py.contains(outputs, name)))) {
 tensor = py.get(graph.tensors, name);
 if ((tensor != null)) {
@@ -1531,23 +1531,23 @@ for (node of py.iter(graph.nodes)) {
 names = reads$graph(node);
 draws = py.and((py.contains(RANDOM_OPERATORS$22, node.op_type)), () => (py.contains(MAIN_DOMAIN$7, node.domain)));
 changing = ((py.contains(_OF_SHAPES$27, node.op_type)) ? resized : varying);
-if ((py.bool(draws) || !py.bool(py.isdisjoint(changing, names)))) {
-py.update(varying, node.output);
+if ((py.bool(draws) || !py.bool(!py.list(names).some((entry) => changing.has(entry))))) {
+py.list(node.output).forEach((entry) => varying.add(entry));
 running.push(node);
-if (((py.contains(SIZED_BY_DATA$28, node.op_type)) || !py.bool(py.isdisjoint(resized, names)))) {
-py.update(resized, node.output);
+if (((py.contains(SIZED_BY_DATA$28, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized.has(entry))))) {
+py.list(node.output).forEach((entry) => resized.add(entry));
 }
 }
 }
 needed = py.set((function* () { for (const tensor of py.iter(graph.outputs)) yield tensor.name; })());
 nodes = [];
 for (node of py.iter(py.list(running).reverse())) {
-if (!py.bool(py.isdisjoint(needed, node.output))) {
-py.update(needed, reads$graph(node));
+if (!py.bool(!py.list(node.output).some((entry) => needed.has(entry)))) {
+py.list(reads$graph(node)).forEach((entry) => needed.add(entry));
 nodes.push(node);
 }
 }
-return py.slice(nodes, null, null, (-1));
+return py.list(nodes).reverse();
 }
 function reads$graph(node) {
   let attribute, graph, inner, names;
@@ -1771,7 +1771,7 @@ function _short$manifest_io(value) {
   let text;
 text = (py.isinstance(value, py.str) ? value : py.dumps(value, false, py.str));
 text = py.or(text, () => "an empty text");
-return ((py.compare(py.len(text), 60) <= 0) ? text : `${py.str(py.slice(text, null, 57, null))}…`);
+return ((py.compare(py.len(text), 60) <= 0) ? text : `${py.str(py.slice(text, null, 57))}…`);
 }
 function _parse_document$manifest_io(text) {
   let actual, document, error, expected, version;
@@ -1821,7 +1821,7 @@ return document;
 function _version$manifest_io(value) {
   let parts;
 parts = (py.isinstance(value, py.str) ? value.split(".") : []);
-if (((!py.eq(py.len(parts), 2)) || !py.list((function* () { for (const p of py.iter(parts)) yield py.and(py.isascii(p), () => py.isdigit(p), () => (py.compare(py.len(p), 6) < 0)); })()).every(py.bool))) {
+if (((!py.eq(py.len(parts), 2)) || !py.list((function* () { for (const p of py.iter(parts)) yield py.and(/^[\0-\x7f]*$/.test(p), () => /^\d+$/.test(p), () => (py.compare(py.len(p), 6) < 0)); })()).every(py.bool))) {
 return null;
 }
 return [py.int(py.item(parts, 0)), py.int(py.item(parts, 1))];
@@ -1833,10 +1833,10 @@ function _parse_body$manifest_io(document, version) {
   let complaints, errors, kind, manifest, newer;
 kind = py.get(document, "kind");
 if ((!py.contains(KINDS$0, kind))) {
-return _failed$manifest_io("schema", "kind", _short$manifest_io(kind), `one of ${py.str(py.join(", ", KINDS$0))}`);
+return _failed$manifest_io("schema", "kind", _short$manifest_io(kind), `one of ${py.str(py.list(KINDS$0).join(", "))}`);
 }
 newer = (py.compare(version, CURRENT$3) > 0);
-errors = schema_faults$schema_check(document, publishedSchema(kind, py.min(version, CURRENT$3)));
+errors = schema_faults$schema_check(document, publishedSchema(kind, py.min([version, CURRENT$3])));
 if (py.bool(newer)) {
 errors = [...(function* () { for (const error of py.iter(errors)) if ((!py.eq(error.validator, "additionalProperties"))) yield error; })()];
 }
@@ -1924,7 +1924,7 @@ if ((py.contains(["minLength", "pattern"], word))) {
 if (!py.isinstance(value, py.str)) {
 return true;
 }
-return py.bool(((py.eq(word, "minLength")) ? (py.compare(py.len(value), bound) >= 0) : py.search(bound, value)));
+return py.bool(((py.eq(word, "minLength")) ? (py.compare(py.len(value), bound) >= 0) : new RegExp(bound).exec(value)));
 }
 return false;
 }
@@ -1955,7 +1955,7 @@ function* _member_faults$schema_check(word, value, schema, path, definitions) {
   let matching, name, part, patterns, properties, rule, rules;
 [properties, patterns] = [py.get(schema, "properties", py.dict([])), py.get(schema, "patternProperties", py.dict([]))];
 for ([name, part] of py.iter(value.entries())) {
-matching = [...(function* () { for (const [pattern, rule] of py.iter(patterns.entries())) if (py.bool(py.search(pattern, name))) yield rule; })()];
+matching = [...(function* () { for (const [pattern, rule] of py.iter(patterns.entries())) if (py.bool(new RegExp(pattern).exec(name))) yield rule; })()];
 rules = ((py.eq(word, "patternProperties")) ? matching : []);
 if (((py.eq(word, "properties")) && (py.contains(properties, name)))) {
 rules = [py.item(properties, name)];
@@ -1978,19 +1978,19 @@ return py.list(error.absolute_path);
 }
 function _complaint$manifest_io(error) {
   let detail, expected, known, missing, options, unmatched_entries, where;
-where = py.join(".", (function* () { for (const part of py.iter(error.absolute_path)) yield py.str(part); })());
+where = py.list((function* () { for (const part of py.iter(error.absolute_path)) yield py.str(part); })()).join(".");
 expected = (py.isinstance(error.schema, py.dict) ? py.get(error.schema, "description") : null);
 if ((py.eq(error.validator, "required"))) {
 missing = py.item(error.message.split("'"), 1);
 return new Complaint$manifest_io("schema", where, `no field ${py.str(py.repr(missing))}`, `${py.str(py.repr(missing))} to be present`);
 }
 if ((py.eq(error.validator, "additionalProperties"))) {
-known = py.join(", ", py.get(error.schema, "properties", py.dict([])));
-unmatched_entries = py.join(", ", (function* () { for (const name of py.iter(error.instance)) if (py.bool(_is_unknown$manifest_io(name, error))) yield py.repr(name); })());
+known = py.list(py.get(error.schema, "properties", py.dict([]))).join(", ");
+unmatched_entries = py.list((function* () { for (const name of py.iter(error.instance)) if (py.bool(_is_unknown$manifest_io(name, error))) yield py.repr(name); })()).join(", ");
 return new Complaint$manifest_io("schema", where, _short$manifest_io(unmatched_entries), `only the fields ${py.str(known)}`);
 }
 if ((py.eq(error.validator, "enum"))) {
-options = py.join(", ", (function* () { for (const option of py.iter(error.validator_value)) yield py.str(option); })());
+options = py.list((function* () { for (const option of py.iter(error.validator_value)) yield py.str(option); })()).join(", ");
 return new Complaint$manifest_io("schema", where, _short$manifest_io(error.instance), `one of ${py.str(options)}`);
 }
 detail = `${py.str(error.validator)} ${py.str(error.validator_value)}`;
@@ -2000,7 +2000,7 @@ function _is_unknown$manifest_io(name, error) {
   let known, patterns;
 patterns = py.get(error.schema, "patternProperties", []);
 known = (py.contains(py.get(error.schema, "properties", []), name));
-return py.and(!py.bool(known), () => !py.list((function* () { for (const pattern of py.iter(patterns)) yield py.search(pattern, name); })()).some(py.bool));
+return py.and(!py.bool(known), () => !py.list((function* () { for (const pattern of py.iter(patterns)) yield new RegExp(pattern).exec(name); })()).some(py.bool));
 }
 function manifest_type$manifest(kind) {
 if ((!py.contains(_TYPES$35, kind))) {
@@ -2025,7 +2025,7 @@ function upgrade_1_0_to_1_1$upgrades(document) {
   let lifted;
 lifted = (py.union(document, py.dict([["contract", "1.1"]])));
 if (((py.eq(py.get(lifted, "kind"), "gaussian-generator")) && (py.eq(py.get(lifted, "blend"), "wsr")))) {
-py.store(lifted, "blend", "alpha");
+lifted.set("blend", "alpha");
 }
 return lifted;
 }

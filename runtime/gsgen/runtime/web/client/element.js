@@ -52,9 +52,7 @@ export class GsgenModel extends HTMLElement {
       this.pause();
       this.currentTime = share * this.duration;
     });
-    this.addEventListener("dragover", (event) => {
-      if (this.hasAttribute("file-drop")) event.preventDefault();
-    });
+    this.addEventListener("dragover", (event) => this.hasAttribute("file-drop") && event.preventDefault());
     this.addEventListener("drop", (event) => this._drop(event));
     this._resizes = new ResizeObserver(() => this.requestFrame());
     this._visibility = new IntersectionObserver(([entry]) => this._see(entry.isIntersecting));

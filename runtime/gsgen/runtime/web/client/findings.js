@@ -1,20 +1,15 @@
-/**
- * Judges a model by the rules of the contract that run nothing, translated from Python.
- *
- * Rules that need ONNX's checker, inferred shapes, other files or a run are left to the command
- * `gsgen validate MODEL`.
- */
+/** Judges a model by the rules of the contract that need neither a run, nor ONNX, nor other files. */
 
 import * as contract from "./contract_rules.js";
 import { failing } from "./errors.js";
-import { modelProto } from "./onnx_file.js";
+import { Message } from "./onnx_file.js";
 
 /** @typedef {{rule: string, severity: string, where: string, actual: string, expected: string,
  *     hint: string, certainty: string, limit: string}} PageFinding */
 
 /** Return what rules read of a model: its file, graph and manifest. @param {Uint8Array} bytes */
 export function inspected(bytes, { name = "model", target = "webgpu" } = {}) {
-  const proto = modelProto(contract.MESSAGES, bytes);
+  const proto = new Message(contract.MESSAGES, "onnx.ModelProto", bytes);
   const file = new contract.ModelFile(name, bytes.length, proto, 0, [], true);
   const graph = contract.readGraph(file);
   const parsed = file.manifest_text === null ? null : contract.parseManifest(file.manifest_text);

@@ -116,8 +116,15 @@ class GeneratorBuffers {
 export class GeneratorModel {
   static async open(kernels, data, name, { target } = /** @type {{target?: string}} */ ({})) {
     const bytes = new Uint8Array(data);
-    const subject = inspected(bytes, { name, target });
-    const findings = findingsOf(subject);
+    const fail = failing(name, "Download it again, or see what is wrong: gsgen validate MODEL");
+    let subject, findings;
+    try {
+      subject = inspected(bytes, { name, target });
+      findings = findingsOf(subject);
+    } catch (error) {
+      if (error instanceof RangeError) fail(`is not a whole ONNX file: ${error.message}`);
+      throw error;
+    }
     // Whether a model exceeds the limits of the target is for the device to say.
     const fatal = findings.find(({ severity, limit }) => severity === "error" && !limit);
     if (fatal) {
@@ -127,7 +134,6 @@ export class GeneratorModel {
         where: name, hint: `${hint} ${command}`, rule, findings,
       });
     }
-    const fail = failing(name);
     const { kind, manifest: { extensions_required: required } } = subject;
     if (!subject.generator) fail(`is a ${kind}, expected a gaussian-generator`, "Show a generator.");
     if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");

@@ -6,6 +6,7 @@ import { readSplats } from "./splat_files.js";
 import { SplatBuffers } from "./splat_buffers.js";
 
 const CROPPED = 0.02; // share of the centres, at each end of each axis, that framing ignores
+const FIRST_OF_ONNX = 8; // its first byte, which no other file of a model has: the field ir_version
 const SAMPLES = 50_000; // centres that an extent is found from
 
 /**
@@ -83,8 +84,7 @@ function stillModel({ device, plans }, splats) {
  * @returns {Promise<Model>}
  */
 export async function openModel(kernels, data, name, options = { onChange() {}, onError() {} }) {
-  const { isOnnx } = await import("./onnx_file.js");
-  if (isOnnx(new Uint8Array(data))) {
+  if (new Uint8Array(data)[0] === FIRST_OF_ONNX) {
     const { GeneratorModel } = await import("./generator.js");
     return GeneratorModel.open(kernels, data, name, options);
   }

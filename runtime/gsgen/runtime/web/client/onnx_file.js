@@ -2,8 +2,6 @@
 
 /** @typedef {Record<string, [number, string, string, number][]>} Messages Fields: number, name, kind, repeated. */
 
-const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
-
 /** Read a number of 7 bits a byte: its value, and the position behind it. */
 function varint(bytes, start) {
   let [value, complement, factor] = [0, 0, 1];
@@ -42,9 +40,8 @@ function* fieldsOf(bytes) {
   }
 }
 
-/** Yield the numbers of a field of integers, which may be packed. */
+/** Yield packed integers. */
 function* integers(value) {
-  if (typeof value === "number") yield value;
   for (let position = 0; position < value.length; ) {
     let number;
     [number, position] = varint(value, position);
@@ -53,7 +50,8 @@ function* integers(value) {
 }
 
 /** A protobuf message; fields are decoded when they are read. */
-class Message {
+export class Message {
+  /** @param {Messages} messages @param {Uint8Array} bytes */
   constructor(messages, type, bytes) {
     const parts = new Map();
     for (const [number, value] of fieldsOf(bytes)) parts.set(number, [...(parts.get(number) ?? []), value]);
@@ -72,23 +70,7 @@ class Message {
 }
 
 function decoded(messages, kind, part) {
-  if (kind === "int") return [...integers(part)];
+  if (kind === "int") return typeof part === "number" ? [part] : [...integers(part)];
   if (kind === "text") return [new TextDecoder().decode(part)];
   return [kind in messages ? new Message(messages, kind, part) : part];
-}
-
-/** Return the message ModelProto of a file. @param {Messages} messages @param {Uint8Array} bytes @returns {any} */
-export function modelProto(messages, bytes) {
-  return new Message(messages, "onnx.ModelProto", bytes);
-}
-
-/** Return whether bytes begin like an ONNX model. @param {Uint8Array} bytes */
-export function isOnnx(bytes) {
-  if (bytes[0] !== 8 * IR_VERSION) return false;
-  try {
-    for (const [number] of fieldsOf(bytes)) if (number === GRAPH) return true;
-  } catch (error) {
-    if (!(error instanceof RangeError)) throw error;
-  }
-  return false;
 }

@@ -24,11 +24,9 @@ export class Record {
 }
 
 /** Return a property of an object, which is computed once. */
-export function cached(owner, name, compute) {
-  const value = compute.call(owner);
-  Object.defineProperty(owner, name, { value });
-  return value;
-}
+export const cached = (owner, name, compute) => {
+  return Object.defineProperty(owner, name, { value: compute.call(owner) })[name];
+};
 
 /** Return the record that a JSON value describes; numbers of the kind Number become floats. */
 export function fromJson(kind, value) {
@@ -129,16 +127,10 @@ export function dumps(value) {
   return isFloat(value) ? repr(value) : JSON.stringify(value);
 }
 
-export const join = (separator, texts) => [...iter(texts)].join(separator);
-export const isdigit = (text) => /^\d+$/.test(text);
-export const isascii = (text) => /^[\0-\x7f]*$/.test(text);
-export const isprintable = (text) => !/[\p{C}\p{Zl}\p{Zp}]|(?! )\p{Zs}/u.test(text);
-export const search = (pattern, text) => new RegExp(pattern).exec(text);
 
 // Operators.
 export const plus = (a, b) => (Array.isArray(a) ? [...a, ...b] : a + b);
 export const minus = (a, b) => (a instanceof Set ? new Set([...a].filter((each) => !b.has(each))) : a - b);
-export const modulo = (a, b) => a - b * Math.floor(a / b);
 export const union = (a, b) => (a instanceof Map ? new Map([...a, ...b]) : new Set([...a, ...b]));
 export const or = (first, ...others) => others.reduce((value, next) => (bool(value) ? value : next()), first);
 export const and = (first, ...others) => others.reduce((value, next) => (bool(value) ? next() : value), first);
@@ -159,17 +151,9 @@ export function compare(a, b) {
 export const iter = (values) => (values instanceof Map ? values.keys() : values);
 export const len = (values) => values.length ?? values.size;
 export const get = (map, key, fallback = null) => map.get(keyOf(key)) ?? fallback;
-export const store = (map, key, value) => map.set(keyOf(key), value);
-export const add = (set, value) => set.add(keyOf(value));
-export const update = (set, values) => [...iter(values)].forEach((value) => add(set, value));
-export const isdisjoint = (set, values) => ![...iter(values)].some((value) => set.has(keyOf(value)));
 export const count = (values, value) => [...values].filter((each) => eq(each, value)).length;
 export const counter = (values) => dict([...values].map((value, _, all) => [value, count(all, value)]));
-export const fromkeys = (keys) => dict(map((key) => [key, null], keys));
-export const slice = (values, low, high, step) => {
-  const part = values.slice(low ?? 0, high ?? undefined);
-  return step === -1 ? part.reverse() : part;
-};
+export const slice = (values, low, high) => values.slice(low ?? 0, high ?? undefined);
 
 export function item(values, key) {
   const value = values instanceof Map ? values.get(keyOf(key)) : values.at(key);
@@ -186,16 +170,10 @@ export function contains(values, value) {
 export function* map(convert, values) {
   for (const value of iter(values)) yield convert(value);
 }
-export const chain = (...parts) => parts.flatMap((part) => list(part));
 export const zip = (first, ...others) => first.map((value, i) => [value, ...others.map((other) => other[i])]);
 export const sorted = (values, keyed = (value) => value) => [...iter(values)].sort((a, b) => compare(keyed(a), keyed(b)));
-export const prod = (values) => [...values].reduce((product, value) => product * value, 1);
-export const min = (...values) => extreme(values, -1);
-export const max = (...values) => extreme(values, 1);
-
-/** Return the least or the largest of several values, or of one iterable with a default. */
-function extreme(values, sign) {
-  const isIterable = typeof values[0]?.[Symbol.iterator] === "function" && !(values.length > 1 && Array.isArray(values[1]));
-  const candidates = isIterable ? [...iter(values[0])] : values;
-  return candidates.reduce((best, value) => (sign * compare(value, best) > 0 ? value : best), candidates[0] ?? values[1]);
-}
+export const [min, max] = [-1, 1].map((sign) => (values, fallback) => {
+  const better = (best, value) => (sign * compare(value, best) > 0 ? value : best);
+  const [first = fallback, ...others] = iter(values);
+  return others.reduce(better, first);
+});

@@ -164,7 +164,8 @@ function readSpz(data, name) {
     const [p, a, c, s, r, h] = starts.map((start, i) => start + widths[i] * row);
     const center = [0, 1, 2].map((i) => spzCoordinate(view, bytes, p, i, version, bits));
     const scale = [0, 1, 2].map((i) => bytes[s + i] / 16 - 10);
-    const turn = version <= 2 ? byteRotation(bytes, r) : wordRotation(view.getUint32(r, true));
+    const turnBytes = [0, 1, 2].map((i) => bytes[r + i] / 127.5 - 1);
+    const turn = version <= 2 ? withLargest(0, turnBytes) : wordRotation(view.getUint32(r, true));
     writer.set(row, center, bytes[a] / 255, scale, turn);
     const base = row * writer.channels;
     for (let i = 0; i < 3; i++) writer.appearance[base + i] = (bytes[c + i] / 255 - 0.5) / 0.15;
@@ -180,10 +181,6 @@ function spzCoordinate(view, bytes, first, axis, version, bits) {
   const offset = first + 3 * axis;
   const whole = bytes[offset] | (bytes[offset + 1] << 8) | (bytes[offset + 2] << 16);
   return ((whole << 8) >> 8) / 2 ** bits;
-}
-
-function byteRotation(bytes, first) {
-  return withLargest(0, [0, 1, 2].map((i) => bytes[first + i] / 127.5 - 1));
 }
 
 /** The two highest bits name the largest part; the others have ten bits each, the last the lowest. */

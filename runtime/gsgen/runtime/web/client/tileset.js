@@ -1,5 +1,5 @@
 /**
- * Explicit 3D Tiles of splats: draws the tiles that a camera needs, and loads what it lacks.
+ * 3D Tiles of splats: draws the tiles that a camera needs, and loads what it lacks.
  *
  * Tiles take slots of GPU memory: sets of one size, so that arrivals change no frame plan.
  */
@@ -7,13 +7,14 @@
 import { eyeOf } from "./camera.js";
 import { download, parsedJson } from "./download.js";
 import { failing } from "./errors.js";
+import { firstSubtree, subtreeRoot } from "./implicit_tiles.js";
 import {
   IDENTITY, composed, dot, linearPart, moved, normalized, plus, times, transposed, transposed4,
 } from "./matrices.js";
 import { SplatBuffers, degreeOf } from "./splat_buffers.js";
 import { readTileContent } from "./tile_content.js";
 
-const REBUILD = "Pages read explicit tilesets with boxes or spheres: gsgen tiles build";
+const REBUILD = "Pages read tilesets with boxes or spheres: gsgen tiles build";
 const MOST_REQUESTS = 6; // at once
 const MOST_SPLATS = 1 << 18; // in GPU memory
 const MOST_DEGREE = 3;
@@ -25,8 +26,7 @@ class Tile {
   constructor(json, parent, base) {
     this.frame = composed(parent?.frame ?? IDENTITY, transposed4(json.transform ?? IDENTITY));
     const { box, sphere } = json.boundingVolume;
-    const isKnown = (box || sphere) && !json.implicitTiling;
-    if (!isKnown) failing(base, REBUILD)("has a region, or implicit tiles");
+    if (!box && (!sphere || json.implicitTiling)) failing(base, REBUILD)("has a volume that is not a box");
     const [x, y, z, r] = sphere ?? [];
     const numbers = box ?? [x, y, z, r, 0, 0, 0, r, 0, 0, 0, r];
     const linear = linearPart(this.frame);
@@ -36,7 +36,11 @@ class Tile {
     this.error = json.geometricError * Math.max(...scales);
     this.level = parent ? parent.level + 1 : 0;
     this.adds = (json.refine ?? (parent?.adds ? "ADD" : "REPLACE")) === "ADD";
-    this.uris = (json.contents ?? [json.content ?? []]).flatMap(({ uri = [] }) => uri);
+    this.schema = json.schema ?? parent?.schema;
+    /** @type {any} Which file describes the tiles at and below this one; null of explicit tiles. */
+    this.subtree = json.subtree ?? firstSubtree(json);
+    const contents = this.subtree ? [this.subtree] : (json.contents ?? [json.content ?? []]);
+    this.uris = contents.flatMap(({ uri = [] }) => uri);
     this.children = (json.children ?? []).map((child) => new Tile(child, this, base));
     this.base = base;
     /** @type {any[] | null} What holds its splats, once they are loaded. */
@@ -68,6 +72,11 @@ class Tile {
   }
 }
 
+/** Return the root tile of a tileset. */
+function rootOf({ root, schema }, parent, address) {
+  return new Tile({ ...root, schema }, parent, address);
+}
+
 /** A tileset in a page. */
 export class TilesetModel {
   /**
@@ -89,7 +98,7 @@ export class TilesetModel {
     this._free = [...this.sets];
     this._slotRows = slotRows;
     this._options = { ...options, maxError: options.maxError ?? maxError };
-    this._root = new Tile(tileset.root, null, String(new URL(options.source ?? name, document.baseURI)));
+    this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)));
     const { center, axes } = this._root;
     this.extent = { center, reach: Math.hypot(...axes.flat()) || 1 };
     this.up = Math.hypot(...center) > FAR ? normalized(center) : [0, 0, 1];
@@ -143,14 +152,16 @@ export class TilesetModel {
       const contents = tile.uris.map(async (uri) => {
         const address = String(new URL(uri, tile.base));
         const data = await download(address, undefined, signal);
+        const { subtree, schema, base } = tile;
+        if (subtree) return new Tile(subtreeRoot(data, subtree, schema, address), tile, base);
         const tileset = parsedJson(data);
-        return tileset ? new Tile(tileset.root, tile, address) : readTileContent(data, address);
+        return tileset ? rootOf(tileset, tile, address) : readTileContent(data, address);
       });
       const loaded = (await Promise.all(contents)).flat();
       if (signal.aborted) return;
       const roots = loaded.filter((part) => part instanceof Tile);
       tile.children.push(...roots);
-      if (roots.length) [tile.uris, tile.error] = [[], Infinity]; // external tilesets take its place
+      if (roots.length) [tile.uris, tile.error] = [[], Infinity]; // other tiles take its place
       this._place(tile, loaded.filter((part) => !(part instanceof Tile)));
       tile.isRequested = false;
     } catch (error) {
