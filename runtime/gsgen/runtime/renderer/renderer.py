@@ -45,12 +45,9 @@ from gsgen.runtime.scene.scene import Scene
 
 FIRST_PAIRS: Final = 1 << 16
 """Pairs of a splat and a tile for which a new renderer has room."""
-
 PAIRS_ROOM: Final = 1.25
 """Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
-
 _ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
-
 _MANY: Final = 1 << 32  # splats: more than any device draws at once
 
 
