@@ -60,7 +60,7 @@ class Conflict:
 
 @dataclass(slots=True)
 class _Facts:
-    """Mutable results of ``onnx.checker`` and of ONNX shape inference for one model."""
+    """Results of ``onnx.checker`` and ONNX shape inference, collected while a model is read."""
 
     tensors: dict[str, Tensor]
     conflicts: tuple[Conflict, ...] = ()
@@ -324,7 +324,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
-    """Make a node's scalar output a vector of length 1; return a Squeeze node back to a scalar."""
+    """Make a scalar output a vector of length 1; return a Squeeze that restores the scalar."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"
     return NodeProto(op_type="Squeeze", input=node.output, output=[name])

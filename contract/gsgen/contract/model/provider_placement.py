@@ -56,7 +56,7 @@ _KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The prediction whether WebGPU captures one node, with the reason if not.
+    """The prediction whether WebGPU graph capture supports one node, with the reason if not.
 
     Attributes:
         node: The node.
@@ -169,7 +169,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 
 
 def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
-    """Return a node's operator variant for support tables, such as ``5d``; empty if usual."""
+    """Return a node's variant in operator support tables, e.g. ``cubic`` Resize; empty if usual."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:

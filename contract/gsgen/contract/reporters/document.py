@@ -63,7 +63,7 @@ class SubjectEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """Counts of findings by severity, of waived and known findings, and of rules by outcome."""
+    """Counts of findings (by severity, waived, in an earlier report) and of rules by outcome."""
 
     error: int
     warning: int
@@ -75,7 +75,7 @@ class Counts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelEntry:
-    """A validation level, whether the validator ran it, and its cost."""
+    """A validation level, whether it ran, and the model runs and seconds that it took."""
 
     level: str
     status: Literal["ran", "skipped"]
@@ -96,7 +96,7 @@ class WhereEntry:
 
 @dataclass(frozen=True, slots=True)
 class ExampleEntry:
-    """One offending row or value of a finding."""
+    """One row or value that breaks a validation rule, as an example in a finding."""
 
     value: str
     row: int | None = None
@@ -176,7 +176,7 @@ class UncheckedEntry:
 
 @dataclass(frozen=True, slots=True)
 class ToleranceEntry:
-    """The largest difference of one field between two executions of the model."""
+    """The largest tolerated difference of one field, e.g. opacity, between two executions."""
 
     field: str
     value: float

@@ -43,7 +43,7 @@ def check_package(name: str, remedy: str, *, purpose: str = "") -> Check:
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of each package that validation needs."""
+    """Yield the version of each package that validation needs, or the command that repairs it."""
     yield Check(
         name="gsgen", state="ok", detail=f"{version('gsgen')} in {Path(__file__).parents[2]}"
     )

@@ -56,7 +56,7 @@ def _obstacle(report: Report) -> str:
 
 
 def _probe(report: Report) -> str:
-    """Return the label of the test inputs to draw: a finding's label, or else the middle label."""
+    """Return the label of the test inputs to draw: of a finding, else halfway down the list."""
     labels = [label for label in report.probes if label != _ZEROS] or list(report.probes)
     named = (
         example.probe

@@ -1,4 +1,4 @@
-"""Records data computed by a model, such as test vectors, in the manifest of a copy."""
+"""Copies a model and records computed data, such as test vectors, in the copy's manifest."""
 
 __all__ = [
     "RecordingRefused",
@@ -87,7 +87,7 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
 
 
 def current_document(subject: InspectedModel) -> dict[str, Any]:
-    """Return a manifest's JSON, upgraded to the newest contract version before data is added."""
+    """Return the JSON of a model's manifest, upgraded to the newest contract version."""
     document: dict[str, Any] = json.loads(subject.file.manifest_text or "{}")
     version = subject.parsed.version if subject.parsed else None
     return upgrade(document, version) if version is not None else document

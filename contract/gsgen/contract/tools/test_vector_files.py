@@ -46,7 +46,7 @@ _SET = re.compile(r"^test_data_set_[0-9]+$")
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """The destination of recorded test vectors: seed, model copy, and folder."""
+    """The settings of a recording of test vectors: random seed, model copy, and output folder."""
 
     seed: int
     model: Path

@@ -84,7 +84,7 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """The largest difference of one field between two executions of a model.
+    """The largest tolerated difference of one field, e.g. opacity, between two executions.
 
     Attributes:
         field: The field, such as ``position``.

@@ -57,8 +57,7 @@ _InputValues = Annotated[
 _BakedCamera = Annotated[
     str | None,
     typer.Option(
-        help="Bake what this camera sees: orbit[:AZ,EL[,RADIUS]], "
-        "look-at:EX,EY,EZ,TX,TY,TZ, or FILE#NAME. [default: colours are fitted for all]"
+        help="Bake what this camera sees; see `gsgen render`. [default: colours are fitted for all]"
     ),
 ]
 _Psnr = Annotated[

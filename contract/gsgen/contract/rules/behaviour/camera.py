@@ -95,7 +95,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
-    """A Gaussian well inside the view, or one near it, is drawn if another camera draws it.
+    """If another camera draws a Gaussian well inside the view, it or a Gaussian near it is drawn.
 
     Why:
         Models cull what their camera cannot see by setting its opacity to zero. Culling with a
@@ -138,7 +138,7 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _bare_share(hidden: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]) -> float:
-    """Return the fraction of omitted Gaussians whose centre no drawn Gaussian's extent covers."""
+    """Return the fraction of culled Gaussians whose centre lies within no drawn Gaussian."""
     if not len(drawn):
         return 1.0
     size = np.square(_COVERED) * drawn[:, list(VARIANCES)].max(axis=1)

@@ -196,7 +196,7 @@ def _is_sh(subject: InspectedModel, part: VectorRows) -> bool:
 
 
 def _part_fault(part: VectorRows, length: int, columns: int, step: int) -> Fault | None:
-    """Return the fault of recorded rows that cannot be compared; None if they can."""
+    """Return the fault that keeps recorded rows from comparison with model outputs, or None."""
     if len(part.rows) != len(part.values) or not part.rows:
         return f"{len(part.values)} lists of values", f"one for each of {len(part.rows)} rows"
     if max(part.rows) >= length:

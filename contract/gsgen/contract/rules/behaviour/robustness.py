@@ -132,7 +132,7 @@ def _too_far(error: FieldError, emission: ModelOutputs) -> Violation:
 
 
 def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[Violation]:
-    """Report an output without tolerance if graph optimisation changes it by over 1 %."""
+    """Report an output if graph optimisation changes it by over 1 % of its largest value."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
     largest = difference(value, unoptimised)

@@ -89,7 +89,7 @@ def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _outside(field: str, extremes: Extremes) -> str:
-    """Return a field's value that is out of range as text; empty if all are in range."""
+    """Return an out-of-range row count, opacity or variance as text; empty if all are in range."""
     if field == "count":
         return "" if 0 <= extremes.count <= extremes.capacity else f"{extremes.count}"
     if not extremes.low:

@@ -233,7 +233,10 @@ def _future(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
 def _compare(
     behaviour: Behaviour, actual: np.ndarray, expected: np.ndarray, situation: str
 ) -> Iterator[Violation]:
-    """Yield a violation if predicted states differ beyond rounding; q and −q count as equal."""
+    """Yield a violation if predicted states differ from the expected ones beyond rounding.
+
+    Quaternions q and −q count as equal.
+    """
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
     future = manifest.outputs.future

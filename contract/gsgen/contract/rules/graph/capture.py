@@ -226,7 +226,7 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
-    """According to the operator tables, the target's GPU provider captures every node of the graph.
+    """According to operator tables, the target's GPU provider can graph-capture every node.
 
     Why:
         One node that is not captured makes the provider refuse capture for the whole model. This

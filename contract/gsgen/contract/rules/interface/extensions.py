@@ -1,4 +1,4 @@
-"""Validation rules of what a reader must support: extensions, operator profiles, costs, units."""
+"""Validation rules of manifest declarations: extensions, operator profile, memory and units."""
 
 from collections.abc import Iterator
 

@@ -288,7 +288,7 @@ def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
-    """Declared bounds run from low to high on every axis; bounds of several rows are not a point.
+    """Bounds run from low to high on every axis, and are not a point if there are several rows.
 
     Why:
         A viewer frames the camera by the box. A box that is inside out or a point has no size:

@@ -33,7 +33,7 @@ def _wasteful(most: int, capacity: int) -> bool:
     needs=COUNTED_ROWS[:-1],
 )
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
-    """A constant row count equals the number of packed rows, rounded to whole workgroups.
+    """A constant row count equals the number of packed rows, except for padding to workgroups.
 
     Why:
         Rows behind a constant count are never used, but computed, bound and often drawn: the
@@ -61,7 +61,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     needs=COUNTED_ROWS,
 )
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
-    """At some probe (set of test inputs), the row count reaches half of the packed rows.
+    """At some probe (set of test inputs), Gaussians in use fill half of the packed rows or more.
 
     Why:
         Every row of the capacity is computed, kept in memory and visited every frame, regardless of

@@ -118,7 +118,7 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO003"),
 )
 def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
-    """The sizes of the packed rows and of the appearance are positive numbers, not symbols.
+    """The outputs of Gaussians and colours have static sizes: positive numbers, not symbols.
 
     Why:
         Viewers allocate buffers from it before the first frame: a symbol becomes NaN bytes. Graph
@@ -151,7 +151,7 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
     needs=DECLARED,
 )
 def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest declares one output that holds the appearance.
+    """The manifest declares one output that holds the appearance (colours) of the Gaussians.
 
     Why:
         Without it there is no colour to draw.
@@ -205,7 +205,7 @@ def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO004", "GO006"),
 )
 def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
-    """The appearance has as many rows as there are Gaussians.
+    """The appearance (colour) output has as many rows as the output of packed Gaussians.
 
     Why:
         Row i of one belongs to row i of the other; a shorter buffer is read beyond its end.
@@ -251,7 +251,7 @@ def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO008",),
 )
 def output_dtypes_match(subject: InspectedModel) -> Iterator[Violation]:
-    """The appearance has the dtype of the Gaussians.
+    """The appearance (colour) output has the dtype of the output of packed Gaussians.
 
     Why:
         The Visionary viewer takes the colour's precision from the Gaussians and fails with

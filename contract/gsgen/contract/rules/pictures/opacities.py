@@ -84,7 +84,7 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _shares_at_ends(sample: DrawnSample) -> tuple[float, float]:
-    """Return the fractions of live Gaussians with opacity exactly 0, and with exactly 1."""
+    """Return the fractions of Gaussians (rows in use) with opacity exactly 0, and exactly 1."""
     assert sample.emission.gaussians is not None
     opacity = sample.emission.gaussians[: sample.emission.count, OPACITY]
     return float((opacity == 0).mean()), float((opacity == 1).mean())

@@ -107,7 +107,7 @@ def _deviation(
 def _motions(
     behaviour: Behaviour, role: str
 ) -> Iterator[tuple[DrawnSample, Float[np.ndarray, "n 10"], LocalRotations, ProbeRun]]:
-    """Yield visible Gaussians in two model runs of different pose, with local rotations."""
+    """Yield visible Gaussians in runs at two poses, and the rotations of their neighbourhoods."""
     subject = behaviour.subject
     declared = subject.declared_gaussians
     base, indices = behaviour.trial.plan.variants.get(role, (0, ()))

@@ -89,7 +89,7 @@ def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     needs=DECLARED,
 )
 def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
-    """The declared range of a float32 input contains enough float32 numbers.
+    """The declared range of a float32 input contains enough float32 numbers for smooth change.
 
     Why:
         Float32 has steps of 128 at 1.7 billion, the seconds since 1970. A range of ten seconds

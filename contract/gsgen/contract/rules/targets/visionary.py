@@ -66,7 +66,7 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO005", "TV101"),
 )
 def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
-    """The appearance is the first output whose name contains `color`, `sh` or `rgb`.
+    """The appearance (colours) is the first output whose name contains `color`, `sh` or `rgb`.
 
     Why:
         An earlier output such as `mesh` or `shift` with a fitting last dimension is taken instead.

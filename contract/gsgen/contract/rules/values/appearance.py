@@ -98,7 +98,7 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
 
 
 def _orders(size: int) -> dict[str, np.ndarray]:
-    """Return the column of SH coefficient k and channel c in each storage order, as [K, 3]."""
+    """Map each storage order of SH coefficients to columns by coefficient and channel, [K, 3]."""
     k = size // 3
     flat = np.arange(size)
     twice = (flat % k) * 3 + flat // k  # interleaved a second time

@@ -74,7 +74,7 @@ def _seen(probe_runs: ProbeRuns, index: int) -> _Seen | None:
 
 
 def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
-    """Return model runs that differ in the camera alone."""
+    """Return cameras and Gaussians of all model runs whose inputs differ in the camera alone."""
     plan = probe_runs.plan
     base, variants = plan.variants.get("view", (0, ()))
     indices = [base, *variants] if variants else []

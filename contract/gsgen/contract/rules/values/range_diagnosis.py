@@ -77,7 +77,7 @@ def _extent(values: Float[np.ndarray, "..."]) -> tuple[float, float]:
 
 
 def _are_bytes(values: Float[np.ndarray, "..."]) -> bool:
-    """Return whether nearly all values are whole numbers up to 255, and some are far above 1."""
+    """Return whether values look like bytes: nearly all whole, up to 255, and some far above 1."""
     if values.size < _FEWEST or not 2 < values.max() <= _BYTE:
         return False
     return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL)

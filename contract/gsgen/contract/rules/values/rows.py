@@ -26,7 +26,7 @@ _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 
 
 def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
-    """Yield a violation for each output with NaN or infinity in the selected rows."""
+    """Yield a violation for each output with NaN or infinity in the rows that ``among`` selects."""
     if not checked:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
