@@ -105,7 +105,7 @@ class AnchorNets:
 
 @dataclass(frozen=True, slots=True)
 class AnchorCheckpoint:
-    """The anchors, networks and training options of an anchor checkpoint."""
+    """The anchors, networks and training options of a checkpoint, such as one of Scaffold-GS."""
 
     run: TrainingRun
     cloud: AnchorCloud
@@ -184,7 +184,7 @@ class _Sizes:
 def read_nets(
     run: TrainingRun, cloud: AnchorCloud, *, octree: bool, direction: int = _DIRECTION
 ) -> AnchorNets:
-    """Read the networks of an anchor checkpoint.
+    """Read the networks from a checkpoint of an anchor-based method, such as Scaffold-GS.
 
     ``cloud`` determines the shapes of the networks; with ``octree``, the level may be an input.
     With ``direction`` 0, the networks do not depend on the direction of the camera.
@@ -227,7 +227,7 @@ States = Mapping[str, tuple[Path, Mapping[str, Any]]]
 
 
 def _states(iteration_folder: Path) -> States:
-    """Read the state dict of each network of an anchor checkpoint, from one file or several."""
+    """Read the state dict of each network of an anchor-based method, from one file or several."""
     for united in (
         iteration_folder / name for name in _UNITED if (iteration_folder / name).is_file()
     ):
@@ -305,7 +305,7 @@ def _mlp(
 
 
 def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
-    """Return the sizes and networks of an anchor checkpoint as one line."""
+    """Describe a checkpoint of an anchor-based method in one line: sizes and networks."""
     cloud, nets = checkpoint.cloud, checkpoint.nets
     heads = {"opacity": nets.opacity, "covariance": nets.covariance, "colour": nets.color}
     by_distance = [name for name, head in heads.items() if head.distance]

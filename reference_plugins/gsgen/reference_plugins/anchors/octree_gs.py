@@ -38,7 +38,7 @@ _NEVER = -1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """The levels of detail of an anchor checkpoint, and the distances where they change."""
+    """The levels of detail of an anchor-based method, and the distances where they change."""
 
     mode: str  # rounding of levels, one of ``MODES``
     fork: float  # ratio of the cell sizes of a level and the next finer one
@@ -48,7 +48,7 @@ class Levels:
 
     @classmethod
     def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":
-        """Read the levels of detail of an anchor checkpoint."""
+        """Read the levels of detail from a checkpoint of an anchor-based method."""
         cloud, cfg = checkpoint.cloud, checkpoint.run.cfg
         assert cloud.level is not None
         assert cloud.info is not None

@@ -27,7 +27,7 @@ _HUES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorOptions:
-    """Sizes and options of a synthetic anchor checkpoint."""
+    """Sizes and options of a synthetic checkpoint of an anchor-based method."""
 
     anchors: int = 64  # number of anchors
     per_anchor: int = 5  # Gaussians of an anchor

@@ -127,7 +127,7 @@ def required_file(path: Path, content: str) -> Path:
 
 
 def _elsewhere(path: Path) -> str:
-    """Return a hint that lists the other iterations of a training run that have the file."""
+    """Return a hint that lists the other iterations of a training run where the file exists."""
     home = path.parent.parent
     if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
         return ""

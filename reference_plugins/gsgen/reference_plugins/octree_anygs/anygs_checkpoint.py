@@ -49,7 +49,7 @@ class ExplicitColors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnyGSCheckpoint:
-    """A checkpoint of Octree-AnyGS, with either ``anchors`` or explicit ``colors``."""
+    """A checkpoint of Octree-AnyGS: anchors with networks, or Gaussians with explicit colours."""
 
     run: TrainingRun  # its options are those of the model
     base: str  # scaffoldgs, 3dgs or 2dgs

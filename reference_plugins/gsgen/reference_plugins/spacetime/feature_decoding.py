@@ -34,7 +34,7 @@ class FeatureScale:
 
     @classmethod
     def of(cls, splats: SpacetimeSplats) -> "FeatureScale":
-        """Compute feature bounds; features linear in time are extreme at time 0 or at time 1."""
+        """Compute the bounds of features over time; those linear in time are extreme at 0 or 1."""
         constant, linear = splats.features[:, :6], splats.features[:, 6:]
         ends = [linear * (end - splats.temporal_centre) for end in (0.0, 1.0)]
         low = torch.cat([constant.amin(dim=0), torch.cat(ends).amin(dim=0)]).clamp(max=0.0)

@@ -152,7 +152,7 @@ def _from_points(
 
 
 def _constant_term(color: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 1 3"]:
-    """Return the SH of degree 0 with one colour in every direction: 0.5 + Y₀ c₀ = colour."""
+    """Convert colours to SH coefficients of degree 0: 0.5 + Y₀ c₀ = colour."""
     return np.asarray((np.asarray(color, np.float64)[:, None] - 0.5) / basis(_UP, 0)[0, 0])
 
 

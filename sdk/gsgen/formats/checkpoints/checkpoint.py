@@ -98,7 +98,7 @@ def read_checkpoint(path: FilePath) -> Splats:
 
 
 def _layout_of(archive: TorchArchive, path: Path) -> _Layout:
-    """Find the splat tensors in a checkpoint; raise if the checkpoint holds no plain splats."""
+    """Find the splat tensors in a checkpoint of gsplat, nerfstudio or 3DGS; raise for others."""
     content = archive.data()
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
         return _of_gsplat(content, path)

@@ -1,4 +1,4 @@
-"""Identifies the method of a checkpoint without plain splats, and the plugin that reads it."""
+"""Identifies the method of a checkpoint that is not plain 3DGS, and the plugin that reads it."""
 
 __all__ = ["refuse_other_content"]
 
@@ -22,7 +22,7 @@ _ROTOR_LENGTH, _ROTOR_FLAG = 19, 16
 
 
 def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
-    """Return the error for a ``torch.save`` or ``torch.jit.save`` file without plain splats."""
+    """Return the error for a ``torch.save`` or ``torch.jit.save`` file of another method than 3DGS."""
     if is_script:
         return NotSupported(
             "a network (TorchScript), as Scaffold-GS and Octree-GS save them",
