@@ -22,7 +22,7 @@ _ROTOR_LENGTH, _ROTOR_FLAG = 19, 16
 
 
 def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
-    """Return the error for a ``torch.save`` or ``torch.jit.save`` file of another method than 3DGS."""
+    """Return the error for a ``torch.save`` or ``torch.jit.save`` file that is not plain 3DGS."""
     if is_script:
         return NotSupported(
             "a network (TorchScript), as Scaffold-GS and Octree-GS save them",
