@@ -210,3 +210,10 @@ def test_a_folder_that_is_no_kit_or_is_full_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConfigInvalid, match="the output folder is not empty"):
         write_kit(tmp_path)
+
+
+def test_a_missing_folder_of_pictures_is_one_error(kit: Path, tmp_path: Path) -> None:
+    ran = gsgen_here("viewer-kit", "check", str(kit), "picturs", cwd=tmp_path)
+    assert ran.code == 4
+    assert "picturs: is not a folder, expected that of the viewer's pictures" in ran.err
+    assert "the picture is missing" not in ran.out

@@ -41,7 +41,7 @@ _TYPICAL = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The expected outputs of a model for one set of inputs, such as those of torch, unpacked."""
+    """The expected, unpacked outputs of a model for one set of inputs, e.g. computed by torch."""
 
     probe: Probe  # the inputs
     gaussians: layout.DecodedGaussians  # the Gaussians; those of torch are neither packed nor cast
@@ -60,7 +60,7 @@ class Reference:
 
     @property
     def live_cells(self) -> int:
-        """The number of cells (groups of Gaussians) that contain a live Gaussian."""
+        """The number of cells (groups of Gaussians) with a Gaussian before the row count."""
         if self.cells is None or not len(self.cells):
             return 0
         return -(-self.count // (len(self.gaussians) // len(self.cells)))
@@ -125,7 +125,7 @@ class Parity:
         return all(field.excess <= 1 for field in self.fields)
 
     def describe(self) -> str:
-        """Return the largest error of each field as one line of text."""
+        """Return the largest error of each output field, such as position, as one line of text."""
         parts = [
             f"{f.field} {f.error:.2g} ({100 * f.excess:.3g} % of allowed)" for f in self.fields
         ]
@@ -243,7 +243,7 @@ def _compare_probe(
     roundings: int,
     nearby: Nearby | None,
 ) -> tuple[list[FieldParity], int]:
-    """Return fields' largest errors, and how many rows agree only at slightly changed inputs."""
+    """Return the worst error of each output field, and how many rows match only nearby inputs."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0
@@ -307,7 +307,7 @@ def _collect(
     counts: Bool[np.ndarray, " n"],
     probe: str,
 ) -> None:
-    """Update the largest error of each field with the errors of the compared rows."""
+    """Update the largest error per field, such as position, with the errors of more rows."""
     if not counts.any():
         return
     for name, (error, ratio) in errors.items():

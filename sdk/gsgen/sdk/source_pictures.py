@@ -39,7 +39,7 @@ Draw = Callable[
 def add_source_pictures(
     draft: Path, run: Callable[[Probe], Outputs], count: int
 ) -> tuple[ReferenceImage, ...]:
-    """Draw a module's outputs for some test inputs of the model, and declare the pictures.
+    """Render a torch module's outputs to PNG files, and list the files in the model's manifest.
 
     Args:
         draft: The exported model, whose manifest is changed; pictures go next to it.

@@ -116,3 +116,11 @@ def test_the_guide_has_the_keys_that_the_window_shows() -> None:
     guide = (DOCS / "guides/view-a-scene.md").read_text("utf-8")
     for keys, meaning in HELP:
         assert f"| {keys} | {meaning} |" in guide
+
+
+def test_a_page_is_no_scene_of_a_page(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text("<title>A page</title>", "utf-8")
+    finished = ran(str(tmp_path / "page.html"), "--web")
+    assert isinstance(finished.exception, GsgenError)
+    assert "page.html: is a page, expected a scene" in str(finished.exception)
+    assert "gsgen export html SCENE -o page.html" in str(finished.exception.hint)

@@ -213,7 +213,7 @@ class _Job:
         return tuple(written)
 
     def _converted(self, number: int, head: str) -> tuple[Splats, int]:
-        """Compute a frame; return its drawn Gaussians, and the number of the other live rows."""
+        """Compute a frame; return its drawn Gaussians, and the number of Gaussians not drawn."""
         self.progress(f"{head}: running the model")
         gaussians = self._gaussians(number, head)
         mask, nonfinite = self.converter.drawn_mask(gaussians)
@@ -240,7 +240,7 @@ class _Job:
     # ---- The Gaussians of a frame
 
     def _gaussians(self, number: int, head: str) -> DecodedGaussians:
-        """Return the live Gaussians of a frame, with colours that a file can hold."""
+        """Return a frame's Gaussians without padding rows, with colours that a file can hold."""
         source = self.source
         if self.cameras or not _camera_inputs(source):
             if self.cameras:
@@ -263,7 +263,7 @@ class _Job:
         return replace(samples.union, sh=self._fitted(samples), rgb=None)
 
     def _computed(self, number: int) -> DecodedGaussians:
-        """Return the live Gaussians of a frame, and begin to compute the next one."""
+        """Return a frame's Gaussians without padding rows, and begin to compute the next frame."""
         source = self.source
         if self.started != number:
             source.start(self._camera(number), self._values(number), number)
@@ -276,7 +276,7 @@ class _Job:
         return gaussians
 
     def _decoded(self) -> DecodedGaussians:
-        """Copy the live Gaussians of the source; unchanged colours share an earlier copy."""
+        """Copy a frame's Gaussians without padding rows; copy colours only if they changed."""
         data = self.source.data
         rows, version = data.rows[: data.count], (data.appearance_version, data.count)
         if self.decoded is None or self.version != version:
@@ -351,7 +351,7 @@ class _Job:
     # ---- PSNR
 
     def _is_measured(self, number: int) -> bool:
-        """Return whether PSNR is measured: at most in the first, the middle and the last frame."""
+        """Return whether a frame's PSNR is measured; only the first, middle and last can be."""
         if number not in {0, self.frames // 2, self.frames - 1}:
             return False
         is_exact = self.view_dependence in ("none", "camera") and self.source.weighted is None

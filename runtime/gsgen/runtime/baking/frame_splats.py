@@ -62,9 +62,10 @@ class FrameConverter:
         return finite & (gaussians.opacity >= np.float32(CULL_OPACITY)), int((~finite).sum())
 
     def convert(self, gaussians: DecodedGaussians, is_drawn: Bool[np.ndarray, " n"]) -> Splats:
-        """Convert the Gaussians of a frame that are drawn, and hence finite, to splats.
+        """Convert a frame's drawn Gaussians to the parameters of splat files, such as log scales.
 
-        The colours are those of ``gaussians`` where all are drawn, and no copy.
+        Drawn Gaussians are finite. The colours are those of ``gaussians`` where all are drawn, and
+        no copy.
         """
         self._decompose(np.ascontiguousarray(gaussians.covariance, np.float32), is_drawn)
         rows = _selection(is_drawn)

@@ -70,7 +70,7 @@ class FrameValues:
         return values
 
     def time(self, number: int) -> float | None:
-        """Return the time of frame ``number``, or else the manifest's default."""
+        """Return the time input's value in frame ``number`` or its default; None if neither."""
         spec = self._source.time
         if spec is None:
             return None

@@ -25,7 +25,9 @@ def fit_sh(
     weights: Weights,
     degree: int,
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Fit SH coefficients, which minimise Σ_v w_v² |0.5 + Y(d_v) · sh − color_v|².
+    """Fit SH coefficients to the colours that cameras see, by weighted least squares.
+
+    They minimise Σ_v w_v² |0.5 + Y(d_v) · sh − color_v|² over the cameras v; Y is the SH basis.
 
     Args:
         positions: Centres of the Gaussians.

@@ -43,7 +43,7 @@ class ViewSamples:
 
 @dataclass(slots=True, eq=False)
 class _View:
-    """The live Gaussians that an ONNX generator computes for one camera."""
+    """The Gaussians, without padding rows, that an ONNX generator computes for one camera."""
 
     gaussians: DecodedGaussians
     versions: tuple[int, int, int]  # of rows, appearance, and the live count

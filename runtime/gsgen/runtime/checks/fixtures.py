@@ -1,4 +1,4 @@
-"""Invalid example models, each of which breaks one rule of level ``render``."""
+"""Invalid example models, each of which breaks one validation rule about drawn frames."""
 
 __all__ = ["render_fixtures", "with_reference"]
 
@@ -20,7 +20,7 @@ from gsgen.contract.spec.severity import Level
 
 
 def render_fixtures() -> list[Fixture]:
-    """Return the invalid models, one for each rule of level ``render``."""
+    """Return invalid example models, one for each validation rule of level ``render``."""
     return fixtures_in(sys.modules[__name__])
 
 
@@ -46,7 +46,7 @@ def grows_out_of_nothing() -> ModelSpec:
 
 @invalid("GB020", level=Level.RENDER)
 def opaque_behind_opaque() -> ModelSpec:
-    """Fixture: two large sheets, black before white, which the two rasterisers draw differently."""
+    """Fixture: two huge opaque Gaussians, black before white; two rasterisers disagree on them."""
     sheets = still(2)
     rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
     rows[:, :3], rows[:, 3] = (0.0, 0.0, 0.0), 1.0

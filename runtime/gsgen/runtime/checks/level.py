@@ -1,4 +1,4 @@
-"""Draws a model's outputs as a viewer would, for the rules of level ``render``."""
+"""Draws a model's outputs as a viewer would, for validation rules that check drawn frames."""
 
 __all__ = [
     "ComparedReference",
@@ -87,7 +87,7 @@ class ComparedReference:
 
 @dataclass(frozen=True, slots=True)
 class RenderEvidence:
-    """The drawn frames of a model, which the rules of level ``render`` check."""
+    """The drawn frames of a model, which the validation rules of level ``render`` check."""
 
     frames: tuple[RenderedProbe, ...]
     device: str
@@ -96,7 +96,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw a model's outputs for some test inputs, which rules of level ``render`` check."""
+    """Draw a model's outputs for some test inputs, for validation rules that check drawn frames."""
     if find_spec("wgpu") is None:
         raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
     started = time.monotonic()
@@ -123,7 +123,7 @@ def _quad_renderer(device: Device) -> Renderer | None:
 
 
 def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
-    """Return the ids of validation rules that cannot be checked, each with the reason."""
+    """Return validation rules that cannot be checked for this model or device: id and reason."""
     manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":

@@ -16,7 +16,7 @@ _BACKGROUND = (0.1, 0.11, 0.13, 1.0)
 
 
 def draw_preview(value: object) -> bytes | None:
-    """Return a PNG of ``Splats``, ``SplatData`` or a ``Scene``; None if it cannot be drawn.
+    """Return a PNG preview of splats or of a scene in memory; None if it cannot be drawn.
 
     Raises:
         SceneInvalid: The scene cannot be drawn.

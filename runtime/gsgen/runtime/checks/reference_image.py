@@ -40,7 +40,7 @@ MIN_ERROR: Final = 1e-20
 def image_decibels(
     drawn: UInt8[np.ndarray, "h w c"], expected: Float32[np.ndarray, "h w 3"]
 ) -> float:
-    """Return the peak signal-to-noise ratio of a drawn frame's colours, in decibels.
+    """Return the peak signal-to-noise ratio of a drawn frame against a picture, in decibels.
 
     Args:
         drawn: The frame, as sRGB bytes.

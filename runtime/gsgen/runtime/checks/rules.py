@@ -1,4 +1,4 @@
-"""Rules of level ``render`` (GB018 to GB021): the drawn frames show the model.
+"""Validation rules of level ``render`` (GB018 to GB021): the drawn frames show the model.
 
 The rules are registered under the entry point group ``gsgen.rules``.
 """
@@ -66,7 +66,7 @@ def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
     needs=(*_NEEDS, "GB018"),
 )
 def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
-    """Every drawn frame with live Gaussians shows at least one of the Gaussians.
+    """Every drawn frame shows at least one Gaussian, unless its count of Gaussians is zero.
 
     Why:
         A model that is empty for some cameras or times flickers. Most often it culls by a matrix

@@ -1,4 +1,4 @@
-"""Declares pictures that the training code rendered as reference images of a model's copy.
+"""Adds pictures rendered by a model's training code to a model copy, as its reference images.
 
 They show what no number of a model can: swapped colour channels, a mirrored axis, other signs of
 SH. A picture that the model itself drew would show the same fault as the model.
@@ -96,7 +96,7 @@ def record_source_pictures(
     renderer: Renderer | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> SourcePictures:
-    """Record pictures of the training code as a model copy's references, and compare the model.
+    """Add training-code pictures to a model's copy as references, and compare its frames with them.
 
     Args:
         source: A generator with a manifest; it stays as it is, unless ``model`` is the same file.
@@ -222,7 +222,7 @@ def _over_black(image: "Image") -> UInt8[np.ndarray, "h w 3"]:
 def _compare(
     subject: InspectedModel, probe: Probe, sources: Sequence[_Source], renderer: Renderer
 ) -> tuple[float, ...]:
-    """Return how closely the model draws each picture, in decibels."""
+    """Draw the model from each picture's camera; return its PSNR against the picture, in dB."""
     manifest = subject.generator
     assert manifest is not None
     ratios = []

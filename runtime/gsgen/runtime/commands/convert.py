@@ -158,7 +158,7 @@ def convert(
 def _reported(
     run: "Callable[..., Conversion]", sources: list[str]
 ) -> "tuple[Conversion, list[str]]":
-    """Return the result and the notes of a conversion, whose errors end the command."""
+    """Run a splat conversion; return its result and warnings, or print the error and exit."""
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.formats import FormatError, FormatWarning
 
@@ -188,7 +188,7 @@ def _reported(
 def _writer(
     codec: Codec, spz_version: int | None, spz_axes: str | None, encoding: str | None
 ) -> "Callable[..., None] | None":
-    """Return a writer with the options of the splat format; None without options."""
+    """Return a function that writes a splat file with these options; None if no option is given."""
     options: dict[str, object] = {}
     for option, name, keyword, value in (
         ("--spz-version", "spz", "version", spz_version),

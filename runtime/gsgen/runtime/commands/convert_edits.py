@@ -60,7 +60,7 @@ def edits_in_order(
     values: Mapping[str, Sequence[Any] | None],
     summaries: list[tuple[Statistics, ...]],
 ) -> list[Callable[[Splats], Splats]]:
-    """Return the edits of a command line, in the order typed.
+    """Return the splat edits of a command line as functions, in the order typed.
 
     Args:
         context: Knows the order of the options.

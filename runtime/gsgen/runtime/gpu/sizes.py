@@ -1,10 +1,10 @@
-"""Arithmetic of GPU buffer and dispatch sizes, as numbers or as recorded formulas."""
+"""Arithmetic of GPU buffer and dispatch sizes, which may be numbers or symbolic formulas."""
 
 __all__ = ["at_least"]
 
 
 def at_least(value: int, least: int) -> int:
-    """Return the larger of two integers by arithmetic alone, which a size formula can record.
+    """Return the larger of two integers without comparing them, since a size may be a formula.
 
     ``max`` compares, and a comparison of recorded sizes is a branch that holds for some of them
     only. Sums and absolute values are recorded as a formula for all sizes (gsgen.runtime.web).

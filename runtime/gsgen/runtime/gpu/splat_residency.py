@@ -47,7 +47,7 @@ _WORD: Final = 16
 
 
 def stride(channels: int, *, half: bool) -> int:
-    """Return the length of an appearance row on the GPU, in vectors of 16 bytes.
+    """Return the size of a Gaussian's colour coefficients on the GPU, in vectors of 16 bytes.
 
     Shaders read whole vectors, so rows are padded to them; 0 means that two rows share one.
     """
@@ -203,7 +203,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """The versions of a splat set's arrays, and its live rows, at the start of a frame."""
+    """The versions of a splat set's arrays and its number of Gaussians, at the start of a frame."""
 
     rows: int
     appearance: int
@@ -231,7 +231,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each page (GPU buffers) with the rows of a slice that it holds, and their offset."""
+    """Yield each page (GPU buffers) with its rows of a slice, and their offset in the page."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -262,7 +262,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame that draws a splat set; sort the rows in space if the set was drawn before.
+        """Prepare a splat set for a frame; from its second frame on, rows may be in Morton order.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they
@@ -375,7 +375,7 @@ class Residency:
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
-        """Write live Gaussians of an array into the GPU buffers (pages) that hold the array."""
+        """Write a slice of an array's rows into the GPU buffers (pages) that hold the array."""
         for page, part, first in _parts(resident.pages, live):
             to = target(page, first, array)
             if resident.order is None:

@@ -69,9 +69,10 @@ class _Group:
 
 
 def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
-    """Divide pictures into groups of at least two, unless there is only one picture.
+    """Divide video pictures into groups to encode; a group of one would become a still image.
 
-    AVIF stores a sequence of one picture as a still image, which has other boxes.
+    AVIF stores a sequence of one picture as a still image, which has other boxes. Only a video of
+    one picture has such a group.
     """
     group = list(islice(pictures, _GROUP))
     while len(following := list(islice(pictures, _GROUP))) > 1:

@@ -43,7 +43,7 @@ class Surface:
 
 
 def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]) -> Surface:
-    """Cast the rays of a camera at meshes, and return the nearest surfaces in a colour space."""
+    """Cast a camera's rays at meshes; return the nearest surfaces, coloured in ``color_space``."""
     start, ahead = _rays(camera)
     shape = ahead.shape[:3]
     depth = np.full(shape, np.inf)

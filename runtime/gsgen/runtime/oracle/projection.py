@@ -141,7 +141,7 @@ class Splats:
 def drawn_splats(
     splat_set: SplatSet, camera: Camera, first: int, visibility: Float[np.ndarray, " n"] | float = 1
 ) -> Splats:
-    """Project the live Gaussians of a splat set, and drop those that are not drawn.
+    """Project the Gaussians of a splat set; drop clipped, nearly transparent and invalid ones.
 
     Args:
         splat_set: The set.
@@ -221,7 +221,7 @@ def _unrolled(
 
 
 def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
-    """Return the colours of the live Gaussians of a splat set, which may be negative."""
+    """Return the RGB colours of a splat set's Gaussians, unclamped: SH may give negative values."""
     data = splat_set.data
     channels = data.appearance[: data.count].astype(np.float64)
     if data.space == "rgb":

@@ -179,7 +179,7 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
 
 
 class _State:
-    """Each pixel's weighted sums and transmittance after some of the groups of Gaussians."""
+    """Each pixel's weighted sums and transmittance after the groups of Gaussians added so far."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks: pixels that a group of Gaussians covers, and pixels that rounding may flip."""
+    """Return masks: pixels covered by a group of Gaussians; pixels where rounding decides that."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)
@@ -290,7 +290,7 @@ def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.n
 
 
 def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:
-    """Return the pixel mask of image tiles that the circle around some Gaussians may touch."""
+    """Return the mask of the pixels in image tiles that a circle around ``mean`` may touch."""
     inside = []
     for axis, side in enumerate((camera.width, camera.height)):
         tile = np.arange(side) // _TILE

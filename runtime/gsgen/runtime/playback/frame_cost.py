@@ -82,7 +82,7 @@ class FrameCost:
 
 
 def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: None) -> FrameCost:
-    """Play a frame sequence without writing files, and return the cost of its frames.
+    """Play a frame sequence without writing files, and return the time and memory of its frames.
 
     A few frames are drawn twice to warm up; ``on_step`` is called with the name of each step.
     """
@@ -210,7 +210,7 @@ class _PlannedFrame:
         return cls(plan, placed, meshes, camera)
 
     def submit(self, clock: StageClock | None = None, only: Sequence[str] | None = None) -> float:
-        """Draw the frame, and return this thread's CPU seconds until it was submitted."""
+        """Draw the frame; return this thread's CPU seconds until the GPU work was submitted."""
         started = time.thread_time()
         self.plan.submit(
             self.placed, self.camera, _BLACK, meshes=self.meshes, only=only, clock=clock
@@ -231,7 +231,7 @@ class _PlannedFrame:
 
     @property
     def rows_bytes(self) -> int:
-        """Bytes of the GPU buffers of Gaussians; shared buffers count once."""
+        """Size in bytes of the GPU buffers of Gaussians; shared buffers count once."""
         buffers = [
             buffer
             for _, page in self.placed
@@ -242,5 +242,5 @@ class _PlannedFrame:
 
     @property
     def plan_bytes(self) -> int:
-        """Bytes of the GPU buffers that the recorded GPU work of a frame owns."""
+        """Size in bytes of the GPU buffers that the recorded GPU work of a frame owns."""
         return sum(buffer.size for buffer in self.plan.buffers.values())

@@ -90,14 +90,14 @@ class LivePlayback(Playback):
 
     @property
     def busy(self) -> bool:
-        """Whether a frame of the playback is being computed, waits to be drawn, or will change."""
+        """Whether a frame of the playback is in progress, or its Gaussians may still change."""
         return self._pending is not None or self._is_streaming()
 
     def _is_streaming(self) -> bool:
         return any(source.is_streaming for source in self.sources)
 
     def begin(self, camera: Camera) -> None:
-        """Begin to compute the current frame for a camera, unless it is computed or pending."""
+        """Begin to compute the current frame for a camera, unless it is computed or in progress."""
         moment = self._moment_key(camera)
         if self._pending is None and (moment != self._shown or self._is_streaming()):
             values = self.values(self.number)
@@ -106,7 +106,7 @@ class LivePlayback(Playback):
             self._pending = moment
 
     def take(self, *, wait: bool = False) -> None:
-        """Take the pending frame of a playback if it is computed, or wait until it is."""
+        """Switch to the frame of :meth:`begin` if it is computed; ``wait`` waits until it is."""
         is_ready = wait or all(source.ready for source in self.sources)
         if self._pending is None or not is_ready:
             return
@@ -157,7 +157,7 @@ class LivePlayback(Playback):
         return max(near, camera.near), max(far, 2 * camera.near)
 
     def abandon(self) -> None:
-        """Wait for the pending frame, and discard its result or error."""
+        """Wait for the frame that :meth:`begin` requested, and discard its result or error."""
         self._pending = None
         for source in self.sources:
             source.abandon()

@@ -28,7 +28,7 @@ _ARRAYS: Final = "Compute the input yourself, and give an .npy of [frames, …].
 
 
 def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> Track:
-    """Return the windows of a WAV file that end at each frame of a video.
+    """Return, for each frame of a video, the window of WAV samples that ends at the frame.
 
     Args:
         path: The file: PCM of 8, 16, 24 or 32 bits; the mean of its channels is taken.

@@ -49,7 +49,7 @@ class Band:
 
     @property
     def camera(self) -> Camera:
-        """The camera that sees the image rows of the band."""
+        """The camera that sees just this band of rows of the whole image."""
         if self.rows == self.whole.height:
             return self.whole
         return replace(self.whole, cy=self.whole.cy - self.first, height=self.rows)
@@ -99,7 +99,7 @@ class BandImages:
         self._images: list[Buffer] = []
 
     def copy(self, number: int, image: Buffer) -> Buffer:
-        """Copy the image of the band ``number`` to a buffer of its own, and return this buffer."""
+        """Copy the image of band ``number`` (from 0) to that band's own buffer, and return it."""
         if number == len(self._images) or self._images[number].size != image.size:
             self._images[number:] = [self._device.storage("band of the image", image.size)]
         encoder = self._device.raw.create_command_encoder(label="band")
@@ -108,7 +108,7 @@ class BandImages:
         return self._images[number]
 
     def clear(self) -> None:
-        """Free the buffers."""
+        """Free the GPU buffers of all copied bands of the image."""
         self._images.clear()
 
 

@@ -74,7 +74,7 @@ class DepthOrder:
         histogram: Buffer,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the dispatches that sort splats by ``first_keys``, or else by their depth keys."""
+        """Return the dispatches that sort splats by ``first_keys``, or by depth keys if None."""
         return self._sort.steps(
             counts,
             histogram,

@@ -16,7 +16,9 @@ from gsgen.runtime.renderer.kernel_set import Kernels
 def frame_counts(
     device: Device, kernels: Kernels, counts: Sequence[UInt32[np.ndarray, " n"]]
 ) -> UInt32[np.ndarray, " n"]:
-    """Add up the GPU counters of a frame's parts; limits and maxima are not summed.
+    """Add up the GPU counters of depth-sorted and weighted-sum splats; of maxima take the largest.
+
+    The capacity for splat-tile pairs is that of the first counters.
 
     Raises:
         CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.

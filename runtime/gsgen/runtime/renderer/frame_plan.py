@@ -257,7 +257,7 @@ class Plan:
         return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Record the drawing of meshes; return the dispatches that copy them to an image layer."""
+        """Record drawing the meshes; return dispatches that copy the pixels to an image layer."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers

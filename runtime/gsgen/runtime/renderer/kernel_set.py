@@ -121,7 +121,7 @@ class Kernels:
         return MOST_GROUPS * WALK_THREADS * self.cut.walk
 
     def records(self, gaussians: int) -> bool:
-        """Return whether projected splats are stored as structs; all have to fit one GPU buffer."""
+        """Return whether all projected splats are stored as structs in one GPU buffer."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 

@@ -111,7 +111,7 @@ def chosen_cut(device: Device) -> SortConfig:
 
 
 def explain(device: Device) -> str:
-    """Return a line that explains a device's kernels and rasteriser, after measuring if needed."""
+    """Return a line on a device's kernels and rasteriser; may first measure the rasterisers."""
     if not device.software and device.blends_floats:
         choose(device, Kernels(device))
     cut = chosen_cut(device)
@@ -232,7 +232,7 @@ def _file() -> Path | None:
 
 
 def _read() -> dict[str, Timings]:
-    """Read the cached rasteriser timings; an unreadable or foreign file counts as empty."""
+    """Read the cached rasteriser timings; an unreadable file or another format counts as empty."""
     path = _file()
     try:
         if path is None or path.stat().st_size > _MOST_BYTES:

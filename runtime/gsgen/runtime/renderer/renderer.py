@@ -295,7 +295,7 @@ class Renderer:
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a frame with buffer sizes of earlier frames; without these, wait for the GPU."""
+        """Draw a frame with an earlier frame's buffer sizes; if unknown, wait for the GPU."""
         for parts in self.late.read():
             self._take(parts)
         placed, meshes = self._uploaded(scene)
@@ -333,7 +333,7 @@ class Renderer:
             self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
 
     def settle(self) -> bool:
-        """Wait for frames of ``draw(wait=False)``; return whether the last frame is incomplete."""
+        """Wait for frames of ``draw(wait=False)``; return whether the last one needs a redraw."""
         incomplete = False
         with self.device.translate_errors():
             for parts in self.late.read(in_flight=0):
@@ -382,7 +382,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the recorded GPU work of a frame; reuse the last if only buffer values changed."""
+        """Return a frame's recorded GPU work: the last one if only buffer values changed."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -414,7 +414,7 @@ class Renderer:
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Return whether to draw quads; an automatic choice of quads applies to colour alone."""
+        """Return whether splats are drawn as quads; if chosen automatically, for colour only."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _slab_splats(self, placed: Sequence[Placed]) -> int | None:
@@ -450,7 +450,7 @@ class Renderer:
 
 
 def _sorted_splats(placed: Sequence[Placed]) -> int:
-    """Return the number of splats that a scene may have to sort by depth."""
+    """Return an upper bound of the number of splats that a frame of a scene sorts by depth."""
     return sum(page.capacity for _, page in sorted_pages(placed))
 
 

@@ -56,7 +56,7 @@ class KeyRange:
 @final
 @dataclass(frozen=True, slots=True)
 class SlabState:
-    """How the stages of a frame draw one of its depth slabs.
+    """How a depth slab is drawn: whether nearer slabs precede it and farther slabs follow it.
 
     Attributes:
         resumes: Whether the image holds the state of pixels after nearer slabs.
@@ -69,7 +69,7 @@ class SlabState:
     tied: tuple[int, ...] = ()
 
     def written_to(self, uniform: Shaped[np.ndarray, ""]) -> Shaped[np.ndarray, ""]:
-        """Write the slab to a frame's uniform data (WGSL struct ``Frame``), and return them."""
+        """Write these slab settings to a frame's uniform data (WGSL ``Frame``); return the data."""
         uniform["resumes"], uniform["continues"] = self.resumes, self.continues
         uniform["rank"] = len(self.tied)
         uniform["tied_key"], uniform["tied_low"] = (*self.tied, 0, 0)[:_BY_ROW]
@@ -77,10 +77,10 @@ class SlabState:
 
 
 class Run(Protocol):
-    """Function that runs GPU stages of a frame, and returns counters and, at the end, images."""
+    """Function that draws a depth slab; returns GPU counters, and images after the last slab."""
 
     def __call__(self, only: Sequence[str], state: SlabState) -> Drawing:
-        """Run some GPU stages of a frame; see ``Plan.submit`` for the arguments."""
+        """Run the GPU stages named in ``only`` for one depth slab, as ``Plan.submit`` does."""
         ...
 
 
@@ -105,7 +105,7 @@ def slab_ranges(tally: Tally, capacity: int) -> list[KeyRange]:
 
 
 def _ranges(tally: Tally, capacity: int, tied: tuple[int, ...]) -> Iterator[KeyRange]:
-    """Yield ranges of sort keys, or of the ranks of splats whose first keys are ``tied``."""
+    """Yield ranges of depth keys, or of finer keys of splats whose first keys are ``tied``."""
     bits = 32 if tied else _KEY_BITS
     low, splats = 0, 0
     for start, amount in _bins(partial(tally, tied), 0, bits - _BIN_BITS, capacity):
@@ -130,7 +130,10 @@ def _bins(
     *,
     bins: int = BINS,
 ) -> Iterator[tuple[int, int]]:
-    """Yield first key and splat count of histogram bins; too full bins are divided to one key."""
+    """Yield the first key and splat count of histogram bins, splitting bins above ``capacity``.
+
+    A bin of one key is not split.
+    """
     amounts = tally(low, shift)[:bins]
     for number in np.flatnonzero(amounts).tolist():
         start, amount = low + (number << shift), int(amounts[number])

@@ -20,7 +20,7 @@ Storage = Callable[[str, int], Buffer]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TileLists:
-    """The buffers that list the splats of each image tile, and their numbers of entries.
+    """The GPU buffers used to list splats by image tile, with the capacities of the lists.
 
     Attributes:
         storage: Allocates a buffer of a name and a number of bytes.
@@ -53,7 +53,7 @@ class TileLists:
 def list_splats(
     kernels: Kernels, lists: TileLists, *, panorama: bool, records: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
-    """Return the stages that list splats by image tile, the lists, and buffers to clear first."""
+    """Return stages that list splats by image tile, the buffer of lists, and buffers to clear."""
     if kernels.lists:
         return _counted(kernels, lists, panorama=panorama)
     pairs = [_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
@@ -66,7 +66,7 @@ def list_splats(
 def _counted(
     kernels: Kernels, lists: TileLists, *, panorama: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
-    """Return stages, lists and buffers to clear; kernels count splats instead of sorting pairs."""
+    """Return the results of ``list_splats`` for kernels that count splats instead of sorting."""
     counters = lists.storage("counters of tiles", 4 * runs_for(lists.tiles) * lists.tiles)
     totals = lists.storage("totals of tiles", 4 * lists.tiles)
     members = lists.storage("splats of tiles", 4 * lists.pair_capacity)

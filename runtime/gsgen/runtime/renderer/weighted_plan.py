@@ -275,7 +275,7 @@ class WeightedPart:
 
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
-    """Yield each splat set drawn by weighted sums, with its first GPU page (buffer range)."""
+    """Yield each splat set drawn by weighted sums, with the first of its pages (GPU buffers)."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
@@ -285,7 +285,7 @@ def _cells(page: Page) -> int:
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill the uniform data of a page (GPU buffers) with weighting parameters; return the data."""
+    """Set the weighted-sum parameters in a page's uniform data (WGSL ``Page``); return the data."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

@@ -201,7 +201,7 @@ class SplatPool:
         first_row: int,
         count: int,
     ) -> None:
-        """Write some of a tile's next Gaussians beside the drawn ones, and draw them when complete.
+        """Write part of a tile's new Gaussians to spare slots; draw them when all are written.
 
         The tile has twice the slots that it needs; those of the second half are not drawn. The
         halves change places with the last row.

@@ -105,11 +105,11 @@ class GeneratorWorker:
         return self._worker.submit(self._compute, camera, values)
 
     def interrupt(self) -> None:
-        """Stop the computation of pending frames, which then fail."""
+        """Stop the ONNX runs of all requested frames, which then fail."""
         self._stop.now()
 
     def close(self) -> None:
-        """Stop the pending frames, and release the session; a second call has no effect."""
+        """Stop all ONNX runs of frames, and release the session; a second call has no effect."""
         self.interrupt()
         self._worker.shutdown()
         self.session.close()
@@ -167,7 +167,7 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
 
 @final
 class _OutputBuffer:
-    """The drawn copy of an ONNX generator's output, and a spare array for the next frame."""
+    """Double buffer for a model output: one copy is drawn while the next frame fills the other."""
 
     def __init__(self) -> None:
         self._shown: np.ndarray | None = None
@@ -175,7 +175,7 @@ class _OutputBuffer:
         self._live = 0
 
     def take(self, array: Float[np.ndarray, "n c"], live_rows: int | None) -> np.ndarray | None:
-        """Copy the first or all rows of a model output; return None if the rows are unchanged.
+        """Copy a model output without padding rows; return None if the last copy has the same rows.
 
         The copy stays valid until the call after the next.
         """

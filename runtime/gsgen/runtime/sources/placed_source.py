@@ -137,16 +137,16 @@ class PlacedSource(Source):
 
     @property
     def ready(self) -> bool:
-        """Whether the file or model has finished the pending frame."""
+        """Whether the file or model has computed the frame that :meth:`start` requested."""
         return self._inner.ready
 
     def finish(self) -> None:
-        """Wait for the pending frame of the file or model, and take its Gaussians."""
+        """Wait for the frame that :meth:`start` requested; its Gaussians replace the last ones."""
         self._inner.finish()
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def abandon(self) -> None:
-        """Wait for the pending frame of the file or model, and discard its result or error."""
+        """Wait for the frame that :meth:`start` requested, and discard its result or error."""
         self._inner.abandon()
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
@@ -155,7 +155,7 @@ class PlacedSource(Source):
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input tensor of the placed model."""
+        """Return the shape of an input tensor of the model that computes the Gaussians."""
         return self._inner.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
@@ -165,7 +165,7 @@ class PlacedSource(Source):
         return linear @ center + offset, reach * _scale(linear)
 
     def close(self) -> None:
-        """Release the model that computes the placed Gaussians."""
+        """Release the file or model that supplies the Gaussians."""
         self._inner.close()
 
 

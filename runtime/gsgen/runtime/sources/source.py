@@ -81,7 +81,7 @@ class Source(ABC):
 
     @abstractmethod
     def finish(self) -> None:
-        """Wait for the pending frame, and update the Gaussians of the source for the renderer.
+        """Wait for the frame that :meth:`start` requested; its Gaussians replace the last ones.
 
         Raises:
             GsgenError: A value does not fit, or the model fails; the error names model, input, frame.
@@ -89,15 +89,15 @@ class Source(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether the pending frame is computed, so that :meth:`finish` returns at once."""
+        """Whether the frame of :meth:`start` is computed, so that :meth:`finish` returns at once."""
         return True
 
     @abstractmethod
     def abandon(self) -> None:
-        """Wait for the pending frame, and discard its result or error."""
+        """Wait for the frame that :meth:`start` requested, and discard its result or error."""
 
     def interrupt(self) -> None:  # noqa: B027 - a file computes nothing
-        """Stop the computation of the pending frame, which then fails."""
+        """Stop computing the frame that :meth:`start` requested, which then fails."""
 
     def update(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Compute a frame and update the Gaussians, by :meth:`start` and :meth:`finish`."""
@@ -215,10 +215,10 @@ class StaticSource(Source):
         """Ignore camera and inputs, because the Gaussians are the same in every frame."""
 
     def finish(self) -> None:
-        """Return at once, because a static source computes no frames."""
+        """Return at once: splat files and meshes need no computation to wait for."""
 
     def abandon(self) -> None:
-        """Discard nothing, because a static source computes no frames."""
+        """Return at once: splat files and meshes have no computation to discard."""
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Raise KeyError: a splat file or mesh has no inputs."""
@@ -276,7 +276,7 @@ class GeneratorSource(Source):
 
     @property
     def ready(self) -> bool:
-        """Whether the model has finished the pending frame."""
+        """Whether the ONNX generator has computed the frame that :meth:`start` requested."""
         return self._pending is None or self._pending[1].done()
 
     def finish(self) -> None:

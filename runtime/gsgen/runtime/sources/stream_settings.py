@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSettings:
-    """Settings of streaming a tileset: error, budgets, disk cache, prediction and waiting time.
+    """Settings of streaming a tileset: screen-space error, budgets, disk cache and prediction.
 
     Attributes:
         max_error: Screen-space error above which tiles are refined, in pixels.

@@ -13,7 +13,7 @@ from gsgen.runtime.sources.source import Source
 
 
 def beside_the_first(sources: Sequence[Source]) -> list[Source]:
-    """Place the sources that declare an origin in the local space of the first of them.
+    """Move the sources of Gaussians that declare a world origin into the local space of the first.
 
     Cameras, files and models without an origin are in that space, too. Offsets are computed in
     float64: origins may be millions of units, and differ by a few.

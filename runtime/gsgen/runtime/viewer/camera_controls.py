@@ -63,7 +63,7 @@ class Controls:
         return np.asarray(self.pivot - self._distance * self._rotation[2])
 
     def camera(self, width: int, height: int) -> Camera:
-        """Return the camera at an image size; all that the first image showed stays visible."""
+        """Return the camera at an image size; unzoomed, the whole initial view is in the image."""
         home = self._home
         view = np.eye(4)
         view[:3, :3] = self._rotation

@@ -51,7 +51,7 @@ class Statistics:
         self._frame_times: deque[float] = deque()
 
     def refresh(self) -> None:
-        """Make the next update of the statistics take effect at once."""
+        """Make the next :meth:`update` refresh the statistics without its usual delay."""
         self._updated = -math.inf
 
     def update(

@@ -104,7 +104,7 @@ class Present:
         self._panel_bindings: dict[Panel, tuple[Texture, BindGroup]] = {}
 
     def __call__(self, target: Texture, view: View | None, panels: Sequence[Panel]) -> None:
-        """Draw an image, or black, and panels from the lowest to the uppermost, on a surface."""
+        """Draw an image (black if None) on a window's surface, then the panels in order over it."""
         width, height = target.size[:2]
         encoder = self._device.raw.create_command_encoder(label="present")
         attachment = {
@@ -132,7 +132,7 @@ class Present:
         self._device.submit(encoder)
 
     def _draw_bands(self, render_pass: RenderPass, view: View, surface: tuple[int, int]) -> None:
-        """Draw each band of an image on its rows of a surface, and the last to its end."""
+        """Draw each band of image rows on its rows of the surface; the last fills the rest."""
         width, height = surface
         self._bindings = {band.image: self._binding(band.image) for band in view.bands}
         render_pass.set_pipeline(self._pipeline)

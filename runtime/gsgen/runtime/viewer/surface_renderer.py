@@ -84,7 +84,7 @@ class SurfaceRenderer:
         return view
 
     def show(self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]) -> None:
-        """Show a picture, or black, with panels over it on a surface."""
+        """Show a picture (black if None) on a window's surface, with panels drawn over it."""
         device = self.renderer.device
         device.require()  # wgpu-native aborts if a surface uses a lost device
         with device.translate_errors():
@@ -171,7 +171,7 @@ class SurfaceRenderer:
 
 
 def _added(bands: Sequence[Drawn]) -> Drawn:
-    """Return the first band of an image, with the counts of all bands."""
+    """Return the first band of rows of an image, with the summed splat counters of all bands."""
     visible, pairs = sum(band.visible for band in bands), sum(band.pairs for band in bands)
     return replace(bands[0], visible=visible, pairs=pairs)
 

@@ -227,7 +227,7 @@ class Viewer:
             handler(event)
 
     def drop(self, paths: Sequence[Path]) -> None:
-        """Show dropped files instead of the scene; a message reports unreadable files."""
+        """Show files dropped on the window instead of the scene; if unreadable, show a message."""
         if self._open_files is None:
             return
         try:

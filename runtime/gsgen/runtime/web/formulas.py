@@ -152,7 +152,7 @@ class Formula(int):
         return int.__hash__(self)
 
     def bit_length(self) -> int:
-        """Return the integer's bit length; the recorded plan then holds for at most as many bits.
+        """Return the bit length, and limit the recorded GPU plan to values of at most this length.
 
         The tile sort asks for it, to sort by no more bits than tiles need. More do no harm.
         """

@@ -105,7 +105,7 @@ _YES_OR_NO: Final = frozenset({"all", "any", "isinstance"})
 
 
 class Untranslatable(ValueError):
-    """Python code uses a statement or an expression that has no translation."""
+    """Raised if a Python statement or expression has no translation to JavaScript."""
 
 
 def literal(value: object) -> str:
@@ -124,7 +124,7 @@ def _name(name: str) -> str:
 
 
 class FunctionTranslator:
-    """Translates the body of one Python function.
+    """Translates the body of one Python function to JavaScript.
 
     Args:
         resolve: Returns the JavaScript expression of a global dotted name, or None for other names.
@@ -293,7 +293,7 @@ class FunctionTranslator:
         return _name(node.id)
 
     def _global(self, node: ast.expr) -> str | None:
-        """Return the expression of a dotted name that starts at a global, or None."""
+        """Return JavaScript for a dotted name of a Python global; None for any other expression."""
         root: ast.expr = node
         while isinstance(root, ast.Attribute):
             root = root.value

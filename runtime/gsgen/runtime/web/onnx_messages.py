@@ -14,7 +14,7 @@ _WORDS = {
 
 
 def message_fields() -> dict[str, list[list[object]]]:
-    """Return number, name, kind and repetition of each field of each message below a model.
+    """Return number, name, kind and repetition of the fields of all protobuf messages of ONNX.
 
     A kind is ``text``, ``bytes``, ``float``, ``double``, ``int`` or the name of a message.
     """

@@ -61,7 +61,7 @@ class PlanTables:
         self.plans.append(_PlanWriter(self, recorded).plan())
 
     def pool_buffers(self, page: Page, slots: str) -> dict[str, dict[str, Any]]:
-        """Return the GPU buffers of one part of a splat pool; sizes are formulas of the slot count.
+        """Return the buffers of a splat pool (streamed tiles); sizes are formulas of the slots.
 
         Args:
             page: A recorded page.
@@ -169,7 +169,7 @@ class _PlanWriter:
         return {kind: rows[0] if len(rows) == 1 else rows for kind, rows in rows_of.items()}
 
     def _slot(self, step: Step) -> int | None:
-        """Return the index of the page (GPU buffers) that a recorded dispatch reads, or None."""
+        """Return the index of the page (splat buffers) that a dispatch reads; None without one."""
         slots = self._binds(step, self._kinds) or self._binds(step, self._sets)
         assert len(slots) < 2, "a step reads several pages"
         return slots.pop() if slots else None
@@ -226,7 +226,7 @@ class _PlanWriter:
         return self._tree(tree_of(buffer.size))
 
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
-        """Replace the names of recorded sizes in a formula by the names in the browser client."""
+        """Replace recorded sizes in a formula by the names that the browser client has for them."""
         for name, total in self._recorded.totals.items():
             tree = replaced(tree, total, name)
         if slot is None:

@@ -125,7 +125,10 @@ def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return JSON of the kernels that copy model outputs; rows that pages can bind have none."""
+    """Return JSON of the GPU kernels that repack model outputs, by dtype and number of channels.
+
+    Outputs that pages can bind as they are have none.
+    """
     device = Device(RecordingDevice())
     repacks = []
     sources = [("float16", ROW, "rows")]
@@ -184,6 +187,6 @@ def plans_text() -> str:
 
 
 def written_plans() -> str:
-    """Return the text of the installed ``plans.json``."""
+    """Return the text of the installed ``plans.json``: recorded GPU work for the browser client."""
     package, _, path = PLANS_FILE.partition(":")
     return files(package).joinpath(path).read_text("utf-8")

@@ -157,7 +157,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return empty pages (GPU buffers) with an empty splat set: one per format and capacity.
+    """Return placeholder GPU buffers of splat sets: one per colour format and number of rows.
 
     Args:
         kinds: The format of each page's appearance.
@@ -187,7 +187,7 @@ def recorded_pages(
 def recorded_pool_pages(
     device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
 ) -> list[Placed]:
-    """Return empty pages (GPU buffers) of splat pools: one for each appearance format."""
+    """Return placeholder GPU buffers of splat pools (streamed tiles): one per colour format."""
     empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
     placed = []
     for kind, count in zip(kinds, slots, strict=True):
@@ -198,7 +198,10 @@ def recorded_pool_pages(
 
 
 def page_kind(page: Page) -> str:
-    """Return the name of the row format of splats in GPU buffers, such as ``pool of float16 16``."""
+    """Return a key for the layout of splats in GPU buffers: dtype, stride, streamed pool or not.
+
+    The key of float16 colours with a stride of 16 in a pool is ``pool of float16 16``.
+    """
     name = f"{'float16' if page.half else 'float32'} {page.stride}"
     return name if page.slots is None else f"pool of {name}"
 

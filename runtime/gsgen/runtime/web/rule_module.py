@@ -65,7 +65,7 @@ _OVERRIDES: Final = {
 
 
 def written_rules() -> str:
-    """Return the text of the installed ``contract_rules.js``."""
+    """Return the text of the installed ``contract_rules.js``: validation rules as an ES module."""
     package, _, path = RULES_FILE.partition(":")
     return files(package).joinpath(path).read_text("utf-8")
 
@@ -105,7 +105,7 @@ def page_rules() -> list[Rule]:
 
 
 def rules_text() -> str:
-    """Return the text of the ES module with the rules, what they call and the data they read."""
+    """Return an ES module: the validation rules with all functions and constants that they use."""
     module = _Module()
     entries = []
     for entry in page_rules():
@@ -155,7 +155,7 @@ def _targets() -> list[Target]:
 
 
 def _target(module: "_Module", target: Target) -> str:
-    """Return an entry of the table of targets, with the words of severities."""
+    """Return a playback target (its limits and severities) as an entry of a JavaScript table."""
     words = {id: severity.word for id, severity in target.severities.items()}
     values = [getattr(target, field.name) for field in fields(Target)]
     texts = [module.constant(words if value == target.severities else value) for value in values]
@@ -170,7 +170,7 @@ def _schemas() -> dict[str, object]:
 
 
 class _Module:
-    """Collects the functions, classes and constants that translated code refers to.
+    """Collects the functions, classes and constants of a JavaScript module translated from Python.
 
     Attributes:
         functions: Translated functions by the name that they have in JavaScript.
@@ -240,7 +240,7 @@ class _Module:
         return name
 
     def add_methods(self) -> None:
-        """Translate the methods and properties that translated code names, and those that they name."""
+        """Translate the methods and properties that JavaScript code uses, until none is missing."""
         size = -1
         while size != self._size():
             size = self._size()
@@ -268,7 +268,7 @@ class _Module:
         return f"{body}\n{getter}"
 
     def classes(self) -> list[str]:
-        """Return the definitions of all classes."""
+        """Return the JavaScript definitions of all translated classes."""
         texts = []
         for name, owner in self._classes.items():
             entries = [self._field(owner, field) for field in fields(owner) if field.init]
@@ -288,7 +288,7 @@ class _Module:
         return f"[{literal(field.name)}, {f'() => {kind}' if kind else 'null'}, {default}]"
 
     def _kind(self, owner: type, field: "Field[object]") -> str:
-        """Return the class that JSON values of a field become, or Number for floats."""
+        """Return the JavaScript class of a dataclass field: a record, Number (floats) or empty."""
         leaves = _leaves(get_type_hints(owner)[field.name])
         records = [leaf for leaf in leaves if isinstance(leaf, type) and is_dataclass(leaf)]
         if records and owner.__module__.startswith("gsgen.contract.spec"):
@@ -330,7 +330,7 @@ class _Module:
         return self.reference(value, dotted.rpartition(".")[2])
 
     def _bound(self, function: FunctionType, node: ast.Call) -> list[ast.expr | None] | None:
-        """Return the arguments of a call by position if Python code defines its parameters."""
+        """Return a Python call's arguments in parameter order; None if the order is unknown."""
         if any(isinstance(argument, ast.Starred) for argument in node.args):
             return list(node.args) if not node.keywords else None
         dotted = ast.unparse(node.func)
@@ -377,6 +377,6 @@ def _function_of(member: object) -> FunctionType | None:
 
 
 def _leaves(hint: object) -> list[object]:
-    """Return the types that a type annotation consists of."""
+    """Return the innermost types of a type annotation: str and int for ``dict[str, int]``."""
     parts = get_args(hint)
     return [leaf for part in parts for leaf in _leaves(part)] if parts else [hint]

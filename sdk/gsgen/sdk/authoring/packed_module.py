@@ -96,7 +96,7 @@ class PackedGenerator(nn.Module):
         return torch.nn.functional.pad(gaussians.rgb, (0, 1), value=1.0)
 
     def _cells(self, gaussians: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
-        """Pack the cells (groups) of Gaussians; cells without a live Gaussian get visibility 0."""
+        """Pack the cells (groups) of Gaussians; cells after the row count get visibility 0."""
         n, c = gaussians.position.shape[0], cells.position.shape[0]
         per_cell = n // c
         check_whole_cells(self.packed.capacity, per_cell)

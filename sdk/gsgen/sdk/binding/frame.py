@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def count(self) -> int:
-        """The number of live Gaussians of the frame: the count output if declared, else all rows.
+        """The frame's number of Gaussians: the row count output if declared, else all rows.
 
         Raises:
             LayoutMismatch: The manifest declares no packed rows.
@@ -89,7 +89,7 @@ class Frame:
 
     @property
     def rows(self) -> np.ndarray:
-        """The live packed Gaussians of the frame, [count, 10], in the model's dtype."""
+        """The frame's packed Gaussians, [count, 10], without padding rows, in the model's dtype."""
         outputs = self._declared()
         if outputs.gaussians is None:
             raise _undeclared("gaussians")
@@ -97,7 +97,7 @@ class Frame:
 
     @property
     def appearance(self) -> np.ndarray:
-        """The appearance of the live Gaussians, [count, C], in the model's dtype."""
+        """The SH or RGB of the frame's Gaussians without padding, [count, C], in model dtype."""
         outputs = self._declared()
         if outputs.appearance is None:
             raise _undeclared("appearance")
@@ -105,14 +105,14 @@ class Frame:
 
     @property
     def cells(self) -> np.ndarray:
-        """The packed groups (cells) that contain a live Gaussian, [cells, 10], in model dtype."""
+        """The frame's packed cells (groups of Gaussians), [cells, 10], without padding cells."""
         outputs = self._declared()
         if outputs.cells is None:
             raise _undeclared("cells")
         return self[outputs.cells.name][: -(-self.count // outputs.cells.per_cell)]
 
     def gaussians(self) -> DecodedGaussians:
-        """Decode the live packed Gaussians of the frame to new float32 arrays.
+        """Decode the frame's packed Gaussians, up to the row count, to new float32 arrays.
 
         Raises:
             LayoutMismatch: The manifest does not declare both outputs, or their shapes differ.

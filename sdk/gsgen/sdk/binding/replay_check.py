@@ -69,7 +69,7 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference of two arrays; infinite if only the first is finite."""
+    """Return max |a − b| where ``a`` is finite; infinite if ``b`` is not finite there."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)

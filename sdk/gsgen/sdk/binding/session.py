@@ -216,7 +216,7 @@ class FrameSession:
             return ready.bound.write(tensors)
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> None:
-        """Copy tensors unchanged into model inputs, by name; matrices are in memory order.
+        """Copy tensors unchanged into model inputs, by name; matrices in the model's memory order.
 
         Raises:
             InputInvalid: A tensor has another shape, or a dtype that cannot be converted.

@@ -1,4 +1,4 @@
-"""`gsgen bench`: measure the cost of a frame on each execution provider."""
+"""`gsgen bench`: measure the time and memory of a frame on each execution provider."""
 
 __all__ = ["bench"]
 
@@ -46,7 +46,7 @@ def bench(
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,
 ) -> None:
-    """Measure the cost of a frame of each MODEL on each execution provider.
+    """Measure the time and memory of a frame of each MODEL on each execution provider.
 
     Prints the time of a frame (median and 95th percentile) from new inputs to outputs on the host,
     the time of the first frame including loading, the bytes of inputs and outputs, the share of
@@ -168,7 +168,7 @@ def _decimal_size(count: int) -> str:
 
 
 def _notes(result: "BenchmarkResult") -> list[str]:
-    """Return remarks about a benchmark result, such as a fallback, that its numbers do not show."""
+    """Return remarks about a benchmark result: device, graph capture, nodes that ran on the CPU."""
     if result.state != "measured":
         return [result.reason]
     facts, notes = result.facts, []

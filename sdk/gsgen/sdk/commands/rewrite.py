@@ -58,7 +58,7 @@ def rewrite(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Rewrite MODEL's graph for a consumer's GPU, and verify that it computes the same outputs.
+    """Rewrite MODEL's graph for a target GPU, and verify that it computes the same outputs.
 
     Exits 0 if it does, 1 if it does not (then nothing is written), 4 if MODEL is not a model.
     """

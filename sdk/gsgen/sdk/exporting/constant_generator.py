@@ -54,7 +54,7 @@ _OUTPUT_NAMES = {"sh": "color_sh", "rgb": "color_rgb"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstantRows:
-    """Packed Gaussians of a static scene, with appearance and row count."""
+    """The packed Gaussians of a static scene, and their colours as SH or RGB."""
 
     rows: Float[np.ndarray, "n 10"]  # packed Gaussians, float32 or float16 [N, 10]
     appearance: Float[np.ndarray, "n c"]  # SH or RGB, float32 or float16 [N, C]
@@ -69,7 +69,7 @@ class ConstantRows:
 
     @property
     def degree(self) -> int | None:
-        """The SH degree of the appearance, or None for raw RGB."""
+        """The SH degree of the stored colours, or None if they are raw RGB."""
         return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
 
     @property

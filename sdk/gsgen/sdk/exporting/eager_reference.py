@@ -63,7 +63,7 @@ class EagerRuns:
         return (self[index] for index in range(len(self)))
 
     def __add__(self, other: "EagerRuns") -> "EagerRuns":
-        """Concatenate two sequences of test inputs, with the torch outputs computed so far."""
+        """Concatenate two lists of test inputs, with torch outputs where already computed."""
         joined = EagerRuns(self.generator, (*self.probes, *other.probes))
         for index, reference in self._kept.items():
             joined._keep(index, reference)
@@ -72,7 +72,7 @@ class EagerRuns:
         return joined
 
     def select(self, indices: Iterable[int]) -> "EagerRuns":
-        """Return the test inputs with the given indices, and their torch outputs so far."""
+        """Return the test inputs at some indices, with torch outputs where already computed."""
         chosen = [int(index) for index in indices]
         selected = EagerRuns(self.generator, [self.probes[index] for index in chosen])
         for position, index in enumerate(chosen):

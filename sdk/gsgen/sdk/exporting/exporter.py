@@ -305,7 +305,7 @@ def _in_float16(
 
 
 def _row_recorder(described: "_Description", options: _Options) -> RowRecorder:
-    """Return the recorder of torch output rows for test vectors; off if a model sorts rows."""
+    """Return a recorder of test vectors, which records none if the torch module sorts rows."""
     # Probe 0 is all zeros; those after the compared ones are the SDK's own.
     candidates = range(min(options.compared + 1, len(described.references)))
     is_sorting = any(hazard.kind == "order" for hazard in described.watch.hazards)

@@ -32,7 +32,7 @@ _MOST_NUMBERS = 4096
 
 
 class RowRecorder:
-    """Records some torch output rows, for test vectors in an exported model's manifest.
+    """Samples output rows of the torch module, as test vectors for the ONNX model's manifest.
 
     Args:
         references: The compared test inputs.
@@ -94,7 +94,7 @@ def add_source_vectors(
 def _vector(
     subject: InspectedModel, recorder: RowRecorder, index: int, tolerances: Tolerances | None
 ) -> TestVector | None:
-    """Return one test vector; None if no row is drawn or the exported model disagrees."""
+    """Return a test vector; None if no row is visible or the ONNX model differs from torch."""
     manifest, reference = subject.generator, recorder.references[index]
     assert manifest is not None
     assert manifest.outputs.gaussians is not None

@@ -334,7 +334,7 @@ def _convert(
 
 
 def _with_slack(manifest: GeneratorManifest, allowed: Tolerances) -> GeneratorManifest:
-    """Return a manifest whose recorded torch output rows may also differ by float16 errors."""
+    """Return a manifest with float16 rounding errors added to its test vectors' tolerances."""
     vectors = []
     for vector in manifest.test_vectors:
         own = vector.tolerances or manifest.tolerances or Tolerances()
@@ -347,7 +347,7 @@ def _with_slack(manifest: GeneratorManifest, allowed: Tolerances) -> GeneratorMa
 
 
 def float16_manifest(manifest: GeneratorManifest) -> GeneratorManifest:
-    """Return the manifest of a model whose outputs, except for the count, are float16."""
+    """Return a copy of the manifest in which all outputs but the row count are float16."""
     declared = manifest.outputs
     assert declared.gaussians is not None
     cells = declared.cells and replace(declared.cells, dtype="float16")

@@ -118,7 +118,7 @@ class ErrorProbe:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the largest share of a tolerance that float16 nodes use, and its output field."""
+        """Return error / tolerance and name of the output field that float16 nodes affect most."""
         key = (frozenset(selected), frozenset(self.stored), self.model.unstepped)
         if key not in self._measured:
             used = {field.field: self._used(field) for field in self.parity(selected).fields}
@@ -127,12 +127,12 @@ class ErrorProbe:
         return self._measured[key]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the largest share of a tolerance that 16-bit weights use, and its output field."""
+        """Return error / tolerance and name of the output field that 16-bit weights affect most."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the share of a field's tolerance that is used beyond rounding the outputs."""
+        """Return a field's error as a share of the tolerance that rounding the outputs leaves."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
@@ -161,7 +161,7 @@ def _cannot_run(message: str) -> RewriteFailed:
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
-    """Return test inputs with other cameras, times and poses than the float16 search used."""
+    """Return test inputs with cameras, times and poses other than those of ``probes``."""
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}

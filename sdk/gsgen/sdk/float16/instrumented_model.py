@@ -106,13 +106,13 @@ class InstrumentedModel:
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
-        """Store the given weight tables as float16; only other tables may be quantised evenly."""
+        """Allow only float16, not evenly spaced 16-bit values, for the listed weight tables."""
         for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
-        """Return weights and constant nodes' results, with the given weights in 16 bits."""
+        """Return weights, some rounded to 16 bits, and results of nodes that use only weights."""
         key = stored.tobytes()
         if key != self._cached.key or not self._cached.arrays:
             arrays = {

@@ -11,7 +11,7 @@ _HARMLESS = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """The output error of quantizing given nodes or weight tables, and nothing else."""
+    """The output error if only the listed nodes or weight tables are quantized."""
 
     units: tuple[int, ...]  # indices of the units, neighbours in the graph
     excess: float  # the error as a share of the tolerance

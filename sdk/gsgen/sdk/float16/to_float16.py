@@ -230,7 +230,7 @@ def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: Half
 def _convert_value(
     graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, is_half: bool
 ) -> None:
-    """Cast a graph value from float16 to float32 or back, for readers that need the cast dtype."""
+    """Cast a value between float16 and float32 for readers that need the other dtype."""
     mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched:
         return

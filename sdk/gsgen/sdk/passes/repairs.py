@@ -182,7 +182,7 @@ def _output(model: ir.Model, name: str) -> ir.Value:
 
 
 class ReorderHarmonics(_OutputRepair):
-    """Reorder channel-major SH to coefficient-major, on request only (rule GV014 is a heuristic).
+    """Reorder SH from channel-major (R… G… B…) to coefficient-major (RGB RGB …), only if requested.
 
     ::
 

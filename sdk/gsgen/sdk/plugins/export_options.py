@@ -51,7 +51,7 @@ class ExportRequest:
             refuse_model(self.report, [self.output])
 
     def refuse_splat_file(self) -> None:
-        """Raise if the model would be named like a splat file, which `gsgen convert` writes."""
+        """Raise if the output has a splat file's suffix, such as .ply, instead of .onnx."""
         from gsgen.formats.codecs import CODECS
 
         suffix = self.output.suffix.lower()

@@ -233,10 +233,9 @@ def _refuse_higher(model: ir.Model, opset: int | None) -> None:
 
 
 def prepare(model: ir.Model) -> None:
-    """Normalise a model before graph rewrites, without changing the outputs.
+    """Inline functions, turn constants into weights, name all nodes and infer a model's shapes.
 
-    Functions are inlined, constants become weights, every node and value has a unique name, and
-    shapes are inferred.
+    The outputs stay the same.
     """
     InlinePass()(model)
     RemoveUnusedFunctionsPass()(model)  # type: ignore[no-untyped-call]  # of onnx-ir

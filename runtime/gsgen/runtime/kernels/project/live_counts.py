@@ -1,4 +1,4 @@
-"""Divides a frame's live Gaussians among the GPU pages (buffers) that hold them."""
+"""Counts the used rows of each GPU buffer of Gaussians, from a total that only the GPU knows."""
 
 __all__ = ["LiveCounts", "live_counts_reference"]
 
@@ -15,7 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class LiveCounts:
-    """The kernel ``live_counts.wgsl``: counts live Gaussians in each of up to 64 GPU buffers."""
+    """The kernel ``live_counts.wgsl``: counts the used rows of each of up to 64 GPU buffers."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
@@ -23,7 +23,7 @@ class LiveCounts:
         )
 
     def step(self, total: Buffer, live: Buffer) -> Step:
-        """Return the dispatch that counts the live Gaussians of each page (GPU buffers).
+        """Return the dispatch that counts the used rows of each page (GPU buffers of Gaussians).
 
         Args:
             total: The number of live rows, as int32.
@@ -33,6 +33,6 @@ class LiveCounts:
 
 
 def live_counts_reference(total: int, pages: int) -> UInt32[np.ndarray, " n"]:
-    """Count live Gaussians per page (GPU buffers): the NumPy reference of ``live_counts.wgsl``."""
+    """Count the used rows of each buffer of Gaussians: the reference of ``live_counts.wgsl``."""
     first = np.arange(pages) * PAGE_ROWS
     return np.clip(total - first, 0, PAGE_ROWS).astype(np.uint32)

@@ -79,6 +79,9 @@ class PlaceSplats:
 def place_reference(
     keys: UInt32[np.ndarray, " n"], low: int, high: int, before: int
 ) -> UInt32[np.ndarray, " n"]:
-    """Return each Gaussian's splat index, or ABSENT: the reference of ``place_splats.wgsl``."""
+    """Return consecutive indices of a depth slab's Gaussians; 2³² − 1 marks all others.
+
+    The reference of ``place_splats.wgsl``: the first index is ``before``.
+    """
     is_in_slab = (keys >= low) & (keys < high)
     return np.where(is_in_slab, before + np.cumsum(is_in_slab) - 1, ABSENT).astype(np.uint32)

@@ -367,7 +367,7 @@ def project_reference(
 def depth_reference(
     depth: Float[np.ndarray, " n"],
 ) -> tuple[UInt32[np.ndarray, " n"], UInt32[np.ndarray, " n"]]:
-    """Split depths into float32 sort keys and sortable remainders, as ``exact_depth.wgsl`` must."""
+    """Return keys that sort depths (float32 and rounding error), as ``exact_depth.wgsl`` must."""
     high = depth.astype(np.float32)
     low = (depth - high.astype(np.float64)).astype(np.float32)
     bits = low.view(np.uint32)

@@ -50,7 +50,7 @@ class ProjectCells:
 def circle_reference(
     covariance: Float[np.ndarray, "n 2 2"], reach: float
 ) -> Float[np.ndarray, " n"]:
-    """Return radii in pixels of circles around groups of Gaussians: reference of ``circle.wgsl``.
+    """Return a circle's radius in pixels for each 2D covariance: reference of ``circle.wgsl``.
 
     Args:
         covariance: 2D covariances in pixels², with the dilation.
@@ -64,7 +64,7 @@ def circle_reference(
 def box_reference(
     mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of image tiles that a circle around Gaussians touches: ``cell_box.wgsl``.
+    """Return the mask of image tiles that a circle touches: the reference of ``cell_box.wgsl``.
 
     ``mean``, ``radius`` and the image ``size`` are in pixels; panoramas are not covered.
     """

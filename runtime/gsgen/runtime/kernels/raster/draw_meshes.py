@@ -72,7 +72,7 @@ class MeshesStep:
         background: Float[np.ndarray, "3"],
         stamps: PassTimestamps | None = None,
     ) -> None:
-        """Encode a render pass of the meshes over ``background``, and copies to an image layer."""
+        """Encode drawing meshes over ``background``, and copying the result to an image layer."""
         targets = [
             _cleared(self.color, (*background.tolist(), 0.0)),
             _cleared(self.surface, (0.0, 0.0, 0.0, 0.0)),
@@ -324,7 +324,7 @@ def _direction_reference(
 def _angles(
     uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
-    """Split the angles of rays into those of the pixel columns and those of the pixel rows."""
+    """Split ray directions into horizontal ones, by pixel column, and vertical ones, by row."""
     width, angles = int(uniform["size"][0]), rays.T.astype(np.float64)
     return angles[:, None, :width], angles[:, width:, None]
 

@@ -80,7 +80,7 @@ def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
 
 
 def mesh_rays(camera: Camera) -> Float32[np.ndarray, "n 2"]:
-    """Return the ray directions of all pixel columns, then of all pixel rows.
+    """Return the horizontal ray direction of each pixel column, then the vertical one of each row.
 
     In a panorama a direction is the sine and the cosine of an angle; elsewhere a slope and 0.
     """

@@ -37,5 +37,5 @@ class GatherKeys:
 def gather_reference(
     keys: UInt32[np.ndarray, " m"], order: UInt32[np.ndarray, " n"]
 ) -> UInt32[np.ndarray, " n"]:
-    """Return the second keys of splats in sorted order: the reference of ``gather_keys.wgsl``."""
+    """Gather the splats' second sort keys in sorted order: reference of ``gather_keys.wgsl``."""
     return np.asarray(keys[order])

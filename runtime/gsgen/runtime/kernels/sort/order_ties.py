@@ -1,4 +1,4 @@
-"""Sorts splats of equal depth keys by their depth remainders, then by their splat sets."""
+"""Sorts splats of equal float32 depth by the depth's rounding error, then by splat set."""
 
 __all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 
@@ -76,5 +76,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """Sort splats by depth key, low part of the depth and splat set: the shader's reference."""
+    """Sort splats by float32 depth, its rounding error and splat set, like ``order_ties.wgsl``."""
     return order[np.lexsort((origins[order], lows[order], keys))]

@@ -160,7 +160,7 @@ class RadixSort:
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """Return the indices of keys other than ABSENT, sorted by key: the reference of GPU sorts."""
+    """Return the indices of the drawn Gaussians, sorted by key: the reference of the GPU sorts."""
     present = np.flatnonzero(keys != ABSENT)
     order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
     return present[order].astype(np.uint32)

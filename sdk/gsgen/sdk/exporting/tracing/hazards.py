@@ -152,7 +152,7 @@ class Watch(TorchFunctionMode):
 
     @property
     def changes_module(self) -> bool:
-        """Whether the run changed an attribute, a parameter or a buffer of the torch module."""
+        """Whether the torch module changed its attributes, parameters or buffers while it ran."""
         return bool(self._undo)
 
     def undo(self) -> None:

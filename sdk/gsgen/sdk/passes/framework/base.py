@@ -38,7 +38,7 @@ class ErrorBudget:
 
     @property
     def bits(self) -> bool:
-        """Whether the outputs must stay the same bit for bit."""
+        """Whether the rewrite must keep all outputs bit for bit."""
         return self == BITS
 
     def describe(self) -> str:
@@ -128,7 +128,7 @@ class Rewrite(passes.InPlacePass):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite for a target runtime; None if the target does not need it."""
+        """Return the rewrite, set up for a target runtime; None if the target does not need it."""
         return cls()
 
     @classmethod
@@ -158,7 +158,7 @@ class NodeRewrite(Rewrite):
     """
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace every matching node of the model, those of subgraphs included."""
+        """Replace every node that the rewrite selects, also in subgraphs."""
         for node in [node for node in every_node(model) if self.matches(node)]:
             self.note(node)
             self.replace(node)
@@ -184,7 +184,7 @@ class ByTables(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite; None if the target runtime has no operator tables."""
+        """Return the rewrite for a runtime; None without a list of operators that it supports."""
         return cls(target) if target.tables else None
 
 
@@ -208,7 +208,7 @@ class WithinLimit(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite for a target GPU's binding limit; None without a limit."""
+        """Return the rewrite for the target GPU's maximum tensor count; None if not limited."""
         limit = target.limits.get(cls.limited_by)
         return None if limit is None else cls(limit)
 
@@ -237,7 +237,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return a node's operator variant for support tables, such as ``5d``; empty if usual."""
+        """Return which variant of its operator a node uses, such as ``5d``; empty by default."""
         return ""
 
 

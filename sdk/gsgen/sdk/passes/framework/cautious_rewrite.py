@@ -56,4 +56,4 @@ class CautiousNodeRewrite(CautiousRewrite, NodeRewrite):
 
     @abstractmethod
     def obstacle(self, node: ir.Node) -> str:
-        """Return the reason why a matching node cannot be replaced; empty if it can."""
+        """Return why the rewrite cannot replace a node; empty if it can."""

@@ -34,7 +34,7 @@ def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
 
 
 def fits_int32(span: Interval | None, most: int = _INT32[1]) -> bool:
-    """Return whether a value range fits int32 and a limit on the absolute value."""
+    """Return whether a value range lies within int32, and within −``most`` to ``most``."""
     if span is None or not all(math.isfinite(end) for end in span):
         return False
     return max(_INT32[0], -most) <= span[0] <= span[1] <= most

@@ -76,7 +76,7 @@ class ScatterTargets:
 
 
 def scatter_targets(node: ir.Node) -> ScatterTargets:
-    """Return the rows that a scatter updates; :func:`scatter_obstacle` proved that they are known."""
+    """Return the indices of the rows that a scatter with constant indices updates."""
     shape = required(fixed_shape(node.inputs[0]))
     indices = required(constant_of(node.inputs[1], largest=_LARGEST))
     if is_op(node, "ScatterND"):

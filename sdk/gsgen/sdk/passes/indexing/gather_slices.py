@@ -36,7 +36,7 @@ class GatherSlices(Substitute):
     kinds = frozenset({"GatherND", "Slice", "Split"})
 
     def variant(self, node: ir.Node) -> str:
-        """Return the variant of a GatherND or Slice for operator support tables; empty if usual."""
+        """Return the variant: GatherND of ``constant`` indices, ``backwards`` Slice, or empty."""
         if is_op(node, "GatherND"):
             return "constant" if constant_of(node.inputs[1]) is not None else ""
         steps = constant_of(node.inputs[4]) if len(node.inputs) > 4 else None

@@ -81,7 +81,7 @@ def _modulus_bits(node: ir.Node) -> int:
 
 
 def _has_xor(value: ir.Value | None) -> bool:
-    """Return whether an XOR computes a value, up to additions, casts and moved elements."""
+    """Return whether a value derives from an XOR through Adds, Casts, Reshapes and the like."""
     node = None if value is None else value.producer()
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
         return False

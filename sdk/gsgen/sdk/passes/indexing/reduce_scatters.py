@@ -66,7 +66,7 @@ def _reduction(node: ir.Node) -> str:
 
 
 def _groups(targets: ScatterTargets) -> np.ndarray:
-    """Return for each row of a scatter its index and those of its updates, padded with −1."""
+    """Return, per row of a scatter, its index and the indices of updates to it, padded with −1."""
     order = np.argsort(targets.flat, kind="stable")
     counts = np.bincount(targets.flat, minlength=targets.rows)
     groups = np.full((targets.rows, 1 + int(counts.max(initial=0))), -1, np.int64)

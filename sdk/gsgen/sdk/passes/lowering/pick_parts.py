@@ -73,7 +73,7 @@ def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: in
 
 
 def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
-    """Return the inputs of a Concat with the indices to gather from each; None if too many."""
+    """Divide a Gather's indices among a Concat's inputs; None if unknown or in too many pieces."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
     shapes = [fixed_shape(piece) for piece in join.inputs]
     axis = _axis(node)

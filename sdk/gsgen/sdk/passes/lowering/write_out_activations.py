@@ -69,7 +69,7 @@ class _Formula:
         return self.write.op(kind, *values)
 
     def where(self, test: str, bound: float, then: ir.Value, otherwise: ir.Value) -> ir.Value:
-        """Insert a Where that replaces an activation's argument x beyond a bound."""
+        """Insert a Where that returns ``then`` if x is beyond a bound, else ``otherwise``."""
         limit = self.number(bound)
         beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
         return self.write.op("Where", beyond, then, otherwise, dtype=self.x.dtype)

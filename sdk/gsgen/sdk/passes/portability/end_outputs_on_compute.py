@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 
 
 class EndOutputsOnCompute(Rewrite):
-    """Append Mul by one to every output that no computing operator writes.
+    """Append Mul by one to every output that is only a buffer copy, or a weight.
 
     Graph capture records kernels, not buffer copies. An output of Reshape, of a similar operator
     or of one that computes nothing repeats the first frame forever. An output that is a weight

@@ -40,7 +40,7 @@ class RestoreGuards(CautiousRewrite):
     exactness = ErrorBudget(repairs_nonfinite=True)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Guard every vector length that is a divisor and may be zero, subgraphs included."""
+        """Replace zeros by a tiny number in vector lengths that are divisors and may be zero."""
         for node in list(every_node(model)):
             divisor_index = _divisor_index(node)
             if divisor_index is None:
@@ -109,7 +109,7 @@ def _is_one_square(node: ir.Node) -> bool:
 
 
 def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
-    """Return the node that computes a value, ignoring reshapes and ineffective zero guards."""
+    """Return the node that computes a value, before reshapes and guards with a too small ε."""
     while value is not None:
         maker = value.producer()
         if maker is None:

@@ -53,7 +53,7 @@ class SplitLargeWeights(CautiousRewrite):
         return cls(target.limits.get("binding_bytes", _BINDING))
 
     def rewrite(self, model: ir.Model) -> None:
-        """Split weights of the main graph and of subgraphs; report large outputs."""
+        """Split weights that exceed the GPU's binding limit; report outputs that exceed it."""
         for graph in (model.graph, *model.graph.subgraphs()):
             for value in list(graph.initializers.values()):
                 if value.const_value is not None and value.const_value.nbytes > self.limit:
@@ -120,7 +120,7 @@ Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
 def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[int, Write] | str:
-    """Return the axis along which to split a node's weight and the rewriter, or why none exists."""
+    """Return the axis along which to split a weight, and a function that splits; else why not."""
     rank = rank_of(value) or 0
     # Case 1
     if is_op(node, "Gather") and input_index == 0 and rank_of(node.inputs[1]) is not None:

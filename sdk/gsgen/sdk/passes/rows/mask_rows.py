@@ -72,7 +72,7 @@ class MaskRows(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "MaskRows":
-        """Return the graph rewrite of boolean row masks for a target runtime."""
+        """Return the rewrite, set up with the name of the output that counts rows, if any."""
         declared = target.manifest
         known = declared.outputs.count if isinstance(declared, GeneratorManifest) else None
         return cls(known.name if known is not None else None)
@@ -109,7 +109,7 @@ class _Attempt:
         self.sources: list[ir.Node] = []
 
     def run(self) -> list[ir.Value | None]:
-        """Create all nodes with static shapes, and return the replacement of each graph output.
+        """Create static-shape nodes for a whole graph; return each graph output's replacement.
 
         Raises :class:`Blocked` if a node mixes rows, or its shape would still vary.
         """

@@ -28,7 +28,7 @@ class RowDraft(DetachedGraph):
         self._orders: dict[Mask, RowOrder] = {}
 
     def order(self, mask: Mask) -> RowOrder:
-        """Return the order that puts the rows a mask selects first, computed by shared nodes."""
+        """Return a row order that puts the rows selected by a mask first; created once per mask."""
         mask = mask.unrepeated
         if mask not in self._orders:
             self._orders[mask] = draft_order(self, self.boolean_mask(mask), mask.size)

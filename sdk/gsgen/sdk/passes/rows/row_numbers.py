@@ -105,7 +105,7 @@ def _parts(value: ir.Value | None, fact: Fact | None) -> tuple[np.ndarray, np.nd
 
 
 def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | None:
-    """Return equal rows that a node creates: one per selected row, or filler up to a capacity."""
+    """Return the rows of a constant fill: one per selected row, or filler rows up to a capacity."""
     value = _constant_of_fill(node)
     sizes, factor = shape.constant, shape.factor
     if value is None or factor.ndim != 1 or value.ndim > len(sizes):

@@ -149,7 +149,7 @@ class _Plan:
         )
 
     def build(self) -> None:
-        """Replace the group by nodes on single columns; join columns that other nodes read."""
+        """Replace connected nodes by nodes on single columns; join columns read elsewhere."""
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
@@ -245,7 +245,7 @@ def _write_operator(
 
 
 def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
-    """Split a tensor from another part of the graph into columns of shape [rows].
+    """Split a tensor computed outside the rewritten nodes into columns of shape [rows].
 
     Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """

@@ -28,7 +28,7 @@ class MakeDefaultsExplicit(NodeRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite; None if the target runtime has no operator tables."""
+        """Return the rewrite for a runtime; None without a list of operators that it supports."""
         return cls() if target.tables else None
 
     def matches(self, node: ir.Node) -> bool:

@@ -114,7 +114,7 @@ def _part_of_shape(node: ir.Node) -> np.ndarray | None:
 
 
 def _size_of_table(node: ir.Node, inputs: list[np.ndarray | None]) -> int:
-    """Return the number of elements that a folded shape constant will have."""
+    """Return how many elements the result of a ConstantOfShape, Expand or Range will have."""
     numbers = [0.0 if array is None else array.reshape(-1) for array in inputs]
     if is_op(node, "ConstantOfShape", "Expand"):
         return int(np.prod(np.maximum(numbers[-1], 0), dtype=np.float64))

@@ -38,7 +38,7 @@ class FreezeDimensions(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "FreezeDimensions | None":
-        """Return the graph rewrite if the user gave sizes of symbolic dimensions."""
+        """Return the rewrite, with the user's sizes of symbolic dimensions; None without sizes."""
         return cls(target.sizes) if target.sizes else None
 
     def rewrite(self, model: ir.Model) -> None:
