@@ -120,7 +120,7 @@ def _keep(
 
 
 def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
-    """Return the probes (sets of test inputs) that a rule's findings name, or else a default."""
+    """Return the probes (sets of test inputs) that findings name, or else one probe of the plan."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
     matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]

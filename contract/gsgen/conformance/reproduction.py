@@ -1,4 +1,4 @@
-"""Reproduces a broken rule: checks it on one set of test inputs, and returns offending rows."""
+"""Reproduces a broken rule: checks it on one set of inputs, returns the Gaussians that break it."""
 
 __all__ = ["NotJudged", "Reproduction", "Row", "reproduce"]
 
@@ -101,7 +101,7 @@ _SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "th
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
-    """Check one rule, and the rules that it depends on, up to the rule's validation level."""
+    """Check one rule together with the rules that it depends on; return the validation report."""
     registry = installed_rules()
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)
@@ -123,7 +123,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
 def _look(
     path: Path, rule: Rule, settings: Settings, findings: tuple[Finding, ...], dump: Path | None
 ) -> tuple[Row, ...]:
-    """Run the model again with the inputs that findings name; return and save offending rows."""
+    """Rerun a model on inputs that break a rule; save the runs, and return invalid Gaussians."""
     if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
     subject, plan = plan_for(path, settings)
@@ -141,7 +141,7 @@ def _save(rerun: Replay, dump: Path | None) -> None:
 
 
 def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
-    """Return the rows of Gaussians that violations name, as the model outputs them for an input."""
+    """Return the Gaussians that findings report as invalid, read from one run of the model."""
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()

@@ -48,14 +48,14 @@ class Replay:
     settings: Settings
 
     def outputs(self, probe: int) -> Arrays:
-        """Return the outputs of the run with a set of test inputs; empty without a finished run."""
+        """Return the outputs of the run with a set of test inputs; empty if it did not finish."""
         for run in self.execution.runs:
             if run.probe == probe:
                 return self.execution.samples[run.sample].outputs
         return {}
 
     def emission(self, probe: int) -> ModelOutputs:
-        """Return the model outputs for a set of test inputs, in the form that value rules check."""
+        """Return the model outputs for a set of test inputs, assigned to their declared roles."""
         run_probe = self.probes[probe]
         return read_outputs(
             self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros

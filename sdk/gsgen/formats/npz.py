@@ -29,9 +29,9 @@ _COLORS = "colors"
 
 
 def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | PackedRows:
-    """Read the packed rows, or else the coloured points, of the .npz archive at ``path``.
+    """Read the packed Gaussians, or else the coloured points, of the .npz archive at ``path``.
 
-    Packed rows are ``gaussians`` [n, 10] and ``appearance`` [n, c] in float16 or float32, which
+    The first are ``gaussians`` [n, 10] and ``appearance`` [n, c] in float16 or float32, which
     is kept. Points are ``colors`` [n, 3] in uint8 or in floats from 0 to 1, and one of
     ``points``, ``xyz`` and ``means3d`` [n, 3]; both become float32. Other arrays are ignored.
 

@@ -44,12 +44,12 @@ class GeneratorConformance:
 
     @pytest.fixture
     def target(self) -> str | None:
-        """Pytest fixture: the target runtime; None takes pytest's option or gsgen's default."""
+        """Pytest fixture: the target runtime; None means the pytest option or gsgen's default."""
         return None
 
     @pytest.fixture
     def level(self) -> str | None:
-        """Pytest fixture: the validation level; None takes pytest's option or gsgen's default."""
+        """Pytest fixture: the depth of validation; None means the pytest option or the default."""
         return None
 
     @pytest.fixture
@@ -99,7 +99,7 @@ class GeneratorConformance:
 
 
 def _home(rule: Rule) -> str:
-    """Return the name of the suite that tests a contract rule on a full-featured ONNX generator."""
+    """Return the name of the first suite that tests a rule, on a generator if the rule allows."""
     is_generator = GENERATOR in rule.kinds
     suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))

@@ -57,7 +57,7 @@ _OPTIONS = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Add the models to the collected paths; without other paths, only models are collected."""
+    """Add models named with ``--gsgen`` to pytest's paths; without other paths, test only those."""
     config.addinivalue_line("markers", f"{_MARK}(request): give a test each rule of some models")
     models = [str(Path(name)) for name in config.getoption("--gsgen")]
     if not models:

@@ -130,7 +130,7 @@ _BENCH = pytest.StashKey[ConformanceSession]()
 
 
 def prepare(run: ModelRun, case: Case) -> None:
-    """Raise before a test if its rule crashed, so that pytest reports an error, not a failure."""
+    """Raise if the check of a test's rule crashed: pytest reports an error, not a failure."""
     if case.status == "crashed":
         pytest.fail(run.text(case), pytrace=False)
 

@@ -53,7 +53,7 @@ def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestRepo
 
 
 def _subject(item: pytest.Item) -> object:
-    """Return a key of the model that a test uses: its class and the parameters of its fixtures."""
+    """Return a key of the model that a test uses: the test's class and fixture parameters."""
     indices = getattr(getattr(item, "callspec", None), "indices", {})
     remaining = sorted((name, index) for name, index in indices.items() if name != "rule")
     return getattr(item, "cls", None), tuple(remaining)

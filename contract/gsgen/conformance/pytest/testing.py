@@ -1,4 +1,4 @@
-"""The decorator and the ``check`` object for authors of pytest tests of plugins.
+"""Parametrizes pytest tests of plugins by models and rules, each with a ``check`` to call.
 
 Needs pytest: ``pip install 'gsgen[conformance]'``.
 """

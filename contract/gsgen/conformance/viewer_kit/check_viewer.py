@@ -82,7 +82,7 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
 
 
 def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, Any]]:
-    """Return viewer faults whose test cases all failed; a fault with a superset of cases wins."""
+    """Return viewer faults whose test cases all failed, except subsets of another such fault."""
     whole = {
         fault["id"]: set(fault["cases"])
         for fault in index["faults"]

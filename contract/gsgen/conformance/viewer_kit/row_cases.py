@@ -62,7 +62,7 @@ def _growing() -> ModelSpec:
 
 
 def _decoy() -> ModelSpec:
-    """Return a model whose first output is shaped like Gaussians; the manifest names the second."""
+    """Return a model whose first output looks like Gaussians; its manifest names the second."""
     model = still(8)
     rows = model.weights["rows"]
     moved = np.array(rows)

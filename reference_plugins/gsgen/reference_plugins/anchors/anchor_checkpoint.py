@@ -275,7 +275,10 @@ def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
 
 
 def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
-    """Read the feature bank network; inputs are direction and distance, in Octree-GS also level."""
+    """Read the feature bank: a network that weights three resolutions of an anchor's features.
+
+    Inputs are direction and distance; of Octree-GS, direction and, if trained with it, level.
+    """
     path, state = states["bank"]
     if not sizes.direction:
         message = "use_feat_bank is True, but the networks have no direction as input"

@@ -108,7 +108,7 @@ class AnchorGenerator(GaussianGenerator):
 
     @property
     def hides_anchors(self) -> bool:
-        """Whether the anchor-based method itself hides anchors from some cameras."""
+        """Whether the published method hides anchors from some cameras, as levels of detail do."""
         return False
 
     def forward(self, camera: Float[Tensor, "4 4"], *extra_inputs: Tensor) -> Gaussians:
@@ -166,7 +166,7 @@ class AnchorGenerator(GaussianGenerator):
         return opacity
 
     def cells(self, frame: Decoding) -> Cells | None:
-        """Return anchors as cells (groups of Gaussians) to be summed; None for depth sorting."""
+        """Return the groups of Gaussians for blending by weighted sums; None for depth sorting."""
         return None
 
     def _combined_share(

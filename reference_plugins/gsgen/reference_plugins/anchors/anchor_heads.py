@@ -1,4 +1,4 @@
-"""Evaluates the networks of anchor methods with constant shapes.
+"""Decodes anchors by networks, in tensors whose shapes do not depend on the camera.
 
 The published code selects anchors in view and Gaussians of positive opacity, so that its shapes
 depend on the camera. Here every anchor is decoded, and those not selected get
@@ -32,7 +32,7 @@ class Decoded:
 
 @dataclass(frozen=True, slots=True)
 class AnchorViews:
-    """Direction and distance of N anchors from the camera, and the appearance."""
+    """Direction and distance of N anchors from the camera, and the appearance embedding's index."""
 
     direction: Float[Tensor, "n 3"]  # unit vectors from the camera, [N, 3]
     distance: Float[Tensor, "n 1"]  # distances from the camera, [N, 1]
@@ -40,7 +40,7 @@ class AnchorViews:
 
 
 class _Layers(nn.Module):
-    """Two dense layers with ReLU between them; the second returns its outputs in equal parts.
+    """Two dense layers with ReLU between them; the outputs are split into equal parts.
 
     Each part is a product of its own, because columns of one wide product would need copies.
     """
@@ -94,7 +94,7 @@ class AnchorHeads(nn.Module):
 
     @property
     def appearances(self) -> int:
-        """The number of selectable appearances; 0 if there is at most one."""
+        """The number of appearance embeddings to choose from; 0 if there is at most one."""
         appearance_bias = self.appearance_bias
         if appearance_bias is None or appearance_bias.shape[0] == 1:
             return 0
@@ -112,7 +112,7 @@ class AnchorHeads(nn.Module):
         return _Layers(torch.cat(hidden, dim=1), mlp, self.per_anchor, parts)
 
     def _appearance_bias(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
-        """Return the colour network's first bias per appearance; None without appearances."""
+        """Return the colour network's first bias per appearance embedding; None without any."""
         if nets.embedding is None:
             return None
         rows = nets.embedding if appearance is None else nets.embedding[appearance][None]

@@ -117,7 +117,7 @@ class DuplexGS(AnchorGenerator):
     def renderer_opacity(
         self, opacity: Float[Tensor, "n k"], frame: Decoding
     ) -> Float[Tensor, "n k"]:
-        """For weighted blending, multiply opacities by the cells' visibility and depth falloff."""
+        """In weighted blending, multiply opacities by depth falloff and ellipsoid visibility."""
         if not self.weighted:
             return opacity
         opacity = opacity * self._visibility(frame)
@@ -128,7 +128,7 @@ class DuplexGS(AnchorGenerator):
         return opacity * (1 - depth / self.sigma).clamp(0.0, 1.0)
 
     def cells(self, frame: Decoding) -> Cells | None:
-        """Return the cells as ellipsoids, with the mean rotation of their Gaussians."""
+        """Return an ellipsoid per group of Gaussians, with the mean rotation of these Gaussians."""
         if self.weighted_sum is None:
             return None
         visibility = self._visibility(frame)

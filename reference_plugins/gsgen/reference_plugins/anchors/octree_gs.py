@@ -146,7 +146,7 @@ class OctreeGS(AnchorGenerator):
         selection: Selection = Selection(),  # noqa: B008
         half_cell: bool = True,
     ) -> None:
-        """Build the generator model; ``half_cell`` measures distances to the middle of a cell."""
+        """Build the model; with ``half_cell``, distances are measured to octree cell centres."""
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels, half_cell=half_cell)
 

@@ -73,7 +73,10 @@ class ActorInputs:
         return body_inputs
 
     def actor_from(self, tensors: Sequence[Tensor]) -> Actor:
-        """Assemble an :class:`Actor` from the input tensors of one frame, in declared order."""
+        """Assemble pose, rotation, translation and shape of all bodies from one frame's tensors.
+
+        The tensors have the order of :meth:`declared`.
+        """
         remaining = list(tensors)
         shape = remaining.pop() if self.shape else None
         inputs_per_body = len(remaining) // self.bodies

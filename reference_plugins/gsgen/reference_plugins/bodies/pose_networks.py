@@ -71,7 +71,7 @@ def _width(weight: Any) -> int | None:
 
 
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
-    """Return offsets of the logarithms of skinning weights at given points, in float64."""
+    """Return GauHuman's learnt offsets to the log of skinning weights at points, in float64."""
     first = hidden = positional_encoding(points.double(), POINT_OCTAVES)
     *inner, last = nets.weights
     for index, (weight, bias) in enumerate(inner):

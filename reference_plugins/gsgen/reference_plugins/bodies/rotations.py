@@ -59,7 +59,7 @@ def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
 def nearest_rotation(
     matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Return the rotation nearest to each matrix; the identity for Gaussians that must not turn."""
+    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1."""
     rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
@@ -84,7 +84,7 @@ def nearest_rotation(
 def _larger(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the larger of two numbers in each row, and the quaternion that belongs to it."""
+    """Return in each row the higher of two scores, and the quaternion that has this score."""
     first = a >= b
     quaternion = torch.where(first[:, None], quaternion_a, quaternion_b)
     return torch.maximum(a, b), quaternion

@@ -66,7 +66,7 @@ def transform_points(
 def multiply_matrices(
     first: Float[Tensor, "k 3 c n"], second: Float[Tensor, "*k 3 3 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Multiply two 3×3 matrices per Gaussian; further columns in ``first`` are ignored."""
+    """Multiply two 3×3 matrices per Gaussian; a translation column in ``first`` is ignored."""
     product = first[:, :, 0:1] * second[:, 0:1]
     for axis in (1, 2):
         product = product + first[:, :, axis : axis + 1] * second[:, axis : axis + 1]

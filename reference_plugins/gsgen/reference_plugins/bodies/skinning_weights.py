@@ -121,9 +121,9 @@ class SurfaceGaussians(nn.Module):
         _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Return the Gaussians' skinning weights, and the other tensors that skinning reads.
+        """Return Gaussians' skinning weights, neutral positions and matrices, rigidity, and R S.
 
-        These are neutral positions and matrices, rigidity, and R S (rotation times scale).
+        R S is rotation times scale, a square root of the covariance.
         """
         back = (self.near @ self.transforms).transpose(0, 1)
         back = torch.index_select(back, 1, self.vertex).reshape(1, 3, 4, -1)

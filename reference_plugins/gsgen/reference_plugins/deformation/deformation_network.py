@@ -21,7 +21,7 @@ from gsgen.reference_plugins.tensors.positional_encoding import (
 
 
 class _SplitLayer(nn.Module):
-    """A dense layer with separate weights for point, time and hidden inputs; time is one row."""
+    """A dense layer of point, time and hidden inputs; all points share one row of time inputs."""
 
     def __init__(self, weight: Tensor, bias: Tensor, point_inputs: int, time: int) -> None:
         super().__init__()

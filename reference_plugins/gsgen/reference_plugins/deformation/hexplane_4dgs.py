@@ -101,7 +101,7 @@ class HexPlane4DGS(GaussianGenerator):
         return moved
 
     def _rotation(self, hidden: Tensor) -> list[Tensor]:
-        """Return the deformed quaternions, one tensor per component, without voxel grid factors."""
+        """Return the deformed quaternions, one tensor per component; no voxel grid scales them."""
         rotation = planes_of(self.rotation)
         if "rotations" not in self.heads:
             return rotation

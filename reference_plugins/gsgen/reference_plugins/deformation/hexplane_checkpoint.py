@@ -51,7 +51,10 @@ class Flags:
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "Flags":
-        """Read the active parts of the networks from training options, with published defaults."""
+        """Read from 4DGaussians' training options which parts of its networks are active.
+
+        An absent option has the default of the published code.
+        """
         if cfg.flag("no_grid"):
             hint = "The published code fails with it, too."
             raise CheckpointInvalid(
@@ -215,7 +218,7 @@ def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
 
 
 def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return a checkpoint's voxel grid, and the grid's corners or else the hexplane's corners."""
+    """Return a checkpoint's voxel grid and its two corners, by default those of the hexplane."""
     upper, lower = read["grid.aabb"]
     low = read.get("empty_voxel.xyz_min", lower)
     return read["empty_voxel.grid"][0, 0], low, read.get("empty_voxel.xyz_max", upper)

@@ -26,14 +26,14 @@ from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 def _cell_below(
     along: Float[Tensor, " n"], cells: int
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 1"]]:
-    """Return the grid cell below a coordinate in [0, 1], and the weight of the next grid cell."""
+    """Split coordinates in [0, 1] into the lower grid index and the interpolation weight."""
     coordinate = (along * float(cells - 1)).clamp(0.0, float(cells - 1))
     below = torch.floor(coordinate).clamp(max=float(cells - 2))
     return below, (coordinate - below)[:, None]
 
 
 class _CellIndex(nn.Module):
-    """Computes the grid cell below each point, and the interpolation weight of the next cell."""
+    """Splits coordinates in [0, 1] into the lower grid index and the interpolation weight."""
 
     def __init__(self, cells: int) -> None:
         super().__init__()

@@ -207,7 +207,7 @@ class Downsample(nn.Module):
     """Halves the resolution by a convolution of stride 2."""
 
     def __init__(self, channels: int, padding: int = 1) -> None:
-        """Create a convolution; without padding, the image gets a row and a column of zeros."""
+        """Create a convolution; if ``padding`` is 0, zeros extend the right and bottom edges."""
         super().__init__()
         self.behind = padding == 0
         self.conv = nn.Conv2d(channels, channels, 3, stride=2, padding=padding)

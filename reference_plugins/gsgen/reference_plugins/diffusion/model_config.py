@@ -69,7 +69,7 @@ class ModelConfig:
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
-        """Return a neural network option as an integer per resolution level, of one or of each."""
+        """Return an integer option per resolution level; a single number counts for all levels."""
         if not isinstance(self.values.get(name), list):
             return (self.integer(name, default),) * levels
         numbers = self.integers(name)

@@ -135,7 +135,7 @@ class GaussianAvatars(GaussianGenerator):
     def _triangles(
         self, vertices: Float[Tensor, "u 3"]
     ) -> tuple[Float[Tensor, "f 3 3"], Float[Tensor, "f 3"]]:
-        """Return scale times orientation of each triangle, and its centre."""
+        """Return each triangle's rotation times the mean of base and height, and its centroid."""
         a, b, c = (
             vertices.index_select(0, index)
             for index in (self.corner_0, self.corner_1, self.corner_2)

@@ -124,7 +124,7 @@ class Denoiser(PostProcess):
         return result
 
     def _signal_and_noise_at(self, timestep: Tensor | None) -> tuple[Share, Share]:
-        """Return √ᾱ and √(1 − ᾱ) of the diffusion timestep, rounded to an existing one."""
+        """Return √ᾱ and √(1 − ᾱ) at a timestep, rounded to the nearest step of the schedule."""
         if timestep is None:
             return self.fixed
         whole = torch.floor(timestep + 0.5).clamp(0.0, float(len(self.table) - 1))

@@ -112,7 +112,7 @@ def _set_identity(coder: Autoencoder) -> None:
 
 
 def _set_blotch_removal(unet: UNet, scale: float) -> None:
-    """Set the U-Net to predict x₀ = −f(d): the soft contrasts f of a latent's detail d, negated.
+    """Set the U-Net to predict the clean latent x₀ = −f(d), for a nonlinear f of fine detail d.
 
     d is the latent x minus the mean of four pixels. Groups of eight hold x, −x, four times d, K and
     −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
@@ -150,7 +150,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
 
 
 def _skips() -> Iterator[tuple[str, Tensor]]:
-    """Yield the weights of Difix's skip connections: zeros, and a LoRA that copies the image."""
+    """Yield weights of Difix's skip connections: zeros, and a LoRA that adds the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"
         down, up = torch.zeros(_RANK, _WIDTH, 1, 1), torch.zeros(_WIDTH, _RANK, 1, 1)
@@ -172,7 +172,7 @@ def _fix(bias: Float[Tensor, " o"], color: int) -> None:
 
 
 def _read_out(weights: Weights, part: str) -> None:
-    """Set the U-Net's output layer to compute each colour from a pair of channels with x and −x."""
+    """Set the output layer to recover each colour x from the SiLU of two channels, x and −x."""
     for color in range(COLORS):
         pair = slice(4 * color, 4 * color + 2)
         weights[f"{part}.conv_norm_out.weight"][pair] = _LARGE / math.sqrt(2)

@@ -87,7 +87,7 @@ def last_iteration(folder: Path) -> Path:
 
 
 def likely_folders(folder: Path, is_right: Callable[[Path], bool]) -> str:
-    """Return a hint that names matching folders at most two levels above or below ``folder``."""
+    """Return a hint with the folders for which ``is_right`` is true, up to two levels away."""
     candidates = [*folder.absolute().parents[:_LEVELS], *islice(_below(folder), _MOST_LOOKED_AT)]
     matches: list[Path] = []
     for candidate in candidates:

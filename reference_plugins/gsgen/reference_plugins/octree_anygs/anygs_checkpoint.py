@@ -41,7 +41,7 @@ _COLORS = ("logit_opacity", "sh")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplicitColors:
-    """Opacities and colours stored at anchors of one Gaussian each, instead of networks."""
+    """Opacities and SH colours stored for each Gaussian, not decoded by networks."""
 
     logit_opacity: Float[Tensor, "n 1"]
     sh: Float[Tensor, "n k 3"]
@@ -85,7 +85,7 @@ def read_anygs(folder: Path, iteration: int | None = None) -> AnyGSCheckpoint:
 
 
 def _model_options(cfg: CfgArgs) -> CfgArgs:
-    """Return the options in ``model_config`` together with those of the training run."""
+    """Merge the model's options, nested in ``model_config``, into the other training options."""
     config = cfg.values.get("model_config")
     if not isinstance(config, dict) or not isinstance(config.get("kwargs"), dict):
         message = "model_config is missing, or has no kwargs"
@@ -100,7 +100,7 @@ def _model_options(cfg: CfgArgs) -> CfgArgs:
 
 
 def _levels(cfg: CfgArgs, ply: Path) -> Levels:
-    """Return the levels of detail of a PLY, from the distance and count in its header."""
+    """Return the levels of detail: their number and reference distance are in the PLY header."""
     words = [line.split() for line in ply_infos(ply)]
     infos = {entry[0]: entry[1] for entry in words if len(entry) == 2}
     try:

@@ -75,7 +75,7 @@ class Appearance(nn.Module):
     """R3-Avatar's decoder of Gaussian attributes, with the hexplane that the decoder reads."""
 
     def __init__(self, read: R3Checkpoint, poses: Sequence[int]) -> None:
-        """Bake the values of R3-Avatar's hexplane that do not depend on the frame.
+        """Precompute the values of R3-Avatar's hexplane that do not depend on the frame.
 
         The time of a pose is id / origin − 1.
         """

@@ -75,7 +75,7 @@ class R3Avatar(GaussianGenerator):
         novel: bool = False,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Bake an R3-Avatar checkpoint; find the nearest body vertices in every training frame.
+        """Compute R3-Avatar's values for all training frames, such as the nearest body vertices.
 
         ``poses`` has the pose id of each frame; other options are as in GauHuman. With ``novel``,
         each part of the only body has a frame of its own. ``progress`` is called with the number of
@@ -163,14 +163,14 @@ class R3Avatar(GaussianGenerator):
         )
 
     def _look(self, frame: Int[Tensor, "1"]) -> _Look:
-        """Return decoded values, scales and nearest vertices of Gaussians in a training frame."""
+        """Return Gaussians' decoded attributes, scales and nearest vertices in a training frame."""
         attributes = self.appearance(frame)
         scale = attributes[3:6] * attributes[3:6]
         vertex = torch.index_select(self.vertex.to(torch.int32), 0, frame).reshape(-1)
         return attributes, scale, vertex
 
     def _mixed_look(self, frames: tuple[Int[Tensor, "1"], ...]) -> _Look:
-        """Return the Gaussians' appearance if each part of the body shows its own video frame.
+        """Return Gaussian attributes blended from several training frames, one for each body part.
 
         As in the published code, the last part's frame determines the weights of the parts. Of the
         vertices that are nearest in one of the frames, the one nearest to the mixed offset counts.

@@ -64,7 +64,7 @@ class FeaturePasses(MovingSplats):
         self.register_buffer("gain", (1 / scale.width).reshape(_PASSES, 1, 3))
 
     def forward(self, time: Float[Tensor, "1"], features: Float[Tensor, "1"]) -> Gaussians:
-        """Return the Gaussians at a given time, with the selected features in place of colours."""
+        """Return the Gaussians at a time, coloured by the three features that an input selects."""
         dt, position, opacity, covariance = self.moved(time)
         groups = [self.features[:, i : i + 3] for i in range(0, _FEATURES, 3)]
         groups[-1] = dt * groups[-1]

@@ -50,7 +50,10 @@ class MovingSplats(GaussianGenerator, ABC):
         self.register_buffer("rate", rate.float())
 
     def moved(self, time: Float[Tensor, "1"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return time offsets, centres, opacities and covariances' upper triangles at a time."""
+        """Return time offsets, centres, opacities and covariances of the Gaussians at a given time.
+
+        Of the covariances, the upper triangles are returned.
+        """
         dt = time.reshape(1, 1) - self.temporal_centre
         distance = dt * self.rate
         opacity = self.opacity * torch.exp(-(distance * distance))

@@ -117,7 +117,7 @@ class Rotor4DGS(GaussianGenerator):
         prefilter: float = 0.0,
         color: Literal["sh", "rgb"] = "sh",
     ) -> None:
-        """Compute the constants from which the 3-D slice at any time follows.
+        """Compute the constants that give the 3-D slices of 4-D Gaussians at any time.
 
         Args:
             splats: The 4-D Gaussians.
@@ -167,7 +167,10 @@ class Rotor4DGS(GaussianGenerator):
 
 
 def _brightest(splats: RotorSplats) -> float:
-    """Return a bound of SH colours, in tenths: |Σ Y c| ≤ ‖c‖ √((2l + 1) / 4π) by degree l."""
+    """Return an upper bound of the Gaussians' RGB in any direction, rounded up to a tenth.
+
+    For each degree l, |Σ Y c| ≤ ‖c‖ √((2l + 1) / 4π).
+    """
     largest = splats.sh.abs()
     if splats.changing_sh.shape[1]:
         largest = largest + splats.changing_sh.abs().sum(dim=1)

@@ -68,7 +68,7 @@ def build(
 def _model(
     read: "SpacetimeCheckpoint", time: Input, decode: str | None, size: str
 ) -> "GaussianGenerator | PostProcess":
-    """Return the model that the option --decode selects; raise if the checkpoint lacks it."""
+    """Return the generator or, for --decode decoder, the post-process that decodes features."""
     from gsgen.reference_plugins.loading.errors import NotInCheckpoint
     from gsgen.reference_plugins.spacetime.feature_decoding import (
         FeaturePasses,

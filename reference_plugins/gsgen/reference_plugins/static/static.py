@@ -48,7 +48,7 @@ class StaticScene(ConstantSource):
     antialias: Literal["classic", "mip"] | None = None
 
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the packed Gaussians of a splat file, with the SH degree that a viewer reads."""
+        """Pack the Gaussians of a splat file for ONNX; ``target`` may require an SH degree."""
         sh_degree, content = self.sh_degree, self.content
         if sh_degree is None and isinstance(content, Splats):
             sh_degree = REQUIRED_DEGREES.get(target)
@@ -74,7 +74,7 @@ def from_content(
     appearance: Literal["sh", "rgb"] | None = None,
     sh_degree: int | None = None,
 ) -> ConstantRows:
-    """Convert the content of a splat file, point cloud or file of packed rows to packed rows.
+    """Convert splats, points or packed Gaussians of a file to constant outputs for an ONNX model.
 
     Packed rows pass through unchanged. ``dtype`` is float32, or that of packed rows, by default,
     and RGB is the default of ``appearance``. Points get SH if ``sh_degree`` is present, else RGB;

@@ -23,7 +23,7 @@ class Constants(nn.Module):
     def __init__(
         self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"
     ) -> None:
-        """Compute a module's constant outputs; store the outputs, or instead the module's buffers.
+        """Store a module's constant outputs, or instead the buffers that they are computed from.
 
         Args:
             make: Module that returns a tuple of tensors, computed from its buffers.
@@ -45,7 +45,7 @@ class Constants(nn.Module):
             self.register_buffer(f"made_{index}", tensor.contiguous())
 
     def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """Return a module's constant tensors, computed from smaller tensors if not stored."""
+        """Return the constant tensors, either stored or recomputed from the module's buffers."""
         if self.make is None:
             return tuple(getattr(self, f"made_{index}") for index in range(self.count))
         results: tuple[Tensor, ...] = self.make(*arguments)

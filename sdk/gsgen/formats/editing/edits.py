@@ -40,7 +40,7 @@ class Option:
 @final
 @dataclass(frozen=True, slots=True)
 class ParsedEdit:
-    """A splat edit from a command-line option, which raises if no splat is left.
+    """A function that edits splats, parsed from an option; it raises if no splat is left.
 
     Attributes:
         text: The option and its value.
@@ -123,7 +123,7 @@ OPTIONS: Final[dict[str, Option]] = {
 
 
 def parse_edit(name: str, text: str) -> ParsedEdit:
-    """Return the splat edit ``name`` with a parsed value.
+    """Parse a splat edit, such as ``scale`` with the value ``2``, into a function of splats.
 
     Raises:
         ValueInvalid: The value has another form.

@@ -38,7 +38,7 @@ class PlyTable:
 
     @property
     def row_bytes(self) -> int:
-        """The bytes of a row of the PLY file."""
+        """The size in bytes of one row of the PLY file."""
         return 4 * len(self.columns)
 
 

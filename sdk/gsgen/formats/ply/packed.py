@@ -56,7 +56,10 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
 def _boxes(
     data: mmap.mmap, header: Header, element: Element, count: int
 ) -> Float32[np.ndarray, "n b"]:
-    """Return the bounding box of each splat's chunk; files before 2024 have no colour boxes."""
+    """Return the bounds of each splat's chunk in a compressed PLY; old files bound no colours.
+
+    Colour bounds came in 2024.
+    """
     names = rows.BOX if rows.BOX[-1] in element.types else _OLD_BOX
     columns = _columns(data, header, element, names, "f4")
     return np.repeat(np.stack(columns, axis=1), rows.CHUNK, axis=0)[:count]
@@ -98,7 +101,7 @@ def _element(header: Header, name: str) -> Element:
 def _columns(
     data: mmap.mmap, header: Header, element: Element, names: Sequence[str], code: str
 ) -> list[Shaped[np.ndarray, " n"]]:
-    """Return the columns ``names`` of a PLY element; raise if their type is not ``code``."""
+    """Return PLY columns ``names``; raise if one is missing or not of the scalar type ``code``."""
     wrong = [name for name in names if element.types.get(name) != code]
     if wrong or element.has_lists:
         kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}

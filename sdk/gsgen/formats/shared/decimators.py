@@ -12,7 +12,7 @@ Decimator = Callable[[Splats, int], Splats]
 
 
 def decimated(splats: Splats, count: int) -> Splats:
-    """Return at most ``count`` merged splats that look like all of them.
+    """Merge ``splats`` into at most ``count`` splats with a similar rendered image.
 
     Raises:
         NotSupported: No installed package merges splats.

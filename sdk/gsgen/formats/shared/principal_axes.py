@@ -49,10 +49,10 @@ def scales_and_quaternions(
 def _diagonalised(
     covariance: Float[np.ndarray, "n 6"], scratch: Float64[np.ndarray, "4 m"]
 ) -> Float64[np.ndarray, "10 n"]:
-    """Return [10, n]: eigenvalues of covariances, three zeros, and quaternions of the eigenvectors.
+    """Return eigenvalues, and eigenvectors as quaternions, of 3×3 covariances.
 
     Jacobi's method (1846): each turn about an own axis makes the entry of the other two axes zero.
-    The quaternions are not normalised.
+    Rows 3 to 5 of the result become zeros; the quaternions are not normalised.
     """
     count = len(covariance)
     state = np.zeros((10, count))  # three on the diagonal, yz xz xy, w x y z
@@ -73,7 +73,10 @@ def _diagonalised(
 
 
 def _sweep(state: Float64[np.ndarray, "10 n"], scratch: Float64[np.ndarray, "4 n"]) -> None:
-    """Apply one Jacobi rotation about each axis, in place: new arrays would take longer."""
+    """Apply one Jacobi rotation about each axis to covariance matrices, in place.
+
+    New arrays would take longer.
+    """
     diagonal, between, turn = state[:3], state[3:6], state[6:]
     first, tangent, length, second = scratch
     for axis in range(3):
@@ -110,8 +113,9 @@ def _turn_about(
     tangent: Column,
     scratch: Float64[np.ndarray, "4 n"],
 ) -> None:
-    """Multiply quaternions from the right by 1 − t e: t = tan(θ / 2), for angle θ and axis e.
+    """Rotate quaternions by −θ about one of their own axes; ``tangent`` is tan(θ / 2).
 
+    The right factor is 1 − tan(θ / 2) e, for axis e; the product is not normalised.
     ``tangent`` may be the second column of ``scratch``.
     """
     first, _, second, _ = scratch

@@ -1,4 +1,4 @@
-"""The data classes of splats, points and packed rows that readers and writers share."""
+"""The data classes of splats, points and packed Gaussians that readers and writers share."""
 
 import math
 from dataclasses import dataclass

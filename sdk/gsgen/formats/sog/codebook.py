@@ -58,7 +58,7 @@ def codes(
 
 
 def _companded(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
-    """Return initial codebook numbers, spaced by the cube root of the values' density."""
+    """Return an initial codebook for ``values``, spaced by the cube root of their density."""
     ranks = np.linspace(0, len(ascending) - 1, _KNOTS + 1).astype(np.int64)
     knots = ascending[ranks]
     measure = np.append(0, np.cumsum(np.diff(knots) ** (2 / 3)))

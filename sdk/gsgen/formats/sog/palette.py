@@ -26,7 +26,7 @@ Rows = Float32[np.ndarray, "n d"]
 
 
 def training_step(count: int) -> int:
-    """Return the row stride that leaves half a million sampled rows to compute a palette from."""
+    """Return the row stride that samples at most half a million splats to compute an SH palette."""
     return -(-count // _TRAINING)
 
 
@@ -56,7 +56,10 @@ def _error(rows: Rows, palette: Rows, labels: Int64[np.ndarray, " n"]) -> float:
 
 
 def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
-    """Return the nearest SH palette entry of each row, searched in the nearest palette blocks."""
+    """Return the index of the palette entry that is nearest, or nearly so, to each row of SH.
+
+    Only the blocks of entries around the nearest block are searched.
+    """
     block = max(1, round(len(palette) ** 0.5))
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
@@ -78,7 +81,7 @@ def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
 
 
 def _split_clusters(rows: Rows, size: int) -> Rows:
-    """Split clusters of palette rows until there are ``size`` clusters, or none can be split."""
+    """Split clusters of SH rows until there are ``size`` clusters, or none can be split."""
     starts = np.zeros(1, np.int64)
     while len(starts) < size:
         counts = np.diff(starts, append=len(rows))
@@ -133,7 +136,7 @@ def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
 def _distances(
     rows: Rows, entries: Rows
 ) -> Float32[np.ndarray, "n k"] | Float64[np.ndarray, "n k"]:
-    """Return squared distances of SH rows to palette entries, minus a constant for each row."""
+    """Return squared distances of SH rows to palette entries, minus each row's squared length."""
     distances = rows @ (-2 * entries).T
     distances += np.square(entries).sum(axis=1)
     return np.asarray(distances)

@@ -227,19 +227,19 @@ def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
 
 
 def _add_means(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
-    """Add the SOG images of positions' low and high bytes; return their JSON description."""
+    """Encode positions as two SOG images, of low and high bytes; return their JSON description."""
     low = images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8))
     high = images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8))
     return {"files": [low, high]}
 
 
 def _add_turns(rotation: Float32[np.ndarray, "n 4"], images: _Images) -> dict[str, Any]:
-    """Add the SOG image of rotations; return its JSON description."""
+    """Encode rotations as an image of a SOG file; return its JSON description."""
     return {"files": [images.add("quats.webp", lambda rows: _turns(rotation[rows]))]}
 
 
 def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
-    """Add the SOG image of scales; return its JSON description."""
+    """Encode scales as an image of a SOG file; return its JSON description."""
     book = make_codebook(log_scale)
     name = images.add("scales.webp", lambda rows: codes(log_scale[rows], book))
     return {"codebook": _numbers(book), "files": [name]}
@@ -248,7 +248,7 @@ def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _Images) -> dict[
 def _add_colors(
     color: Float32[np.ndarray, "n 3"], logit_opacity: Float32[np.ndarray, " n"], images: _Images
 ) -> dict[str, Any]:
-    """Add the SOG image of colours and opacities; return its JSON description."""
+    """Encode colours and opacities as an image of a SOG file; return its JSON description."""
     book = make_codebook(color)
 
     def colored(rows: Rows) -> UInt8[np.ndarray, "m 4"]:
@@ -293,7 +293,7 @@ def _turns(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
 
 
 def _add_palette(splats: SplatParts, images: _Images) -> dict[str, Any]:
-    """Add the SOG images of the SH palette and of its labels; return their JSON description.
+    """Encode the SH palette and the splats' palette indices as SOG images; return their JSON.
 
     The palette is rounded to its codebook before each splat takes the nearest entry.
     """
@@ -334,13 +334,17 @@ def _training_rows(splats: SplatParts) -> Float32[np.ndarray, "m d"]:
 
 
 def _labels(splats: SplatParts, palette: Float32[np.ndarray, "p d"]) -> UInt16[np.ndarray, " n"]:
-    """Return the SH palette entry of each splat."""
+    """Return the index of each splat's entry in the SH palette."""
     batches = _higher_batches(splats)
     return np.concatenate([nearest_entries(rows, palette).astype(np.uint16) for rows in batches])
 
 
 def _palette_size(count: int) -> int:
-    """Return the number of SH palette entries: the splat count, rounded down if it is large."""
+    """Return the size of the SH palette of a scene with ``count`` splats.
+
+    A small scene has an entry for each splat. Otherwise ``count`` is rounded down to a power of
+    two, of which a sixteenth is added, up to the limit of the format.
+    """
     if count <= _SMALL:
         return count
     size = 1 << (count.bit_length() - 1)

@@ -187,7 +187,7 @@ def write_spz_parts(path: FilePath, parts: Iterable[Splats], count: int, reach: 
 
 
 def _fractional_bits(reach: float, version: int) -> int:
-    """Return the largest number of fractional bits (up to 12) with which all positions fit."""
+    """Return how many fractional bits, up to 12, SPZ positions can have without overflow."""
     half = version <= streams.HALF_POSITIONS
     limit = _LARGEST_HALF if half else float(streams.COORDINATE_LIMIT)
     if reach > limit:
