@@ -161,7 +161,7 @@ def _number_hint(bounds: Any) -> str:
 
 
 class _Sorted(TyperGroup):
-    """A command group whose help lists commands by help panel (group of commands)."""
+    """A click command group whose help lists its commands under headings (panels)."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands, in the order of the help."""

@@ -1,4 +1,4 @@
-"""The panels into which `gsgen --help` groups commands, and a command's help its options."""
+"""Groups commands in `gsgen --help`, and options in a command's help, under headings (panels)."""
 
 __all__ = ["PANELS", "arrange_options", "panel_of", "panel_order"]
 
@@ -39,7 +39,7 @@ _OTHERS: Final = "Other commands"
 
 
 def panel_of(command: str) -> str:
-    """Return the help panel of a command."""
+    """Return the heading (panel) under which `gsgen --help` lists a command."""
     return next((panel for panel, names in PANELS.items() if command in names), _OTHERS)
 
 

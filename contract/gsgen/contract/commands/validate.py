@@ -91,7 +91,7 @@ def validate(
         bool, typer.Option("-q", "--quiet", help="Print one line per model: the verdict.")
     ] = False,
 ) -> None:
-    """Check whether each model conforms to the contract.
+    """Check whether the given ONNX models conform to the Gaussian Generator contract.
 
     Exits 0 if all conform, 1 if one is invalid or a required rule was not checked, 2 for wrong
     options, 3 if a rule crashed, 4 if a file is not an ONNX model.

@@ -163,7 +163,7 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
 
 
 def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
-    """Return patches of close Gaussians: row indices, and how many of them get neighbours."""
+    """Return clusters of close Gaussians: row indices, and for how many to find neighbours."""
     total = len(position)
     if total <= _WHOLE:
         return [(np.arange(total), total)]
@@ -176,7 +176,7 @@ def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, "
 
 
 def _nearest(position: Float[np.ndarray, "p 3"], measured: int) -> Int[np.ndarray, "m k"]:
-    """Return the nearest neighbours of the first ``measured`` Gaussians, nearest first."""
+    """Return, nearest first, the neighbours' indices of each of the first ``measured`` points."""
     square = np.square(position[:measured, None] - position[None]).sum(axis=2)
     square[np.arange(measured), np.arange(measured)] = np.inf
     count = min(_NEIGHBOURS, len(position) - 1)

@@ -105,7 +105,7 @@ def suspect_order(
 def _layouts(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, planes: Float[np.ndarray, "n 10"] | None
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
-    """Yield other column layouts, likeliest first, each with the mask of rows that do not fit."""
+    """Yield alternative column layouts, likeliest first, each with the mask of invalid rows."""
     for name, columns in _PERMUTATIONS.items():
         yield name, _unfit(rows[:, columns], bounds)
     yield from _with_quaternions(rows).items()
@@ -148,7 +148,7 @@ def _unfit(
 
 
 def _is_opacity_alone(rows: Float[np.ndarray, "n 10"], smallest: float) -> bool:
-    """Return whether all covariances are valid, and centres in the unit cube look like opacities.
+    """Return whether centres could be opacities (all within 0 … 1), and covariances are valid.
 
     Then any of the first columns would pass as an opacity, which proves no other order.
     """

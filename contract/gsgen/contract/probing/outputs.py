@@ -1,4 +1,4 @@
-"""Gives value rules a model's outputs for one set of test inputs, whole or in chunks of rows."""
+"""A model's outputs for one set of test inputs, for rules to read whole or in chunks of rows."""
 
 __all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
@@ -88,7 +88,7 @@ class ModelOutputs:
 
     @cached_property
     def field_order(self) -> FieldOrder | None:
-        """The likely column order of packed Gaussians, if not that of the packed layout."""
+        """The column layout that fits the Gaussians better than the declared one; or None."""
         if self.gaussians is None or self.zeros:
             return None
         step = max(1, self.count // _ORDER_SAMPLE)
@@ -192,12 +192,12 @@ class Rows:
 
     @cached_property
     def live_rows(self) -> int:
-        """The number of live Gaussians in the chunk, i.e. rows before the row count."""
+        """The number of the chunk's rows before the model's row count; later rows are padding."""
         return int(np.clip(self.emission.count - self.start, 0, len(self)))
 
     @cached_property
     def counted(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the live Gaussians in the chunk, i.e. rows before the row count."""
+        """The mask of the chunk's rows before the model's row count; later rows are padding."""
         return np.arange(len(self)) < self.live_rows
 
     @cached_property
@@ -210,7 +210,7 @@ class Rows:
 
     @cached_property
     def color_peak(self) -> UInt[np.ndarray, " n"]:
-        """The largest magnitude in each Gaussian's colour, as float bits.
+        """The largest absolute colour value of each Gaussian, as the integer of its float bits.
 
         Zero if no value of the chunk is near the largest value of its dtype.
         """
@@ -222,12 +222,12 @@ class Rows:
 
     @cached_property
     def drawn(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the finite live Gaussians that are opaque enough to change a pixel."""
+        """The mask of finite, non-padding Gaussians that are opaque enough to change a pixel."""
         return np.asarray(self.counted & self.finite & (self.opacity >= CULL_OPACITY))
 
     @cached_property
     def drawn_count(self) -> int:
-        """The number of finite live Gaussians that are opaque enough to change a pixel."""
+        """The number of finite, non-padding Gaussians that are opaque enough to change a pixel."""
         return int(np.count_nonzero(self.drawn))
 
     @cached_property

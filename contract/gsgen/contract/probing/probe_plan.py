@@ -34,7 +34,7 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The ordered test inputs of one inference session, and the validation rules of each run.
+    """The ordered test inputs of one inference session, and which validation rules use each.
 
     Attributes:
         probes: One set of inputs per run.

@@ -121,7 +121,7 @@ def default_probes(
 def dependency_probes(
     manifest: Manifest, base: Probe, other_probes: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield, for each input role, test inputs that differ from a base set in that role alone.
+    """Yield per input role, such as time, test inputs that differ from a base set in it alone.
 
     An input that ``depends_on`` names has probes of its own, under the key ``input NAME``.
     """
@@ -186,7 +186,7 @@ def _sample(
 def _history(
     span: tuple[float, float], count: int, size: int, rng: "np.random.Generator"
 ) -> Float[np.ndarray, "t s"]:
-    """Return a smooth camera path for test inputs: state vectors of centre and rotation."""
+    """Return a smooth camera path for test inputs: one row per step, with centre and rotation."""
     steps = np.arange(count)[:, None]
     sides = _between(*span, rng.random((2, 3)))
     pace = (sides[1] - sides[0]) / max(count - 1, 1)
@@ -265,7 +265,7 @@ class Surroundings:
 
     @property
     def radius(self) -> float:
-        """Half the diagonal of the bounding box, at least a thousandth of a unit."""
+        """Half the diagonal of the bounding box, at least 0.001 scene units."""
         return max(float(np.linalg.norm(self.half)), 1e-3)
 
 

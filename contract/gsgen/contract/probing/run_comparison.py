@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The number of Gaussians and each column's extremes, if output rows were not kept."""
+        """Gaussian count and column extremes of a run that stored no output rows; else None."""
         return self.sample.extremes if self.sample is not None else None
 
     @property
@@ -99,7 +99,7 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Copy the comparisons of model runs for one rule, without a record of unfinished runs."""
+        """Copy the comparisons of model runs for one rule; its list of unfinished runs is empty."""
         return replace(self, unfinished_probes=[])
 
     @property
@@ -108,13 +108,13 @@ class Behaviour:
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The base test inputs, and test inputs that differ in one input role alone."""
+        """The base run, and runs whose inputs differ in one role alone, such as camera or time."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
         return self._of((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The model runs whose outputs the rules about values check, in the order of inputs."""
+        """The model runs whose outputs the rules about values check, in the planned order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property

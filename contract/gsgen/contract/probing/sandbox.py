@@ -43,7 +43,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extremes:
-    """The number of live Gaussians of one run, and the minimum and maximum of each output column.
+    """The number of Gaussians that a run outputs, and the minimum and maximum of each column.
 
     Attributes:
         count: The count as the model outputs it, or the capacity if it has none.

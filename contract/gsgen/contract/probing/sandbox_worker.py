@@ -133,7 +133,7 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
 
 
 def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str, np.ndarray]]:
-    """Return a function that reads one set of test inputs by its index."""
+    """Return a function that loads one set of a job's test inputs, by index, from a folder."""
     cached: dict[int, np.ndarray] = {}
 
     def array(number: int) -> np.ndarray:
@@ -185,7 +185,7 @@ def _survey_outputs(
 
 
 def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, Any] | None:
-    """Return the number of live Gaussians, and the minimum and maximum of their columns."""
+    """Return the number of Gaussians before padding, and the extremes of each of their columns."""
     if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
         return None
     live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
@@ -239,7 +239,7 @@ def thinned(value: np.ndarray) -> np.ndarray:
 
 
 def thinning_step(rows: int) -> int:
-    """Return n for which every n-th row of an output is stored for additional test inputs."""
+    """Return the step between stored rows of a large output, of which about 16,384 are stored."""
     return max(1, rows // _THIN_ROWS)
 
 

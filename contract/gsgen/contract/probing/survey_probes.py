@@ -134,7 +134,7 @@ def _camera_inputs(
 
 
 def _corner(ranged: list[Input], base: Probe, number: int) -> dict[str, Array]:
-    """Return test inputs whose numbers are each at one end of their range, chosen by ``number``."""
+    """Return test inputs with each number at a random end of its range; ``number`` is the seed."""
     rng = np.random.default_rng([_SEED, number])
     inputs = {}
     for entry in ranged:

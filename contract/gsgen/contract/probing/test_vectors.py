@@ -43,12 +43,12 @@ def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
 
 
 def record_input(name: str, array: np.ndarray) -> VectorInput:
-    """Return the numbers of one model input as a record to embed in a manifest."""
+    """Return the values of one model input as a record for a test vector in a manifest."""
     return VectorInput(name, array.shape, _shortest(array.reshape(-1)))
 
 
 def record_rows(name: str, array: np.ndarray, rows: Sequence[int]) -> VectorRows:
-    """Return some rows of a model output as a record to embed in a manifest."""
+    """Return chosen rows of a model output as a record for a test vector in a manifest."""
     values = array[list(rows)].reshape(len(rows), -1)
     return VectorRows(name, tuple(rows), tuple(_shortest(row) for row in values))
 

@@ -31,7 +31,7 @@ class Limits:
             )
 
     def for_model(self, size: int) -> "Limits":
-        """Return these limits with memory added for loading ``size`` bytes of weights.
+        """Return the process limits with memory added for loading ``size`` bytes of weights.
 
         ONNX Runtime holds the parsed file, its own copy, a folded copy, and the outputs.
         """

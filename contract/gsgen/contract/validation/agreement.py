@@ -106,7 +106,7 @@ Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
 def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each field of the Gaussians the error and the rounding error of every row."""
+    """Yield per field the difference of each Gaussian between two runs, and its rounding error."""
     assert first.gaussians is not None
     assert second.gaussians is not None
     a, b = (rows.astype(np.float64) for rows in (first.gaussians, second.gaussians))
@@ -121,7 +121,7 @@ def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, 
 
 
 def _cells_measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield each field's error and rounding error for every cell (group of Gaussians)."""
+    """Yield per field each cell's (Gaussian group's) difference between runs and rounding error."""
     assert first.cells is not None
     assert second.cells is not None
     a, b = (values.astype(np.float64) for values in (first.cells, second.cells))

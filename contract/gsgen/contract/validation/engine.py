@@ -231,7 +231,7 @@ class _Validation:
         self._check_sample(emissions)
 
     def _check_sample(self, emissions: list[ModelOutputs]) -> None:
-        """Check statistical rules on the first model run that draws enough Gaussians."""
+        """Check statistical rules on the first model run with enough visible Gaussians."""
         rules = _needs_first(self._of_scope("sample", upto=Level.VALUES))
         samples = (draw_sample(emission) for emission in emissions if rules)
         sample = next((sample for sample in samples if sample is not None), None)

@@ -126,7 +126,7 @@ class Violation:
         min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
     ) -> "Violation":
-        """Return a rule violation in a mask of packed rows, with the value of each row."""
+        """Return a rule violation by packed rows: the mask of invalid rows, and their values."""
         return cls(
             where=where,
             expected=expected,

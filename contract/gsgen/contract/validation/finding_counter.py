@@ -57,7 +57,7 @@ class FindingCounter:
     samples: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
-        """Count one rule violation; ``start`` is the index of the first of the checked rows."""
+        """Count a rule violation; ``start`` is the output row at which the checked chunk begins."""
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
         self.statistic = self.statistic or violation.statistic

@@ -1,4 +1,4 @@
-"""Backends that other packages register to run validation levels: ``live`` and ``render``.
+"""Backends by which packages run the validation levels ``live`` (WebGPU) and ``render`` (images).
 
 This package runs models in ONNX Runtime on the CPU. Another package may register, with its rules,
 a backend for a further level: it receives the CPU runs, runs the model its own way, and prepares
@@ -47,7 +47,7 @@ class LevelContext:
 
 @dataclass(frozen=True, slots=True)
 class LevelBackend:
-    """A backend that prepares one validation level, registered with the level's contract rules.
+    """A backend that gives one validation level's rules their input, such as a WebGPU run.
 
     Attributes:
         level: The level; the scope of its rules has the same name.

@@ -57,7 +57,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelOutcome:
-    """Whether a validation level ran, the reason if it did not, and its cost.
+    """Whether a validation level ran, or why not; its number of model runs, and the seconds taken.
 
     Attributes:
         level: The level.

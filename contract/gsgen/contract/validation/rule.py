@@ -234,7 +234,7 @@ class Registry:
         return cls(by_id, by_level)
 
     def of_scope(self, *, tilesets: bool) -> "Registry":
-        """Return a registry with only the rules of tilesets, or with all other rules."""
+        """Return a registry with only the rules for 3D Tiles tilesets, or only the other rules."""
         selected = {
             id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
         }
