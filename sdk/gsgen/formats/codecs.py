@@ -4,7 +4,15 @@ Help texts, hints, error messages and the documentation read this table. A new f
 that reads it, an entry of the table, and a sample in ``tests/support/splat_files.py``.
 """
 
-__all__ = ["CODECS", "Codec", "codec_named", "codec_of_suffix", "format_titles", "recognised"]
+__all__ = [
+    "CODECS",
+    "Codec",
+    "codec_named",
+    "codec_of_suffix",
+    "format_titles",
+    "recognised",
+    "writable_formats",
+]
 
 import zipfile
 from collections.abc import Callable
@@ -199,6 +207,12 @@ def format_titles() -> str:
     """Return the titles of all splat file formats as a phrase: ``PLY, …, SPLAT or NPZ``."""
     *titles, last = (codec.title for codec in CODECS)
     return f"{', '.join(titles)} or {last}"
+
+
+def writable_formats() -> str:
+    """Return the names of the splat file formats that can be written: ``ply, … or spz``."""
+    *names, last = (codec.name for codec in CODECS if codec.write)
+    return f"{', '.join(names)} or {last}"
 
 
 def codec_named(name: str) -> Codec:

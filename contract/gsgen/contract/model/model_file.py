@@ -53,7 +53,7 @@ _METADATA_FIELD = 14  # ModelProto.metadata_props
 _LONGEST = (1 << 63) - 1
 _DIGITS = 100  # Python refuses to read numbers of thousands
 
-_SPLATS = ": `gsgen export static` turns splats into a model"
+_SPLATS = ": `gsgen export static` turns splats into a model, `gsgen convert` into other files"
 # First bytes of files that people pass by mistake.
 _LOOKALIKES = (
     (b"PK\x03\x04", f"a zip archive, such as a torch checkpoint{_SPLATS}"),

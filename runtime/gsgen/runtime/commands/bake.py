@@ -13,6 +13,7 @@ import typer
 
 from gsgen.contract.commands.output import echo_error
 from gsgen.contract.errors import ConfigInvalid, ExitCode
+from gsgen.formats.codecs import writable_formats
 from gsgen.runtime.commands.options import Axis, Provider, Sizes, read_tracks
 
 if TYPE_CHECKING:
@@ -87,8 +88,7 @@ def bake(
     ] = 3,
     psnr: _Psnr = None,
     format: Annotated[
-        str | None,
-        typer.Option(help="ply, compressed-ply, splat, spz or glb. [default: the suffix of OUT]"),
+        str | None, typer.Option(help=f"{writable_formats()}. [default: by the suffix of OUTPUT]")
     ] = None,
     size: Sizes = None,
     provider: Provider = "cpu",

@@ -15,7 +15,7 @@ import typer
 from gsgen.contract.commands.output import echo_error
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.contract.process.atomic_files import refuse_itself
-from gsgen.formats.codecs import CODECS, Codec, Content, codec_named, format_titles
+from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
 from gsgen.formats.editing.statistics import Statistics, statistics_text
 from gsgen.formats.shared.files import FilePath
 from gsgen.runtime.commands.convert_edits import (
@@ -37,8 +37,6 @@ from gsgen.runtime.commands.options import AsJson
 if TYPE_CHECKING:
     from gsgen.formats.conversion import Conversion
 
-_WRITABLE = [codec.name for codec in CODECS if codec.write]
-
 Sources = Annotated[
     list[str],
     typer.Argument(
@@ -50,10 +48,7 @@ Sources = Annotated[
 ]
 Target = Annotated[Path, typer.Argument(help="The file to write.", show_default=False)]
 Format = Annotated[
-    str | None,
-    typer.Option(
-        help=f"{', '.join(_WRITABLE[:-1])} or {_WRITABLE[-1]}. [default: by TARGET's suffix]"
-    ),
+    str | None, typer.Option(help=f"{writable_formats()}. [default: by TARGET's suffix]")
 ]
 Degree = Annotated[int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)]
 DropInvalid = Annotated[
