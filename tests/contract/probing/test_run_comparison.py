@@ -78,7 +78,13 @@ def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it(
     probes = tuple(Probe(label=f"probe {index}", inputs={}, extra=index > 1) for index in range(5))
     samples, errors = (0, 0, 0, -1, -1), ("", "", "", "", "bad")
     runs = tuple(
-        Run(probe=number, sample=sample, seconds=0.1, error=error)
+        Run(
+            probe=number,
+            sample=sample,
+            seconds=0.1,
+            error=error,
+            lacked="memory" if sample < 0 and not error else "",
+        )
         for number, (sample, error) in enumerate(zip(samples, errors, strict=True))
     )
     trials = {"edges": (2, 3), "outside": (4,)}
@@ -89,6 +95,6 @@ def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it(
     behaviour = read_behaviour(ProbeRuns(None, execution, plan))
     first, second = behaviour.for_a_rule(), behaviour.for_a_rule()
     assert [visit.probe.label for visit in first.visits("edges")] == ["probe 2"]
-    assert first.unfinished_probes == ["probe 3"]
+    assert first.unfinished_probes == [("probe 3", "memory")]
     assert [visit.error for visit in second.visits("outside")] == ["bad"]  # it did run
     assert second.unfinished_probes == behaviour.unfinished_probes == []

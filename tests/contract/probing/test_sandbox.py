@@ -379,18 +379,31 @@ def test_an_extra_probe_that_fails_is_no_fault_of_the_model(folder):
         assert execution.fault.stage == "run"
 
 
-def test_an_extra_probe_that_the_time_does_not_allow_has_no_outputs(folder, monkeypatch):
+@pytest.mark.parametrize(("seconds", "lacked"), [(1e-9, "time"), (60.0, "memory")])
+def test_an_extra_probe_that_a_limit_does_not_allow_has_no_outputs(
+    seconds, lacked, folder, monkeypatch
+):
     path = save(folder / "a.onnx", DOUBLE)
     extra = replace(pair(3, 4), label="extra", extra=True)
     job_folder, events = folder / "job", []
     job_folder.mkdir()
-    limits = Limits(seconds=1e-9)
+    limits = Limits(seconds=seconds)
+    keep_outputs = sandbox_worker.keep_outputs
+
+    def keep(*arguments, thin):
+        if thin:
+            raise MemoryError("Unable to allocate 206. MiB")
+        return keep_outputs(*arguments)
+
+    monkeypatch.setattr(sandbox_worker, "keep_outputs", keep)
     sandbox._write_job(job_folder, path, ["y"], [pair(1, 2), extra], limits, rows="", count="")
     job = json.loads((job_folder / "job.json").read_text("utf-8"))
     monkeypatch.setattr(sandbox_worker, "limit_memory", lambda _: None)
     sandbox_worker._work(job_folder, job, lambda event, **facts: events.append((event, facts)))
-    runs = [(facts["probe"], facts["sample"]) for event, facts in events if event == "run"]
-    assert runs == [(0, 0), (1, -1)]
+    runs = [facts for event, facts in events if event == "run"]
+    assert [(facts["probe"], facts["sample"]) for facts in runs] == [(0, 0), (1, -1)]
+    assert runs[1]["lacked"] == lacked
+    assert "error" not in runs[1]  # it says nothing about the model
 
 
 def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(folder):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsgen.contract.probing import sandbox_worker
 from gsgen.contract.probing.probes import CameraPlacement, Probe, as_tensor, default_probes
 from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.probing.survey_probes import SIDE_LABEL, survey_probes
@@ -164,3 +165,15 @@ def test_a_survey_probe_notes_which_output_is_not_finite_in_any_row(tmp_path):
     table[6, 9] = np.inf  # behind the count
     _, sample, _, _ = echoed(table, tmp_path, survey=True)
     assert sample.not_finite == ("rows",)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_extremes_are_found_in_blocks_of_rows(dtype, monkeypatch):
+    rows = np.random.default_rng(3).normal(size=(10, 4)).astype(dtype)
+    monkeypatch.setattr(sandbox_worker, "_BLOCK_ROWS", 3)
+    for count in (0, 1, 3, 7, 10):
+        found = sandbox_worker._extremes(rows, np.array(count))
+        assert found["low"] == [float(min(column)) for column in rows[:count].T if count]
+        assert found["high"] == [float(max(column)) for column in rows[:count].T if count]
+    rows[5, 2] = np.nan
+    assert np.isnan(sandbox_worker._extremes(rows, None)["low"][2])

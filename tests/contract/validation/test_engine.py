@@ -317,15 +317,14 @@ def test_a_nan_that_every_probe_has_belongs_to_gv001_and_not_to_zero_inputs(tmp_
     assert "GI009" not in rules
 
 
-@pytest.fixture
-def no_time_for_extras(monkeypatch):
-    """Let every extra probe be one that no time was left for, as on a slow machine."""
+def no_extras(monkeypatch, lacked):
+    """Let every extra probe be one that a limit ended, as time does on a slow machine."""
 
     @contextmanager
     def shortened(path, names, probes, limits, *arguments, **options):
         with execute(path, names, probes, limits, *arguments, **options) as execution:
             runs = tuple(
-                replace(run, sample=-1, error="") if probes[run.probe].extra else run
+                replace(run, sample=-1, lacked=lacked) if probes[run.probe].extra else run
                 for run in execution.runs
             )
             yield replace(execution, runs=runs)
@@ -333,7 +332,8 @@ def no_time_for_extras(monkeypatch):
     monkeypatch.setattr(engine, "execute", shortened)
 
 
-def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(good, no_time_for_extras):
+def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(good, monkeypatch):
+    no_extras(monkeypatch, "time")
     report = validate(good)
     outcome = report.outcome("GB013")
     assert outcome.status == "skipped"
@@ -346,7 +346,16 @@ def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(good, no_time
     assert report.verdict == "conforms"
 
 
-def test_a_rule_that_fails_by_the_probes_that_did_run_fails(good, no_time_for_extras):
+def test_probes_that_lack_memory_say_so(good, monkeypatch):
+    no_extras(monkeypatch, "memory")
+    outcome = validate(good).outcome("GB013")
+    assert outcome.status == "skipped"
+    assert outcome.reason.endswith("first: the memory limit was reached (see --memory)")
+
+
+def test_a_rule_that_fails_by_the_probes_that_did_run_fails(good, monkeypatch):
+    no_extras(monkeypatch, "time")
+
     def find(behaviour):
         assert behaviour.visits("edges") == []
         yield Violation.at("output g", "nine", "ten")

@@ -88,7 +88,7 @@ class Behaviour:
         revisited: The same inputs with other runs in between; None without inputs.
         varied: Role → runs that differ in that role's inputs alone.
         trial: The runs themselves.
-        unfinished_probes: Labels of requested extra probes that did not run for lack of time.
+        unfinished_probes: Requested extra probes that did not run: label, and the reached limit.
     """
 
     subject: InspectedModel
@@ -96,7 +96,7 @@ class Behaviour:
     revisited: Comparison | None
     varied: dict[str, tuple[Comparison, ...]]
     trial: ProbeRuns
-    unfinished_probes: list[str] = field(default_factory=list)
+    unfinished_probes: list[tuple[str, str]] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
         """Copy the comparisons of model runs for one rule; its list of unfinished runs is empty."""
@@ -133,7 +133,10 @@ class Behaviour:
         """Return the finished model runs of a group of test inputs; record the unfinished ones."""
         probe_indices = self.trial.plan.trials.get(trial, ())
         missed = (index for index in probe_indices if not self._ran(index))
-        self.unfinished_probes.extend(self.trial.plan.probes[index].label for index in missed)
+        self.unfinished_probes.extend(
+            (self.trial.plan.probes[index].label, self.trial.execution.runs[index].lacked)
+            for index in missed
+        )
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:

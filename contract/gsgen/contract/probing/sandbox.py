@@ -83,14 +83,15 @@ class Sample:
 class Run:
     """One inference: its test inputs, the index of its stored outputs, and its duration.
 
-    An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
-    there was no time left. ``center`` is where the sandbox moved the probe's camera to.
+    An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or ``lacked`` names
+    the limit that was reached. ``center`` is where the sandbox moved the probe's camera to.
     """
 
     probe: int
     sample: int
     seconds: float
     error: str = ""
+    lacked: Literal["", "time", "memory"] = ""
     center: tuple[float, ...] = ()
 
 
@@ -226,6 +227,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
             sample=event["sample"],
             seconds=event["seconds"],
             error=event.get("error", ""),
+            lacked=event.get("lacked", ""),
             center=tuple(event.get("center", ())),
         )
         for event in events

@@ -43,6 +43,7 @@ _OUT_OF_MEMORY = (
 # Extra probes start only within this share of the time, so that they never use it up.
 SHARE_FOR_EXTRAS = 0.5
 _THIN_ROWS = 1 << 14
+_BLOCK_ROWS = 1 << 18
 # Arrays of inputs up to this size are kept in memory, since many probes share them.
 _SMALL_BYTES = 1 << 16
 
@@ -83,7 +84,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
             emit("begin", probe=probe)
             extra = job["extra"][probe]
             if extra and time.monotonic() > deadline:
-                emit("run", probe=probe, sample=-1, seconds=0.0)
+                emit("run", probe=probe, sample=-1, seconds=0.0, lacked="time")
                 continue
             try:
                 if job["optimise"][probe] is not optimised:
@@ -108,7 +109,9 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
             except Exception as error:
                 if not extra:
                     raise
-                emit("run", probe=probe, sample=-1, seconds=0.0, error=one_line(error))
+                is_memory = stage_of(error, probe) == "memory"
+                reason = {"lacked": "memory"} if is_memory else {"error": one_line(error)}
+                emit("run", probe=probe, sample=-1, seconds=0.0, **reason)
                 continue
             emit("run", probe=probe, sample=sample, seconds=seconds, **facts)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
@@ -189,8 +192,14 @@ def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, An
     if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
         return None
     live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
-    fields = rows[: min(max(live, 0), len(rows))].astype(np.float32, copy=False)
-    low, high = ([], []) if not len(fields) else (fields.min(axis=0), fields.max(axis=0))
+    fields = rows[: min(max(live, 0), len(rows))]
+    # In blocks, because the converted copy of a large float16 output may exceed the memory limit.
+    starts = range(0, len(fields), _BLOCK_ROWS)
+    blocks = (fields[first : first + _BLOCK_ROWS].astype(np.float32) for first in starts)
+    ends = [(block.min(axis=0), block.max(axis=0)) for block in blocks]
+    low, high = (
+        (np.min([e[0] for e in ends], 0), np.max([e[1] for e in ends], 0)) if ends else ((), ())
+    )
     lists = {"low": [float(x) for x in low], "high": [float(x) for x in high]}
     return {"count": live, "capacity": len(rows), **lists}
 

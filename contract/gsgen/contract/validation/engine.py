@@ -252,13 +252,16 @@ class _Validation:
                 observed = behaviour.for_a_rule()
                 self.results.check(rule, observed)
                 if observed.unfinished_probes and not self.results.fails(rule):
-                    self.results.skip([rule], self._out_of_time(observed.unfinished_probes))
+                    self.results.skip([rule], self._unfinished(observed.unfinished_probes))
                 self.results.settle([rule], items=len(probe_runs.execution.runs))
 
-    def _out_of_time(self, probes: list[str]) -> str:
+    def _unfinished(self, probes: list[tuple[str, str]]) -> str:
         count = f"{len(probes)} of its probes" if len(probes) > 1 else "one of its probes"
-        share = f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s were used up"
-        return f"{count} did not run, {probes[0]!r} first: {share} (see --timeout)"
+        label, lacked = probes[0]
+        reason = f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s were used up (see --timeout)"
+        if lacked == "memory":
+            reason = "the memory limit was reached (see --memory)"
+        return f"{count} did not run, {label!r} first: {reason}"
 
     def _check_backend_levels(self, probe_runs: ProbeRuns) -> None:
         """Evaluate the rules of the validation levels for which a backend is registered."""
