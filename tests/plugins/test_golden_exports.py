@@ -112,6 +112,8 @@ def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
     graph = 40_000  # nodes, names and the manifest: the same for any number of Gaussians
     assert case.exported.path.stat().st_size <= weights + graph
+    parts = [model.graph, *model.graph.node, *model.graph.value_info, *model.graph.output]
+    assert not any(part.metadata_props for part in parts)  # torch's notes about its graph
 
 
 def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:

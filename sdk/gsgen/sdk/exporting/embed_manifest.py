@@ -32,12 +32,11 @@ def rewrite_and_embed(
     # The graph was traced at the requested operator set, so the passes keep it.
     goal = RewriteTarget.of(target, manifest, opset_of(model))
     changes = rewrite_graph(model, goal) if rewrite else []
-    # The exporter's metadata names files of the author's machine.
-    model.metadata_props.clear()
-    for node in model.graph.all_nodes():
-        node.metadata_props.clear()
-    for value in (*model.graph.inputs, *model.graph.outputs):
-        value.metadata_props.clear()
+    # The exporter's metadata names files of the author's machine, and takes room.
+    values = [value for node in model.graph.all_nodes() for value in node.outputs]
+    values += [*model.graph.inputs, *model.graph.initializers.values()]
+    for part in (model, model.graph, *model.graph.all_nodes(), *values):
+        part.metadata_props.clear()
     model.metadata_props[MANIFEST_KEY] = dumps(with_profile(manifest, model), indent=None)
     return changes
 

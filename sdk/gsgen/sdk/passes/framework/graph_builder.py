@@ -49,7 +49,7 @@ def new_node(
     """Create a standard ONNX node whose output has the name of the node."""
     node = ir.node(op, inputs, attributes=attributes, name=name)
     (result,) = node.outputs
-    result.name = f"{name}_result"
+    result.name = name
     if dtype is not None:
         result.type = ir.TensorType(dtype)
     if shape is not None:
@@ -110,7 +110,7 @@ class InsertionPoint:
         name = self._next(kind)
         node = ir.node(kind, inputs, attributes=attributes, name=name, num_outputs=count)
         for index, value in enumerate(node.outputs):
-            value.name = f"{name}_result_{index}"
+            value.name = f"{name}_{index}"
             value.type = inputs[0].type if inputs[0] is not None else None
         self.graph.insert_before(self.node, node)
         return list(node.outputs)
