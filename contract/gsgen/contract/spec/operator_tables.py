@@ -47,7 +47,7 @@ class OperatorTable:
         return steps[max(reached)]
 
     def opset_with_kernel(self, operator: str, variant: str, dtype: str) -> int | None:
-        """Return an operator set version in which the runtime can capture an operator, or None."""
+        """Return an opset in which this runtime's graph capture supports an operator, or None."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype), {})
         return next((step for step, outcome in steps.items() if outcome == CAPTURE), None)

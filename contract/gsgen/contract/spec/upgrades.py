@@ -20,7 +20,7 @@ CURRENT: Version = (1, 2)
 
 
 def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
-    """Convert a manifest of contract 1.0 to 1.1: ``blend: wsr`` needs cells (groups of Gaussians).
+    """Convert a manifest of contract 1.0 to 1.1, where weighted sums become blending by depth.
 
     1.0 had no field that describes cells, so a reader could only blend by sorting. The upgraded
     manifest says so: ``alpha``. Rule GM018 tells the user.

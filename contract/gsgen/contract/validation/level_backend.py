@@ -1,4 +1,4 @@
-"""Backends by which packages run the validation levels ``live`` (WebGPU) and ``render`` (images).
+"""Interface of packages that add the validation levels ``live`` (WebGPU) and ``render`` (images).
 
 This package runs models in ONNX Runtime on the CPU. Another package may register, with its rules,
 a backend for a further level: it receives the CPU runs, runs the model its own way, and prepares

@@ -112,7 +112,7 @@ class AnchorHeads(nn.Module):
         return _Layers(torch.cat(hidden, dim=1), mlp, self.per_anchor, parts)
 
     def _appearance_bias(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
-        """Return the colour network's first bias per appearance embedding; None without any."""
+        """Return the colour network's first-layer bias for each appearance embedding; None without one."""
         if nets.embedding is None:
             return None
         rows = nets.embedding if appearance is None else nets.embedding[appearance][None]

@@ -121,9 +121,9 @@ class SurfaceGaussians(nn.Module):
         _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Return Gaussians' skinning weights, neutral positions and matrices, rigidity, and R S.
+        """Return what skinning Gaussians needs: weights, rest positions and matrices, rigidity, shape.
 
-        R S is rotation times scale, a square root of the covariance.
+        The shape is rotation times scale, a square root of the covariance.
         """
         back = (self.near @ self.transforms).transpose(0, 1)
         back = torch.index_select(back, 1, self.vertex).reshape(1, 3, 4, -1)

@@ -1,4 +1,4 @@
-"""Adds up the GPU counters of a frame, and checks them against the limits of dispatches."""
+"""Adds up what shaders counted in a frame; raises if too many splats are in the image."""
 
 __all__ = ["frame_counts"]
 

@@ -342,7 +342,7 @@ class Camera:
         return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
 
     def all_around(self, width: int, height: int) -> "Camera":
-        """Return the full panorama from the same position, centred on the camera's axis."""
+        """Return a 360° camera at this camera's position, with this camera's axis in the middle."""
         return Camera(
             self.view,
             fx=width / (2 * math.pi),

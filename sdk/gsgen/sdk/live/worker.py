@@ -142,7 +142,7 @@ class _Frames:
             self._phase("captured", self._captured)
 
     def _phase(self, name: str, work: Callable[[], None]) -> bool:
-        """Run the captured or the uncaptured frames of a job; return False after an error."""
+        """Run a job's frames with or without WebGPU graph capture; return False after an error."""
         self.index = -1
         try:
             work()

@@ -22,7 +22,7 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """A user's callable that returns a torch generator, or a torch generator itself."""
+    """A user's callable that returns a Gaussian Generator module of torch, or such a module itself."""
 
     target: str  # ``module:name``, as the user typed it
     make: Any  # the class, function or finished generator

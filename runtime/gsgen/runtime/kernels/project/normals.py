@@ -41,7 +41,7 @@ class NormalsKernel:
         )
 
     def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
-        """Return the dispatch that computes the normals of the Gaussians in a page (buffers)."""
+        """Return the dispatch that computes the normals of the Gaussians whose buffers a page has."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         further = () if page.slots is None else (page.appearance, page.slots.table)
         binds = (
