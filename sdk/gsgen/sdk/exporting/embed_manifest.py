@@ -33,10 +33,13 @@ def rewrite_and_embed(
     goal = RewriteTarget.of(target, manifest, opset_of(model))
     changes = rewrite_graph(model, goal) if rewrite else []
     # The exporter's metadata names files of the author's machine, and takes room.
-    values = [value for node in model.graph.all_nodes() for value in node.outputs]
+    nodes = list(model.graph.all_nodes())
+    values = [value for node in nodes for value in node.outputs]
     values += [*model.graph.inputs, *model.graph.initializers.values()]
-    for part in (model, model.graph, *model.graph.all_nodes(), *values):
-        part.metadata_props.clear()
+    notes = [model.metadata_props, model.graph.metadata_props]
+    notes += [node.metadata_props for node in nodes] + [value.metadata_props for value in values]
+    for metadata in notes:
+        metadata.clear()
     model.metadata_props[MANIFEST_KEY] = dumps(with_profile(manifest, model), indent=None)
     return changes
 
