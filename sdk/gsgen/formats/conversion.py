@@ -20,7 +20,7 @@ from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splat_values import ARRAYS, rows_of
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-from gsgen.formats.sog.meta import STREAMED_META
+from gsgen.formats.sog.meta import is_streamed_meta
 from gsgen.formats.sog.sog import written_bytes
 
 __all__ = ["Conversion", "convert"]
@@ -97,7 +97,7 @@ def convert(
     writer = write or _writer_of(codec, target)
     sources = [source] if isinstance(source, str | os.PathLike) else list(source)
     most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
-    in_parts = read is None and write is None and not drop_invalid and not _is_streamed(target)
+    in_parts = not (read or write or drop_invalid or is_streamed_meta(target))
     if in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
         large = open_parts(sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED)
         if large is not None:
@@ -141,11 +141,6 @@ def convert(
         differences=entries,
         compared=is_compared,
     )
-
-
-def _is_streamed(target: FilePath) -> bool:
-    """Return whether a path is that of a streamed SOG, whose levels need all splats at once."""
-    return Path(target).name.lower() == STREAMED_META
 
 
 def _compared(

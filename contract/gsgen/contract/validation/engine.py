@@ -258,9 +258,11 @@ class _Validation:
     def _unfinished(self, probes: list[tuple[str, str]]) -> str:
         count = f"{len(probes)} of its probes" if len(probes) > 1 else "one of its probes"
         label, lacked = probes[0]
-        reason = f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s were used up (see --timeout)"
         if lacked == "memory":
             reason = "the memory limit was reached (see --memory)"
+        else:
+            share = f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s"
+            reason = f"{share} were used up (see --timeout)"
         return f"{count} did not run, {label!r} first: {reason}"
 
     def _check_backend_levels(self, probe_runs: ProbeRuns) -> None:

@@ -451,10 +451,10 @@ class Plan:
         if clock is not None:
             clock.begin()
         # Later slabs of depth are blended among the cells that were drawn before the first.
-        cells = self._weighted and only and set(only).isdisjoint(self._weighted.stages)
-        for clear in self.clears:
-            if not (cells and self._weighted and clear in self._weighted.clears):
-                encoder.clear_buffer(*clear)
+        keeps_cells = self._weighted and only and set(only).isdisjoint(self._weighted.stages)
+        kept = self._weighted.clears if self._weighted and keeps_cells else []
+        for clear in [entry for entry in self.clears if entry not in kept]:
+            encoder.clear_buffer(*clear)
         if self._meshes is not None and (only is None or "meshes" in only):
             self._meshes.encode(encoder, background, clock.around("meshes") if clock else None)
         for name, steps in self.stages.items():

@@ -118,9 +118,9 @@ class MetricsRecorder:
                 self._first_good = time - self._start
         self._holes += self._has_hole(cut.wanted, loaded)
 
-    def _has_hole(self, wanted: Bool[np.ndarray, " n"], loaded: Bool[np.ndarray, " n"]) -> bool:
+    def _has_hole(self, needed: Bool[np.ndarray, " n"], loaded: Bool[np.ndarray, " n"]) -> bool:
         """Return whether a wanted tile has neither content nor a loaded ancestor."""
-        rows = np.flatnonzero(wanted & ~loaded)
+        rows = np.flatnonzero(needed & ~loaded)
         while len(rows):
             rows = self._parent[rows]
             if (rows < 0).any():

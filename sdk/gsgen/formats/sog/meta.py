@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, NoReturn, final
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Float32, Float64
 
 from gsgen.formats.shared.bytes import MOST_SPLATS
 from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
+from gsgen.formats.shared.files import FilePath
 
 META: Final = "meta.json"
 """The file that describes the images."""
@@ -27,6 +29,19 @@ MOST_PALETTE: Final = 1 << 16
 """The most entries of the palette of harmonics."""
 
 _BANDS = (1, 2, 3)
+
+
+def is_meta(path: FilePath) -> bool:
+    """Return whether a path is that of a SOG's meta.json, beside which its images lie."""
+    return Path(path).name.lower() == META
+
+
+def is_streamed_meta(path: FilePath) -> bool:
+    """Return whether a path is that of the lod-meta.json of a streamed SOG.
+
+    It is written from all splats at once, because its levels merge them.
+    """
+    return Path(path).name.lower() == STREAMED_META
 
 
 @final

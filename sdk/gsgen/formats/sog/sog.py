@@ -31,8 +31,9 @@ from gsgen.formats.sog.meta import (
     META,
     PALETTE_WIDTH,
     QUATERNION_TAG,
-    STREAMED_META,
     Meta,
+    is_meta,
+    is_streamed_meta,
     parse_object,
 )
 from gsgen.formats.sog.streamed import is_streamed, read_levels
@@ -99,10 +100,10 @@ def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
 def written_bytes(path: FilePath) -> int:
     """Return the size of a SOG in bytes, with all files that its meta.json or lod-meta.json names."""
     size = Path(path).stat().st_size
-    if Path(path).name.lower() == STREAMED_META:
+    if is_streamed_meta(path):
         files = parse_object(Path(path).read_bytes())["filenames"]
         return size + sum(written_bytes(Path(path).parent / file) for file in files)
-    if Path(path).name.lower() != META:
+    if not is_meta(path):
         return size
     with naming(path):
         names = Meta.parse(Path(path).read_bytes()).all_files()

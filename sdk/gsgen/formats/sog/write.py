@@ -5,7 +5,6 @@ import math
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol, final
 
@@ -26,7 +25,8 @@ from gsgen.formats.sog.meta import (
     MOST_PALETTE,
     PALETTE_WIDTH,
     QUATERNION_TAG,
-    STREAMED_META,
+    is_meta,
+    is_streamed_meta,
 )
 from gsgen.formats.sog.palette import make_palette, nearest_entries, training_step
 from gsgen.formats.sog.streamed_write import write_levels
@@ -86,7 +86,8 @@ class InMemory:
 def write_sog(path: FilePath, splats: Splats) -> None:
     """Write ``splats`` as a SOG archive, or as separate files if ``path`` is a meta.json.
 
-    A lod-meta.json gets levels of detail in SOG files beside it (streamed SOG). Splats are written in the order of ``sog_order``. The bytes depend on the splats alone.
+    A lod-meta.json gets levels of detail in SOG files beside it (streamed SOG). Splats are written
+    in the order of ``sog_order``. The bytes depend on the splats alone.
 
     Raises:
         ValueInvalid: ``splats`` is empty or holds values that cannot be drawn.
@@ -96,18 +97,18 @@ def write_sog(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
-        _require_encodable(InMemory(splats))
-    if Path(path).name.lower() == STREAMED_META:
-        codes = grid_codes(_stored_positions(splats.position)[0])
-        order = np.argsort(codes, kind="stable")
-        write = partial(_write_file, is_sorted=True)
-        write_levels(path, rows_of(splats, order), codes[order], write)
+    if not is_streamed_meta(path):
+        write_sog_parts(path, InMemory(splats))
         return
-    _write_file(path, splats, is_sorted=False)
+    with naming(path):  # before the first folder is made
+        _require_encodable(InMemory(splats))
+    codes = grid_codes(_stored_positions(splats.position)[0])
+    order = np.argsort(codes, kind="stable")
 
+    def write(file: Path, part: Splats) -> None:
+        write_sog_parts(file, InMemory(part), is_sorted=True)
 
-def _write_file(path: FilePath, splats: Splats, *, is_sorted: bool) -> None:
-    write_sog_parts(path, InMemory(splats), is_sorted=is_sorted)
+    write_levels(path, rows_of(splats, order), codes[order], write)
 
 
 def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = False) -> None:
@@ -119,7 +120,7 @@ def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = Fal
     with naming(path):
         _require_encodable(splats)
         files = _files(splats, is_sorted=is_sorted)
-    if Path(path).name.lower() == META:
+    if is_meta(path):
         for name, content in files.items():  # meta.json is the last
             with replacing(Path(path).with_name(name) if name != META else path) as file:
                 file.write(content)

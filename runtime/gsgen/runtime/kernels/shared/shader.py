@@ -88,13 +88,13 @@ def source(name: str, **constants: int | float | bool) -> str:
     }
     known = shared | constants
     lines = [_declaration(key, value) for key, value in known.items()]
-    text = _included(name, {name}, wide=bool(known["WIDE"]))
+    text = _included(name, {name}, wide_words=bool(known["WIDE"]))
     while (match := _REPEAT.search(text)) is not None:
         text = text[: match.start()] + _repeated(match, known) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
 
-def _included(name: str, included_names: set[str], *, wide: bool) -> str:
+def _included(name: str, included_names: set[str], *, wide_words: bool) -> str:
     """Return the text of a shader with each included file inserted once."""
 
     def replacement(match: re.Match[str]) -> str:
@@ -102,11 +102,10 @@ def _included(name: str, included_names: set[str], *, wide: bool) -> str:
         if included in included_names:
             return ""
         included_names.add(included)
-        return _included(included, included_names, wide=wide)
+        return _included(included, included_names, wide_words=wide_words)
 
-    return _INCLUDE.sub(
-        replacement, _shader_files()["wide_words" if wide and name == "words" else name]
-    )
+    file = "wide_words" if wide_words and name == "words" else name
+    return _INCLUDE.sub(replacement, _shader_files()[file])
 
 
 @cache
