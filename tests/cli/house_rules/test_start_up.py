@@ -8,14 +8,14 @@ import pytest
 HEAVY = {"torch", "onnxscript", "onnx_ir", "wgpu", "scipy"}
 
 
-def imported(*words: str, whole: bool = False) -> set[str]:
+def imported(*words: str, whole: bool = False, code: int = 0) -> set[str]:
     finished = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "gsgen.cli", *words],
         capture_output=True,
         text=True,
         env=os.environ | {"COLUMNS": "200"},
     )
-    assert finished.returncode == 0, finished.stderr[-2000:]
+    assert finished.returncode == code, finished.stderr[-2000:]
     lines = [line for line in finished.stderr.splitlines() if line.startswith("import time:")]
     names = {line.rpartition("|")[2].strip() for line in lines}
     return names if whole else {name.partition(".")[0] for name in names}
@@ -37,6 +37,12 @@ def test_static_validation_imports_nothing_heavy(good: Path) -> None:
 def test_running_a_model_keeps_onnx_runtime_out_of_the_parent(good: Path) -> None:
     names = imported("validate", "--level", "behaviour", str(good))
     assert names & (HEAVY | {"onnxruntime"}) == set()
+
+
+def test_a_repair_needs_no_torch(good: Path) -> None:
+    names = imported("fix", str(good), "--dry-run", code=1)  # nothing is broken
+    assert "onnx_ir" in names
+    assert "torch" not in names
 
 
 def test_only_the_reporter_that_is_asked_for_is_imported(good: Path) -> None:

@@ -13,7 +13,8 @@ import pytest
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.sdk.authoring.packed_module import PackedGenerator, output_names
+from gsgen.sdk.authoring.output_names import output_names
+from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.exporting import exporter
 
 

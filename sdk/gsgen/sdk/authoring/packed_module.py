@@ -1,9 +1,6 @@
 """Packs, casts, pads and names the outputs of a user's torch module for ONNX export."""
 
-__all__ = [
-    "APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT", "GAUSSIANS", "Packed", "PackedGenerator",
-    "check_whole_cells", "output_names",
-]  # fmt: skip
+__all__ = ["Packed", "PackedGenerator", "check_whole_cells"]
 
 from dataclasses import dataclass
 
@@ -12,26 +9,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.spec.layout import appearance_channels
-from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
-
-# Every known consumer binds these names correctly; the Visionary viewer searches for names that
-# start with `gauss` or contain `color`.
-GAUSSIANS = "gaussians"
-APPEARANCE_SH = "color_sh"
-APPEARANCE_RGB = "color_rgb"
-COUNT = "num_points"
-CELLS = "cells"
-
-
-def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
-    """Return the ONNX output names of an exported model, in graph order."""
-    appearance = manifest.outputs.appearance
-    assert appearance is not None
-    names = (GAUSSIANS, appearance.name, COUNT)
-    return names if manifest.outputs.cells is None else (*names, CELLS)
 
 
 def check_whole_cells(capacity: int, per_cell: int) -> None:

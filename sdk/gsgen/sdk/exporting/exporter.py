@@ -37,16 +37,8 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.module_checks import validate_module
-from gsgen.sdk.authoring.packed_module import (
-    APPEARANCE_RGB,
-    APPEARANCE_SH,
-    CELLS,
-    COUNT,
-    GAUSSIANS,
-    Packed,
-    PackedGenerator,
-    check_whole_cells,
-)
+from gsgen.sdk.authoring.output_names import APPEARANCE_RGB, APPEARANCE_SH, CELLS, COUNT, GAUSSIANS
+from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator, check_whole_cells
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.eager_reference import (
     EagerRuns,

@@ -21,7 +21,7 @@ from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from gsgen.sdk.authoring.packed_module import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
+from gsgen.sdk.authoring.output_names import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
 from gsgen.sdk.exporting.embed_manifest import with_profile
 from gsgen.sdk.passes import (
     CastCount,

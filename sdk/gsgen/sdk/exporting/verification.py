@@ -13,7 +13,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.authoring.generator import GaussianGenerator
-from gsgen.sdk.authoring.packed_module import output_names
+from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.frame_size import frame_bytes

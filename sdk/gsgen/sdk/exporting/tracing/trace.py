@@ -17,7 +17,8 @@ from torch import nn
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.sdk.authoring.packed_module import PackedGenerator, output_names
+from gsgen.sdk.authoring.output_names import output_names
+from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
 from gsgen.sdk.exporting.tracing.hazards import Hazard
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
