@@ -5,6 +5,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
+# Some containers forbid Python to write bytecode: each of a thousand processes of the tests would
+# compile the project anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours suite clean
 
 setup: $(READY)

@@ -54,6 +54,8 @@ def _run() -> None:
     if command_name is not None and command_name not in commands:
         _fail(_unknown_command(command_name, commands))
     selected = [commands[command_name]] if command_name else list(commands.values())
+    if arguments == ["--version"]:
+        selected = []  # loading them would take a quarter of a second
     try:
         try:
             program = typer.main.get_command(build(selected))
