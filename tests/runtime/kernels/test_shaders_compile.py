@@ -61,6 +61,7 @@ CONSTANTS: dict[str, int | float | bool] = {
     "HALF_SOURCE": True,
     "HALF_TARGET": True,
     "CULL_MARGIN": 0.15,
+    "REACH": 3.5,
     "MODE_DEPTH": 1,
     "MODE_MEDIAN": 2,
     "MODE_NORMAL": 3,
