@@ -4,6 +4,10 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 BIN=.venv/bin
 
+# Each worker computes in one thread: those of several workers would wait for each other, and keep
+# the cores busy meanwhile.
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
 $BIN/coverage erase
 # A file's tests stay together: they share models that were judged once. Those that take longest
 # come first, as tests/conftest.py orders them.

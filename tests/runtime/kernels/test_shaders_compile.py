@@ -61,6 +61,7 @@ CONSTANTS: dict[str, int | float | bool] = {
     "HALF_SOURCE": True,
     "HALF_TARGET": True,
     "CULL_MARGIN": 0.15,
+    "REACH": 3.5,
     "MODE_DEPTH": 1,
     "MODE_MEDIAN": 2,
     "MODE_NORMAL": 3,
@@ -87,6 +88,7 @@ VARIANTS: dict[str, dict[str, int | float | bool]] = {
         "LISTS": False,
         "WINDOWS": True,
     },
+    "64 bits at a time": {"WIDE": True},
 }
 
 
@@ -96,7 +98,7 @@ def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) ->
     """wgpu raises for a name that neither the file nor its includes declare."""
     if "subgroup" in SHADERS[name] and not device.subgroups:
         pytest.skip("the device has no subgroups")
-    if "u64" in SHADERS[name] and not device.wide:
+    if ("u64" in SHADERS[name] or "WIDE" in VARIANTS[variant]) and not device.wide:
         pytest.skip("the device reads no 64 bits at a time")
     declared = set(re.findall(r"^const (\w+)", SHADERS[name], re.MULTILINE))
     constants = {

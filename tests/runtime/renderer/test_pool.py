@@ -1,5 +1,6 @@
 """A pool draws the tiles in it as one set of their rows, and changes no GPU object."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +20,7 @@ from gsgen.runtime.scene.frame import NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool, pool_row_bytes
-from support.rendering.splat_scenes import camera, cloud, turned
+from support.rendering.splat_scenes import camera, cloud, single, turned
 
 OUTPUTS: tuple[Output, ...] = ("color", "depth", "normal")
 SLOT = 128
@@ -104,6 +105,25 @@ def test_a_pool_blends_with_sets_around_it(renderer: Renderer) -> None:
     assert scene.locate(205) == (1, 5)
     with pytest.raises(IndexError):
         scene.locate(len(scene))
+
+
+@pytest.mark.parametrize(("width", "dilation"), [(61, 30.0), (61, 0.3), (9, 0.3)])
+def test_dilated_splats_beside_the_image_are_those_of_a_set(
+    renderer: Renderer, width: int, dilation: float
+) -> None:
+    """A point beside the image reaches into it by its dilation alone."""
+    view = replace(camera(width=width), dilation=dilation)
+    reach = np.sqrt(2 * np.log(255) * dilation)
+    seen = 0
+    for beside in np.linspace(0.1, 1.1, 8) * reach:
+        rows = single(depth=4.0, opacity=1.0, variance=1e-8).rows.copy()
+        rows[:, 0] = 4 * (width + beside - view.cx) / view.fx
+        data = SplatData(rows, np.ones((1, 3), np.float32), "sh")
+        pooled = renderer.render(Scene([], pools=[filled(data, count=1)]), view).rgba
+        expected = renderer.render(Scene([data]), view).rgba
+        np.testing.assert_array_equal(pooled, expected)
+        seen += bool(expected.any())
+    assert seen > 3
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.3, 1.0])

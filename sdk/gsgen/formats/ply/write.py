@@ -1,13 +1,16 @@
 """Writes splats and point clouds as PLY files."""
 
-from collections.abc import Iterable, Iterator
-from typing import BinaryIO
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import BinaryIO, Literal, final
 
 import numpy as np
 from jaxtyping import Float32
 
 from gsgen.formats.ply.header import ANTIALIASED_COMMENT, ENCODINGS, Encoding
-from gsgen.formats.ply.layout import COLORS, XYZ, splat_groups, splat_names
+from gsgen.formats.ply.layout import COLORS, XYZ, splat_names
 from gsgen.formats.ply.values import require_cloud, require_splats
 from gsgen.formats.shared.errors import ValueInvalid, shown
 from gsgen.formats.shared.files import FilePath, naming, replacing
@@ -15,8 +18,21 @@ from gsgen.formats.shared.splats import PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
 
-Columns = dict[str, tuple[str, Float32[np.ndarray, " n"]]]
-"""The type and the values of each property, in the order of the file."""
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """Properties that stand side by side in a file, and their numbers.
+
+    Attributes:
+        names: The names of the properties.
+        code: The type of each of them, as NumPy writes it.
+        values: A row for each splat or point, which may be an array of several dimensions.
+    """
+
+    names: Sequence[str]
+    code: Literal["f4", "u1"]
+    values: Float32[np.ndarray, "n ..."]
 
 
 def write_ply(
@@ -36,12 +52,11 @@ def write_ply(
     with naming(path):
         if format not in ENCODINGS:
             raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
-        columns = _splat_columns(content) if isinstance(content, Splats) else _points(content)
+        blocks = _splat_blocks(content) if isinstance(content, Splats) else _point_blocks(content)
     with replacing(path) as file:
         is_antialiased = isinstance(content, Splats) and content.antialiased
-        file.write(_header(columns, len(content), format, antialiased=is_antialiased))
-        for chunk in _chunks(columns, len(content)):
-            _write_rows(file, chunk, format)
+        file.write(_header(blocks, len(content), format, antialiased=is_antialiased))
+        _write_rows(file, blocks, format)
 
 
 def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None:
@@ -49,59 +64,70 @@ def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None
     encoding: Encoding = "binary_little_endian"
     with replacing(path) as file:
         for index, part in enumerate(parts):
-            columns = _splat_columns(part)
+            blocks = _splat_blocks(part)
             if index == 0:
-                file.write(_header(columns, count, encoding, antialiased=part.antialiased))
-            for chunk in _chunks(columns, len(part)):
-                _write_rows(file, chunk, encoding)
+                file.write(_header(blocks, count, encoding, antialiased=part.antialiased))
+            _write_rows(file, blocks, encoding)
 
 
-def _splat_columns(splats: Splats) -> Columns:
+def _splat_blocks(splats: Splats) -> list[_Block]:
     require_splats(splats)
-    columns = {}
-    for array, names in splat_groups(splats.degree).items():
-        table = getattr(splats, array).reshape(len(splats), len(names))
-        columns.update({name: ("f4", table[:, i]) for i, name in enumerate(names)})
-    return {name: columns[name] for name in splat_names(splats.degree)}
+    names = iter(splat_names(splats.degree))
+    arrays = (
+        splats.position,
+        splats.sh[:, 0],
+        splats.sh[:, 1:].transpose(0, 2, 1),  # all of red, then green, then blue
+        splats.logit_opacity,
+        splats.log_scale,
+        splats.rotation,
+    )
+    return [
+        _Block(list(islice(names, math.prod(array.shape[1:]))), "f4", array)
+        for array in arrays
+        if array.size  # degree 0 has no further harmonics
+    ]
 
 
-def _points(cloud: PointCloud) -> Columns:
+def _point_blocks(cloud: PointCloud) -> list[_Block]:
     require_cloud(cloud)
     color = np.rint(cloud.color * np.float32(255))
-    properties = {name: ("f4", cloud.position[:, i]) for i, name in enumerate(XYZ)}
-    return properties | {name: ("u1", color[:, i]) for i, name in enumerate(COLORS[0])}
+    return [_Block(XYZ, "f4", cloud.position), _Block(COLORS[0], "u1", color)]
 
 
-def _header(columns: Columns, count: int, encoding: Encoding, *, antialiased: bool) -> bytes:
+def _header(
+    blocks: Sequence[_Block], count: int, encoding: Encoding, *, antialiased: bool
+) -> bytes:
     words = {"f4": "float", "u1": "uchar"}
     lines = [
         "ply",
         f"format {encoding} 1.0",
         *([ANTIALIASED_COMMENT] if antialiased else []),
         f"element vertex {count}",
-        *(f"property {words[code]} {name}" for name, (code, _) in columns.items()),
+        *(f"property {words[block.code]} {name}" for block in blocks for name in block.names),
         "end_header\n",
     ]
     return "\n".join(lines).encode("ascii")
 
 
-def _chunks(columns: Columns, count: int) -> Iterator[Columns]:
-    for start in range(0, count, CHUNK_ROWS):
-        yield {
-            name: (code, values[start : start + CHUNK_ROWS])
-            for name, (code, values) in columns.items()
-        }
-
-
-def _write_rows(file: BinaryIO, columns: Columns, encoding: Encoding) -> None:
+def _write_rows(file: BinaryIO, blocks: Sequence[_Block], encoding: Encoding) -> None:
     if encoding == "ascii":
-        # Nine digits identify every float32.
-        digits = ["%.9g" if code == "f4" else "%d" for code, _ in columns.values()]
-        np.savetxt(file, np.stack([v for _, v in columns.values()], axis=1), fmt=digits)
+        _write_lines(file, blocks)
         return
     order = ">" if encoding == "binary_big_endian" else "<"
-    fields = [(name, order + code) for name, (code, _) in columns.items()]
-    rows = np.empty(len(next(iter(columns.values()))[1]), np.dtype(fields))
-    for name, (_, values) in columns.items():
-        rows[name] = values
-    file.write(rows.tobytes())
+    fields = [(block.names[0], order + block.code, block.values.shape[1:]) for block in blocks]
+    count = len(blocks[0].values)
+    # Used for all chunks: the system's clearing of new memory takes as long as copying.
+    rows = np.empty(min(count, CHUNK_ROWS), np.dtype(fields))
+    for start in range(0, count, CHUNK_ROWS):
+        chunk = rows[: count - start]
+        for block in blocks:
+            chunk[block.names[0]] = block.values[start : start + CHUNK_ROWS]
+        file.write(chunk.view(np.uint8).data)
+
+
+def _write_lines(file: BinaryIO, blocks: Sequence[_Block]) -> None:
+    # Nine digits identify every float32.
+    digits = ["%.9g" if block.code == "f4" else "%d" for block in blocks for _ in block.names]
+    for start in range(0, len(blocks[0].values), CHUNK_ROWS):
+        parts = [block.values[start : start + CHUNK_ROWS] for block in blocks]
+        np.savetxt(file, np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1), fmt=digits)

@@ -8,15 +8,26 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 _ROWS: Final = 1 << 14  # at a time, which stay in the cache
-# Off-diagonal entries shrink quadratically: of random rows in float32, one in twenty needs a fourth
-# sweep. More than six were never needed.
-_SWEEPS: Final = 3
-_MOST_SWEEPS: Final = 12
-_NEGLIGIBLE: Final = 1e-3  # of the rounding of the trace: what may be left off the diagonal
-_TINY: Final = float(np.finfo(np.float64).tiny)
+_TINY: Final = 1e-150  # in place of 0 below a fraction: its square is a float64, too
+# 2 cos(arccos(r) / 3) for r from 0 to 1, to 7.3e-5: a cubic polynomial, the constant term first
+_ROOT: Final = (1.73212365, 0.33080901, -0.08176291, 0.01888736)
+_NEWTON_STEPS: Final = 2  # to 4.6e-9, then to the rounding of float64
+# Of upper triangles xx xy xz yy yz zz: the entries of the matrix; and those of its diagonal and
+# beside it, each followed by its first two again.
+_MATRIX: Final = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+_CYCLIC: Final = [0, 3, 5, 0, 3, 4, 2, 1, 4, 2]
 _ORDER: Final = (2, 0, 2)  # the axes about which swaps sort three scales
+# For each axis r, (w, q) and (r, p): a turn about it mixes w with r, and q with p, where p and q are
+# the axes that follow r.
+_PAIRS: Final = (
+    (slice(0, None, 3), slice(1, 3)),
+    (slice(0, 2), slice(2, 4)),
+    (slice(0, None, 2), slice(3, None, -2)),
+)
 
 Column = Float64[np.ndarray, " n"]
+Vectors = Float64[np.ndarray, "3 n"]
+Quaternions = Float64[np.ndarray, "4 n"]
 
 
 def scales_and_quaternions(
@@ -36,121 +47,142 @@ def scales_and_quaternions(
     """
     scales = np.empty((len(covariance), 3))
     quaternions = np.empty((len(covariance), 4), np.float32)
-    scratch = np.empty((4, min(_ROWS, len(covariance))))
     for start in range(0, len(covariance), _ROWS):
         part = slice(start, start + _ROWS)
-        state = _diagonalised(covariance[part], scratch)
-        _sort(state, scratch[:, : state.shape[1]])
-        scales[part] = np.sqrt(np.maximum(state[:3], 0)).T
-        quaternions[part] = _smallest_turn(state[6:]).T
+        variances, turn = _diagonalized(covariance[part].T.astype(np.float64, order="C"))
+        _sort(variances, turn)
+        _take_smallest_turn(turn)
+        scales[part] = np.sqrt(np.maximum(variances, 0)).T
+        quaternions[part] = turn.T
     return scales, quaternions
 
 
-def _diagonalised(
-    covariance: Float[np.ndarray, "n 6"], scratch: Float64[np.ndarray, "4 m"]
-) -> Float64[np.ndarray, "10 n"]:
-    """Return eigenvalues, and eigenvectors as quaternions, of 3×3 covariances.
+def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quaternions]:
+    """Return eigenvalues, and eigenvectors as quaternions that are not normalised.
 
-    Jacobi's method (1846): each turn about an own axis makes the entry of the other two axes zero.
-    Rows 3 to 5 of the result become zeros; the quaternions are not normalised.
+    1. The eigenvalue that is farthest from the two others has a well-conditioned eigenvector v.
+    2. The smallest rotation that takes z to v leaves a 2×2 matrix of the x and y axes.
+    3. One Jacobi rotation about z makes that diagonal.
     """
-    count = len(covariance)
-    state = np.zeros((10, count))  # three on the diagonal, yz xz xy, w x y z
-    state[:6] = covariance.T[[0, 3, 5, 4, 2, 1]]
-    state[6] = 1
-    limit = _NEGLIGIBLE * float(np.finfo(covariance.dtype).eps) * np.abs(state[:3]).sum(axis=0)
-    for _ in range(_SWEEPS):
-        _sweep(state, scratch[:, :count])
-    for _ in range(_SWEEPS, _MOST_SWEEPS):
-        between = np.abs(state[3:6]).max(axis=0)
-        unfinished = np.flatnonzero(between > limit)
-        if not unfinished.size:
-            break
-        columns = state[:, unfinished]
-        _sweep(columns, scratch[:, : unfinished.size])
-        state[:, unfinished] = columns
-    return state
+    matrix = covariance[_MATRIX].reshape(3, 3, -1)
+    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    axis, third = _separate_axis(covariance, trace * (1 / 3))
+    # The rotation 1 + vz − vy i + vx j has the columns u, t and v.
+    vx, vy, vz = axis
+    w = 1 + vz
+    x_share, y_share = vx / w, vy / w
+    u = np.stack([1 - vx * x_share, -vy * x_share, -vx])
+    t = np.stack([u[1], 1 - vy * y_share, -vy])
+    product = matrix[0] * u[0]
+    product += matrix[1] * u[1]
+    product += matrix[2] * u[2]
+    first = (u * product).sum(axis=0)
+    between = (t * product).sum(axis=0)
+    second = trace - third
+    second -= first
+    # tan φ = ± 2 b / (|d| + √(d² + 4 b²)): the smaller angle, 0 where there is nothing to do
+    difference, twice = second - first, between + between
+    length = np.sqrt(difference * difference + twice * twice) + np.abs(difference)
+    tangent = twice / np.copysign(np.maximum(length, _TINY), difference)
+    shift = tangent * between
+    variances = np.stack([first - shift, second + shift, third])
+    tangent /= np.sqrt(tangent * tangent + 1) + 1  # of φ / 2
+    turn = np.stack([w, -vy - tangent * vx, vx - tangent * vy, -tangent * w])
+    return variances, turn
 
 
-def _sweep(state: Float64[np.ndarray, "10 n"], scratch: Float64[np.ndarray, "4 n"]) -> None:
-    """Apply one Jacobi rotation about each axis to covariance matrices, in place.
+def _separate_axis(covariance: Float64[np.ndarray, "6 n"], mean: Column) -> tuple[Vectors, Column]:
+    """Return the eigenvector whose eigenvalue is farthest from the others, and that eigenvalue.
 
-    New arrays would take longer.
+    The eigenvalues are mean + spread β, for the roots β of β³ − 3β − det B, where B is the
+    covariance minus its mean, divided by its spread. The farthest root is at least √3, or at most
+    −√3 (O. K. Smith, "Eigenvalues of a symmetric 3×3 matrix", 1961). The columns of the adjugate of
+    B − β, which is adj B + βB + β², are multiples of the eigenvector. Its z is not negative.
     """
-    diagonal, between, turn = state[:3], state[3:6], state[6:]
-    first, tangent, length, second = scratch
-    for axis in range(3):
-        p, q = (axis + 1) % 3, (axis + 2) % 3
-        # tan φ = ± 2 b / (|d| + √(d² + 4 b²)): the smaller angle, 0 where there is nothing to do
-        difference = np.subtract(diagonal[q], diagonal[p], out=first)
-        twice = np.add(between[axis], between[axis], out=tangent)
-        np.multiply(difference, difference, out=length)
-        length += np.multiply(twice, twice, out=second)
-        np.sqrt(length, out=length)
-        length += np.abs(difference, out=second)
-        np.maximum(length, _TINY, out=length)
-        np.divide(twice, np.copysign(length, difference, out=length), out=tangent)
-        shift = np.multiply(tangent, between[axis], out=length)
-        diagonal[p] -= shift
-        diagonal[q] += shift
-        between[axis] = 0
-        secant = np.multiply(tangent, tangent, out=length)
-        secant += 1
-        np.sqrt(secant, out=secant)
-        np.multiply(tangent, between[p], out=first)
-        np.multiply(tangent, between[q], out=second)
-        between[q] -= first
-        between[p] += second
-        between[q] /= secant
-        between[p] /= secant
-        secant += 1
-        _turn_about(turn, axis, np.divide(tangent, secant, out=tangent), scratch)
+    cyclic = covariance[_CYCLIC].reshape(2, 5, -1)
+    cyclic[0] -= mean
+    squares = np.square(cyclic[:, :3])
+    squares[0] += squares[1]
+    squares[0] += squares[1]
+    spread = np.sqrt(squares[0].sum(axis=0) * (1 / 6))
+    cyclic *= 1 / np.maximum(spread, _TINY)
+    upper = cyclic[:, :3]  # of B: the diagonal, and what is beside it
+    adjugate = cyclic[:, 1:4] * cyclic[:, 2:]
+    adjugate -= upper[1] * upper[::-1]
+    products = upper * adjugate
+    determinant = products[0, 0] + products[1, 1] + products[1, 2]
+    root = np.copysign(_farthest_root(np.abs(determinant)), determinant)
+    adjugate += upper * root
+    adjugate[0] += root * root
+    # The column with the largest entry of the diagonal, by factors of 0 and 1
+    rows = adjugate.reshape(6, -1)
+    is_y = (rows[1] > rows[0]).astype(np.float64)
+    is_z = (rows[2] > np.maximum(rows[0], rows[1])).astype(np.float64)
+    axis = rows[[0, 5, 4]]
+    axis += is_y * (rows[[5, 1, 3]] - axis)
+    axis += is_z * (rows[[4, 3, 2]] - axis)
+    axis /= np.copysign(np.sqrt(np.square(axis).sum(axis=0)), axis[2])
+    return axis, mean + spread * root
 
 
-def _turn_about(
-    turn: Float64[np.ndarray, "4 n"],
-    axis: int,
-    tangent: Column,
-    scratch: Float64[np.ndarray, "4 n"],
-) -> None:
-    """Rotate quaternions by −θ about one of their own axes; ``tangent`` is tan(θ / 2).
+def _farthest_root(determinant: Column) -> Column:
+    """Return the root from √3 to 2 of β³ − 3β − ``determinant``, which is 0 to 2.
 
-    The right factor is 1 − tan(θ / 2) e, for axis e; the product is not normalised.
-    ``tangent`` may be the second column of ``scratch``.
+    Newton's method, whose slope is at least 6 there, from a polynomial.
     """
-    first, _, second, _ = scratch
-    w, r, p, q = (turn[index] for index in (0, *(1 + (axis + step) % 3 for step in range(3))))
-    for a, b in ((w, r), (q, p)):
-        np.multiply(tangent, b, out=first)
-        np.multiply(tangent, a, out=second)
-        a += first
-        b -= second
+    half = 0.5 * determinant
+    root = _ROOT[3] * half
+    for coefficient in _ROOT[2:0:-1]:
+        root += coefficient
+        root *= half
+    root += _ROOT[0]
+    for _ in range(_NEWTON_STEPS):
+        square = root * root
+        step = square - 3
+        step *= root
+        step -= determinant
+        square -= 1
+        square *= 3
+        step /= square
+        root -= step
+    return root
 
 
-def _sort(state: Float64[np.ndarray, "10 n"], scratch: Float64[np.ndarray, "4 n"]) -> None:
+def _turn_about(turn: Quaternions, axis: int, sine: Column, cosine: Column | None = None) -> None:
+    """Rotate quaternions by −θ about one of their own axes: by a factor cos θ/2 − sin θ/2 e.
+
+    Without a cosine it is 1, ``sine`` is tan θ/2, and the result is not normalised.
+    """
+    left, right = (turn[pair] for pair in _PAIRS[axis])
+    to_left, to_right = sine * right, sine * left
+    if cosine is not None:
+        turn *= cosine
+    left += to_left
+    right -= to_right
+
+
+def _sort(variances: Vectors, turn: Quaternions) -> None:
     """Sort eigenvalues in place by swaps of two axes, which are quarter turns about the third."""
     for axis in _ORDER:
-        low, high = state[(axis + 1) % 3], state[(axis + 2) % 3]
-        smaller, is_swapped = scratch[:2]
-        np.greater(low, high, out=is_swapped, casting="unsafe")  # 0 or 1: tan 0° or tan 45°
-        np.minimum(low, high, out=smaller)
+        low, high = variances[(axis + 1) % 3], variances[(axis + 2) % 3]
+        is_swapped = (low > high).astype(np.float64)  # 0 or 1: tan 0° or tan 45°
+        smaller = np.minimum(low, high)
         np.maximum(low, high, out=high)
         low[:] = smaller
-        _turn_about(state[6:], axis, is_swapped, scratch)
+        _turn_about(turn, axis, is_swapped)
 
 
-def _smallest_turn(turn: Float64[np.ndarray, "4 n"]) -> Float64[np.ndarray, "4 n"]:
+def _take_smallest_turn(turn: Quaternions) -> None:
     """Rotate the axes of ellipsoids by half turns until w is the quaternions' largest component.
 
-    Half turns about own axes keep the covariance. The quaternions are normalised.
+    Half turns about own axes keep the covariance. The quaternions are normalised, in place.
     """
-    w, x, y, z = turn
     # 1. Where y or z is the largest, a half turn about y makes it w or x.
     length = np.abs(turn)
     is_far = np.maximum(length[2], length[3]) > np.maximum(length[0], length[1])
-    w, x, y, z = (np.where(is_far, *pair) for pair in ((-y, w), (-z, x), (w, y), (x, z)))
+    sine = is_far.astype(np.float64)
+    _turn_about(turn, 1, sine, 1 - sine)
     # 2. Where x is larger than w, a half turn about x exchanges them.
-    is_far = np.abs(x) > np.abs(w)
-    w, x, y, z = (np.where(is_far, *pair) for pair in ((-x, w), (w, x), (z, y), (-y, z)))
-    scale = np.copysign(1 / np.sqrt(w * w + x * x + y * y + z * z), w)
-    return np.asarray((w * scale, x * scale, y * scale, z * scale))
+    sine = (np.abs(turn[1]) > np.abs(turn[0])).astype(np.float64)
+    _turn_about(turn, 0, sine, 1 - sine)
+    turn /= np.copysign(np.sqrt((turn * turn).sum(axis=0)), turn[0])

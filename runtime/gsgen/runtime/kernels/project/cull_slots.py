@@ -13,6 +13,8 @@ from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS
+from gsgen.runtime.scene.camera import DILATION
+from gsgen.runtime.scene.splat_pool import REACH
 
 CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
 """How far beyond the image a tile slot counts as seen, in images: where Jacobians still vary."""
@@ -41,6 +43,7 @@ class CullSlots:
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             CULL_MARGIN=CULL_MARGIN,
+            REACH=REACH,
             KEYS_ONLY=keys_only,
             **(PANORAMA_CONSTANTS if panorama else {}),
         )
@@ -63,20 +66,21 @@ def seen_reference(
 ) -> Bool[np.ndarray, " s"]:
     """Return the mask of pool slots (streamed tiles) in view: ``cull_slots.wgsl`` in NumPy.
 
-    All eight corners of a box are tested against each side of the image and the near plane, which
+    All eight corners of a box are tested against each of the four planes and the near plane, which
     is another way to the same result as the shader's extents.
     """
+    drawn = (slots["fade"] > 0) & (slots["live"] > 0)
+    dilation = REACH * np.sqrt(DILATION + frame["extra_dilation"])
+    if (CULL_MARGIN * frame["size"] < dilation).any():
+        return np.asarray(drawn)
     linear = np.asarray(page["linear"], np.float64)[:, :3].T
     boxes = np.stack([slots["low"], slots["high"]], axis=1).astype(np.float64)
     choices = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T
     corners = np.take_along_axis(boxes, np.broadcast_to(choices, (len(slots), 8, 3)), axis=1)
     eye = slots["eye"].astype(np.float64) + slots["eye_rest"]
     at = (corners - eye[:, None]) @ linear.T
-    size = frame["size"].astype(np.float64)
-    first = frame["center"] + frame["origin"]
-    scaled = frame["focal"] * at[..., :2]
-    inside_low = scaled + (first + CULL_MARGIN * size) * at[..., 2:] >= 0
-    inside_high = scaled - (size + CULL_MARGIN * size - first) * at[..., 2:] <= 0
+    inside_low = at[..., :2] - frame["slope_low"] * at[..., 2:] >= 0
+    inside_high = at[..., :2] - frame["slope_high"] * at[..., 2:] <= 0
     sides = inside_low.any(axis=1).all(axis=1) & inside_high.any(axis=1).all(axis=1)
     in_front = (at[..., 2] > frame["near"]).any(axis=1)
-    return np.asarray((slots["fade"] > 0) & (slots["live"] > 0) & sides & in_front)
+    return np.asarray(drawn & sides & in_front)

@@ -1,8 +1,9 @@
 // Cull slots: list the slots of a pool's page that may be seen, and make all other keys ABSENT.
 //
 // One workgroup per slot. A slot is dropped if it is not drawn, or if the box around its splats
-// lies outside of one of the image's four sides, or behind the near plane. The sides are moved
-// outwards by CULL_MARGIN images, because the ellipse of a splat reaches farther than its ellipsoid.
+// lies behind the near plane, or outside of one of four planes through the camera centre: those to
+// whose slopes Jacobians are clamped, CULL_MARGIN images beyond the sides. Beyond them the ellipse of
+// a splat reaches as far as its ellipsoid, except for the dilation.
 
 //!include frame
 //!include page
@@ -26,23 +27,20 @@ fn may_be_seen(slot: u32) -> bool {
     if (!(slots[slot].fade > 0.0) || slots[slot].live == 0u) {
         return false;
     }
-    if (PANORAMA || is_flat()) {
+    let dilation = REACH * sqrt(DILATION + frame.extra_dilation);
+    if (PANORAMA || is_flat() || any(CULL_MARGIN * vec2f(frame.size) < vec2f(dilation))) {
         return true;
     }
     let extent = 0.5 * (slots[slot].high - slots[slot].low);
     let middle = (slots[slot].low + extent - eye.at) - eye.rest;
-    // A point (x, y, z) stands at pixel focal · (x, y) / z + first, counted from the image's corner.
-    let size = vec2f(frame.size);
-    let margin = CULL_MARGIN * size;
-    let first = frame.center + frame.origin;
-    let low = first + margin;
-    let high = size + margin - first;
+    let low = frame.slope_low;
+    let high = frame.slope_high;
     // Boxes of numbers that are not finite are kept: `project` drops their rows.
     return !(greatest(vec3f(0.0, 0.0, 1.0), middle, extent) <= frame.near)
-        && !(greatest(vec3f(frame.focal.x, 0.0, low.x), middle, extent) < 0.0)
-        && !(greatest(vec3f(-frame.focal.x, 0.0, high.x), middle, extent) < 0.0)
-        && !(greatest(vec3f(0.0, frame.focal.y, low.y), middle, extent) < 0.0)
-        && !(greatest(vec3f(0.0, -frame.focal.y, high.y), middle, extent) < 0.0);
+        && !(greatest(vec3f(1.0, 0.0, -low.x), middle, extent) < 0.0)
+        && !(greatest(vec3f(-1.0, 0.0, high.x), middle, extent) < 0.0)
+        && !(greatest(vec3f(0.0, 1.0, -low.y), middle, extent) < 0.0)
+        && !(greatest(vec3f(0.0, -1.0, high.y), middle, extent) < 0.0);
 }
 
 @compute @workgroup_size(THREADS)

@@ -2,15 +2,16 @@
 // phrased so that NaN is dropped.
 
 //!include splat_record
+//!include words
 //!include tile_window
 //!include flatten
 //!include circle
 //!include spherical_harmonics
 
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
-@group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
-@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy (WEIGHTED: radius² of the circle)
-@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles (if WINDOWS, variance yy)
+@group(0) @binding(2) var<storage, read_write> shapes: array<Quad>;   // mean, conic xx xy
+@group(0) @binding(3) var<storage, read_write> weights: array<Quad>;  // conic yy, strength, depth, variance yy (WEIGHTED: radius² of the circle)
+@group(0) @binding(4) var<storage, read_write> colors: array<Quad>;   // red, green, blue, number of tiles (if WINDOWS, variance yy)
 
 var<private> window: u32;  // if WINDOWS, the word of the splat that `write_splat` wrote
 
@@ -122,13 +123,14 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         let radius = circle(scaled, flat.determinant, flat.unit, SPLAT_REACH);
         extent = min(radius * radius, LARGEST);
     }
-    shapes[shape_at(index)] = vec4f(flat.mean, conic.xy);
-    let weight = vec4f(conic.z, strength, depth, extent);
+    shapes[shape_at(index)] = quad_of(vec4f(flat.mean, conic.xy));
+    let weight = quad_of(vec4f(conic.z, strength, depth, extent));
     if (RECORDS) {
         shapes[weight_at(index)] = weight;
     } else {
         weights[index] = weight;
     }
-    colors[index] = vec4f(max(color, vec3f(0.0)), select(f32(tiles), flat.dilated.z, WINDOWS));
+    let last = select(f32(tiles), flat.dilated.z, WINDOWS);
+    colors[index] = quad_of(vec4f(max(color, vec3f(0.0)), last));
     return bitcast<u32>(depth);
 }

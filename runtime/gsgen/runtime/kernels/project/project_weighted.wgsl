@@ -29,6 +29,6 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     }
     keys[index] = key;
     if (key == ABSENT) {
-        weights[index] = vec4f(0.0, -LARGEST, 0.0, 0.0);
+        weights[index] = quad_of(vec4f(0.0, -LARGEST, 0.0, 0.0));
     }
 }
