@@ -331,3 +331,13 @@ def test_a_mutated_archive_is_read_or_refused_but_never_crashes(tmp_path_factory
     for at, gone, put in edits:
         content = content[:at] + put + content[at + gone :]
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.npz", content)
+
+
+def test_a_header_that_numpy_distrusts_has_a_message_of_one_line(tmp_path):
+    """NumPy refuses headers over 10,000 bytes in three lines, which advise to unpickle."""
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (4, 10), }".ljust(20_000) + b"\n"
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    file = zipped(tmp_path / "long.npz", gaussians=content, appearance=content)
+    with pytest.raises(ArchiveDamaged, match=r"length \(20001\) is large") as caught:
+        read_npz(file)
+    assert "pickle" not in str(caught.value)  # which is on the second line

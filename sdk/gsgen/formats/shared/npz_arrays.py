@@ -42,7 +42,8 @@ def unpacking(where: str) -> Iterator[None]:
 
 
 def _damaged(where: str, error: Exception) -> ArchiveDamaged:
-    reason = str(error)  # may quote the file
+    # It may quote the file. NumPy's further lines advise to unpickle.
+    reason = next(iter(str(error).splitlines()), "")
     short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}…"
     return ArchiveDamaged(
         f"the archive cannot be unpacked ({type(error).__name__}: {short})",
