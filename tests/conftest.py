@@ -60,6 +60,7 @@ _MEASURED = {"cli", "conformance", "contract"}
 _UNMEASURED = {
     "test_adversarial.py",
     "test_five_mistakes.py",
+    "test_good_models.py",
     "test_json_schema.py",
     "test_rules_matter.py",
     "test_upgrades_lossless.py",
