@@ -141,7 +141,7 @@ class _Ordered(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse command-line arguments, and record parameter names in the order typed."""
-        *_, order = self.make_parser(ctx).parse_args(args=list(args))
+        values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         try:
             return super().parse_args(ctx, args)
@@ -149,7 +149,19 @@ class _Ordered(TyperCommand):
             bounds = getattr(error.param, "type", None)
             if "not a valid" in error.message and isinstance(getattr(bounds, "name", None), str):
                 error.message += _number_hint(bounds)
+            error.param = self._missing_argument(error.param, values)
             raise
+
+    def _missing_argument(self, missing: Any, values: dict[str, Any]) -> Any:
+        """Return the parameter that the user left out, for the one that click misses.
+
+        A single value of ``SOURCE… TARGET`` is the last argument to click, and SOURCE to the user.
+        """
+        arguments = [item for item in self.params if item.param_type_name == "argument"]
+        if missing not in arguments[:-1] or values[missing.name or ""]:
+            return missing
+        last = arguments[-1]
+        return last if missing.nargs == -1 and values[last.name or ""] else missing
 
 
 def _number_hint(bounds: Any) -> str:

@@ -241,3 +241,10 @@ def test_a_fraction_of_the_splats_is_a_percentage(source: Path, tmp_path: Path) 
     ran = gsgen_here("convert", tmp_path / "sourse.ply", tmp_path / "a.ply")
     assert ran.err.startswith("gsgen: ")
     assert "\n" not in ran.err.strip().replace("\n  ", "")
+
+
+@pytest.mark.parametrize(("words", "missing"), [(["garden.ply"], "target"), ([], "SOURCE…")])
+def test_the_argument_that_was_left_out_is_named(tmp_path, words, missing):
+    ran = gsgen_here("convert", *words, cwd=tmp_path)
+    assert ran.code == 2
+    assert f"Missing argument '{missing}'" in ran.err
