@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from gsgen.contract.probing import run_comparison
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.run_comparison import Comparison, ProbeRuns, read_behaviour
+from gsgen.contract.probing.run_comparison import Comparison, ProbeRuns, difference, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, Run, Sample
 
 
@@ -98,3 +99,22 @@ def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it(
     assert first.unfinished_probes == [("probe 3", "memory")]
     assert [visit.error for visit in second.visits("outside")] == ["bad"]  # it did run
     assert second.unfinished_probes == behaviour.unfinished_probes == []
+
+
+@pytest.mark.parametrize("block", [5, 1 << 20])
+@pytest.mark.parametrize(
+    ("first", "second", "largest"),
+    [
+        ([1.0, 2.0, np.nan, np.inf], [1.0, 2.5, np.nan, np.inf], 0.5),
+        ([1.0, np.nan, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0], np.inf),
+        ([1.0, np.inf, 3.0, 4.0], [1.0, -np.inf, 3.0, 4.0], np.inf),
+        ([0.0, 0.0, 0.0, 0.0], [-0.0, 0.0, 0.0, 0.0], 0.0),
+    ],
+)
+def test_the_largest_difference_of_two_arrays(first, second, largest, block, monkeypatch):
+    monkeypatch.setattr(run_comparison, "_BLOCK", block)
+    a, b = (np.array([0.0] * 9 + values).reshape(-1, 1) for values in (first, second))
+    assert difference(a, b) == largest
+    assert difference(a[::-1], b[::-1]) == largest
+    assert difference(a[:0], b[:0]) == 0
+    assert difference(a, b[1:]) == np.inf

@@ -13,6 +13,7 @@ from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import encode
 from gsgen.contract.spec.manifest import AppearanceOutput
 from gsgen.contract.spec.spherical_harmonics import evaluate
+from gsgen.contract.validation import agreement
 from gsgen.contract.validation.agreement import comparable_parts, field_errors
 from gsgen.contract.validation.report import Tolerance
 
@@ -66,9 +67,14 @@ def oracle(
     return errors
 
 
+@pytest.mark.parametrize("block", [7, 1 << 16])
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("degree", [0, 1, 3, None])
-def test_the_worst_row_is_the_oracle_s(field: str, degree: int | None) -> None:
+def test_the_worst_row_is_the_oracle_s(
+    field: str, degree: int | None, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows are compared in blocks."""
+    monkeypatch.setattr(agreement, "_BLOCK", block)
     rng = np.random.default_rng([3, degree or 9])
     a, c = encode(cloud(30, degree), np.float32)
     b, d = a.copy(), c.copy()

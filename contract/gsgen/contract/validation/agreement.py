@@ -2,7 +2,7 @@
 
 __all__ = ["FieldError", "comparable_parts", "field_errors"]
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ _ROUNDING = {"float16": 2.0**-10, "float32": 2.0**-20}
 # The smallest difference that float16 and float32 can store, once for each execution.
 _TINY = {"float16": 2.0**-23, "float32": 2.0**-148}
 _SMALLEST_TRACE = 1e-30
+_BLOCK = 1 << 16  # rows at a time: copies of all would take several times the memory of the outputs
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
@@ -63,29 +64,36 @@ def field_errors(
     has_rows, _, cells = comparable_parts(first, second)
     if not has_rows or rows is None or not len(rows):
         return
-    yield from _beyond(dict(_measured(first, second)), tolerances, roundings, of_cells=False)
+    measured = (
+        (start, name, error)
+        for start in range(0, len(rows), _BLOCK)
+        for name, error in _measured(first, second, slice(start, start + _BLOCK))
+    )
+    yield from _beyond(measured, tolerances, roundings, of_cells=False)
     if cells:
-        cell_errors = dict(_cells_measured(first, second))
+        cell_errors = ((0, name, error) for name, error in _cells_measured(first, second))
         yield from _beyond(cell_errors, tolerances, roundings, of_cells=True)
 
 
 def _beyond(
-    measured: "dict[str, Measured]",
+    measured: "Iterable[tuple[int, str, Measured]]",
     tolerances: Sequence[Tolerance],
     roundings: int,
     *,
     of_cells: bool,
 ) -> Iterator[FieldError]:
-    for tolerance in tolerances:
-        if tolerance.field not in measured:
-            continue
-        error, rounding = measured[tolerance.field]
+    """Yield the fields beyond tolerance, from the errors of blocks and the blocks' first rows."""
+    worst: dict[str, tuple[float, int, float]] = {}  # excess, row and error of each field
+    for start, name, (error, rounding) in measured:
         # NaN on both sides has error 0 and an undefined rounding.
         explained = roundings * np.nan_to_num(rounding, posinf=0.0)
         excess = np.where(np.isfinite(error), error - explained, np.inf)
-        if excess.max() > tolerance.value:
-            row = int(np.argmax(excess))
-            yield FieldError(tolerance, row, float(error[row]), of_cells)
+        row = int(np.argmax(excess))
+        if name not in worst or excess[row] > worst[name][0]:
+            worst[name] = float(excess[row]), start + row, float(error[row])
+    for tolerance in tolerances:
+        if tolerance.field in worst and worst[tolerance.field][0] > tolerance.value:
+            yield FieldError(tolerance, *worst[tolerance.field][1:], of_cells)
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
@@ -105,17 +113,19 @@ def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, b
 Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
-def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield per field the difference of each Gaussian between two runs, and its rounding error."""
+def _measured(
+    first: ModelOutputs, second: ModelOutputs, block: slice
+) -> Iterator[tuple[str, Measured]]:
+    """Yield per field the differences of Gaussians between two runs, and their rounding errors."""
     assert first.gaussians is not None
     assert second.gaussians is not None
-    a, b = (rows.astype(np.float64) for rows in (first.gaussians, second.gaussians))
+    a, b = (rows[block].astype(np.float64) for rows in (first.gaussians, second.gaussians))
     dtype = first.gaussians.dtype.name
     drawn = (a[:, OPACITY] >= CULL_OPACITY) | (b[:, OPACITY] >= CULL_OPACITY)
     yield from _packed_measured(a, b, drawn, dtype)
     color, second_color = first.appearance, second.appearance
     if color is not None and second_color is not None and comparable_parts(first, second)[1]:
-        c, d = color.astype(np.float64), second_color.astype(np.float64)
+        c, d = color[block].astype(np.float64), second_color[block].astype(np.float64)
         error, largest = _color_errors(c, d, is_sh=first.is_sh)
         yield "appearance", _where(drawn, error, _ROUNDING[color.dtype.name] * largest)
 
