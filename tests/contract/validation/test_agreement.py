@@ -74,7 +74,7 @@ def test_the_worst_row_is_the_oracle_s(
     field: str, degree: int | None, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows are compared in blocks."""
-    monkeypatch.setattr(agreement, "_BLOCK", block)
+    monkeypatch.setattr(agreement, "_COMPARED_ROWS", block)
     rng = np.random.default_rng([3, degree or 9])
     a, c = encode(cloud(30, degree), np.float32)
     b, d = a.copy(), c.copy()

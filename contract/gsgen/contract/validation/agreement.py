@@ -26,7 +26,9 @@ _ROUNDING = {"float16": 2.0**-10, "float32": 2.0**-20}
 # The smallest difference that float16 and float32 can store, once for each execution.
 _TINY = {"float16": 2.0**-23, "float32": 2.0**-148}
 _SMALLEST_TRACE = 1e-30
-_BLOCK = 1 << 16  # rows at a time: copies of all would take several times the memory of the outputs
+_COMPARED_ROWS = (
+    1 << 16
+)  # rows at a time: copies of all would take several times the memory of the outputs
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
@@ -66,8 +68,8 @@ def field_errors(
         return
     measured = (
         (start, name, error)
-        for start in range(0, len(rows), _BLOCK)
-        for name, error in _measured(first, second, slice(start, start + _BLOCK))
+        for start in range(0, len(rows), _COMPARED_ROWS)
+        for name, error in _measured(first, second, slice(start, start + _COMPARED_ROWS))
     )
     yield from _beyond(measured, tolerances, roundings, of_cells=False)
     if cells:
