@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-_ROWS: Final = 1 << 14  # at a time, which stay in the cache
+_ROWS: Final = 1 << 13  # at a time, which stay in the cache
 _TINY: Final = 1e-150  # in place of 0 below a fraction: its square is a float64, too
 # 2 cos(arccos(r) / 3) for r from 0 to 1, to 7.3e-5: a cubic polynomial, the constant term first
 _ROOT: Final = (1.73212365, 0.33080901, -0.08176291, 0.01888736)
