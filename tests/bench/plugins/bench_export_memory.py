@@ -88,13 +88,22 @@ def descendants(pid: int) -> list[int]:
 
 
 def resident_bytes(pid: int) -> tuple[int, int]:
-    """Return the resident memory of a process, and its peak; 0 if the process has ended."""
+    """Return the resident memory of a process, and its peak; 0 if the process has ended.
+
+    Of pages that several processes share, each has a part: a process that was just forked has all
+    pages of its parent, and would count them twice.
+    """
     try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    except OSError:
+        shares = _kilobytes(Path(f"/proc/{pid}/smaps_rollup"))
+        return 1024 * shares.get("Pss", 0), 1024 * _kilobytes(Path(f"/proc/{pid}/status"))["VmHWM"]
+    except (OSError, KeyError):  # the process has ended
         return 0, 0
-    sizes = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith("Vm")}
-    return 1024 * int(sizes.get("VmRSS", 0)), 1024 * int(sizes.get("VmHWM", 0))
+
+
+def _kilobytes(file: Path) -> dict[str, int]:
+    """Return the sizes that a file of /proc lists in kB, by name."""
+    words = [line.split() for line in file.read_text().splitlines() if line.endswith(" kB")]
+    return {name.rstrip(":"): int(size) for name, size, _ in words}
 
 
 def child_seconds() -> float:
