@@ -26,9 +26,8 @@ _ROUNDING = {"float16": 2.0**-10, "float32": 2.0**-20}
 # The smallest difference that float16 and float32 can store, once for each execution.
 _TINY = {"float16": 2.0**-23, "float32": 2.0**-148}
 _SMALLEST_TRACE = 1e-30
-_COMPARED_ROWS = (
-    1 << 16
-)  # rows at a time: copies of all would take several times the memory of the outputs
+# At a time: copies of all rows would take several times the memory of the outputs.
+_COMPARED_ROWS = 1 << 16
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 

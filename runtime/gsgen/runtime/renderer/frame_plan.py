@@ -452,8 +452,8 @@ class Plan:
             clock.begin()
         # Later slabs of depth are blended among the cells that were drawn before the first.
         keeps_cells = self._weighted and only and set(only).isdisjoint(self._weighted.stages)
-        kept = self._weighted.clears if self._weighted and keeps_cells else []
-        for clear in [entry for entry in self.clears if entry not in kept]:
+        cell_clears = self._weighted.clears if self._weighted and keeps_cells else []
+        for clear in [entry for entry in self.clears if entry not in cell_clears]:
             encoder.clear_buffer(*clear)
         if self._meshes is not None and (only is None or "meshes" in only):
             self._meshes.encode(encoder, background, clock.around("meshes") if clock else None)
