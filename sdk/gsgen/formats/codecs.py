@@ -33,6 +33,7 @@ from gsgen.formats.npz import read_npz
 from gsgen.formats.ply.compressed_ply import compressed_order, write_compressed_ply
 from gsgen.formats.ply.header import MAGIC as PLY_MAGIC
 from gsgen.formats.ply.ply import read_ply, write_ply
+from gsgen.formats.ply.write import PlyFrames
 from gsgen.formats.shared.bytes import Data
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
@@ -62,6 +63,8 @@ class Codec:
         suffixes: The ends of file names; the first one is the usual one.
         read: Reads a file.
         write: Writes splats to a file; None if the format is only read.
+        frame_writer: Returns a writer of successive frames, which does not repeat what they share;
+            None where each file is written anew.
         marks: The first bytes of a file; any of them marks it.
         member: A pattern of a file that a zip archive of this format holds; empty if any will do.
         looks_like: Recognises a file without marks by its content.
@@ -78,6 +81,7 @@ class Codec:
     suffixes: tuple[str, ...]
     read: Callable[[FilePath], Content]
     write: Callable[[FilePath, Splats], None] | None = None
+    frame_writer: Callable[[], Callable[[FilePath, Splats], None]] | None = None
     marks: tuple[bytes, ...] = ()
     member: str = ""
     looks_like: Callable[[Data], bool] | None = None
@@ -97,6 +101,7 @@ CODECS: Final = (
         suffixes=(".ply",),
         read=read_ply,
         write=write_ply,
+        frame_writer=lambda: PlyFrames().write,
         marks=PLY_MAGIC,
         keeps_flags=frozenset({"antialiased"}),
         loss="nothing, bit for bit (the flag of linear colours aside)",

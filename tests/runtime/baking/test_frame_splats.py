@@ -1,5 +1,7 @@
 """Rows of a frame become scales, quaternions and SH without a loss that float32 shows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,15 +89,29 @@ def test_frames_in_sequence_are_as_frames_alone() -> None:
             np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name))
 
 
+def test_frames_that_keep_colors_share_their_coefficients() -> None:
+    """Writers do not copy an array again that the last frame had."""
+    first = _cloud(30)
+    opacity = np.where(np.arange(30) % 3, first.opacity, 0).astype(np.float32)
+    sequence = FrameConverter()
+    whole = [_converted(sequence, replace(first, position=first.position + k)) for k in range(2)]
+    assert whole[0].sh is whole[1].sh
+    drawn = [_converted(sequence, replace(first, opacity=opacity)) for _ in range(2)]
+    assert drawn[0].sh is drawn[1].sh
+    assert len(drawn[0].sh) == 20
+    other = _converted(sequence, replace(first, rgb=first.rgb + 0, opacity=opacity))
+    assert other.sh is not drawn[0].sh
+
+
 def test_an_unchanged_covariance_is_not_decomposed_again(monkeypatch: pytest.MonkeyPatch) -> None:
     counts: list[int] = []
-    decompose = frame_splats.scales_and_quaternions
+    decompose = frame_splats.variances_and_quaternions
 
     def counting(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         counts.append(len(covariance))
         return decompose(covariance)
 
-    monkeypatch.setattr(frame_splats, "scales_and_quaternions", counting)
+    monkeypatch.setattr(frame_splats, "variances_and_quaternions", counting)
     cloud = _cloud(20)
     covariance = cloud.covariance.copy()
     covariance[7, 3] += 1

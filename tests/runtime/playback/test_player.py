@@ -333,6 +333,14 @@ def test_outputs_are_compared_bit_by_bit_over_what_is_live() -> None:
     assert np.signbit(second[0, 0])  # what is drawn stays while the next is written
 
 
+def test_a_constant_output_is_copied_once() -> None:
+    rows = np.ones((4, 10), np.float32)
+    kept = _OutputBuffer()
+    assert np.array_equal(kept.take(rows, 3, is_constant=True)[:3], rows[:3])
+    assert kept.take(rows, 3, is_constant=True) is None
+    assert np.array_equal(kept.take(rows, 4, is_constant=True), rows)  # more rows are live
+
+
 def test_a_long_output_is_compared_to_its_end() -> None:
     for dtype in (np.float32, np.float16):
         rows = np.ones((30_000, 10), dtype)

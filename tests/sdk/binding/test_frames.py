@@ -4,6 +4,8 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
+import onnx
+import onnx.parser
 import onnx_ir as ir
 import pytest
 
@@ -262,3 +264,40 @@ def test_an_update_says_which_inputs_changed(provider, models):
         moved = eye.copy()
         moved[:3, 3] = 1
         assert session.update(camera=(moved, eye)) == {"view"}
+
+
+@pytest.mark.parametrize(
+    ("body", "constant"),
+    [
+        ("y = Add(x, w) z = Mul(w, w)", {"z"}),
+        ("y = Identity(x) z = RandomNormalLike(w)", set()),
+        ("y = Identity(w) z = Shape(x) ", {"y"}),
+        ("a = Mul(w, w) y = Neg(a) z = Abs(y)", {"y", "z"}),
+    ],
+)
+def test_outputs_of_weights_alone_are_constant(body, constant, tmp_path):
+    dtype = "int64[2]" if "Shape" in body else "float[2, 3]"
+    text = f"""<ir_version: 8, opset_import: ["" : 17]>
+        constants (float[2, 3] x) => (float[2, 3] y, {dtype} z)
+        <float[2, 3] w = {{1, 2, 3, 4, 5, 6}}> {{ {body} }}"""
+    path = tmp_path / "constants.onnx"
+    onnx.save(onnx.parser.parse_model(text), path)
+    with FrameSession(path, provider="cpu") as session:
+        assert session.constant_outputs == constant
+
+
+def test_an_output_of_control_flow_or_of_a_function_is_not_constant(tmp_path):
+    """Both may draw random numbers."""
+    text = """<ir_version: 8, opset_import: ["" : 17, "own" : 1]>
+        constants (float[2] x) => (float[2] y, float[2] z)
+        <float[2] w = {1, 2}, bool c = {1}> {
+            y = own.Twice(w)
+            z = If(c) <then_branch = a () => (float[2] t) { t = Identity(w) },
+                       else_branch = b () => (float[2] e) { e = Neg(w) }>
+        }
+        <domain: "own", opset_import: ["" : 17]>
+        Twice (v) => (r) { r = Add(v, v) }"""
+    path = tmp_path / "constants.onnx"
+    onnx.save(onnx.parser.parse_model(text), path)
+    with FrameSession(path, provider="cpu") as session:
+        assert session.constant_outputs == frozenset()

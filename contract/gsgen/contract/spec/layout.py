@@ -21,6 +21,7 @@ __all__ = [
     "appearance_channels",
     "decode",
     "decode_cells",
+    "decode_rows",
     "encode",
 ]
 
@@ -40,6 +41,7 @@ OPACITY = 3
 # Opacities may leave [0, 1] by this much.
 OPACITY_SLACK = 1e-3
 COVARIANCE = slice(4, 10)
+_ROW_FIELDS = np.dtype([("position", "V12"), ("opacity", "V4"), ("covariance", "V24")])
 # The columns of xx, yy and zz.
 VARIANCES = [4, 7, 9]
 
@@ -185,16 +187,28 @@ def decode(
             f"the appearance has shape {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed}",
             where="appearance",
         )
-    float_rows = rows.astype(np.float32)
+    position, opacity, covariance = decode_rows(rows)
     color = appearance.astype(np.float32)
     n = len(rows)
     return DecodedGaussians(
-        position=float_rows[:, POSITION],
-        opacity=float_rows[:, OPACITY],
-        covariance=float_rows[:, COVARIANCE],
+        position=position,
+        opacity=opacity,
+        covariance=covariance,
         sh=color.reshape(n, color.shape[1] // 3, 3) if space == "sh" else None,
         rgb=color[:, :3] if space == "rgb" else None,
     )
+
+
+def decode_rows(
+    rows: Float[np.ndarray, "n 10"],
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, "n 6"]]:
+    """Unpack rows to centres, opacities and covariances: contiguous float32 arrays."""
+    # Elements of 12, 4 and 24 bytes are copied in half the time of slices of the columns.
+    fields = np.ascontiguousarray(rows, np.float32).view(_ROW_FIELDS)
+    position, opacity, covariance = (
+        fields[name].copy().view(np.float32) for name in ("position", "opacity", "covariance")
+    )
+    return position.reshape(-1, 3), opacity.reshape(-1), covariance.reshape(-1, 6)
 
 
 def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
@@ -210,5 +224,4 @@ def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
             where="cells",
             hint="A row has a centre (3 numbers), a visibility (1) and a covariance (6).",
         )
-    float_rows = rows.astype(np.float32)
-    return Cells(float_rows[:, POSITION], float_rows[:, VISIBILITY], float_rows[:, COVARIANCE])
+    return Cells(*decode_rows(rows))

@@ -3,6 +3,7 @@
 __all__ = ["bake", "bake_source"]
 
 import os
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
@@ -16,7 +17,7 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import refuse_itself
-from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION, DecodedGaussians, decode
+from gsgen.contract.spec.layout import DecodedGaussians, decode, decode_rows
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats import Splats
 from gsgen.formats.shared.files import make_folder
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 _CAMERA_ROLES: Final = frozenset({"view", "projection", "camera_position", "viewport"})
 _HELD_OUT: Final = 5  # every fifth camera chooses the degree and takes no part in the fit
 _TEST_CAMERAS: Final = 4
+_QUEUED: Final = 1  # frames that wait for the writer, or are written, while the next is converted
 MIN_VIEWS: Final = 20
 """Fewest cameras for a fit of SH degree 3, which has 16 coefficients."""
 
@@ -134,8 +136,11 @@ def bake_source(
     files = OutputFiles.of(output, frames, format)
     for number in {0, frames - 1}:
         refuse_itself(files.path(number), [Path(source.name)])
+    codec = files.codec
+    write = codec.frame_writer() if frames > 1 and codec.frame_writer else codec.write
+    assert write is not None  # OutputFiles has checked it
     job = _Job(
-        source=source, values=values, cameras=cameras, files=files, views=views,
+        source=source, values=values, cameras=cameras, files=files, write=write, views=views,
         max_degree=max_degree, psnr=psnr, frames=frames, progress=progress,
         converter=FrameConverter(
             antialiased=source.antialias == "mip", color_space=source.color_space
@@ -144,7 +149,7 @@ def bake_source(
     written = job.write_all()
     return BakeReport(
         model=source.name,
-        format=files.codec.name,
+        format=codec.name,
         frames=written,
         view_dependence=job.view_dependence,
         fit_error=job.fit_error,
@@ -173,6 +178,7 @@ class _Job:
     values: FrameValues
     cameras: Sequence[Camera]
     files: OutputFiles
+    write: Callable[[Path, Splats], None]
     views: int
     max_degree: int
     psnr: bool | None
@@ -195,21 +201,19 @@ class _Job:
         Where no camera is sampled, the model computes the frame after that meanwhile.
         """
         written: list[BakedFrame] = []
-        pending: Future[BakedFrame] | None = None
+        queue: deque[Future[BakedFrame]] = deque()
         with ThreadPoolExecutor(1, thread_name_prefix="gsgen writing") as writer:
             for number in range(self.frames):
                 head = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
                 splats, skipped = self._converted(number, head)
-                if pending is not None:
-                    written.append(pending.result())
                 self.progress(f"{head}: writing {self.files.path(number).name}")
-                pending = writer.submit(self._write, number, splats, skipped)
+                queue.append(writer.submit(self._write, number, splats, skipped))
+                while len(queue) > (0 if self._is_measured(number) else _QUEUED):
+                    written.append(queue.popleft().result())
                 if self._is_measured(number):
-                    frame, pending = pending.result(), None
-                    psnr = self._measured_psnr(number, Path(frame.file), head)
-                    written.append(replace(frame, psnr=psnr))
-            if pending is not None:
-                written.append(pending.result())
+                    psnr = self._measured_psnr(number, Path(written[-1].file), head)
+                    written[-1] = replace(written[-1], psnr=psnr)
+            written.extend(future.result() for future in queue)
         return tuple(written)
 
     def _converted(self, number: int, head: str) -> tuple[Splats, int]:
@@ -225,9 +229,8 @@ class _Job:
 
     def _write(self, number: int, splats: Splats, skipped: int) -> BakedFrame:
         path, codec = self.files.path(number), self.files.codec
-        assert codec.write is not None  # OutputFiles has checked it
         make_folder(path)
-        codec.write(path, splats)
+        self.write(path, splats)
         return BakedFrame(
             file=str(path),
             count=len(splats),
@@ -283,13 +286,8 @@ class _Job:
             self.decoded = decode(rows, data.appearance[: data.count], data.space)
             self.version = version
             return self.decoded
-        float_rows = rows.astype(np.float32)
-        return replace(
-            self.decoded,
-            position=float_rows[:, POSITION],
-            opacity=float_rows[:, OPACITY],
-            covariance=float_rows[:, COVARIANCE],
-        )
+        position, opacity, covariance = decode_rows(rows)
+        return replace(self.decoded, position=position, opacity=opacity, covariance=covariance)
 
     def _value_index(self, number: int) -> int:
         return number if self.values.frames > 1 else 0

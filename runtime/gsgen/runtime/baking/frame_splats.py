@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float, Float32, Int64
 
 from gsgen.contract.spec.layout import CULL_OPACITY, DecodedGaussians
 from gsgen.formats import Splats
-from gsgen.formats.shared.principal_axes import scales_and_quaternions
-from gsgen.formats.shared.quantities import SH_C0, log, logit
+from gsgen.formats.shared.principal_axes import variances_and_quaternions
+from gsgen.formats.shared.quantities import SH_C0, logit
 
-# Below this, float32 cannot square a scale; formats and viewers need a finite logarithm.
-_MIN_SCALE = 1e-19
+# Of a scale that float32 can still square; formats and viewers need a finite logarithm.
+_MIN_VARIANCE = 1e-19**2
 
 
 def _finite_rows(array: Float[np.ndarray, "n ..."]) -> Bool[np.ndarray, " n"]:
@@ -48,6 +48,9 @@ class FrameConverter:
         self._rotation = np.empty((0, 4), np.float32)
         self._colors = np.empty((0, 3), np.float32)
         self._has_finite_colors = np.empty(0, bool)
+        self._selected_from = self._colors  # of which, and of which rows, the coefficients are
+        self._selected = self._has_finite_colors
+        self._sh = np.empty((0, 1, 3), np.float32)
 
     def drawn_mask(self, gaussians: DecodedGaussians) -> tuple[Bool[np.ndarray, " n"], int]:
         """Return the mask of drawn Gaussians, and the number of rows that are not finite.
@@ -67,20 +70,31 @@ class FrameConverter:
         Drawn Gaussians are finite. The colours are those of ``gaussians`` where all are drawn, and
         no copy.
         """
-        self._decompose(np.ascontiguousarray(gaussians.covariance, np.float32), is_drawn)
+        self._decompose(np.array(gaussians.covariance, np.float32, order="C"), is_drawn)
         rows = _selection(is_drawn)
-        colors = np.asarray(_colors(gaussians)[rows], np.float32)
-        if gaussians.sh is None:
-            colors = ((colors.astype(np.float64)[:, None, :] - 0.5) / SH_C0).astype(np.float32)
         return Splats(
             position=np.array(gaussians.position[rows], np.float32, order="C"),
-            rotation=np.array(self._rotation[rows]),
-            log_scale=np.array(self._log_scale[rows]),
+            rotation=self._rotation[rows],
+            log_scale=self._log_scale[rows],
             logit_opacity=logit(np.clip(gaussians.opacity[rows], 0, 1)),
-            sh=np.ascontiguousarray(colors),
+            sh=self._coefficients(gaussians, is_drawn),
             antialiased=self._antialiased,
             color_space=self._color_space,
         )
+
+    def _coefficients(
+        self, gaussians: DecodedGaussians, is_drawn: Bool[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, "m k 3"]:
+        """Return the SH coefficients of the drawn rows: the last frame's array where they are."""
+        colors = _colors(gaussians)
+        if self._selected_from is colors and np.array_equal(self._selected, is_drawn):
+            return self._sh
+        self._selected_from, self._selected = colors, is_drawn
+        sh = np.asarray(colors[_selection(is_drawn)], np.float32)
+        if gaussians.sh is None:
+            sh = ((sh.astype(np.float64)[:, None, :] - 0.5) / SH_C0).astype(np.float32)
+        self._sh = np.ascontiguousarray(sh)
+        return self._sh
 
     def _decompose(
         self, covariance: Float32[np.ndarray, "n 6"], is_drawn: Bool[np.ndarray, " n"]
@@ -93,9 +107,19 @@ class FrameConverter:
             self._rotation = np.empty((len(bits), 4), np.float32)
         changed = np.logical_or.reduce([bits[:, i] != self._bits[:, i] for i in range(3)])
         rows = _selection(is_drawn & changed)
-        scales, self._rotation[rows] = scales_and_quaternions(covariance[rows])
-        self._log_scale[rows] = log(np.maximum(scales, _MIN_SCALE))
-        self._bits[rows] = bits[rows]
+        variances, rotation = variances_and_quaternions(covariance[rows])
+        log_scale = np.empty((len(rotation), 3), np.float32)
+        for axis, variance in enumerate(variances):
+            log_scale[:, axis] = 0.5 * np.log(np.maximum(variance, _MIN_VARIANCE))
+        if isinstance(rows, slice):
+            self._bits, self._rotation, self._log_scale = bits, rotation, log_scale
+        elif len(rows):
+            # The arrays of the last frame may be in a file's queue: they stay as they are.
+            self._bits[rows] = bits[rows]
+            self._rotation = self._rotation.copy()
+            self._rotation[rows] = rotation
+            self._log_scale = self._log_scale.copy()
+            self._log_scale[rows] = log_scale
 
 
 def _selection(mask: Bool[np.ndarray, " n"]) -> slice | Int64[np.ndarray, " m"]:

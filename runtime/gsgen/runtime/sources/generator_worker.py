@@ -128,8 +128,9 @@ class GeneratorWorker:
             frame = self.session.run()
             self._count = frame.count
             live = (self._count, self._count, None)  # cells have no count of their own
+            constant = self.session.constant_outputs
             rows, appearance, *cells = (
-                buffer.take(frame[name], live_rows)
+                buffer.take(frame[name], live_rows, is_constant=name in constant)
                 for buffer, name, live_rows in zip(self._buffers, self._names, live, strict=False)
             )
         except BaseException:
@@ -174,13 +175,19 @@ class _OutputBuffer:
         self._spare: np.ndarray | None = None
         self._live = 0
 
-    def take(self, array: Float[np.ndarray, "n c"], live_rows: int | None) -> np.ndarray | None:
+    def take(
+        self, array: Float[np.ndarray, "n c"], live_rows: int | None, *, is_constant: bool = False
+    ) -> np.ndarray | None:
         """Copy a model output without padding rows; return None if the last copy has the same rows.
 
-        The copy stays valid until the call after the next.
+        The copy stays valid until the call after the next. A constant output is not compared.
         """
         old, live = self._shown, len(array) if live_rows is None else live_rows
-        if old is not None and live <= self._live and _same(old[:live], array[:live]):
+        if (
+            old is not None
+            and live <= self._live
+            and (is_constant or _same(old[:live], array[:live]))
+        ):
             return None
         new = np.zeros_like(array) if self._spare is None else self._spare
         new[:live] = array[:live]

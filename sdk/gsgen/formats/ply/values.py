@@ -1,7 +1,7 @@
 """Checks splats and points of a PLY file; drops or refuses values that cannot be drawn."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +21,15 @@ from gsgen.formats.shared.values import (
 )
 
 
-def require_splats(splats: Splats) -> None:
-    """Raise ValueInvalid if ``splats`` is empty or holds a value that cannot be drawn."""
+def require_splats(splats: Splats, *, checked: Collection[str] = ()) -> None:
+    """Raise ValueInvalid if ``splats`` is empty or holds a value that cannot be drawn.
+
+    Arrays that are named in ``checked`` are known to be valid.
+    """
     require_rows(len(splats), "element 'vertex'")
     for array, names, table in _tables(splats):
-        require_finite(table, _labels(names), INFINITE.get(array, ()))
+        if array not in checked:
+            require_finite(table, _labels(names), INFINITE.get(array, ()))
 
 
 def only_drawable(splats: Splats, path: FilePath) -> Splats:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import BinaryIO, Literal, final
+from typing import BinaryIO, Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float32
@@ -17,6 +17,8 @@ from gsgen.formats.shared.files import FilePath, naming, replacing
 from gsgen.formats.shared.splats import PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
+_MOST_SH_BYTES: Final = 1 << 28  # of SH coefficients, at most, whose rows PlyFrames keeps
+_NO_SH: Final = np.empty((0, 1, 3), np.float32)
 
 
 @final
@@ -52,7 +54,11 @@ def write_ply(
     with naming(path):
         if format not in ENCODINGS:
             raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
-        blocks = _splat_blocks(content) if isinstance(content, Splats) else _point_blocks(content)
+        if isinstance(content, Splats):
+            require_splats(content)
+        else:
+            require_cloud(content)
+    blocks = _splat_blocks(content) if isinstance(content, Splats) else _point_blocks(content)
     with replacing(path) as file:
         is_antialiased = isinstance(content, Splats) and content.antialiased
         file.write(_header(blocks, len(content), format, antialiased=is_antialiased))
@@ -64,14 +70,55 @@ def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None
     encoding: Encoding = "binary_little_endian"
     with replacing(path) as file:
         for index, part in enumerate(parts):
+            require_splats(part)
             blocks = _splat_blocks(part)
             if index == 0:
                 file.write(_header(blocks, count, encoding, antialiased=part.antialiased))
             _write_rows(file, blocks, encoding)
 
 
+@final
+class PlyFrames:
+    """Writes the splats of successive frames as binary PLY files, each as ``write_ply`` does.
+
+    Most generators move Gaussians that keep their colours, four fifths of a file at SH degree 3.
+    The rows of the last file stay in memory: where the next frame has the very same array of SH
+    coefficients, which nobody may have changed meanwhile, the other properties alone are checked and
+    replaced.
+    """
+
+    def __init__(self) -> None:
+        self._sh = _NO_SH
+        self._rows: np.ndarray = np.empty(0, np.uint8)
+
+    def write(self, path: FilePath, splats: Splats) -> None:
+        """Write a frame's splats to ``path``; see :func:`write_ply` for the errors."""
+        if splats.sh.nbytes > _MOST_SH_BYTES:
+            write_ply(path, splats)
+            return
+        keeps_colors = splats.sh is self._sh
+        with naming(path):
+            require_splats(splats, checked=("sh",) if keeps_colors else ())
+        blocks = _splat_blocks(splats)
+        encoding: Encoding = "binary_little_endian"
+        if not keeps_colors:
+            self._sh = _NO_SH  # until the rows hold them
+            self._rows = np.empty(len(splats), _row_type(blocks, encoding))
+        changed = [
+            block for block in blocks if not (keeps_colors and block.names[0].startswith("f_"))
+        ]
+        with replacing(path) as file:
+            file.write(_header(blocks, len(splats), encoding, antialiased=splats.antialiased))
+            for start in range(0, len(splats), CHUNK_ROWS):
+                rows = slice(start, start + CHUNK_ROWS)
+                chunk = self._rows[rows]
+                for block in changed:
+                    chunk[block.names[0]] = block.values[rows]
+                file.write(chunk.view(np.uint8).data)
+        self._sh = splats.sh
+
+
 def _splat_blocks(splats: Splats) -> list[_Block]:
-    require_splats(splats)
     names = iter(splat_names(splats.degree))
     arrays = (
         splats.position,
@@ -89,7 +136,6 @@ def _splat_blocks(splats: Splats) -> list[_Block]:
 
 
 def _point_blocks(cloud: PointCloud) -> list[_Block]:
-    require_cloud(cloud)
     color = np.rint(cloud.color * np.float32(255))
     return [_Block(XYZ, "f4", cloud.position), _Block(COLORS[0], "u1", color)]
 
@@ -109,15 +155,21 @@ def _header(
     return "\n".join(lines).encode("ascii")
 
 
+def _row_type(blocks: Sequence[_Block], encoding: Encoding) -> np.dtype[np.void]:
+    """Return the type of a binary row: a field for each block, with the block's first name."""
+    order = ">" if encoding == "binary_big_endian" else "<"
+    return np.dtype(
+        [(block.names[0], order + block.code, block.values.shape[1:]) for block in blocks]
+    )
+
+
 def _write_rows(file: BinaryIO, blocks: Sequence[_Block], encoding: Encoding) -> None:
     if encoding == "ascii":
         _write_lines(file, blocks)
         return
-    order = ">" if encoding == "binary_big_endian" else "<"
-    fields = [(block.names[0], order + block.code, block.values.shape[1:]) for block in blocks]
     count = len(blocks[0].values)
     # Used for all chunks: the system's clearing of new memory takes as long as copying.
-    rows = np.empty(min(count, CHUNK_ROWS), np.dtype(fields))
+    rows = np.empty(min(count, CHUNK_ROWS), _row_type(blocks, encoding))
     for start in range(0, count, CHUNK_ROWS):
         chunk = rows[: count - start]
         for block in blocks:

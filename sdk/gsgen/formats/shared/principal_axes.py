@@ -1,6 +1,6 @@
 """Decomposes covariances of many Gaussians into scales and rotations, by NumPy on all at once."""
 
-__all__ = ["scales_and_quaternions"]
+__all__ = ["scales_and_quaternions", "variances_and_quaternions"]
 
 from typing import Final
 
@@ -12,9 +12,8 @@ _TINY: Final = 1e-150  # in place of 0 below a fraction: its square is a float64
 # 2 cos(arccos(r) / 3) for r from 0 to 1, to 7.3e-5: a cubic polynomial, the constant term first
 _ROOT: Final = (1.73212365, 0.33080901, -0.08176291, 0.01888736)
 _NEWTON_STEPS: Final = 2  # to 4.6e-9, then to the rounding of float64
-# Of upper triangles xx xy xz yy yz zz: the entries of the matrix; and those of its diagonal and
-# beside it, each followed by its first two again.
-_MATRIX: Final = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+# Of upper triangles xx xy xz yy yz zz: those of the diagonal and those beside it, each followed by
+# its first two again.
 _CYCLIC: Final = [0, 3, 5, 0, 3, 4, 2, 1, 4, 2]
 _ORDER: Final = (2, 0, 2)  # the axes about which swaps sort three scales
 # For each axis r, (w, q) and (r, p): a turn about it mixes w with r, and q with p, where p and q are
@@ -27,7 +26,8 @@ _PAIRS: Final = (
 
 Column = Float64[np.ndarray, " n"]
 Vectors = Float64[np.ndarray, "3 n"]
-Quaternions = Float64[np.ndarray, "4 n"]
+Quaternions = Float32[np.ndarray, "4 n"]
+Shares = Float32[np.ndarray, " n"]
 
 
 def scales_and_quaternions(
@@ -35,26 +35,39 @@ def scales_and_quaternions(
 ) -> tuple[Float64[np.ndarray, "n 3"], Float32[np.ndarray, "n 4"]]:
     """Decompose covariances into standard deviations and quaternions.
 
-    The scales ascend. Of the quaternions that differ by the signs of two axes, the one with the
+    Scales are in scene units, and 0 where rounding made an eigenvalue negative; see
+    :func:`variances_and_quaternions`.
+    """
+    variances, quaternions = variances_and_quaternions(covariance)
+    return np.sqrt(np.maximum(variances, 0)).T.copy(), quaternions
+
+
+def variances_and_quaternions(
+    covariance: Float[np.ndarray, "n 6"],
+) -> tuple[Float64[np.ndarray, "3 n"], Float32[np.ndarray, "n 4"]]:
+    """Decompose covariances into variances along their axes, and quaternions.
+
+    The variances ascend. Of the quaternions that differ by the signs of two axes, the one with the
     smallest angle is returned. Each row's result depends on the row alone, bit for bit.
 
     Args:
         covariance: Upper triangles xx xy xz yy yz zz, in squared scene units; finite.
 
     Returns:
-        Scales in scene units, 0 where rounding made an eigenvalue negative; and unit quaternions
-        (w, x, y, z) whose w is positive, and the largest component.
+        Variances in squared scene units, which rounding may have made negative, a column for each
+        row; and unit quaternions (w, x, y, z) whose w is positive, and the largest component.
     """
-    scales = np.empty((len(covariance), 3))
+    variances = np.empty((3, len(covariance)))
     quaternions = np.empty((len(covariance), 4), np.float32)
     for start in range(0, len(covariance), _ROWS):
         part = slice(start, start + _ROWS)
-        variances, turn = _diagonalized(covariance[part].T.astype(np.float64, order="C"))
-        _sort(variances, turn)
+        diagonal, turn = _diagonalized(covariance[part].T.astype(np.float64, order="C"))
+        _sort(diagonal, turn)
         _take_smallest_turn(turn)
-        scales[part] = np.sqrt(np.maximum(variances, 0)).T
-        quaternions[part] = turn.T
-    return scales, quaternions
+        variances[:, part] = diagonal
+        for component in range(4):  # one after the other, several times as fast as turn.T
+            quaternions[part, component] = turn[component]
+    return variances, quaternions
 
 
 def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quaternions]:
@@ -64,20 +77,21 @@ def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quat
     2. The smallest rotation that takes z to v leaves a 2×2 matrix of the x and y axes.
     3. One Jacobi rotation about z makes that diagonal.
     """
-    matrix = covariance[_MATRIX].reshape(3, 3, -1)
-    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    xx, xy, xz, yy, yz, zz = covariance
+    trace = xx + yy + zz
     axis, third = _separate_axis(covariance, trace * (1 / 3))
     # The rotation 1 + vz − vy i + vx j has the columns u, t and v.
     vx, vy, vz = axis
     w = 1 + vz
     x_share, y_share = vx / w, vy / w
-    u = np.stack([1 - vx * x_share, -vy * x_share, -vx])
-    t = np.stack([u[1], 1 - vy * y_share, -vy])
-    product = matrix[0] * u[0]
-    product += matrix[1] * u[1]
-    product += matrix[2] * u[2]
-    first = (u * product).sum(axis=0)
-    between = (t * product).sum(axis=0)
+    ux, uy = 1 - vx * x_share, -vy * x_share
+    ty = 1 - vy * y_share
+    # The covariance times u = (ux, uy, −vx)
+    x = xx * ux + xy * uy - xz * vx
+    y = xy * ux + yy * uy - yz * vx
+    z = xz * ux + yz * uy - zz * vx
+    first = ux * x + uy * y - vx * z
+    between = uy * x + ty * y - vy * z
     second = trace - third
     second -= first
     # tan φ = ± 2 b / (|d| + √(d² + 4 b²)): the smaller angle, 0 where there is nothing to do
@@ -87,7 +101,10 @@ def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quat
     shift = tangent * between
     variances = np.stack([first - shift, second + shift, third])
     tangent /= np.sqrt(tangent * tangent + 1) + 1  # of φ / 2
-    turn = np.stack([w, -vy - tangent * vx, vx - tangent * vy, -tangent * w])
+    # Quaternions are float32 from here on, of which half as many bytes are moved.
+    vx, vy, vz = axis.astype(np.float32)
+    w, half_turn = 1 + vz, tangent.astype(np.float32)
+    turn = np.stack([w, -vy - half_turn * vx, vx - half_turn * vy, -half_turn * w])
     return variances, turn
 
 
@@ -115,12 +132,17 @@ def _separate_axis(covariance: Float64[np.ndarray, "6 n"], mean: Column) -> tupl
     adjugate += upper * root
     adjugate[0] += root * root
     # The column with the largest entry of the diagonal, by factors of 0 and 1
-    rows = adjugate.reshape(6, -1)
-    is_y = (rows[1] > rows[0]).astype(np.float64)
-    is_z = (rows[2] > np.maximum(rows[0], rows[1])).astype(np.float64)
-    axis = rows[[0, 5, 4]]
-    axis += is_y * (rows[[5, 1, 3]] - axis)
-    axis += is_z * (rows[[4, 3, 2]] - axis)
+    xx, yy, zz, yz, xz, xy = adjugate.reshape(6, -1)
+    is_z = (zz > np.maximum(xx, yy)).astype(np.float64)
+    is_y = (yy > xx) * (1 - is_z)
+    is_x = 1 - is_y - is_z
+    axis = np.stack(
+        [
+            xx * is_x + xy * is_y + xz * is_z,
+            xy * is_x + yy * is_y + yz * is_z,
+            xz * is_x + yz * is_y + zz * is_z,
+        ]
+    )
     axis /= np.copysign(np.sqrt(np.square(axis).sum(axis=0)), axis[2])
     return axis, mean + spread * root
 
@@ -148,7 +170,7 @@ def _farthest_root(determinant: Column) -> Column:
     return root
 
 
-def _turn_about(turn: Quaternions, axis: int, sine: Column, cosine: Column | None = None) -> None:
+def _turn_about(turn: Quaternions, axis: int, sine: Shares, cosine: Shares | None = None) -> None:
     """Rotate quaternions by −θ about one of their own axes: by a factor cos θ/2 − sin θ/2 e.
 
     Without a cosine it is 1, ``sine`` is tan θ/2, and the result is not normalised.
@@ -165,7 +187,7 @@ def _sort(variances: Vectors, turn: Quaternions) -> None:
     """Sort eigenvalues in place by swaps of two axes, which are quarter turns about the third."""
     for axis in _ORDER:
         low, high = variances[(axis + 1) % 3], variances[(axis + 2) % 3]
-        is_swapped = (low > high).astype(np.float64)  # 0 or 1: tan 0° or tan 45°
+        is_swapped = (low > high).astype(np.float32)  # 0 or 1: tan 0° or tan 45°
         smaller = np.minimum(low, high)
         np.maximum(low, high, out=high)
         low[:] = smaller
@@ -180,9 +202,9 @@ def _take_smallest_turn(turn: Quaternions) -> None:
     # 1. Where y or z is the largest, a half turn about y makes it w or x.
     length = np.abs(turn)
     is_far = np.maximum(length[2], length[3]) > np.maximum(length[0], length[1])
-    sine = is_far.astype(np.float64)
+    sine = is_far.astype(np.float32)
     _turn_about(turn, 1, sine, 1 - sine)
     # 2. Where x is larger than w, a half turn about x exchanges them.
-    sine = (np.abs(turn[1]) > np.abs(turn[0])).astype(np.float64)
+    sine = (np.abs(turn[1]) > np.abs(turn[0])).astype(np.float32)
     _turn_about(turn, 0, sine, 1 - sine)
     turn /= np.copysign(np.sqrt((turn * turn).sum(axis=0)), turn[0])

@@ -15,6 +15,7 @@ from gsgen.contract.model.model_file import ModelFile, open_model
 from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
 from gsgen.sdk.binding.bound_session import TensorSpec
 from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.replay_check import output_origin
@@ -37,6 +38,27 @@ class ModelFacts:
     def graph(self) -> Graph:
         """The model's graph, which is read on first use to explain errors."""
         return read_graph(self.file)
+
+    @cached_property
+    def constant_outputs(self) -> frozenset[str]:
+        """Names of the outputs that are computed from weights alone: each frame has the same.
+
+        Operators that are not ONNX's own, and those with subgraphs, may draw random numbers.
+        """
+        graph = self.file.proto.graph
+        own = {(function.domain, function.name) for function in self.file.proto.functions}
+        constant = {tensor.name for tensor in graph.initializer}
+        constant |= {tensor.values.name for tensor in graph.sparse_initializer}
+        for node in graph.node:
+            repeats = (
+                node.domain in MAIN_DOMAIN
+                and node.op_type not in RANDOM_OPERATORS
+                and (node.domain, node.op_type) not in own
+                and node.op_type not in CONTROL_FLOW
+            )
+            if repeats and constant.issuperset(filter(None, node.input)):
+                constant.update(filter(None, node.output))
+        return frozenset(value.name for value in graph.output if value.name in constant)
 
     def output_origin(self, output: str) -> str:
         """Return name and operator of the graph node that computes an output, as text."""

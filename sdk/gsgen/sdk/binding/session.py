@@ -149,6 +149,11 @@ class FrameSession:
         """The outputs of the model by name, as buffers with dtype and shape."""
         return MappingProxyType(self._require_open().bound.outputs)
 
+    @property
+    def constant_outputs(self) -> frozenset[str]:
+        """Names of the outputs that every frame of the model shares, whatever its inputs are."""
+        return self._sources.constant_outputs
+
     def samples(self) -> list[dict[str, np.ndarray]]:
         """Return two different sets of input tensors to test the model with."""
         return [dict(probe) for probe in self._sources.probes(self._require_open().ports.values())]
