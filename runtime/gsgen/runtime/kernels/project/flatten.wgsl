@@ -8,7 +8,8 @@ struct Flat {
     mean: vec2f,         // pixels, relative to the frame's origin
     bare: vec3f,         // 2D covariance xx xy yy, pixels²
     dilated: vec3f,      // the same with the dilation
-    unit: f32,           // a power of two, pixels², that prevents overflow:
+    unit: f32,           // a power of two, pixels², that prevents overflow;
+    inverse_unit: f32,   // its reciprocal
     scaled: vec3f,       // `dilated` divided by `unit`, without rounding
     determinant: f32,    // of `scaled`
     is_valid: bool,      // true for an ellipse of finite size
@@ -50,10 +51,12 @@ fn flatten(at: vec3f, depth: f32, sigma: mat3x3f) -> Flat {
     let dilation = DILATION + frame.extra_dilation;
     flat.dilated = vec3f(flat.bare.x + dilation, flat.bare.y, flat.bare.z + dilation);
     let most = max(flat.dilated.x, flat.dilated.z);
-    flat.unit = bitcast<f32>(bitcast<u32>(most) & 0x7f800000u);
-    flat.scaled = flat.dilated / flat.unit;
+    let exponent = bitcast<u32>(most) & 0x7f800000u;
+    flat.unit = bitcast<f32>(exponent);
+    flat.inverse_unit = bitcast<f32>((254u << 23u) - exponent);
+    flat.scaled = flat.dilated * flat.inverse_unit;
     flat.determinant = flat.scaled.x * flat.scaled.z - flat.scaled.y * flat.scaled.y;
     flat.is_valid = flat.dilated.x > 0.0 && flat.dilated.z > 0.0 && most <= LARGEST_VARIANCE
-        && flat.determinant > 0.0;
+        && flat.unit > 0.0 && flat.determinant > 0.0;
     return flat;
 }

@@ -30,7 +30,7 @@ fn color_of(own: u32, offset: vec3f) -> vec3f {
         return channels(own, 0u).xyz;
     }
     let direction = page.local_to_sh * select(offset, page.forward, is_flat());
-    return harmonics(own, page.degree, direction / length(direction));
+    return harmonics(own, page.degree, direction * (1.0 / length(direction)));
 }
 
 // Return whether an interval on one axis of the image holds the centre of one of its pixels.
@@ -84,7 +84,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         return ABSENT;
     }
     if (page.mip != 0u) {
-        let bare = flat.bare / flat.unit;
+        let bare = flat.bare * flat.inverse_unit;
         let product = bare.x * bare.z - bare.y * bare.y;
         opacity *= sqrt(max(product / flat.determinant, 0.0));
         if (!(opacity >= CULL_OPACITY)) {
@@ -104,7 +104,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
 
     // Step 4: count the tiles, and compute the colour.
     let scaled = flat.scaled;
-    let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;
+    let conic = vec3f(scaled.z, -scaled.y, scaled.x) * (flat.inverse_unit / flat.determinant);
     let ellipse = outline(flat.mean, conic, strength, flat.dilated.z);
     var tiles = 0u;
     if (WINDOWS) {

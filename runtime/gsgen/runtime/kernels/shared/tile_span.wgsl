@@ -25,8 +25,18 @@ struct Outline {
 const SLACK = 1.0001;   // factor of the reach: rounding must not lose a pixel
 const EDGE = 0.001;     // pixels
 
+// Return `x` within `low` and `high`; `low` for NaN. A CPU takes one instruction for each choice, and
+// three for min() or max(), of which drivers return the other number where one is NaN.
+fn bounded(x: f32, low: f32, high: f32) -> f32 {
+    let above = select(low, x, x > low);
+    return select(high, above, above < high);
+}
+
+// Return the tile of a pixel, from 0 to `limit`. Mesa's llvmpipe converts floats to u32 lane by lane.
+// So 2²³ is added, which puts the integer into the low bits of a float.
 fn tile_at(pixel: f32, limit: u32) -> u32 {
-    return u32(clamp(floor(pixel / f32(TILE)), 0.0, f32(limit)));
+    let tile = bounded(floor(pixel / f32(TILE)), 0.0, f32(limit));
+    return bitcast<u32>(tile + 8388608.0) & 0x7fffffu;
 }
 
 // mean: in pixels, relative to the frame's origin; strength: the logarithm of the opacity over
@@ -36,10 +46,10 @@ fn outline(mean: vec2f, conic: vec3f, strength: f32, variance_yy: f32) -> Outlin
     result.mean = mean + frame.origin;
     result.reach = 2.0 * strength * SLACK;
     result.half_height = sqrt(result.reach * variance_yy) + EDGE;
-    result.lean = -conic.y / conic.x;
     result.width = 1.0 / conic.x;
+    result.lean = -conic.y * result.width;
     result.inverse_yy = 1.0 / variance_yy;
-    let variance_xx = variance_yy * conic.z / conic.x;
+    let variance_xx = variance_yy * conic.z * result.width;
     result.rightmost = result.lean * variance_yy * sqrt(result.reach / variance_xx);
     // A pixel's centre is half a pixel from its edge.
     let first = ceil(result.mean.y - result.half_height - 0.5);
@@ -49,15 +59,20 @@ fn outline(mean: vec2f, conic: vec3f, strength: f32, variance_yy: f32) -> Outlin
     return result;
 }
 
+// Return half the width of an ellipse at a height.
+fn half_width_at(ellipse: Outline, y: f32) -> f32 {
+    let reach = ellipse.reach - y * y * ellipse.inverse_yy;
+    return sqrt(select(0.0, reach, reach > 0.0) * ellipse.width) + EDGE;
+}
+
 // Return the leftmost and rightmost x of an ellipse between two heights, relative to its mean.
 fn extent(ellipse: Outline, heights: vec2f) -> vec2f {
-    let band = clamp(heights, vec2f(-ellipse.half_height), vec2f(ellipse.half_height));
-    let right_y = clamp(ellipse.rightmost, band.x, band.y);
-    let left_y = clamp(-ellipse.rightmost, band.x, band.y);
-    let right = ellipse.lean * right_y
-        + sqrt(max(ellipse.reach - right_y * right_y * ellipse.inverse_yy, 0.0) * ellipse.width) + EDGE;
-    let left = ellipse.lean * left_y
-        - sqrt(max(ellipse.reach - left_y * left_y * ellipse.inverse_yy, 0.0) * ellipse.width) - EDGE;
+    let top = bounded(heights.x, -ellipse.half_height, ellipse.half_height);
+    let bottom = bounded(heights.y, -ellipse.half_height, ellipse.half_height);
+    let right_y = bounded(ellipse.rightmost, top, bottom);
+    let left_y = bounded(-ellipse.rightmost, top, bottom);
+    let right = ellipse.lean * right_y + half_width_at(ellipse, right_y);
+    let left = ellipse.lean * left_y - half_width_at(ellipse, left_y);
     return vec2f(left, right);
 }
 
