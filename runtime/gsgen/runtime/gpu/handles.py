@@ -10,6 +10,7 @@ __all__ = [
     "RenderPass",
     "RenderPipeline",
     "Resource",
+    "ShaderModule",
     "Texture",
     "TextureView",
 ]
@@ -24,11 +25,12 @@ if TYPE_CHECKING:
     from wgpu import GPUDevice as RawDevice
     from wgpu import GPURenderPassEncoder as RenderPass
     from wgpu import GPURenderPipeline as RenderPipeline
+    from wgpu import GPUShaderModule as ShaderModule
     from wgpu import GPUTexture as Texture
     from wgpu import GPUTextureView as TextureView
 else:
     BindGroup = BindGroupLayout = Buffer = Encoder = object
-    RawDevice = RenderPass = RenderPipeline = Texture = TextureView = object
+    RawDevice = RenderPass = RenderPipeline = ShaderModule = Texture = TextureView = object
 
 Resource: TypeAlias = Buffer | tuple[Buffer, int, int]
 """A resource that a kernel binds: a buffer, or a buffer with an offset and a size in bytes."""

@@ -16,6 +16,7 @@ from gsgen.runtime.gpu.handles import (
     RawDevice,
     Resource,
 )
+from gsgen.runtime.gpu.shader_modules import create_shader_module
 from gsgen.runtime.kernels.shared.shader import source
 
 Dispatch: TypeAlias = tuple[int, int, int] | tuple[Buffer, int]
@@ -54,9 +55,7 @@ class Kernel:
         raw = device.raw
         self._raw = raw
         self.label = entry
-        module = raw.create_shader_module(
-            label=name, code=source(name, WIDE=device.wide, **constants)
-        )
+        module = create_shader_module(raw, name, source(name, WIDE=device.wide, **constants))
         self.layouts = [_layout(raw, entry, kinds) for kinds in groups]
         self.pipeline = raw.create_compute_pipeline(
             label=entry,
