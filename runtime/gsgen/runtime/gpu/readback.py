@@ -54,7 +54,10 @@ class Staging:
         try:
             return {
                 name: np.frombuffer(
-                    self._buffer.read_mapped(self._offsets[name], self._sources[name].size), dtype
+                    self._buffer.read_mapped(
+                        self._offsets[name], self._sources[name].size, copy=False
+                    ),
+                    dtype,
                 ).copy()
                 for name, dtype in dtypes.items()
             }
