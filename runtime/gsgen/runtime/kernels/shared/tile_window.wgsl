@@ -41,7 +41,7 @@ fn window_of(ellipse: Outline) -> u32 {
     return (first << WINDOW_BITS) | touched;
 }
 
-// Return the index in the image of a tile of a window.
-fn tile_in_window(window: u32, bit: u32) -> u32 {
-    return (window >> WINDOW_BITS) + bit / WINDOW_COLUMNS * image_tiles().x + bit % WINDOW_COLUMNS;
+// Return the index of a tile of a window, in an image that is `across` tiles wide.
+fn tile_in_window(window: u32, bit: u32, across: u32) -> u32 {
+    return (window >> WINDOW_BITS) + bit / WINDOW_COLUMNS * across + bit % WINDOW_COLUMNS;
 }

@@ -18,13 +18,15 @@
 @group(0) @binding(7) var<storage, read> weights: array<Quad>;
 @group(0) @binding(8) var<storage, read_write> ranked: array<u32>;  // windows in order of depth
 
-// Count or list a splat in a tile. Splats beyond PAIR_CAPACITY are not written: the frame is drawn
-// again with a larger capacity. `first` is the index of the run's counter of tile 0.
+var<private> capacity: u32;  // of `tile_splats`
+
+// Count or list a splat in a tile. Splats beyond the capacity are not written: the frame is drawn
+// again with a larger one. `first` is the index of the run's counter of tile 0.
 fn visit(tile: u32, splat: u32, first: u32) {
     let counter = first + THREADS * tile;
     let index = counters[counter];
     counters[counter] = index + 1u;
-    if (LISTS && index < counts[PAIR_CAPACITY]) {
+    if (LISTS && index < capacity) {
         tile_splats[index] = splat;
     }
 }
@@ -51,24 +53,33 @@ fn walk(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let tiles = image_tiles().x * image_tiles().y;
+    let across = image_tiles().x;
+    let tiles = across * image_tiles().y;
     let first = group.x * THREADS * tiles + local;
     let visible = counts[VISIBLE];
     let run = (visible + groups.x * THREADS - 1u) / (groups.x * THREADS);
     var rank = (group.x * THREADS + local) * run;
     let end = min(rank + run, visible);
+    let own_windows = arrayLength(&windows) / 2u;
+    capacity = counts[PAIR_CAPACITY];
     var splat = 0u;
     var window = 0u;
-    // One turn takes one tile, so that invocations with few tiles need not wait for others.
-    while (rank < end || (window & WINDOW_TILES) != 0u) {
-        if ((window & WINDOW_TILES) == 0u) {
-            splat = order[rank];
-            if (LISTS) {
-                window = ranked[rank];
-            } else {
-                window = windows[arrayLength(&windows) / 2u + splat];
-                ranked[rank] = window;
-            }
+    // One turn takes one tile, so that invocations with few tiles need not wait for others. In each
+    // turn all of them read their next splat, needed or not: Mesa's llvmpipe branches for each
+    // invocation that may read, and the CPU cannot predict which ones do.
+    while (rank < end || window != 0u) {
+        let next = min(rank, end - 1u);
+        let next_splat = order[next];
+        var next_window: u32;
+        if (LISTS) {
+            next_window = ranked[next];
+        } else {
+            next_window = windows[own_windows + next_splat];
+            ranked[next] = next_window;
+        }
+        if (window == 0u) {
+            splat = next_splat;
+            window = next_window;
             rank += 1u;
             if (window == LARGE) {
                 visit_all(splat, first);
@@ -77,8 +88,9 @@ fn walk(
         }
         let touched = window & WINDOW_TILES;
         if (touched != 0u) {
-            visit(tile_in_window(window, firstTrailingBit(touched)), splat, first);
+            visit(tile_in_window(window, firstTrailingBit(touched), across), splat, first);
             window &= window - 1u;
         }
+        window = select(0u, window, (window & WINDOW_TILES) != 0u);
     }
 }
