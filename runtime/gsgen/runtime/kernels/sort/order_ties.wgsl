@@ -7,10 +7,14 @@
 // UNSORTED (depths are out of order) or TIED (only sets are), and the frame is drawn again.
 
 @group(0) @binding(0) var<storage, read_write> counts: array<atomic<u32>>;
-@group(0) @binding(1) var<storage, read> keys: array<u32>;
+@group(0) @binding(1) var<storage, read> keys: array<vec4u>;  // four at once: on software drivers every read costs the same
 @group(0) @binding(2) var<storage, read> lows: array<u32>;     // by splat: depth remainders, as bits that sort alike
 @group(0) @binding(3) var<storage, read_write> order: array<u32>;
 @group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: its index in the order of the sets, if ARRANGED
+
+fn key_at(rank: u32) -> u32 {
+    return keys[rank / 4u][rank % 4u];
+}
 
 fn origin_of(splat: u32) -> u32 {
     if (ARRANGED) {
@@ -33,7 +37,7 @@ fn check(rank: u32) {
 fn order_tie(first: u32, key: u32, visible: u32) {
     // Step 1: find the end of the tie, or stop if it is too long.
     var end = first + 2u;
-    while (end < visible && end - first <= MOST_TIED && keys[end] == key) {
+    while (end < visible && end - first <= MOST_TIED && key_at(end) == key) {
         end += 1u;
     }
     // Step 2: a tie that is too long is only checked, here for its first MOST_TIED splats.
@@ -70,24 +74,24 @@ fn order_ties(@builtin(global_invocation_id) invocation: vec3u, @builtin(num_wor
     if (start >= end) {
         return;
     }
-    var before = ABSENT;
-    if (start > 0u) {
-        before = keys[start - 1u];
-    }
-    var key = keys[start];
-    for (var i = start; i < end; i++) {
-        var next = ABSENT;
-        if (i + 1u < visible) {
-            next = keys[i + 1u];
-        }
-        if (key == next) {
-            if (key != before) {
-                order_tie(i, key, visible);
-            } else if (i >= MOST_TIED && keys[i - MOST_TIED] == key) {
-                check(i);  // `order_tie` checks the first MOST_TIED
+    var four = keys[start / 4u];
+    for (var first = start / 4u * 4u; first < end; first += 4u) {
+        let next = keys[first / 4u + 1u];
+        // A bit for each splat that has the key of the next one, which few have.
+        let bits = select(vec4u(0u), vec4u(1u, 2u, 4u, 8u), four == vec4u(four.yzw, next.x));
+        var tied = bits.x | bits.y | bits.z | bits.w;
+        while (tied != 0u) {
+            let rank = first + firstTrailingBit(tied);
+            tied &= tied - 1u;
+            if (rank >= start && rank < end && rank + 1u < visible) {
+                let key = key_at(rank);
+                if (rank == 0u || key_at(rank - 1u) != key) {
+                    order_tie(rank, key, visible);
+                } else if (rank >= MOST_TIED && key_at(rank - MOST_TIED) == key) {
+                    check(rank);  // `order_tie` checks the first MOST_TIED
+                }
             }
         }
-        before = key;
-        key = next;
+        four = next;
     }
 }
