@@ -9,6 +9,7 @@ __all__ = [
     "rotation_vector",
 ]
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -38,8 +39,17 @@ class Pose:
 
 def quaternion_product(first: Quaternion, second: Quaternion) -> Quaternion:
     """Return the quaternion of two rotations, the second applied before the first."""
-    w, v, s, u = first[0], first[1:], second[0], second[1:]
-    return np.asarray(np.r_[w * s - v @ u, w * u + s * v + np.cross(v, u)])
+    # In Python's numbers: NumPy takes ten times as long for so few.
+    a, b, c, d = first.tolist()
+    w, x, y, z = second.tolist()
+    return np.array(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ]
+    )
 
 
 def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:
@@ -69,10 +79,11 @@ def rotation_vector(quaternion: Quaternion) -> Vector:
 
 def rotation_quaternion(vector: Vector) -> Quaternion:
     """Return the unit quaternion of a rotation vector, axis × angle in radians."""
-    angle = float(np.linalg.norm(vector))
-    scale = 0.5 if angle < 1e-12 else np.sin(angle / 2) / angle
-    quaternion = np.r_[np.cos(angle / 2), vector * scale]
-    return np.asarray(quaternion / np.linalg.norm(quaternion))
+    x, y, z = vector.tolist()
+    angle = math.hypot(x, y, z)
+    scale = 0.5 if angle < 1e-12 else math.sin(angle / 2) / angle
+    quaternion = (math.cos(angle / 2), x * scale, y * scale, z * scale)
+    return np.array(quaternion) / math.hypot(*quaternion)
 
 
 def interpolate(poses: Sequence[Pose], time: float) -> Pose:

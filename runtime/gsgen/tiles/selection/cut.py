@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.frustum import Frustum, box_distances
 from gsgen.tiles.selection.tile_tree import TileTree
 
 
@@ -72,6 +72,7 @@ def cut_tree_often(
         Rows of the tree, ascending within a level, and for each frustum which of them it sees.
     """
     planes = np.stack([frustum.planes for frustum in frusta])
+    eyes = np.stack([frustum.eye for frustum in frusta])
     all_rows: list[Int64[np.ndarray, " m"]] = []
     all_seen: list[Bool[np.ndarray, "f m"]] = []
     refined = np.zeros((len(frusta), len(tree)), bool)
@@ -89,10 +90,8 @@ def cut_tree_often(
         products = products.reshape(len(rows), 4, *planes.shape[:2])
         reach = products[:, 0] + planes[:, :, 3] + np.abs(products[:, 1:]).sum(axis=1)
         seen = (reach >= 0).all(axis=2).T & open_below
-        for index, frustum in enumerate(frusta):
-            distance = frustum.distances(center, half)
-            error = frustum.screen_space_error(tree.error[rows], distance)
-            refined[index, rows] = seen[index] & (error > max_error) & ~tree.is_leaf[rows]
+        error = frusta[0].screen_space_error(tree.error[rows], box_distances(eyes, center, half))
+        refined[:, rows] = seen & (error > max_error) & ~tree.is_leaf[rows]
         all_rows.append(rows)
         all_seen.append(seen)
     return np.concatenate(all_rows), np.concatenate(all_seen, axis=1)
