@@ -1,7 +1,8 @@
 """Runs many command lines in one process, whose stdout and stderr are as their creator chose.
 
 Reads a JSON list of command lines from the file that its argument names. After the output of each
-it writes a record separator, the exit code, and a unit separator, all of them ASCII.
+it writes a record separator, the exit code, and a unit separator, all of them ASCII. Models run in
+forks of a process that was started in the same surroundings.
 """
 
 import json
@@ -11,6 +12,8 @@ from pathlib import Path
 from unittest.mock import patch
 
 from gsgen.cli.app import main
+from gsgen.contract.probing import sandbox
+from support.forked_sandbox import run_forked
 
 
 def run(words: list[str]) -> int:
@@ -23,6 +26,8 @@ def run(words: list[str]) -> int:
 
 
 if __name__ == "__main__":
+    if sys.platform == "linux":
+        sandbox._run_child = run_forked
     for line in json.loads(Path(sys.argv[1]).read_text("utf-8")):
         # As the interpreter decodes its arguments, which is not UTF-8 in every locale.
         code = run([os.fsdecode(word.encode()) for word in line])
