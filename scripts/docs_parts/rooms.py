@@ -4,7 +4,7 @@ __all__ = ["Room", "imported_rooms", "layer_order", "rooms", "table"]
 
 import ast
 import tomllib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -60,19 +60,32 @@ def layer_order() -> tuple[str, ...]:
 
 
 @cache
+def _product() -> dict[str, PythonFile]:
+    """Return the files of the product by the names of their modules."""
+    return {module_name(file.path): file for file in Repository(ROOT).product}
+
+
+@cache
 def rooms() -> tuple[Room, ...]:
     """Return every room, lowest first; packages that layers do not name follow their parent."""
-    files = {module_name(file.path): file for file in Repository(ROOT).product}
-    packages = {name: file for name, file in files.items() if file.path.endswith("/__init__.py")}
+    files = _product()
+    packages = {name: file for name, file in files.items() if _is_package(file)}
     order = {name: number for number, name in enumerate(layer_order())}
 
+    def named(name: str) -> int:
+        while name not in order:
+            name = name.rpartition(".")[0]
+        return order[name]
+
+    sharing = Counter(map(named, packages))
+
     def rank(name: str) -> tuple[int, int, str]:
-        parent = name
-        while parent not in order:
-            parent = parent.rpartition(".")[0]
+        place = named(name)
+        if sharing[place] == 1:
+            return place, 0, name
         # A room stands above its sub-rooms, except above one that imports it.
         depth = name.count(".")
-        return order[parent], depth if _imports_parent(name, files) else -depth, name
+        return place, depth if _imports_parent(name, files) else -depth, name
 
     return tuple(_room(name, packages[name], files) for name in sorted(packages, key=rank))
 
@@ -104,7 +117,7 @@ def _is_package(file: PythonFile) -> bool:
 @cache
 def imported_rooms() -> dict[str, frozenset[str]]:
     """Return for each room the other rooms that its modules import."""
-    files = {module_name(file.path): file for file in Repository(ROOT).product}
+    files = _product()
     names = {room.name for room in rooms()}
 
     def room_of(module: str) -> str:
