@@ -7,15 +7,18 @@ thousand children that ONNX Runtime runs in, but for those of the command line's
 
 import gc
 import os
+import pkgutil
 import sys
 import threading
 from collections import Counter
 from collections.abc import Generator, Iterator
+from importlib import import_module
 from typing import Any
 from unittest.mock import patch
 
 import pytest
 
+from gsgen import cli, conformance, contract
 from gsgen.contract.probing import sandbox
 from support.forked_sandbox import run_forked
 from support.reports.corpus_line import corpus_line
@@ -80,10 +83,32 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return FileScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
+# The functions that measure lines: none, unless coverage started this process.
+_TRACERS = sys.gettrace(), threading.gettrace()
+
+
 def pytest_configure(config: pytest.Config) -> None:
+    """Measure the imports of the contract, and pause until the first test that is measured."""
     if "PYTEST_XDIST_WORKER" in os.environ:  # started, and measured already
         for name in _ON:
             os.environ.pop(name, None)
+    if _TRACERS[0] is not None:
+        if not config.getoption("numprocesses", None):  # this process runs tests
+            _import_measured_code()
+        _trace(None, None)
+
+
+def _import_measured_code() -> None:
+    """Import the contract, whose lines outside of functions run when it is imported."""
+    for package in (cli, conformance, contract):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if not module.name.endswith("__main__"):
+                import_module(module.name)
+
+
+def _trace(tracer: Any, thread_tracer: Any) -> None:
+    sys.settrace(tracer)
+    threading.settrace(thread_tracer)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -106,18 +131,15 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Pause the measurement of lines during tests that add nothing to it."""
+    """Measure the lines that tests of the contract run; other tests add nothing to it."""
     folder = item.path.relative_to(item.config.rootpath / "tests").parts[0]
-    if folder in _MEASURED and item.path.name not in _UNMEASURED:
+    if folder not in _MEASURED or item.path.name in _UNMEASURED:
         return (yield)
-    traces = sys.gettrace(), threading.gettrace()
-    sys.settrace(None)
-    threading.settrace(None)  # type: ignore[arg-type]
+    _trace(*_TRACERS)
     try:
         return (yield)
     finally:
-        sys.settrace(traces[0])
-        threading.settrace(traces[1])  # type: ignore[arg-type]
+        _trace(None, None)
 
 
 @pytest.fixture(autouse=True)
