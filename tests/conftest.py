@@ -1,11 +1,13 @@
 """Which code is measured: tests of the contract, and commands that they run.
 
-Measuring makes Python half as fast again, and costs every process a tenth of a second at its
-start. Neither other rooms' tests are measured, nor long ones that run no further lines, nor the
-thousand children that ONNX Runtime runs in, but for those of the command line's own tests.
+Measuring makes Python half as slow again, and costs every process a tenth of a second at its
+start. Neither other rooms' tests are measured, nor long ones that run no further lines, nor pytest
+itself, nor the thousand children that ONNX Runtime runs in, but for those of the command line's
+own tests.
 """
 
 import gc
+import logging
 import os
 import pkgutil
 import sys
@@ -67,6 +69,7 @@ _UNMEASURED = {
     "test_json_schema.py",
     "test_rules_matter.py",
     "test_upgrades_lossless.py",
+    "test_value_rules.py",
 }
 
 
@@ -83,19 +86,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return FileScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
-# The functions that measure lines: none, unless coverage started this process.
-_TRACERS = sys.gettrace(), threading.gettrace()
-
-
 def pytest_configure(config: pytest.Config) -> None:
-    """Measure the imports of the contract, and pause until the first test that is measured."""
     if "PYTEST_XDIST_WORKER" in os.environ:  # started, and measured already
         for name in _ON:
             os.environ.pop(name, None)
-    if _TRACERS[0] is not None:
+    if config.pluginmanager.is_blocked("logging"):  # which keeps messages out of stderr
+        logging.getLogger().addHandler(logging.NullHandler())
+    tracer = sys.gettrace()
+    if type(tracer).__module__.startswith("coverage"):  # a debugger is left alone
         if not config.getoption("numprocesses", None):  # this process runs tests
             _import_measured_code()
-        _trace(None, None)
+        config.pluginmanager.register(_LineMeasurement(tracer, threading.gettrace()))
 
 
 def _import_measured_code() -> None:
@@ -106,9 +107,48 @@ def _import_measured_code() -> None:
                 import_module(module.name)
 
 
-def _trace(tracer: Any, thread_tracer: Any) -> None:
-    sys.settrace(tracer)
-    threading.settrace(thread_tracer)
+class _LineMeasurement:
+    """Measures lines in fixtures and functions of the contract's tests, and not in pytest itself.
+
+    ``tracer`` and ``thread_tracer`` are the functions of ``coverage``. They pause until the first
+    fixture: neither the collection is measured nor the process that hands out the tests.
+    """
+
+    def __init__(self, tracer: Any, thread_tracer: Any) -> None:
+        self._tracers = tracer, thread_tracer
+        self._is_measured = False
+        self._trace(None, None)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        """Note whether the lines of a test are measured."""
+        folder = item.path.relative_to(item.config.rootpath / "tests").parts[0]
+        self._is_measured = folder in _MEASURED and item.path.name not in _UNMEASURED
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True, trylast=True)
+    def pytest_fixture_setup(self) -> Generator[None, object, object]:
+        """Measure the lines of a fixture that a measured test needs first."""
+        return (yield from self._measured())
+
+    @pytest.hookimpl(wrapper=True, trylast=True)
+    def pytest_pyfunc_call(self) -> Generator[None, object, object]:
+        """Measure the lines of a test's function."""
+        return (yield from self._measured())
+
+    def _measured(self) -> Generator[None, object, object]:
+        if not self._is_measured:
+            return (yield)
+        before = sys.gettrace(), threading.gettrace()
+        self._trace(*self._tracers)
+        try:
+            return (yield)
+        finally:
+            self._trace(*before)  # a test that asks for a fixture goes on
+
+    def _trace(self, tracer: Any, thread_tracer: Any) -> None:
+        sys.settrace(tracer)
+        threading.settrace(thread_tracer)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -129,24 +169,13 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Measure the lines that tests of the contract run; other tests add nothing to it."""
-    folder = item.path.relative_to(item.config.rootpath / "tests").parts[0]
-    if folder not in _MEASURED or item.path.name in _UNMEASURED:
-        return (yield)
-    _trace(*_TRACERS)
-    try:
-        return (yield)
-    finally:
-        _trace(None, None)
-
-
-@pytest.fixture(autouse=True)
-def _measured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.node.path.name in ("test_validate.py", "test_other_commands.py", "test_diff.py"):
-        for name, value in _ON.items():
-            monkeypatch.setenv(name, value)
+@pytest.fixture(autouse=True, scope="module")
+def _measured(request: pytest.FixtureRequest) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.name in ("test_validate.py", "test_other_commands.py", "test_diff.py"):
+            for name, value in _ON.items():
+                patch.setenv(name, value)
+        yield
 
 
 @pytest.fixture(autouse=True, scope="module")
