@@ -25,6 +25,7 @@ __all__ = [
     "covariance_upper",
     "decode",
     "decode_cells",
+    "decode_rows",
     "encode",
     "look_at",
     "perspective",
@@ -53,6 +54,7 @@ from gsgen.contract.spec.layout import (
     appearance_channels,
     decode,
     decode_cells,
+    decode_rows,
     encode,
 )
 from gsgen.contract.spec.spherical_harmonics import basis, coefficients
