@@ -8,15 +8,11 @@ BIN=.venv/bin
 # the cores busy meanwhile.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-# A worker waits a fifth of its time, for browsers and for children that run models: three workers
-# share two cores.
-WORKERS=$($BIN/python -c 'import os; print(os.cpu_count() * 3 // 2)')
-
 $BIN/coverage erase
 # A file's tests stay together: they share models that were judged once. Those that take longest
 # come first, as tests/conftest.py orders them. Collecting messages of libraries for each step of a
 # test takes a sixth of what pytest takes, and no test reads them.
-$BIN/coverage run -m pytest -q -n "$WORKERS" --dist loadfile --no-loadscope-reorder --slowest-files 50 \
+$BIN/coverage run -m pytest -q -n auto --dist loadfile --no-loadscope-reorder --slowest-files 50 \
   -p no:logging "$@"
 $BIN/coverage combine --quiet
 $BIN/coverage report --include='contract/*' --fail-under=90 | tail -n 25
