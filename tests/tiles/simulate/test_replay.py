@@ -68,7 +68,9 @@ def test_a_changed_log_names_the_first_frame_that_differs(town: Path, tmp_path: 
     ran = gsgen_here("tiles", "replay", town, log)
     assert ran.code == 1
     assert ran.out.startswith(f"frame {line} (line {line + 1}, ")
-    assert " is the first to differ: arrived []; the event log has [(0, 0)" in ran.out
+    # A busy machine receives several contents in a frame, in another order; a line holds some.
+    begin = str([tuple(pair) for pair in logged[:3]]).removesuffix("]")
+    assert f" is the first to differ: arrived []; the event log has {begin}" in ran.out
     ran = gsgen_here("tiles", "replay", town, log, "--json")
     assert ran.code == 1
     document = json.loads(ran.out)
