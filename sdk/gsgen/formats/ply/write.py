@@ -56,9 +56,10 @@ def write_ply(
             raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
         if isinstance(content, Splats):
             require_splats(content)
+            blocks = _splat_blocks(content)
         else:
             require_cloud(content)
-    blocks = _splat_blocks(content) if isinstance(content, Splats) else _point_blocks(content)
+            blocks = _point_blocks(content)
     with replacing(path) as file:
         is_antialiased = isinstance(content, Splats) and content.antialiased
         file.write(_header(blocks, len(content), format, antialiased=is_antialiased))
