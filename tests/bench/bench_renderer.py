@@ -292,7 +292,7 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
     ]
     steps, at = sort.steps(
         counts,
-        sort.histogram(n),
+        sort.histograms(n, 32),
         columns,
         bits=32,
         source=Counts.VISIBLE,

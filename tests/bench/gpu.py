@@ -352,7 +352,7 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
     device.write(source, keys)
     steps, at = sort.steps(
         counts,
-        sort.histogram(n),
+        sort.histograms(n, 32),
         columns,
         bits=32,
         source=Counts.VISIBLE,

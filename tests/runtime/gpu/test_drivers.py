@@ -22,5 +22,6 @@ def test_the_golden_the_meshes_and_the_sort(driver: str) -> None:
     assert max(told["pictures"].values()) <= BAR, told["pictures"]
     assert told["disordered"] == []
     assert told["unmet"] == []
+    assert told["miscounted"] == []
     assert told["unscanned"] == []
     assert told["unsorted"] == []

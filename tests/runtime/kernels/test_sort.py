@@ -24,9 +24,10 @@ def cut(request: pytest.FixtureRequest, device: Device) -> SortConfig:
     return cut_for(device) if request.param == "this device" else GPU
 
 
-@pytest.fixture(scope="module")
-def compacting(device: Device, cut: SortConfig) -> Bench:
-    return Bench(device, cut, 32, ROOM, compact=True)
+@pytest.fixture(scope="module", params=["this device", "many invocations", "counted before"])
+def compacting(request: pytest.FixtureRequest, device: Device) -> Bench:
+    cut = cut_for(device) if request.param == "this device" else GPU
+    return Bench(device, cut, 32, ROOM, compact=True, counted=request.param == "counted before")
 
 
 @pytest.mark.parametrize("kind", KEYS)
@@ -52,6 +53,18 @@ def test_any_keys(compacting_here: Bench, keys: list[int]) -> None:
 @pytest.fixture(scope="module")
 def compacting_here(device: Device) -> Bench:
     return Bench(device, cut_for(device), 32, ROOM, compact=True)
+
+
+@pytest.mark.parametrize("bits", [1, 2, 8, 11, 13, 24])
+def test_counted_low_bits_with_values(device: Device, bits: int) -> None:
+    """No kernel counts them again."""
+    keys = keys_of(5000, "random", seed=bits) & np.uint32((1 << bits) - 1)
+    sort = Bench(device, GPU, bits, 6000, compact=False, counted=True)
+    assert "count" not in [step.kernel.label for step in sort.steps]
+    keys_out, places = sort(keys)
+    wanted = np.argsort(keys, kind="stable")
+    np.testing.assert_array_equal(places, wanted)
+    np.testing.assert_array_equal(keys_out, keys[wanted])
 
 
 @pytest.mark.parametrize("bits", [1, 5, 12, 13, 17])

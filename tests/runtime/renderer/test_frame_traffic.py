@@ -40,9 +40,19 @@ def test_a_frame_has_at_most_45_dispatches() -> None:
 
 
 def test_a_pass_of_the_sort_reads_its_keys_once() -> None:
-    """The first pass reads them once more, because no pass before it can count their digits."""
+    """The kernels that write the keys count the digits of the first pass, without reading them."""
     reads = frame_traffic.key_reads(Workload())
-    assert reads == {"sort": [2, 1, 1, 1], "group": [2, 1]}
+    assert reads == {"sort": [1, 1, 1, 1], "group": [1, 1]}
+
+
+def test_reads_of_a_written_buffer_are_noticed() -> None:
+    """The order is written and read by the step that orders ties, and only written by the sort."""
+    plan, _ = frame_traffic.recorded_plan(Workload())
+    *_, scatter, ties = plan.stages["sort"]
+    order = plan.buffers["values of Gaussians a"]
+    assert frame_traffic.only_writes(scatter, order)
+    assert frame_traffic.names_of(ties, order) == ["order"]
+    assert not frame_traffic.only_writes(ties, order)
 
 
 def test_more_splats_move_more_bytes() -> None:

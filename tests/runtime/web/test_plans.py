@@ -333,6 +333,14 @@ def test_a_wrong_formula_is_noticed(document: dict[str, Any]) -> None:
     assert Reading(document, chosen, sizes, kinds, capacities).steps() == expected
 
 
+def test_every_device_can_bind_what_a_pipeline_binds(document: dict[str, Any]) -> None:
+    """WebGPU's default limits are eight storage buffers and twelve uniform buffers."""
+    for pipeline in document["pipelines"]:
+        kinds = "".join(pipeline["groups"])
+        assert len(kinds.replace("u", "")) <= 8, pipeline["label"]
+        assert kinds.count("u") <= 12
+
+
 def test_every_plan_has_few_guards(document: dict[str, Any]) -> None:
     """A guard too many would leave sizes without a plan."""
     for plan in document["plans"]:

@@ -15,6 +15,7 @@ from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
 from support.checkpoints.golden_case import golden_case
+from support.rendering.first_digits import miscounted
 from support.rendering.mesh_scenes import MESH_SCENES
 from support.rendering.near_ties import NEAR_TIES
 from support.rendering.sorting import GPU, KEYS, Bench, keys_of, scanned
@@ -68,10 +69,10 @@ def unmet(renderer: Renderer) -> list[str]:
 
 
 def unsorted(device: Device, sizes: list[int]) -> list[str]:
-    """Sort all keys of all sizes, in two cuts; return where NumPy finds another order."""
+    """Sort all keys of all sizes, in three ways; return where NumPy finds another order."""
     wrong = []
-    for n, cut in product(sizes, (cut_for(device), GPU)):
-        sort = Bench(device, cut, 32, max(n, 1), compact=True)
+    for n, (cut, counted) in product(sizes, ((cut_for(device), False), (GPU, False), (GPU, True))):
+        sort = Bench(device, cut, 32, max(n, 1), compact=True, counted=counted)
         for kind in KEYS:
             keys = keys_of(n, kind) if n else np.full(1, 0xFFFFFFFF, np.uint32)
             taken = [time.process_time(), time.perf_counter()]
@@ -79,7 +80,7 @@ def unsorted(device: Device, sizes: list[int]) -> list[str]:
             taken = [time.process_time() - taken[0], time.perf_counter() - taken[1]]
             wanted = sort_reference(keys, 32)
             if not (np.array_equal(places, wanted) and np.array_equal(keys_out, keys[wanted])):
-                wrong.append(f"{n} keys, {kind}, blocks of {cut.block}")
+                wrong.append(f"{n} keys, {kind}, blocks of {cut.block}" + ", counted" * counted)
             sys.stderr.write(
                 f"  {n:>9,} keys, {kind:9}, blocks of {cut.block:>5,}: "
                 f"{taken[0]:6.2f} CPU-s, {taken[1]:6.2f} s\n"
@@ -110,6 +111,7 @@ def main() -> None:
         report["pictures"] = pictures(drawn := ways(device), Path(golden))
         report["disordered"] = disordered(drawn)
         report["unmet"] = unmet(drawn["tiles"])
+        report["miscounted"] = miscounted(device)
     report["unscanned"] = unscanned(device)
     report["unsorted"] = unsorted(device, [int(size) for size in sizes])
     sys.stdout.write(json.dumps(report) + "\n")

@@ -4,12 +4,15 @@
 
 The rules: a pass moves each element of an array that it walks once; an element that is read by its
 index moves a sector of 32 bytes, the least that GPUs read; atomic additions move the bytes of their
-table once in each direction, since it fits the cache. Numbers of splats and pairs are assumptions,
-those of ``design/gpu.md``: two thirds of the Gaussians are visible, with three 16-pixel tiles each.
+table once in each direction, since it fits the cache. The histograms of a sort count with the sort,
+whichever kernel adds to them and wherever they are cleared. Numbers of splats and pairs are
+assumptions, those of ``design/gpu.md``: two thirds of the Gaussians are visible, with three 16-pixel
+tiles each.
 """
 
 import json
 import math
+import re
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -30,6 +33,8 @@ from gsgen.runtime.web.recording_device import RecordingDevice
 SECTOR = 32
 ROW = 40
 HARMONICS = 192
+SORTS = {"sort": "project", "group": "emit"}
+"""The stages that sort, with the kernels that write their keys."""
 DEGREE_3 = next(kind for kind in APPEARANCES if kind.channels == 48 and not kind.half)
 
 
@@ -65,7 +70,7 @@ def recorded_plan(workload: Workload) -> tuple[Plan, Kernels]:
 def digit_words(step: Step) -> dict[str, int]:
     """Return what the uniform of a step of the sort says."""
     uniform: Any = step.binds[0].entries[0][0]
-    names = ("shift", "bits", "source", "first", "next_bits")
+    names = ("shift", "bits", "source", "first", "next_bits", "rows")
     words = np.frombuffer(uniform.data[0], np.uint32)
     return dict(zip(names, words.tolist(), strict=False))
 
@@ -79,11 +84,75 @@ def sort_bytes(step: Step, workload: Workload, pairs: int, block: int) -> int:
     if step.kernel.label == "count":
         return 4 * keys + table
     if step.kernel.label == "scan_rows":
-        return 3 * table  # read, written, and the next one cleared
+        return (3 if digit["next_bits"] else 2) * table  # read, written, and the next one cleared
     written = workload.visible if digit["first"] else keys
     values = 0 if digit["first"] else 4 * keys
     next_table = 4 * -(-written // block) << digit["next_bits"] if digit["next_bits"] else 0
     return 4 * keys + values + 8 * written + table + 2 * next_table
+
+
+KEYS, HISTOGRAM = 2, 4  # bindings of the sort
+
+
+def bound(step: Step, binding: int) -> Any:
+    """Return a buffer that a recorded step of the sort binds."""
+    binds: Any = step.binds
+    return binds[0].entries[binding][0]
+
+
+def names_of(step: Step, buffer: Any) -> list[str]:
+    """Return the variables of a recorded step that name a buffer which it may write."""
+    binds, pipeline = step.binds, step.kernel.pipeline  # type: Any, Any
+    return [
+        name
+        for group, bind in enumerate(binds)
+        for number, (entry, *_) in enumerate(bind.entries)
+        if entry is buffer
+        for name in re.findall(
+            rf"@group\({group}\) @binding\({number}\) var<storage, read_write> (\w+)",
+            pipeline.module.code,
+        )
+    ]
+
+
+def only_writes(step: Step, buffer: Any) -> bool:
+    """Return whether a recorded step writes a buffer, and its shader reads no element of it."""
+    pipeline: Any = step.kernel.pipeline
+    uses = [
+        assigned
+        for name in names_of(step, buffer)
+        for assigned in re.findall(rf"\b{name}\[(?:[^][]|\[[^]]*\])*\]( = )?", pipeline.module.code)
+    ]
+    return bool(uses) and all(uses)
+
+
+def counting_steps(plan: Plan, stage: str) -> list[Step]:
+    """Return the steps of other stages that count the first digits of a sort.
+
+    They bind its first histogram to write, as the kernels that write the keys do, and a frame begins
+    with its clearing.
+    """
+    first = next(step for step in plan.stages[stage] if step.kernel.label == "scan_rows")
+    histogram = bound(first, HISTOGRAM)
+    found = [
+        step
+        for name, steps in plan.stages.items()
+        for step in steps
+        if name != stage and names_of(step, histogram)
+    ]
+    assert not found or (histogram, 0, None) in plan.clears
+    return found
+
+
+def first_histogram_bytes(
+    plan: Plan, stage: str, workload: Workload, pairs: int, block: int
+) -> int:
+    """Return the bytes of clearing and adding to a first histogram, where other stages count."""
+    if not counting_steps(plan, stage):
+        return 0
+    keys = workload.gaussians if stage == "sort" else pairs
+    first = next(step for step in plan.stages[stage] if step.kernel.label == "scan_rows")
+    return 3 * (4 * -(-keys // block) * digit_words(first)["rows"])
 
 
 def stage_bytes(workload: Workload) -> dict[str, int]:
@@ -105,15 +174,19 @@ def stage_bytes(workload: Workload) -> dict[str, int]:
         "mark": 4 * pairs + 8 * tiles,
         "blend": pairs * (4 + splat + SECTOR) + 8 * tiles + 16 * pixels,
     }
-    return {
+    block = kernels.cut.block
+    made = {
         name: sum(
             sizes[step.kernel.label]
             if step.kernel.label in sizes
-            else sort_bytes(step, workload, pairs, kernels.cut.block)
+            else sort_bytes(step, workload, pairs, block)
             for step in steps
         )
         for name, steps in plan.stages.items()
     }
+    for name in SORTS:
+        made[name] += first_histogram_bytes(plan, name, workload, pairs, block)
+    return made
 
 
 def earlier_bytes(workload: Workload) -> dict[str, int]:
@@ -148,10 +221,22 @@ def key_reads(workload: Workload) -> dict[str, list[int]]:
     """Return how often each pass of the two sorts reads its keys."""
     plan, _ = recorded_plan(workload)
     reads = {}
-    for name in ("sort", "group"):
+    for name, writer in SORTS.items():
         steps = [step for step in plan.stages[name] if step.kernel.label in ("count", "scatter")]
         passes = Counter(digit_words(step)["shift"] for step in steps)
         reads[name] = [passes[shift] for shift in sorted(passes)]
+        # Digits that no step of the sort counts are counted where the keys are written.
+        if "count" not in [step.kernel.label for step in steps]:
+            keys = bound(next(step for step in steps if step.kernel.label == "scatter"), KEYS)
+            writers = [
+                step
+                for each in plan.stages.values()
+                for step in each
+                if step.kernel.label == writer and names_of(step, keys)
+            ]
+            assert writers
+            assert counting_steps(plan, name) == writers
+            assert all(only_writes(step, keys) for step in writers)
     return reads
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.first_digits import first_digits_reference
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
@@ -53,10 +54,17 @@ class Bench:
         bits: Of the keys.
         room: For how many keys.
         compact: Take as many keys as there is room for, and leave out those that are ABSENT.
+        counted: The first digits are counted before, by NumPy.
     """
 
     def __init__(
-        self, device: Device, cut: SortConfig, bits: int, room: int, compact: bool
+        self,
+        device: Device,
+        cut: SortConfig,
+        bits: int,
+        room: int,
+        compact: bool,
+        counted: bool = False,
     ) -> None:
         self.device, self.room, self.compact = device, room, compact
         like = Device(device.raw)
@@ -67,15 +75,17 @@ class Bench:
             Columns(device.storage("keys", 4 * room), device.storage("values", 4 * room))
             for _ in range(2)
         ]
-        self.block = cut.block
+        self.block, self.digits = cut.block, sort.first_digits(bits) if counted else None
+        self.histograms = sort.histograms(room, bits)
         self.steps, self.at = sort.steps(
             self.counts,
-            sort.histogram(room),
+            self.histograms,
             self.columns,
             bits=bits,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
             compacting=room if compact else None,
+            counted=counted,
         )
 
     def __call__(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +96,11 @@ class Bench:
         self.device.write(self.counts, counts)
         self.device.write(self.columns[0].keys, keys)
         self.device.write(self.columns[0].values, np.arange(len(keys), dtype=np.uint32))
+        if self.digits is not None:
+            made = first_digits_reference(keys, self.digits)
+            columns = self.histograms[0].size // (4 * self.digits.values)
+            table = np.pad(made, [(0, 0), (0, columns - made.shape[1])])
+            self.device.write(self.histograms[0], table)
         encoder = self.device.raw.create_command_encoder()
         run(encoder, self.steps, "sort")
         self.device.raw.queue.submit([encoder.finish()])

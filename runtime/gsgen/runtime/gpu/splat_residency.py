@@ -152,7 +152,7 @@ def allocate_pool_page(
             first=first,
             count=count,
             table=device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
-            seen=device.storage("slots in view", 4 * count),
+            seen=device.storage("slots in view", 4 * PAGE_SLOTS, extra="UNIFORM"),
             dispatch=dispatch,
         ),
     )

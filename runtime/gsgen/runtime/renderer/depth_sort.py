@@ -42,6 +42,8 @@ class DepthOrder:
         lows: Buffer,
         origins: Buffer | None = None,
         spare: Buffer | None = None,
+        *,
+        counted: tuple[Buffer, ...] = (),
     ) -> tuple[list[Step], Buffer]:
         """Return the GPU dispatches of a depth sort, and the buffer of splats, nearest first.
 
@@ -54,13 +56,17 @@ class DepthOrder:
                 splats that are not drawn.
             origins: Index of each splat in the order of the sets; None if splats are in it.
             spare: Scratch buffer for more keys, which makes the sort deep.
+            counted: Histograms of the sort, if the kernel that writes the keys has counted their
+                first digits there. A deep sort, which begins with the remainders, counts itself.
         """
-        histogram = self._sort.histogram(capacity)
+        histograms = counted or self._sort.histograms(capacity, KEY_BITS)
         if spare is None:
-            steps, side = self._by_key(capacity, counts, list(columns), histogram)
+            steps, side = self._by_key(
+                capacity, counts, list(columns), histograms, counted=bool(counted)
+            )
             sorted_ = columns[side]
         else:
-            steps, sorted_ = self._deep(capacity, counts, columns, lows, spare, histogram)
+            steps, sorted_ = self._deep(capacity, counts, columns, lows, spare, histograms)
         arranged = () if origins is None else (origins,)
         ties = self._ties(bool(arranged))
         keys, order = sorted_
@@ -71,19 +77,22 @@ class DepthOrder:
         capacity: int,
         counts: Buffer,
         columns: list[Columns],
-        histogram: Buffer,
+        histograms: tuple[Buffer, ...],
         first_keys: Buffer | None = None,
+        *,
+        counted: bool = False,
     ) -> tuple[list[Step], int]:
         """Return the dispatches that sort splats by ``first_keys``, or by depth keys if None."""
         return self._sort.steps(
             counts,
-            histogram,
+            histograms,
             columns,
             bits=KEY_BITS,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
             compacting=capacity,
             first_keys=first_keys,
+            counted=counted,
         )
 
     def _deep(
@@ -93,18 +102,18 @@ class DepthOrder:
         columns: tuple[Columns, Columns],
         lows: Buffer,
         spare: Buffer,
-        histogram: Buffer,
+        histograms: tuple[Buffer, ...],
     ) -> tuple[list[Step], Columns]:
         """Return the dispatches that sort splats by the depths' low parts, then by depth keys."""
         keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
-        first, side = self._by_key(capacity, counts, by_low, histogram, first_keys=lows)
+        first, side = self._by_key(capacity, counts, by_low, histograms, first_keys=lows)
         sorted_lows = by_low[side]
         gather = self._gather().step(counts, keys, sorted_lows.values, sorted_lows.keys)
         if side:
             by_low.reverse()
         then, side = self._sort.steps(
             counts,
-            histogram,
+            histograms,
             by_low,
             bits=KEY_BITS,
             source=Counts.VISIBLE,

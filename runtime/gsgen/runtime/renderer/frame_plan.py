@@ -26,7 +26,7 @@ from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.kernels.sort.sort import Columns
+from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, Drawing
 from gsgen.runtime.renderer.frame_counts import frame_counts
@@ -39,7 +39,7 @@ from gsgen.runtime.renderer.placed_pages import (
     weighted_pages,
 )
 from gsgen.runtime.renderer.slabs import Slabs, SlabState
-from gsgen.runtime.renderer.tile_lists import TileLists, list_splats
+from gsgen.runtime.renderer.tile_lists import TileLists, allocate_columns, list_splats
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import OUTPUTS, Output
@@ -122,7 +122,7 @@ class Plan:
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
         self._layers = self._lay_inputs(layers) if layers else None
-        self.clears = self._cleared(placed)
+        self.clears = self._cleared()
         self.images: dict[str, Buffer] = {}
         quads = quads and not summed  # weighted sets become a layer, which quads do not blend
         alone = bool(summed) and not placed and not meshes  # they write the image, without layers
@@ -154,6 +154,7 @@ class Plan:
             self.inputs |= self._weighted.inputs
         else:
             self.stages |= self._record(placed, outputs, quads=quads)
+        self.clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots]
         self._held = {"counts": self._counts}
         if self._weighted is not None:
             self._held["counts of cells"] = self._weighted.counts
@@ -190,13 +191,11 @@ class Plan:
         records = self._storage("shapes", RECORD * n)
         return [records, self._storage("weights", 0)], [records, records]
 
-    def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
-        """Return the GPU buffers to clear before a frame, with offset and size in bytes."""
-        dispatches = [page.slots.dispatch for _, page in placed if page.slots is not None]
+    def _cleared(self) -> list[tuple[Buffer, int, int | None]]:
+        """Return GPU buffers to clear before a frame, with offset and size; stages add others."""
         return [
             (self._ranges, 0, None),
             (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
-            *((dispatch, 0, 4) for dispatch in dispatches),
             *((slabs.tally, 0, None) for slabs in (self.slabs,) if slabs is not None),
         ]
 
@@ -206,13 +205,14 @@ class Plan:
         """Record the GPU stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
-        columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
+        a, b = (allocate_columns(self._storage, f"Gaussians {side}", n) for side in "ab")
         colors = self._storage("colors", VEC4 * n)
         lows = self._storage("lows", (8 if self._kernels.lists else 4) * n)
         normals = self._storage("normals", VEC4 * n) if "normal" in outputs else None
-        stages = self._project(placed, columns[0].keys, colors, lows, normals)
+        digits = self._first_digits()
+        stages = self._project(placed, a.keys, colors, lows, normals, digits[:1])
         # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
-        stages["sort"], order = self._sort_by_depth(columns, lows)
+        stages["sort"], order = self._sort_by_depth((a, b), lows, digits)
         # Stage 3, by the hardware: quads need no tiles, so colours are complete here.
         if quads and "color" in outputs:
             self._quads = self._draw_quads(order, colors)
@@ -230,7 +230,7 @@ class Plan:
                 tiles_of=lows if self._kernels.lists else colors,
                 splats=self._splats,
                 ranges=self._ranges,
-                scratch=columns[0].keys,
+                scratch=a.keys,
                 gaussians=n,
                 pair_capacity=self.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],
@@ -272,12 +272,6 @@ class Plan:
         image = self.images["color"]
         return kernel.step(self._size, resources, self._counts, image, self._meshes)
 
-    def _columns(self, name: str, length: int) -> Columns:
-        return Columns(
-            self._storage(f"keys of {name}", 4 * length),
-            self._storage(f"values of {name}", 4 * length),
-        )
-
     def _project(
         self,
         placed: Sequence[Placed],
@@ -285,6 +279,7 @@ class Plan:
         colors: Buffer,
         lows: Buffer,
         normals: Buffer | None,
+        digits: tuple[Buffer, ...],
     ) -> dict[str, list[Step]]:
         """Return the GPU stages that project all Gaussians, or those of a depth slab.
 
@@ -314,21 +309,23 @@ class Plan:
             kernel = self._kernels.project(
                 page.half, page.stride, self._panorama, page.packed, rows_of_slot, self._records
             )
-            recorded.append(kernel.step(outputs, self._slots, slot, page))
+            recorded.append(kernel.step((*outputs, *digits), self._slots, slot, page))
         if normals is not None:
-            recorded += self._normals(placed, keys, normals)
+            for slot, (_, page) in enumerate(placed):
+                find = self._kernels.normals(page.packed, slot_rows(page))
+                recorded.append(find.step(keys, normals, self._slots, slot, page))
         return {"project": recorded}
 
-    def _normals(self, placed: Sequence[Placed], keys: Buffer, normals: Buffer) -> list[Step]:
-        return [
-            self._kernels.normals(page.packed, slot_rows(page)).step(
-                keys, normals, self._slots, slot, page
-            )
-            for slot, (_, page) in enumerate(placed)
-        ]
+    def _first_digits(self) -> tuple[Buffer, ...]:
+        """Return the histograms of the depth sort, if projection counts the keys' first digits."""
+        if self.slabs is not None or not self._kernels.counts_keys():
+            return ()
+        digits = self._kernels.sort.histograms(self._gaussians, KEY_BITS)
+        self.clears.append((digits[0], 0, None))
+        return digits
 
     def _sort_by_depth(
-        self, columns: tuple[Columns, Columns], lows: Buffer
+        self, columns: tuple[Columns, Columns], lows: Buffer, digits: tuple[Buffer, ...]
     ) -> tuple[list[Step], Buffer]:
         """Return the dispatches of the depth sort, and the buffer of Gaussians, nearest first."""
         n, origins = self._gaussians, None
@@ -338,7 +335,9 @@ class Plan:
             origins = self._storage("origins", 4 * n)
             self._device.write(origins, self._origins)
         spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
-        return self._kernels.order.steps(n, self._counts, columns, lows, origins, spare)
+        return self._kernels.order.steps(
+            n, self._counts, columns, lows, origins, spare, counted=digits
+        )
 
     def _blend(self, name: Output, members: Buffer, colors: Buffer, *, pick: bool) -> Step:
         self.images[name] = self._storage(f"{name} image", VEC4 * self._size[0] * self._size[1])

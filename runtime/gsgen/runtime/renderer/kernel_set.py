@@ -16,7 +16,7 @@ from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import RadixSort, SortConfig, cut_for
+from gsgen.runtime.kernels.sort.sort import KEY_BITS, RadixSort, SortConfig, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
 from gsgen.runtime.kernels.tiles.list_tiles import ListTiles
@@ -56,8 +56,13 @@ class Kernels:
         )
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = cache(
-            lambda panorama, records: BinTiles(
-                device, self.cut.walk, panorama=panorama, tile=self.cut.tile, records=records
+            lambda panorama, records, digits: BinTiles(
+                device,
+                self.cut.walk,
+                panorama=panorama,
+                digits=digits,
+                tile=self.cut.tile,
+                records=records,
             )
         )
         self.lists = device.software and self.cut.tile == TILE and not one_shape
@@ -88,6 +93,7 @@ class Kernels:
                 records=records,
                 slab=slab,
                 windows=self.lists,
+                digits=self.sort.first_digits(KEY_BITS) if self.counts_keys(slab) else None,
             )
         )
         self.tally = cache(lambda: TallyKeys(device))
@@ -114,6 +120,10 @@ class Kernels:
             )
         )
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
+
+    def counts_keys(self, slab: str | None = None) -> bool:
+        """Return whether projection counts the first digits of depth keys; not those of a slab."""
+        return self.cut.staged and slab is None
 
     @property
     def most_binned(self) -> int:

@@ -1,6 +1,6 @@
 """The GPU stages that list the drawn splats of each image tile, nearest first."""
 
-__all__ = ["TileLists", "list_splats"]
+__all__ = ["TileLists", "allocate_columns", "list_splats"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.sort.scan import MANY
 from gsgen.runtime.kernels.sort.sort import Columns
+from gsgen.runtime.kernels.tiles.bin_tiles import BinTiles
 from gsgen.runtime.kernels.tiles.list_tiles import runs_for
 from gsgen.runtime.renderer.kernel_set import Kernels
 
@@ -56,11 +57,14 @@ def list_splats(
     """Return stages that list splats by image tile, the buffer of lists, and buffers to clear."""
     if kernels.lists:
         return _counted(kernels, lists, panorama=panorama)
-    pairs = [_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
+    pairs = [allocate_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
+    bits = kernels.tile_bits(lists.tiles - 1)
+    histograms = kernels.sort.histograms(lists.pair_capacity, bits)
+    kernel = kernels.bin(panorama, records, kernels.sort.first_digits(bits))
     stages = dict[str, list[Step]]()
-    stages["bin"] = _bin(kernels, lists, pairs[0], panorama=panorama, records=records)
-    stages["group"], members = _group(kernels, lists, pairs)
-    return stages, members, []
+    stages["bin"] = _bin(kernels, lists, kernel, pairs[0], histograms[0])
+    stages["group"], members = _group(kernels, lists, pairs, bits, histograms)
+    return stages, members, [histograms[0]]
 
 
 def _counted(
@@ -88,34 +92,40 @@ def _counted(
 
 
 def _bin(
-    kernels: Kernels, lists: TileLists, pairs: Columns, *, panorama: bool, records: bool
+    kernels: Kernels, lists: TileLists, kernel: BinTiles, pairs: Columns, histogram: Buffer
 ) -> list[Step]:
-    """Return the dispatches that list pairs of splat and tile, nearest splat first."""
+    """Return dispatches that list splat-tile pairs, nearest first, and count their first digits."""
     walk = kernels.cut.walk
     run_pairs = lists.storage("run pairs", 4 * -(-lists.gaussians // walk))
     resources = (lists.frame, lists.counts, lists.order, lists.tiles_of, run_pairs)
-    measure, emit = kernels.bin(panorama, records).steps(
-        lists.counts, (*resources, *pairs, *lists.splats)
-    )
+    measure, emit = kernel.steps(lists.counts, (*resources, *pairs, *lists.splats), histogram)
     add = kernels.scan.steps(
         lists.counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
     )
     return [measure, *add, emit]
 
 
-def _group(kernels: Kernels, lists: TileLists, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
+def _group(
+    kernels: Kernels,
+    lists: TileLists,
+    pairs: list[Columns],
+    bits: int,
+    histograms: tuple[Buffer, ...],
+) -> tuple[list[Step], Buffer]:
     """Return the dispatches that sort splat-tile pairs by tile, and the buffer of pairs."""
     steps, side = kernels.sort.steps(
         lists.counts,
-        kernels.sort.histogram(lists.pair_capacity),
+        histograms,
         pairs,
-        bits=kernels.tile_bits(lists.tiles - 1),
+        bits=bits,
         source=Counts.PAIRS,
         groups=Counts.SORT_PAIRS_GROUPS,
+        counted=kernels.cut.staged,
     )
     mark = kernels.ranges.step(lists.counts, pairs[side].keys, lists.ranges)
     return [*steps, mark], pairs[side].values
 
 
-def _columns(storage: Storage, name: str, length: int) -> Columns:
+def allocate_columns(storage: Storage, name: str, length: int) -> Columns:
+    """Allocate GPU buffers for ``length`` sort keys and their values, named after the elements."""
     return Columns(storage(f"keys of {name}", 4 * length), storage(f"values of {name}", 4 * length))

@@ -69,7 +69,7 @@ class WeightedKernels:
             )
         )
         self.cells = cache(lambda panorama: ProjectCells(device, panorama=panorama))
-        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama=panorama, cells=True))
+        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama=panorama))
         self.blend = cache(
             lambda pick, panorama, published, layers: BlendWsr(
                 device, pick=pick, panorama=panorama, published=published, layers=layers
@@ -230,12 +230,12 @@ class WeightedPart:
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
         """Return GPU dispatches that sort pairs of Gaussian group and tile, and their buffer."""
-        last = self._tiles[0] * self._tiles[1] - 1
+        bits = self._kernels.tile_bits(self._tiles[0] * self._tiles[1] - 1)
         steps, side = self._kernels.sort.steps(
             self.counts,
-            self._kernels.sort.histogram(self._pair_capacity),
+            self._kernels.sort.histograms(self._pair_capacity, bits),
             pairs,
-            bits=self._kernels.tile_bits(last),
+            bits=bits,
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )

@@ -24,6 +24,7 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
+from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, POLE, TILE
 from gsgen.runtime.scene.camera import DILATION, Camera
@@ -211,6 +212,8 @@ class ProjectKernel:
             in a slab, to the indices of ``place_splats.wgsl``.
         windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number,
             in whose place colours are followed by variances.
+        digits: How the first digits of the keys are counted, into one more output; None if they are
+            not. Only for sets that are neither weighted nor drawn in slabs.
     """
 
     def __init__(
@@ -227,16 +230,20 @@ class ProjectKernel:
         records: bool = False,
         slab: Literal["keys", "splats"] | None = None,
         windows: bool = False,
+        digits: FirstDigits | None = None,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         if slab == "splats":
             name = "project_placed_pooled" if slot_rows else "project_placed"
-        page_bindings = "urrur" if slot_rows else "urrr" if slab == "splats" else "urr"
+        page_bindings = "urruu" if slot_rows else "urr"
+        if slab == "splats":
+            page_bindings = "urrur" if slot_rows else "urrr"
+        outputs = "uwwwww" if digits is None else "uwwwwww"
         self.kernel = Kernel(
             device,
-            name,
+            name if digits is None else f"{name}_counted",
             "project_pooled" if name == "project_pooled" else "project",
-            ("uwwww", "urrr") if weighted else ("uwwwww", page_bindings),
+            ("uwwww", "urrr") if weighted else (outputs, page_bindings),
             THREADS=THREADS,
             TILE=tile,
             RECORDS=records,
@@ -250,6 +257,7 @@ class ProjectKernel:
             PACKED=packed,
             WINDOWS=windows,
             **(PANORAMA_CONSTANTS if panorama else {}),
+            **(digits.constants if digits else {}),
         )
 
     def step(

@@ -4,16 +4,14 @@
 // `cull_slots` writes, which has the keys of all other slots made ABSENT.
 
 //!include project_row
-//!include slots
-
-@group(1) @binding(4) var<storage, read> seen: array<u32>;  // slots that may be seen, in any order
+//!include seen_slots
 
 @compute @workgroup_size(THREADS)
 fn project_pooled(
     @builtin(workgroup_id) workgroup: vec3u, @builtin(local_invocation_index) thread: u32
 ) {
-    let slot = seen[workgroup.x / (SLOT_ROWS / THREADS)];
-    let row = workgroup.x % (SLOT_ROWS / THREADS) * THREADS + thread;
+    let slot = slot_of(workgroup.x);
+    let row = row_of_slot(workgroup.x, thread);
     eye = slot_eye(slot);
     let opacity_scale = page.opacity_scale * slots[slot].fade;
     let own = slot * SLOT_ROWS + row;

@@ -15,8 +15,9 @@ fn slab_key(key: u32, low: u32, row: u32) -> u32 {
     return select(ABSENT, select(row, low, frame.rank == 1u), is_tied);
 }
 
-// Write the splat of row `own`, whose `eye` is set, at `index`; if KEYS_ONLY, write its key alone. A row that is not live gets the key ABSENT and no splat.
-fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) {
+// Write the splat of row `own`, whose `eye` is set, at `index`; if KEYS_ONLY, write its key alone. A
+// row that is not live gets the key ABSENT and no splat. Return the key.
+fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) -> u32 {
     var key = ABSENT;
     var low = 0u;
     if (is_live) {
@@ -40,4 +41,5 @@ fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) {
             lows[arrayLength(&lows) / 2u + index] = window;
         }
     }
+    return key;
 }

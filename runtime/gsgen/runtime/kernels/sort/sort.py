@@ -12,6 +12,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import ABSENT, LARGE_TILE, TILE
 from gsgen.runtime.kernels.sort.scan import MANY, Scan
@@ -77,26 +78,44 @@ class RadixSort:
     def __init__(self, device: Device, cut: SortConfig, scan: Scan) -> None:
         self._device, self._cut, self._scan = device, cut, scan
         constants = {"THREADS": cut.threads, "RUN": cut.run, "DIGITS": 1 << cut.digit_bits}
-        shader, bindings = ("staged_sort", "urrrwwww") if cut.staged else ("sort", "urrrwww")
+        shader, bindings = ("staged_sort", "urrrwwwww") if cut.staged else ("sort", "urrrwww")
         entries = ("count", "scatter", "scan_rows") if cut.staged else ("count", "scatter")
         self._kernels = [
             Kernel(device, shader, entry, (bindings,), **constants) for entry in entries
         ]
 
-    def histogram(self, capacity: int) -> Buffer:
-        """Return a new GPU buffer for the digit histograms of a radix sort of ``capacity`` keys."""
-        tables = 2 if self._cut.staged else 1 + self._cut.threads
-        size = 4 * tables * (1 << self._cut.digit_bits) * self.blocks(capacity)
-        return self._device.storage("histogram", size)
+    def first_digits(self, bits: int) -> FirstDigits:
+        """Return what kernels need to count the first digits of the ``bits``-bit keys they write."""
+        return FirstDigits(1 << self._width(bits), self._cut.block)
+
+    def histograms(self, capacity: int, bits: int) -> tuple[Buffer, ...]:
+        """Return new GPU buffers for the digit histograms of a radix sort.
+
+        Args:
+            capacity: Most keys.
+            bits: Number of low bits of the keys to sort by.
+
+        Returns:
+            Of a staged sort two, which passes take by turns, the first pass the first; else one.
+        """
+        rows = 1 << (self._width(bits) if self._cut.staged else self._cut.digit_bits)
+        tables = 1 if self._cut.staged else 1 + self._cut.threads
+        size = 4 * tables * rows * self.blocks(capacity)
+        names = ("histogram a", "histogram b") if self._cut.staged else ("histogram",)
+        return tuple(self._device.storage(name, size) for name in names)
 
     def blocks(self, capacity: int) -> int:
         """Return the number of GPU workgroups that a radix sort of ``capacity`` keys takes."""
         return at_least(-(-capacity // self._cut.block), 1)
 
+    def _width(self, bits: int) -> int:
+        """Return the number of bits that each pass but the last sorts by."""
+        return -(-bits // -(-bits // self._cut.digit_bits))
+
     def steps(
         self,
         counts: Buffer,
-        histogram: Buffer,
+        histograms: tuple[Buffer, ...],
         columns: list[Columns],
         *,
         bits: int,
@@ -104,12 +123,13 @@ class RadixSort:
         groups: Counts,
         compacting: int | None = None,
         first_keys: Buffer | None = None,
+        counted: bool = False,
     ) -> tuple[list[Step], int]:
         """Return the dispatches of a GPU radix sort, and the index of the buffers with the result.
 
         Args:
             counts: The frame's counts.
-            histogram: From :meth:`histogram`.
+            histograms: From :meth:`histograms`, for as many bits.
             columns: The input and a scratch pair; both are overwritten.
             bits: Number of low bits of the keys to sort by.
             source: The count that holds the number of keys.
@@ -118,9 +138,10 @@ class RadixSort:
                 values, drops ABSENT keys, and writes the number of the others to ``source``.
             first_keys: Keys that a compacting sort reads in place of those of ``columns``, and
                 does not overwrite.
+            counted: Whether the kernel that writes the keys has counted their first digits in the
+                first histogram, as ``first_digits.wgsl`` does; only for a staged sort.
         """
-        passes = -(-bits // self._cut.digit_bits)
-        width = -(-bits // passes)
+        passes, width = -(-bits // self._cut.digit_bits), self._width(bits)
         totals = []
         if self._cut.staged:
             totals.append(self._device.storage("digit totals", 4 << self._cut.digit_bits))
@@ -133,23 +154,25 @@ class RadixSort:
             dispatch: Dispatch = (counts, 4 * groups)
             if number == 0 and compacting is not None:
                 dispatch = (self.blocks(compacting), 1, 1)
-            words = [number * width, digits, now, first, next_digits, number % 2, 0, 0]
+            words = [number * width, digits, now, first, next_digits, 1 << width, 0, 0]
             uniform = self._device.uniform("digit", 32)
             self._device.write(uniform, np.array(words, np.uint32))
             before, after = columns[number % 2], columns[1 - number % 2]
             if first and first_keys is not None:
                 before = Columns(first_keys, first_keys)  # a compacting pass reads no values
-            resources = (uniform, counts, *before, histogram, *after, *totals)
+            tables = (*histograms[number % 2 :], *histograms[: number % 2])
+            resources = (uniform, counts, *before, *tables, *after, *totals)
             count, scatter, *rows = (
                 Step(kernel, (kernel.bind(*resources),), dispatch) for kernel in self._kernels
             )
-            if not self._cut.staged or number == 0:  # else the scatter before has counted
+            # Else the scatter before, or the kernel that writes the keys, has counted.
+            if not self._cut.staged or (number == 0 and not counted):
                 recorded.append(count)
             recorded += rows
             if not self._cut.staged or first:
                 recorded += self._scan.steps(
                     counts,
-                    totals[0] if self._cut.staged else histogram,
+                    totals[0] if self._cut.staged else histograms[0],
                     source=now,
                     block=MANY if self._cut.staged else self._cut.block,
                     rows=1 << digits,

@@ -2,10 +2,11 @@
 //
 // A workgroup orders a block of THREADS × RUN keys by one digit in workgroup memory and writes them
 // from there, so that keys of one digit go to neighbouring addresses. The histogram has a row per
-// digit and a column per block. `count` fills it before the first pass. Later passes read no key
-// twice: `scatter` counts the next digit of each key in the column of the block that the key is
-// written to. `scan_rows` converts each row to sums, and clears the table of the next pass. No
-// workgroup waits for another, and the result does not depend on timing.
+// digit and a column per block. No pass reads its keys twice: the kernel that writes the keys counts
+// their first digits (first_digits.wgsl), and `scatter` counts the next digit of each key in the
+// column of the block that the key is written to. Where the keys' kernel does not count, `count` does
+// before the first pass. `scan_rows` converts each row to sums, and clears the histogram of the next
+// pass. No workgroup waits for another, and the result does not depend on timing.
 
 //!include prefix_sums
 
@@ -16,17 +17,18 @@ struct Digit {
     first: u32,      // 1: values are the indices of the keys, ABSENT keys are dropped, and a scan
                      // has converted `totals` to sums of all before them
     next_bits: u32,  // of the next pass; 0 in the last pass
-    table: u32,      // half of the histogram that this pass reads; `scatter` fills the other one
+    rows: u32,       // of a histogram: one for each digit of the longest pass
 }
 
 @group(0) @binding(0) var<uniform> digit: Digit;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> keys_in: array<u32>;
 @group(0) @binding(3) var<storage, read> values_in: array<u32>;
-@group(0) @binding(4) var<storage, read_write> histogram: array<atomic<u32>>;  // two tables
-@group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
-@group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
-@group(0) @binding(7) var<storage, read_write> totals: array<u32>;  // keys of each digit
+@group(0) @binding(4) var<storage, read_write> histogram: array<u32>;               // of this pass
+@group(0) @binding(5) var<storage, read_write> next_histogram: array<atomic<u32>>;  // as large
+@group(0) @binding(6) var<storage, read_write> keys_out: array<u32>;
+@group(0) @binding(7) var<storage, read_write> values_out: array<u32>;
+@group(0) @binding(8) var<storage, read_write> totals: array<u32>;  // keys of each digit
 
 const BLOCK = THREADS * RUN;
 const LANES = 32u;                            // bits of a mask
@@ -47,10 +49,9 @@ fn is_sorted(key: u32, i: u32, total: u32) -> bool {
     return i < total && (digit.first == 0u || key != ABSENT);
 }
 
-// Return the index of a digit's row in one of the two tables.
-fn row_of(table: u32, value: u32) -> u32 {
-    let columns = arrayLength(&histogram) / (2u * DIGITS);
-    return (table * DIGITS + value) * columns;
+// Return the index of a digit's row in a histogram.
+fn row_of(value: u32) -> u32 {
+    return value * (arrayLength(&histogram) / digit.rows);
 }
 
 @compute @workgroup_size(THREADS)
@@ -72,7 +73,7 @@ fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loca
     workgroupBarrier();
     if (group.x < groups(total, BLOCK)) {
         for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
-            atomicStore(&histogram[row_of(digit.table, d) + group.x], atomicLoad(&words[d]));
+            histogram[row_of(d) + group.x] = atomicLoad(&words[d]);
         }
     }
 }
@@ -92,15 +93,14 @@ fn scan_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) 
     let lane = local.x % lanes;
     let value = group.x * rows + slot;
     let is_row = slot < rows && value < digits;
-    let row = row_of(digit.table, value);
-    let next_row = row_of(1u - digit.table, value);
+    let row = row_of(value);
     // Step 1: sum the columns of each invocation.
     let run = groups(blocks, lanes);
     let start = select(blocks, min(lane * run, blocks), is_row);
     let end = min(start + run, blocks);
     var sum = 0u;
     for (var i = start; i < end; i++) {
-        sum += atomicLoad(&histogram[row + i]);
+        sum += histogram[row + i];
     }
     // Step 2: add the sums of the invocations before in the same row.
     let below = sum_before(local.x, sum);
@@ -110,9 +110,11 @@ fn scan_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) 
     workgroupBarrier();
     var before = below - firsts[min(slot, rows - 1u)];
     for (var i = start; i < end; i++) {
-        let amount = atomicLoad(&histogram[row + i]);
-        atomicStore(&histogram[row + i], before);
-        atomicStore(&histogram[next_row + i], 0u);
+        let amount = histogram[row + i];
+        histogram[row + i] = before;
+        if (digit.next_bits > 0u) {
+            atomicStore(&next_histogram[row + i], 0u);
+        }
         before += amount;
     }
     if (is_row && lane == lanes - 1u) {
@@ -160,7 +162,7 @@ fn place_digits(block: u32, thread: u32) {
     let sum = sum_before(thread, total);
     if (is_digit) {
         let before = select(sum, total, digit.first != 0u);
-        let start = before + atomicLoad(&histogram[row_of(digit.table, thread) + block]);
+        let start = before + histogram[row_of(thread) + block];
         firsts[thread] = first;
         moves[thread] = start - first;  // may wrap around, as the sum with an index then does
     }
@@ -224,7 +226,7 @@ fn scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) lo
             keys_out[to] = key;
             if (digit.next_bits > 0u) {
                 let next = (key >> (digit.shift + digit.bits)) & ((1u << digit.next_bits) - 1u);
-                atomicAdd(&histogram[row_of(1u - digit.table, next) + to / BLOCK], 1u);
+                atomicAdd(&next_histogram[row_of(next) + to / BLOCK], 1u);
             }
         }
     }

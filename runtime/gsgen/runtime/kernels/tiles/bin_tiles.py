@@ -10,11 +10,15 @@ from jaxtyping import Bool, Float
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
+from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, TILE
 
 WALK_THREADS: Final = 64
-_BINDINGS = {"bin_tiles": "urrrwwwrr", "bin_cells": "urrrwww"}
+_BINDINGS = {
+    "bin_tiles": {"measure": "urrrwwwrr", "emit": "urrwwwwrr"},
+    "bin_cells": {"measure": "urrrwww", "emit": "urrrwww"},
+}
 
 
 @final
@@ -25,7 +29,8 @@ class BinTiles:
         device: Device of the kernels.
         walk: Splats per invocation.
         panorama: Whether the image is a panorama.
-        cells: Whether to list the tiles of cells instead of splats.
+        digits: How the first digits of listed tiles are counted; None to list the tiles of cells
+            instead of splats, and to count none.
         tile: Edge of a tile, in pixels.
         records: Whether each splat is one record.
     """
@@ -36,11 +41,11 @@ class BinTiles:
         walk: int,
         *,
         panorama: bool = False,
-        cells: bool = False,
+        digits: FirstDigits | None = None,
         tile: int = TILE,
         records: bool = False,
     ) -> None:
-        shader = "bin_cells" if cells else "bin_tiles"
+        shader = "bin_cells" if digits is None else "bin_tiles"
         constants = {
             "THREADS": WALK_THREADS,
             "RUN": walk,
@@ -48,13 +53,16 @@ class BinTiles:
             "RECORDS": records,
             **COUNT_CONSTANTS,
         }
+        constants |= digits.constants if digits else {}
         constants |= PANORAMA_CONSTANTS if panorama else {}
         self._measure, self._emit = (
-            Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)
-            for entry in ("measure", "emit")
+            Kernel(device, shader, entry, (kinds,), **constants)
+            for entry, kinds in _BINDINGS[shader].items()
         )
 
-    def steps(self, counts: Buffer, resources: tuple[Buffer, ...]) -> tuple[Step, Step]:
+    def steps(
+        self, counts: Buffer, resources: tuple[Buffer, ...], histogram: Buffer | None = None
+    ) -> tuple[Step, Step]:
         """Return the dispatches that count the image tiles of each splat, then list these tiles.
 
         A prefix sum of the counts runs between the two.
@@ -62,11 +70,15 @@ class BinTiles:
         Args:
             counts: The frame's counts, or those of its cells.
             resources: Resources of the shader, in order.
+            histogram: If digits are counted, the histogram to which they are added.
         """
         dispatch = (counts, 4 * Counts.WALK_VISIBLE_GROUPS)
+        emitted = resources
+        if histogram is not None:  # in place of the numbers of tiles, which only `measure` reads
+            emitted = (*resources[:3], histogram, *resources[4:])
         return (
             Step(self._measure, (self._measure.bind(*resources),), dispatch),
-            Step(self._emit, (self._emit.bind(*resources),), dispatch),
+            Step(self._emit, (self._emit.bind(*emitted),), dispatch),
         )
 
 

@@ -1,0 +1,40 @@
+"""Kernels count the first digits of the keys that they write as their NumPy twin does."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.first_digits import FirstDigits, first_digits_reference
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.renderer.renderer import Renderer
+from support.rendering.first_digits import CASES, counted, like_gpu
+
+
+@pytest.fixture(scope="module")
+def large_tiles(device: Device) -> Renderer:
+    return Renderer(like_gpu(device), rasteriser="tiles")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_kernels_count_as_numpy_does(large_tiles: Renderer, name: str) -> None:
+    for made, wanted in counted(large_tiles, CASES[name]()).values():
+        np.testing.assert_array_equal(made, wanted)
+        assert wanted.any() == (name != "nothing")
+
+
+def test_cases_are_hard(large_tiles: Renderer) -> None:
+    """A workgroup's pairs are in many blocks; digits are one, or all; the capacity is too small."""
+    found = {name: counted(large_tiles, CASES[name]()) for name in CASES}
+    assert found["over many blocks"]["tiles"][1].shape[1] > 20
+    assert found["beyond the capacity"]["tiles"][1].sum() == 5001
+    assert np.count_nonzero(found["at one depth and place"]["depths"][1].any(axis=1)) == 1
+    assert found["crowd"]["depths"][1].any(axis=1).all()
+    assert found["in slots"]["depths"][1].shape[1] > 4
+    assert found["in one tile"]["tiles"][1].shape[0] == 2
+
+
+def test_the_twin_counts_present_keys_by_block() -> None:
+    keys = np.array([0, 5, 5, ABSENT, 1, 4, 9], np.uint32)
+    table = first_digits_reference(keys, FirstDigits(4, 3))
+    assert table.tolist() == [[1, 1, 0], [2, 1, 1], [0, 0, 0], [0, 0, 0]]
+    assert first_digits_reference(keys[:0], FirstDigits(2, 3)).tolist() == [[0], [0]]
