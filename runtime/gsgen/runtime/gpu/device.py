@@ -57,6 +57,7 @@ class Device:
         has_clock: Whether passes can write timestamps.
         maps: Whether this process can map the buffers that shaders read (host memory).
         wide: Whether shaders read and write 64 bits at a time.
+        submitted: Index of the last submission, for :meth:`reading`.
     """
 
     def __init__(self, raw: RawDevice) -> None:
@@ -74,6 +75,9 @@ class Device:
             int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
         )
         self.largest_texture = int(raw.limits["max-texture-dimension-2d"])
+        self.submitted = 0
+        self._on_mapped: object = None  # a callback, which must live as long as a mapping
+        self._statuses: list[int] = []
         self._buffers: WeakSet[Buffer] = WeakSet()
         self._alive = self.uniform("alive", 16)
 
@@ -245,13 +249,58 @@ class Device:
             raise self._gone() from error
 
     def submit(self, encoder: Encoder) -> None:
-        """Submit the commands of an encoder to the GPU queue.
+        """Submit the commands of an encoder to the GPU queue; ``submitted`` becomes their index.
 
         Raises:
             DeviceLost: The device was lost; wgpu-native would end the process.
         """
+        from wgpu.backends.wgpu_native import ffi
+        from wgpu.backends.wgpu_native._api import libf  # raises the errors of a call
+
         self.require()
-        self.raw.queue.submit([encoder.finish()])
+        commands = encoder.finish()
+        handles = ffi.new("WGPUCommandBuffer[]", [commands._internal])
+        self.submitted = int(libf.wgpuQueueSubmitForIndex(self.raw.queue._internal, 1, handles))
+
+    @contextmanager
+    def reading(self, buffer: Buffer, submission: int) -> Iterator[UInt8[np.ndarray, " n"]]:
+        """Wait for a submission, but for none after it, and yield a buffer's bytes for reading.
+
+        wgpu-py would wait for all submitted work, and keep the queue closed to other work meanwhile.
+
+        Args:
+            buffer: A buffer of :meth:`readable`, which no later submission uses.
+            submission: A value of ``submitted``.
+
+        Raises:
+            DeviceLost: The device was lost.
+        """
+        from wgpu.backends.wgpu_native import ffi, lib
+        from wgpu.backends.wgpu_native._api import libf
+
+        self.require()
+        statuses = self._statuses
+        if self._on_mapped is None:
+            self._on_mapped = ffi.callback(
+                "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)",
+                lambda status, *_: statuses.append(status),
+            )
+        info = ffi.new("WGPUBufferMapCallbackInfo *")
+        info.mode, info.callback = lib.WGPUCallbackMode_AllowProcessEvents, self._on_mapped
+        device, handle = self.raw._internal, buffer._internal
+        statuses.clear()
+        libf.wgpuBufferMapAsync(handle, lib.WGPUMapMode_Read, 0, buffer.size, info[0])
+        try:
+            libf.wgpuDevicePoll(device, True, ffi.new("WGPUSubmissionIndex *", submission))
+            if not statuses:  # work was submitted without this object's knowledge
+                libf.wgpuDevicePoll(device, True, ffi.NULL)
+            if statuses != [lib.WGPUMapAsyncStatus_Success]:
+                raise RuntimeError(f"cannot map a buffer for reading: status {statuses}")
+            first = libf.wgpuBufferGetConstMappedRange(handle, 0, buffer.size)
+            yield np.frombuffer(ffi.buffer(first, buffer.size), np.uint8)
+        finally:
+            if statuses in ([], [lib.WGPUMapAsyncStatus_Success]):
+                libf.wgpuBufferUnmap(handle)  # or cancel the mapping, after an interrupt
 
     def require(self) -> None:
         """Raise if the graphics device was lost, since some calls would end the process.

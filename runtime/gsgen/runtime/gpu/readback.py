@@ -3,15 +3,12 @@
 __all__ = ["Staging"]
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer, Encoder
-
-if TYPE_CHECKING:
-    from wgpu import GPUPromise
 
 _ALIGNMENT = 256
 
@@ -21,14 +18,14 @@ class Staging:
     """A mappable GPU buffer with room for a copy of each named source buffer."""
 
     def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
-        self._sources = dict(sources)
+        self._device, self._sources = device, dict(sources)
         self._offsets: dict[str, int] = {}
         size = 0
         for name, buffer in self._sources.items():
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
         self._buffer = device.readable("staging", size)
-        self._mapping: GPUPromise[None] | None = None
+        self._submission: int | None = None
 
     def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
         """Encode the copy of the named source buffers, or of all, into the staging buffer."""
@@ -37,8 +34,8 @@ class Staging:
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
     def begin(self) -> None:
-        """Begin to map the staging buffer; :meth:`read` then waits only while the GPU is busy."""
-        self._mapping = self._buffer.map_async("READ")
+        """Note that the last submission fills the buffer; :meth:`read` waits for no later one."""
+        self._submission = self._device.submitted
 
     def read_words(self) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each source buffer as 32-bit words."""
@@ -46,20 +43,10 @@ class Staging:
 
     def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each named source buffer as an array."""
-        if self._mapping is None:
-            self.begin()
-        assert self._mapping is not None
-        self._mapping.sync_wait()
-        self._mapping = None
-        try:
+        submission = self._device.submitted if self._submission is None else self._submission
+        self._submission = None
+        with self._device.reading(self._buffer, submission) as memory:
             return {
-                name: np.frombuffer(
-                    self._buffer.read_mapped(
-                        self._offsets[name], self._sources[name].size, copy=False
-                    ),
-                    dtype,
-                ).copy()
+                name: memory[self._offsets[name] :][: self._sources[name].size].view(dtype).copy()
                 for name, dtype in dtypes.items()
             }
-        finally:
-            self._buffer.unmap()
