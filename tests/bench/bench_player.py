@@ -14,12 +14,14 @@ import pytest
 from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Residency
-from gsgen.runtime.playback.player import GeneratorPlayer
+from gsgen.runtime.media.pictures import save_picture
+from gsgen.runtime.playback.player import FrameRequest, GeneratorPlayer, Player
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.generator_worker import _OutputBuffer
+from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk.binding import FrameSession
 from support.measures import print_figure
 
@@ -71,7 +73,7 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
 
     def nothing() -> None:
         encoder = renderer.device.raw.create_command_encoder(label="nothing")
-        plan._staging.encode(encoder)
+        plan._readback.staging.encode(encoder)
         renderer.device.raw.queue.submit([encoder.finish()])
 
     whole, bare = least(frame, plan.collect), least(nothing, plan.collect)
@@ -126,14 +128,27 @@ def bench_what_stays(renderer: Renderer) -> None:
     )
 
 
+def joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return spans of time with those that overlap joined to one."""
+    whole: list[tuple[float, float]] = []
+    for begin, end in sorted(spans):
+        if whole and begin <= whole[-1][1]:
+            whole[-1] = whole[-1][0], max(end, whole[-1][1])
+        else:
+            whole.append((begin, end))
+    return whole
+
+
 def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """How much of inference passes while a frame is drawn; both take turns without overlap."""
     drifting(200_000, degree=1).write(tmp_path / "many.onnx")
     camera = Camera.orbit((0, 0, 0), 4, width=320, height=180)
     times = np.linspace(0, 1, 12).tolist()
-    spans: dict[str, list[tuple[float, float]]] = {"run": [], "render": []}
-    for owner in (FrameSession, Renderer):
-        name = "run" if owner is FrameSession else "render"
+    spans: dict[str, list[tuple[float, float]]] = {
+        name: [] for name in ("run", "render", "submit", "collect")
+    }
+    for name in spans:
+        owner = FrameSession if name == "run" else Renderer
 
         def watched(
             *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
@@ -151,16 +166,57 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
             for one in spans.values():
                 one.clear()
             play(player)
+        in_flight = [
+            (begin, end)
+            for (begin, _), (_, end) in zip(spans["submit"], spans["collect"], strict=True)
+        ]
         both = sum(
             max(0.0, min(a[1], b[1]) - max(a[0], b[0]))
             for a in spans["run"]
-            for b in spans["render"]
+            for b in joined(spans["render"] + in_flight)
         )
         return both / sum(end - began for began, end in spans["run"])
 
     played = shared(lambda player: list(player.play(camera, times=times)))
     alone = shared(lambda player: [player.render(camera, time=at) for at in times])
     print_figure(
-        f"200,000 moving Gaussians: {100 * played:.0f} % of inference passes while a frame is drawn, "
+        f"200,000 moving Gaussians: {100 * played:.0f} % of inference passes while a frame is drawn or read, "
     )
     print_figure(f"{100 * alone:.0f} % where frames are rendered one by one")
+
+
+@pytest.mark.parametrize("work", ["frames alone", "with PNG files of them"])
+def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, work: str) -> None:
+    """What a film takes with two frames in flight, beside one that waits for each frame.
+
+    Half of the frames are played in each way, in turns. Where the driver is software, drawing,
+    inference and the host share the same cores, so that there is little to gain.
+    """
+    drifting(100_000, degree=1).write(tmp_path / "many.onnx")
+    camera = Camera.orbit((0, 0, 0), 4, width=640, height=360)
+    moments = np.linspace(0, 1, 8)
+    taken: dict[int, list[float]] = {1: [], 2: []}
+    waited: dict[int, list[float]] = {1: [], 2: []}
+    source = GeneratorSource(tmp_path / "many.onnx")
+    players = {
+        count: Player([source], renderer=renderer, frames_in_flight=count) for count in taken
+    }
+    for turn in range(6):
+        for count, player in players.items():
+            requests = [FrameRequest(camera, ({"time": moment},)) for moment in moments]
+            began = time.perf_counter()
+            for number, frame in enumerate(player.play(requests)):
+                if work != "frames alone":
+                    save_picture(tmp_path / f"{number}.png", frame.srgb8)
+            if turn:  # the first one compiles
+                taken[count].append(time.perf_counter() - began)
+                waited[count].append(player.statistics.waited)
+    source.close()
+    ratio = np.median(np.divide(taken[2], taken[1]))
+    one, two = (1000 * np.median(waited[count]) / len(moments) for count in (1, 2))
+    print_figure(
+        f"100,000 moving Gaussians, {work}: with two frames in flight {ratio:.2f} of the time"
+    )
+    print_figure(
+        f"    of waiting for each; the host waits {two:.1f} ms a frame instead of {one:.1f}"
+    )

@@ -13,6 +13,7 @@ from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, GeneratorPlayer, Player
+from gsgen.runtime.renderer.frame_images import FrameReadback
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -62,7 +63,7 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
 ) -> None:
     """Neither ends before the other has begun: without overlap, one would wait for ever."""
     inferring, drawing = ([threading.Event() for _ in TIMES] for _ in range(2))
-    run, submit, collect = FrameSession.run, Plan.submit, Plan.collect
+    run, submit, collect = FrameSession.run, Plan.submit, FrameReadback.collect
     events: list[str] = []
 
     def began(name: str) -> int:
@@ -80,16 +81,18 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
         drawing[began("submit")].set()
         submit(self, *args, **rest)
 
-    def watched_collect(self: Plan, *args: object, **rest: object) -> object:
+    def watched_collect(self: FrameReadback, *args: object, **rest: object) -> object:
         frame = began("collect")
         if frame + 1 < len(TIMES):
-            assert inferring[frame + 1].wait(LONG), "nobody computes the next frame"
+            assert drawing[frame + 1].is_set(), "the next frame is not in flight"
+        if frame + 2 < len(TIMES):
+            assert inferring[frame + 2].wait(LONG), "nobody computes the frame after the next"
         return collect(self, *args, **rest)
 
-    drift.render(CAMERA, time=0.75)  # so that no frame below is as the one before
+    list(drift.play(CAMERA, times=[0.75]))  # so that no frame below is as the one before
     monkeypatch.setattr(FrameSession, "run", watched_run)
     monkeypatch.setattr(Plan, "submit", watched_submit)
-    monkeypatch.setattr(Plan, "collect", watched_collect)
+    monkeypatch.setattr(FrameReadback, "collect", watched_collect)
     assert len(list(drift.play(CAMERA, times=TIMES))) == len(TIMES)
     assert [events.count(name) for name in ("run", "submit", "collect")] == [4, 4, 4]
 
@@ -167,7 +170,7 @@ def test_what_stays_is_neither_computed_nor_uploaded(
     cameras = [Camera.orbit((0, 0, 0), 4, azimuth=a, width=48, height=32) for a in range(4)]
     path = models / f"{model}.onnx"
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
-        player.render(cameras[0])
+        list(player.play(cameras[:1] * 3))  # buffers for all frames in flight are made
         seen = Uploads(monkeypatch)
         seen.forbid(renderer.device.raw, monkeypatch)
         frames = list(player.play(cameras[1:], values=values))
@@ -307,6 +310,16 @@ def test_cells_of_a_generator_are_summed_by_weights(
         seen.bytes["cells"] = 0
         player.render(CAMERA)
     assert set(seen.bytes.values()) == {0}
+
+
+def test_held_outputs_stay_for_as_many_more_frames() -> None:
+    kept, rows = _OutputBuffer(), np.zeros((4, 10), np.float32)
+    taken = []
+    for number in range(7):
+        taken.append(kept.take(rows + number, None, retained=1))
+        for back in range(min(number, 2) + 1):
+            assert np.all(taken[number - back] == number - back)
+    assert len(set(map(id, taken))) == 3
 
 
 def test_outputs_are_compared_bit_by_bit_over_what_is_live() -> None:

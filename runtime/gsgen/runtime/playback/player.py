@@ -1,8 +1,9 @@
-"""Plays sources of Gaussians: computes the next frame while the renderer draws the last one."""
+"""Plays sources of Gaussians: computes a frame while the renderer draws the ones before it."""
 
 __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 
 import os
+from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
@@ -14,7 +15,9 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.runtime.errors import locate_in_frame
+from gsgen.runtime.playback.frame_queue import FrameQueue, PlayStatistics
 from gsgen.runtime.playback.post_process import PostProcessor
+from gsgen.runtime.renderer.late_counts import FRAMES_LATE
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
@@ -45,8 +48,9 @@ class FrameRequest:
 class Player:
     """Draws several sources of Gaussians as one scene, frame after frame.
 
-    While a frame is drawn, the next one is computed. Unchanged arrays of a source are not uploaded
-    again, and no buffer is created after the first frame.
+    While a frame is drawn, the next one is submitted, and the one after it computed. Unchanged
+    arrays of a source are not uploaded again, and no buffer is created after the first frames,
+    unless more splats are drawn than before.
 
     Args:
         sources: Sources that are drawn together; the caller closes them.
@@ -57,10 +61,13 @@ class Player:
         outputs: Outputs of each frame.
         sh_degree: Highest degree of spherical harmonics; None for all.
         antialias: Antialiasing of the training; None for each source's own setting.
+        frames_in_flight: Most frames that :meth:`play` submits before it waits for the oldest one;
+            1 to wait for each, as it does if a source cannot hold earlier frames.
 
     Attributes:
         scene: The sources as one scene.
         renderer: Draws the frames.
+        statistics: Waiting, frames in flight and growth of buffers in the last :meth:`play`.
 
     Raises:
         ConfigInvalid: Colour spaces differ, or post-process models lack the colour output.
@@ -76,17 +83,22 @@ class Player:
         outputs: Collection[Output] = COLOR_ONLY,
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
+        frames_in_flight: int = FRAMES_LATE,
     ) -> None:
         if post and "color" not in outputs:
             output_names = ", ".join(sorted(outputs))
             message = f"works on colours, but the output is {output_names}"
             hint = "Leave the post-process model out, or draw colours."
             raise ConfigInvalid(message, where=post[0].name, hint=hint)
+        if frames_in_flight < 1:
+            message = f"is {frames_in_flight}, expected at least 1"
+            raise ConfigInvalid(message, where="frames_in_flight")
         self._sources, self._post = list(sources), list(post)
         self.scene = compose_scene(sources, sh_degree, antialias)
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
-        self._begun = 0
+        self._begun, self._frames_in_flight = 0, frames_in_flight
+        self.statistics = PlayStatistics()
 
     def render(self, request: FrameRequest) -> Frame:
         """Compute and draw the requested frame.
@@ -96,27 +108,26 @@ class Player:
         """
         number = self._start(request)
         self._finish()
-        return self._draw(request, number)
+        frame = self.renderer.render(
+            self.scene, request.camera, background=self._background, outputs=self._outputs
+        )
+        return self._processed(frame, request, number)
 
     def play(self, requests: Iterable[FrameRequest]) -> Iterator[Frame]:
-        """Yield the frame of each request, computing each while the previous one is drawn.
+        """Yield the frame of each request, with others in flight: drawn, or being computed.
 
-        Frames equal those of :meth:`render`, and come sooner.
+        Frames equal those of :meth:`render`, and come sooner. Requests are taken two frames before
+        their own frame is yielded.
 
         Raises:
             GsgenError: See :meth:`render`; raised when the frame's turn comes.
         """
-        before: tuple[FrameRequest, int] | None = None
+        queue = FrameQueue(self.renderer, self.scene, self._background, self._outputs)
+        self.statistics = queue.statistics
+        most = self._held_frames()
+        queue.waits = most == 1
         try:
-            for request in requests:
-                self._finish()
-                number = self._start(request)
-                if before is not None:
-                    yield self._draw(*before)
-                before = request, number
-            self._finish()
-            if before is not None:
-                yield self._draw(*before)
+            yield from self._drawn(self._computed(requests), queue, most)
         except KeyboardInterrupt:
             for source in self._sources:
                 source.interrupt()
@@ -124,6 +135,53 @@ class Player:
         finally:
             for source in self._sources:  # the caller may stop before the last frame
                 source.abandon()
+
+    def _held_frames(self) -> int:
+        """Return how many frames may be in flight, for which all sources hold their arrays."""
+        if all(source.hold(self._frames_in_flight - 1) for source in self._sources):
+            return self._frames_in_flight
+        for source in self._sources:
+            source.hold(0)
+        return 1
+
+    def _computed(self, requests: Iterable[FrameRequest]) -> Iterator[tuple[FrameRequest, int]]:
+        """Yield each request with its number once it is computed, and the next one has begun."""
+        before: tuple[FrameRequest, int] | None = None
+        for request in requests:
+            self._finish()
+            number = self._start(request)
+            if before is not None:
+                yield before
+            before = request, number
+        self._finish()
+        if before is not None:
+            yield before
+
+    def _drawn(
+        self, computed: Iterator[tuple[FrameRequest, int]], queue: FrameQueue, most: int
+    ) -> Iterator[Frame]:
+        """Yield the frames of computed requests in order, of which ``most`` may be in flight."""
+        submitted: deque[tuple[FrameRequest, int]] = deque()
+
+        def take(left: int) -> Iterator[Frame]:
+            while len(queue) > left:
+                yield self._processed(queue.take(), *submitted.popleft())
+
+        while True:
+            try:
+                frame = next(computed, None)
+                if frame is None:
+                    break
+                if not queue.try_submit(frame[0].camera):
+                    yield from take(0)
+                    queue.waits, most = True, 1
+                    queue.submit(frame[0].camera)
+            except Exception:
+                yield from take(0)  # the error is of a later frame
+                raise
+            submitted.append(frame)
+            yield from take(most - 1)
+        yield from take(0)
 
     def _start(self, request: FrameRequest) -> int:
         """Begin to compute a frame, and return its number."""
@@ -137,10 +195,8 @@ class Player:
         for source in self._sources:
             source.finish()
 
-    def _draw(self, request: FrameRequest, number: int) -> Frame:
-        frame = self.renderer.render(
-            self.scene, request.camera, background=self._background, outputs=self._outputs
-        )
+    def _processed(self, frame: Frame, request: FrameRequest, number: int) -> Frame:
+        """Return a frame whose colours the post-process models have changed."""
         post_values = _each(request.values[len(self._sources) :])
         for model, values in zip(self._post, post_values, strict=False):
             try:
@@ -252,6 +308,11 @@ class GeneratorPlayer:
     def manifest(self) -> GeneratorManifest:
         """The manifest of the ONNX generator that is played."""
         return self.source.manifest
+
+    @property
+    def statistics(self) -> PlayStatistics:
+        """Waiting, frames in flight and growth of buffers in the last :meth:`play`."""
+        return self._player.statistics
 
     def render(
         self,

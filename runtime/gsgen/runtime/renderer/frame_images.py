@@ -1,15 +1,84 @@
-"""Converts the 32-bit words of rendered GPU images to a frame."""
+"""Reads a frame's counters and images back from the GPU, and converts them to a frame."""
 
-__all__ = ["frame_of"]
+__all__ = ["FrameReadback", "frame_of"]
+
+from collections.abc import Mapping
+from typing import final
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
 
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.renderer.bands import Drawing
+from gsgen.runtime.renderer.frame_counts import frame_counts
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import NOTHING, Frame
 from gsgen.runtime.scene.scene import Scene
+
+
+@final
+class FrameReadback:
+    """The copy of a frame's GPU counters and images that the host reads.
+
+    Frames of one plan that are in flight at the same time need one each.
+
+    Args:
+        device: Device of the buffers.
+        kernels: Kernels of the device.
+        counters: Buffers of counters: of depth-sorted splats, and perhaps of weighted sums.
+        images: Buffers of images, by output.
+        size: Width and height of the images, in pixels.
+        origins: Index in the scene of each Gaussian on the GPU; None if both orders agree.
+
+    Attributes:
+        images: Buffers of images, by output.
+        staging: Receives the copies.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        kernels: Kernels,
+        counters: Mapping[str, Buffer],
+        images: Mapping[str, Buffer],
+        size: tuple[int, int],
+        origins: UInt32[np.ndarray, " n"] | None,
+    ) -> None:
+        self._device, self._kernels = device, kernels
+        self._counters, self.images = list(counters), images
+        self._size, self._origins = size, origins
+        self.staging = Staging(device, {**counters, **images})
+
+    def collect(self, *, fetch: bool = True, with_cells: bool = True) -> Drawing:
+        """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
+
+        Args:
+            fetch: Whether images are read.
+            with_cells: Whether the counters of weighted sums are added.
+
+        Raises:
+            CapacityExceeded: More splats are drawn than the device dispatches at once.
+        """
+        names = [*self._counters, *(self.images if fetch else ())]
+        words_by_name = self.staging.read(dict.fromkeys(names, np.uint32))
+        parts = [words_by_name.pop(name) for name in self._counters]
+        counts = frame_counts(self._device, self._kernels, parts if with_cells else parts[:1])
+        width, height = self._size
+        images = {
+            # Rows of a copied texture are padded.
+            name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
+            for name, words in words_by_name.items()
+        }
+        if self._origins is not None and "depth" in images:
+            ids = images["depth"][..., 2]
+            known = ids != ABSENT
+            ids[known] = self._origins[ids[known]]
+        return counts, images
 
 
 def frame_of(

@@ -25,11 +25,10 @@ from gsgen.runtime.kernels.raster.mesh_place import (
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
-from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, Drawing
-from gsgen.runtime.renderer.frame_counts import frame_counts
+from gsgen.runtime.renderer.frame_images import FrameReadback
 from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
 from gsgen.runtime.renderer.placed_pages import (
     Placed,
@@ -158,7 +157,7 @@ class Plan:
         self._held = {"counts": self._counts}
         if self._weighted is not None:
             self._held["counts of cells"] = self._weighted.counts
-        self._staging = Staging(device, self._held | self.images)
+        self._readback = self.readback()
 
     def _add(self, part: WeightedPart) -> None:
         """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
@@ -418,7 +417,8 @@ class Plan:
             only: Stages to run; all if None.
             clock: Measures the GPU time of each stage.
             fetch: Whether :meth:`collect` will read images, too.
-            staging: From :meth:`counts_staging`: receives the counts in place of :meth:`collect`.
+            staging: From :meth:`counts_staging` or :meth:`readback`: receives the counts, or counts
+                and images, in place of :meth:`collect`.
             band: The rows of a larger image that the plan draws, or None.
             state: The slab of depth that is drawn, or None.
         """
@@ -463,37 +463,23 @@ class Plan:
             self._quads.encode(encoder, background, clock.around("quads") if clock else None)
         if clock is not None:
             clock.encode(encoder)
-        (staging or self._staging).encode(encoder, None if fetch else self._held)
+        (staging or self._readback.staging).encode(encoder, None if fetch else self._held)
         device.submit(encoder)
 
     def counts_staging(self) -> Staging:
         """Return a new staging buffer through which a frame's GPU counters are read."""
         return Staging(self._device, self._held)
 
-    def collect(
-        self, *, fetch: bool = True, with_cells: bool = True
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def readback(self) -> FrameReadback:
+        """Return a new readback of a frame's GPU counters and images."""
+        return FrameReadback(
+            self._device, self._kernels, self._held, self.images, self._size, self._origins
+        )
+
+    def collect(self, *, fetch: bool = True, with_cells: bool = True) -> Drawing:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
-        Args:
-            fetch: Whether images are read; must be the same as in :meth:`submit`.
-            with_cells: Whether the counters of weighted sums are added.
-
-        Raises:
-            CapacityExceeded: More splats are drawn than the device dispatches at once.
+        Arguments and errors are those of :class:`FrameReadback`; ``fetch`` is that of
+        :meth:`submit`.
         """
-        names = [*self._held, *(self.images if fetch else ())]
-        words_by_name = self._staging.read(dict.fromkeys(names, np.uint32))
-        parts = [words_by_name.pop(name) for name in self._held]
-        counts = frame_counts(self._device, self._kernels, parts if with_cells else parts[:1])
-        width, height = self._size
-        images = {
-            # Rows of a copied texture are padded.
-            name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
-            for name, words in words_by_name.items()
-        }
-        if self._origins is not None and "depth" in images:
-            ids = images["depth"][..., 2]
-            known = ids != ABSENT
-            ids[known] = self._origins[ids[known]]
-        return counts, images
+        return self._readback.collect(fetch=fetch, with_cells=with_cells)

@@ -1,15 +1,20 @@
-"""Reads a frame's GPU counters two frames later, so that the host does not wait for the GPU."""
+"""Reads a frame's GPU counters or images while the GPU draws the next one, without waiting."""
 
-__all__ = ["FRAMES_LATE", "LateCounts"]
+__all__ = ["FRAMES_LATE", "FrameInFlight", "LateCounts", "Readbacks"]
 
 import time
 from collections import deque
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
 from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.renderer.bands import Drawing
+from gsgen.runtime.renderer.frame_images import FrameReadback
 from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
 
 FRAMES_LATE: Final = 2
 """Frames that are in flight: the counts of a frame are read when the second one after it begins."""
@@ -56,3 +61,45 @@ class LateCounts:
             free.append(staging)
         self.waited = time.perf_counter() - began
         return counts
+
+
+@final
+class Readbacks:
+    """Readbacks of frames of one plan, which are used again once their images were read."""
+
+    def __init__(self) -> None:
+        self._free: list[FrameReadback] = []
+        self._layout: object = None
+
+    def take(self, plan: Plan) -> FrameReadback:
+        """Return a readback of the plan's images that no frame in flight uses."""
+        if self._layout is not plan.images:  # another plan has other buffers to copy from
+            self._free, self._layout = [], plan.images
+        return self._free.pop() if self._free else plan.readback()
+
+    def clear(self) -> None:
+        """Free the readbacks that no frame uses."""
+        self._free, self._layout = [], None
+
+    def give_back(self, readback: FrameReadback) -> None:
+        """Keep a readback for a later frame, unless there is another plan now."""
+        if readback.images is self._layout:
+            self._free.append(readback)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameInFlight:
+    """A frame that was submitted to the GPU, and whose images were not read yet.
+
+    Attributes:
+        scene: The scene.
+        camera: The camera.
+        opacity_behind: Alpha of the background.
+        images: Receives counters and images; or both, if the frame had to be waited for.
+    """
+
+    scene: Scene
+    camera: Camera
+    opacity_behind: float
+    images: FrameReadback | Drawing

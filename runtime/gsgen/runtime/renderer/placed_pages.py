@@ -1,6 +1,14 @@
 """The GPU pages (buffers) of a scene with their splat sets, in drawing order."""
 
-__all__ = ["Placed", "bare_set", "scene_order", "slot_rows", "sorted_pages", "weighted_pages"]
+__all__ = [
+    "Placed",
+    "bare_set",
+    "scene_order",
+    "slot_rows",
+    "sorted_pages",
+    "sorted_splats",
+    "weighted_pages",
+]
 
 from collections.abc import Sequence
 
@@ -42,6 +50,11 @@ def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
 def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
     """Return the pages (GPU buffers) of splat sets that are sorted by depth."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
+
+
+def sorted_splats(placed: Sequence[Placed]) -> int:
+    """Return an upper bound of the number of splats that a frame of a scene sorts by depth."""
+    return sum(page.capacity for _, page in sorted_pages(placed))
 
 
 def bare_set(pooled: PooledSet) -> SplatSet:

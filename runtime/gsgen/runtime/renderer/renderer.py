@@ -8,10 +8,10 @@ from typing import Final, final
 
 import numpy as np
 
-from gsgen.runtime.errors import DeviceUnavailable, MemoryFull, SceneInvalid
+from gsgen.runtime.errors import DeviceUnavailable, MemoryFull
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
-from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
+from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
@@ -26,12 +26,13 @@ from gsgen.runtime.renderer.bands import (
     band_rows,
     draw_bands,
 )
+from gsgen.runtime.renderer.frame_arguments import checked, too_large
 from gsgen.runtime.renderer.frame_counts import frame_counts
-from gsgen.runtime.renderer.frame_images import frame_of
+from gsgen.runtime.renderer.frame_images import FrameReadback, frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.late_counts import LateCounts
-from gsgen.runtime.renderer.placed_pages import Placed, bare_set, sorted_pages
+from gsgen.runtime.renderer.late_counts import FrameInFlight, LateCounts, Readbacks
+from gsgen.runtime.renderer.placed_pages import Placed, bare_set, sorted_splats
 from gsgen.runtime.renderer.rasteriser_choice import (
     Rasteriser,
     RasteriserOption,
@@ -40,7 +41,7 @@ from gsgen.runtime.renderer.rasteriser_choice import (
 )
 from gsgen.runtime.renderer.slabs import most_splats
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import COLOR_ONLY, OUTPUTS, Frame, Output
+from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 
 FIRST_PAIRS: Final = 1 << 16
@@ -76,6 +77,7 @@ class Renderer:
     Attributes:
         rasteriser: The requested or chosen rasteriser of colours.
         late: Frames in flight, after ``draw(wait=False)``.
+        growths: How often the buffers of pairs of a splat and a tile were enlarged.
 
     Raises:
         DeviceUnavailable: There is no device, or it does not support the ``rasteriser``.
@@ -116,7 +118,7 @@ class Renderer:
         self._plan: Plan | None = None
         self._shape: object = None
         self._steady: tuple[object, np.ndarray] | None = None
-        self.late = LateCounts()
+        self.late, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
         self._bands = BandImages(self.device)
 
     def render(
@@ -144,6 +146,49 @@ class Renderer:
         counts, images = self._drawn(scene, camera, background, outputs)
         return frame_of(scene, camera, counts, images, float(background[3]))
 
+    def submit(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        outputs: Collection[Output] = COLOR_ONLY,
+    ) -> FrameInFlight:
+        """Begin to draw a scene, without waiting for the GPU; :meth:`collect` returns the images.
+
+        The first frame of other sets or of another size is waited for, and so are frames in slabs
+        or bands. Arguments and errors are those of :meth:`render`.
+        """
+        requested, behind = checked(scene, outputs, background, published=self._published)
+        with self._device_errors(scene, camera):
+            if self._band_rows(scene, camera, len(requested)) >= camera.height:
+                placed, meshes = self._uploaded(scene)
+                plan = self.plan(placed, camera, requested, meshes)
+                if self._is_steady(plan):
+                    images, color = self._readbacks.take(plan), behind[:3]
+                    plan.submit(placed, camera, color, meshes=meshes, staging=images.staging)
+                    images.staging.begin()
+                    return FrameInFlight(scene, camera, float(behind[3]), images)
+                del plan  # its memory goes before that of a larger one comes
+        drawn = self._drawn(scene, camera, background, outputs)
+        self._steady = (self._shape, drawn[0])
+        return FrameInFlight(scene, camera, float(behind[3]), drawn)
+
+    def collect(self, frame: FrameInFlight) -> Frame | None:
+        """Return the images of a frame of :meth:`submit`, once; wait for this frame alone.
+
+        None if its buffers were too small: the scene must then be drawn again as it was. Errors are
+        those of :meth:`render`.
+        """
+        drawn = frame.images
+        if isinstance(drawn, FrameReadback):
+            with self._device_errors(frame.scene, frame.camera):
+                readback, drawn = drawn, drawn.collect()
+                self._readbacks.give_back(readback)
+                if self._is_incomplete(drawn[0]):
+                    return None
+        return frame_of(frame.scene, frame.camera, *drawn, frame.opacity_behind)
+
     def draw(
         self,
         scene: Scene,
@@ -170,9 +215,9 @@ class Renderer:
             self._steady = None
             plan, counts = self._drawn_at_once(scene, Band.of(camera), background, output)
         else:
-            behind = _premultiplied(background)
+            requested, behind = checked(scene, (output,), background, published=self._published)
             with self._device_errors(scene, camera):
-                plan, counts = self._drawn_late(scene, camera, behind, _known((output,)))
+                plan, counts = self._drawn_late(scene, camera, behind, requested)
         return Drawn.of(plan.images[output], Band.of(camera), counts)
 
     def draw_bands(
@@ -209,10 +254,7 @@ class Renderer:
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
     ) -> Drawing:
         """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
-        requested = _known(outputs)
-        if self._published:
-            _require_alone(scene)
-        behind = _premultiplied(background)
+        requested, behind = checked(scene, outputs, background, published=self._published)
         with self._device_errors(scene, camera):
             placed, meshes = self._uploaded(scene)
 
@@ -234,10 +276,7 @@ class Renderer:
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""
-        requested = _known((output,))
-        if self._published:
-            _require_alone(scene)
-        behind = _premultiplied(background)
+        requested, behind = checked(scene, (output,), background, published=self._published)
         with self._device_errors(scene, band.whole):
             placed, meshes = self._uploaded(scene)
             return self._fitted(scene, band, behind, requested, placed, meshes, fetch=False)[:2]
@@ -252,8 +291,9 @@ class Renderer:
             # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
             self._plan, self._key, self._rows = None, None, None
             self._shape, self._steady = None, None
+            self._readbacks.clear()
             self._pairs = min(FIRST_PAIRS, self._most_pairs)
-            raise _too_large(scene, camera, error, compact=self._compact) from error
+            raise too_large(scene, camera, error, compact=self._compact) from error
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
@@ -300,7 +340,7 @@ class Renderer:
             self._take(parts)
         placed, meshes = self._uploaded(scene)
         plan = self.plan(placed, camera, requested, meshes)
-        if plan.slabs or self._steady is None or self._steady[0] != self._shape:
+        if self._steady is None or not self._is_steady(plan):
             self._steady = None  # keeps the rows of other sets
             band = Band.of(camera)
             plan, counts, _ = self._fitted(
@@ -313,9 +353,16 @@ class Renderer:
         self.late.add(staging)
         return plan, self._steady[1]
 
+    def _is_steady(self, plan: Plan) -> bool:
+        """Return whether an earlier frame of the same sets and size told the buffers' sizes."""
+        return not plan.slabs and self._steady is not None and self._steady[0] == self._shape
+
     def _take(self, parts: list[np.ndarray]) -> bool:
         """Read an earlier frame's counters; return whether splats were missing or unsorted."""
-        counts = frame_counts(self.device, self._kernels, parts)
+        return self._is_incomplete(frame_counts(self.device, self._kernels, parts))
+
+    def _is_incomplete(self, counts: np.ndarray) -> bool:
+        """Return whether an earlier frame lacks splats or their order; enlarge small buffers."""
         try:
             incomplete = self._must_redraw(counts)
         except PairsExceeded:  # the next frame is waited for, and drawn in thinner slabs
@@ -395,6 +442,7 @@ class Renderer:
         key = (self._shape, self._pairs, self._deep, self._most_in_slab)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
+            self._readbacks.clear()
             self._plan = Plan(
                 self.device,
                 self._kernels,
@@ -420,12 +468,12 @@ class Renderer:
     def _slab_splats(self, placed: Sequence[Placed]) -> int | None:
         """Return the number of splats per depth slab if a scene needs slabs."""
         most = min(most_splats(self.device, self._kernels), self._most_in_slab)
-        return most if _sorted_splats(placed) > most else None
+        return most if sorted_splats(placed) > most else None
 
     def _halve_slabs(self, placed: Sequence[Placed]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
         most = most_splats(self.device, self._kernels)
-        most = min(_sorted_splats(placed), most, self._most_in_slab)
+        most = min(sorted_splats(placed), most, self._most_in_slab)
         if most < 2:
             return False
         self._most_in_slab = most // 2
@@ -446,55 +494,5 @@ class Renderer:
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
-        self._pairs = min(int(pairs * PAIRS_ROOM), most)
-
-
-def _sorted_splats(placed: Sequence[Placed]) -> int:
-    """Return an upper bound of the number of splats that a frame of a scene sorts by depth."""
-    return sum(page.capacity for _, page in sorted_pages(placed))
-
-
-def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
-    """Add the memory that the Gaussians take, and ways to need less, to an out-of-memory error."""
-    sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
-    now, less = (
-        sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)
-        for is_compact in (compact, True)
-    )
-    count = sum(map(len, sets))
-    message = f"{error.message}; {count:,} Gaussians take {now:,} bytes"
-    hint = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
-    if less < now:
-        hint = f"With `--compact` (`compact=True`) they take {less:,}. {hint}"
-    hint = f"{hint} A smaller image than {camera.width}×{camera.height} takes less, too."
-    return MemoryFull(message, where=error.where, hint=hint)
-
-
-def _require_alone(scene: Scene) -> None:
-    """Raise if a scene has meshes or depth-sorted sets besides weighted splat sets."""
-    summed = [splat_set.weighted is not None for splat_set in scene.sets]
-    if any(summed) and (scene.meshes or not all(summed)):
-        raise SceneInvalid(
-            "is True, but the scene has depth-sorted sets or meshes, expected weighted sums alone",
-            where="published",
-            hint="Draw sorted sets and meshes with a renderer that has published=False.",
-        )
-
-
-def _known(outputs: Collection[Output]) -> frozenset[Output]:
-    requested = frozenset(outputs)
-    if not requested or requested - set(OUTPUTS):
-        raise SceneInvalid(
-            f"is {sorted(requested)}, expected some of {', '.join(OUTPUTS)}", where="outputs"
-        )
-    return requested
-
-
-def _premultiplied(background: Sequence[float]) -> np.ndarray:
-    color = np.asarray(background, np.float64)
-    if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:
-        raise SceneInvalid(
-            f"is {list(background)}, expected red, green, blue and an alpha from 0 to 1",
-            where="background",
-        )
-    return np.append(color[:3] * color[3], color[3])
+        before, self._pairs = self._pairs, min(int(pairs * PAIRS_ROOM), most)
+        self.growths += self._pairs > before

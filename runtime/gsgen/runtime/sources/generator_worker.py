@@ -2,6 +2,7 @@
 
 __all__ = ["FrameDelta", "GeneratorWorker"]
 
+from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -50,7 +51,8 @@ class GeneratorWorker:
     ONNX Runtime releases Python's lock while it computes, so drawing continues. All its calls come
     from one thread: a CUDA graph must be replayed by the thread that recorded it.
 
-    Each output has two buffers: the drawn one, and one for the next frame. An output whose live
+    Each output has two buffers: the drawn one, and one for the next frame; and one for each earlier
+    frame that is held (:meth:`hold`). An output whose live
     rows are unchanged, bit by bit, is neither copied nor passed on. The model does not run if no
     input has changed that an output depends on, according to the manifest.
 
@@ -87,6 +89,7 @@ class GeneratorWorker:
         self._unused_inputs = frozenset(
             spec.name for spec in self.manifest.inputs if not self.manifest.depends(spec)
         )
+        self._held_frames = 0
         self._forget()
 
     def start(self, camera: "Camera | None", values: Mapping[str, object]) -> "Future[FrameDelta]":
@@ -103,6 +106,10 @@ class GeneratorWorker:
             raise SessionClosed(message, where=str(self.session.path))
         self._stop.reset()
         return self._worker.submit(self._compute, camera, values)
+
+    def hold(self, frames: int) -> None:
+        """Keep the outputs of some frames before the drawn one unchanged, from the next run on."""
+        self._held_frames = frames
 
     def interrupt(self) -> None:
         """Stop the ONNX runs of all requested frames, which then fail."""
@@ -130,7 +137,9 @@ class GeneratorWorker:
             live = (self._count, self._count, None)  # cells have no count of their own
             constant = self.session.constant_outputs
             rows, appearance, *cells = (
-                buffer.take(frame[name], live_rows, is_constant=name in constant)
+                buffer.take(
+                    frame[name], live_rows, is_constant=name in constant, retained=self._held_frames
+                )
                 for buffer, name, live_rows in zip(self._buffers, self._names, live, strict=False)
             )
         except BaseException:
@@ -168,19 +177,25 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
 
 @final
 class _OutputBuffer:
-    """Double buffer for a model output: one copy is drawn while the next frame fills the other."""
+    """Copies of a model output: one is drawn while the next frame fills another."""
 
     def __init__(self) -> None:
         self._shown: np.ndarray | None = None
-        self._spare: np.ndarray | None = None
+        self._older: deque[np.ndarray] = deque()  # copies before the shown one, oldest first
         self._live = 0
 
     def take(
-        self, array: Float[np.ndarray, "n c"], live_rows: int | None, *, is_constant: bool = False
+        self,
+        array: Float[np.ndarray, "n c"],
+        live_rows: int | None,
+        *,
+        is_constant: bool = False,
+        retained: int = 0,
     ) -> np.ndarray | None:
         """Copy a model output without padding rows; return None if the last copy has the same rows.
 
-        The copy stays valid until the call after the next. A constant output is not compared.
+        The copy stays valid until the call after the next, and for ``retained`` further calls. A
+        constant output is not compared.
         """
         old, live = self._shown, len(array) if live_rows is None else live_rows
         if (
@@ -189,9 +204,12 @@ class _OutputBuffer:
             and (is_constant or _same(old[:live], array[:live]))
         ):
             return None
-        new = np.zeros_like(array) if self._spare is None else self._spare
+        is_free = len(self._older) > retained
+        new = self._older.popleft() if is_free else np.zeros_like(array)
         new[:live] = array[:live]
-        self._shown, self._spare, self._live = new, old, live
+        if old is not None:
+            self._older.append(old)
+        self._shown, self._live = new, live
         return new
 
 

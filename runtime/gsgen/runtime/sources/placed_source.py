@@ -149,6 +149,10 @@ class PlacedSource(Source):
         """Wait for the frame that :meth:`start` requested, and discard its result or error."""
         self._inner.abandon()
 
+    def hold(self, frames: int) -> bool:
+        """Keep the arrays of earlier frames unchanged; return whether the file or model can."""
+        return self._inner.hold(frames)
+
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
         """Compute some frames, and set the scene extent to a box around all their Gaussians."""
         self._inner.survey((frame, {**values, **self._fixed}) for frame, values in frames)

@@ -99,6 +99,17 @@ class Source(ABC):
     def interrupt(self) -> None:  # noqa: B027 - a file computes nothing
         """Stop computing the frame that :meth:`start` requested, which then fails."""
 
+    def hold(self, frames: int) -> bool:
+        """Keep the arrays of earlier frames unchanged; return whether the source can.
+
+        A player that draws frames late may draw them again. A source that writes into the arrays
+        of its last frame, or that uploads by itself, cannot hold any.
+
+        Args:
+            frames: Number of frames before the one of the last :meth:`finish`.
+        """
+        return frames == 0
+
     def update(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Compute a frame and update the Gaussians, by :meth:`start` and :meth:`finish`."""
         self.start(camera, values, frame)
@@ -220,6 +231,10 @@ class StaticSource(Source):
     def abandon(self) -> None:
         """Return at once: splat files and meshes have no computation to discard."""
 
+    def hold(self, frames: int) -> bool:
+        """Return True: the arrays of splat files and meshes stay the same."""
+        return True
+
     def shape(self, name: str) -> tuple[int, ...]:
         """Raise KeyError: a splat file or mesh has no inputs."""
         raise KeyError(name)
@@ -302,6 +317,11 @@ class GeneratorSource(Source):
             (_, future), self._pending = self._pending, None
             if future.exception() is None:
                 self._take(future.result())
+
+    def hold(self, frames: int) -> bool:
+        """Keep the ONNX generator's outputs of some frames before the present one."""
+        self._worker.hold(frames)
+        return True
 
     def _take(self, delta: FrameDelta) -> None:
         self.seconds = delta.seconds

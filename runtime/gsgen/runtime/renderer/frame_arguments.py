@@ -1,0 +1,81 @@
+"""Checks the arguments of a frame: its scene, background and outputs."""
+
+__all__ = ["checked", "too_large"]
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from gsgen.runtime.errors import MemoryFull, SceneInvalid
+from gsgen.runtime.gpu.splat_residency import bytes_of
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import OUTPUTS, Output
+from gsgen.runtime.scene.scene import Scene
+
+
+def checked(
+    scene: Scene, outputs: Collection[Output], background: Sequence[float], *, published: bool
+) -> tuple[frozenset[Output], np.ndarray]:
+    """Return a frame's outputs, and its background with the colour multiplied by alpha.
+
+    Args:
+        scene: The scene.
+        outputs: Requested outputs.
+        background: Red, green, blue and alpha of the background.
+        published: See :class:`gsgen.runtime.renderer.renderer.Renderer`.
+
+    Raises:
+        SceneInvalid: ``outputs`` or ``background`` is invalid, or the scene if ``published``.
+    """
+    requested = _known_outputs(outputs)
+    if published:
+        _require_alone(scene)
+    return requested, _premultiplied(background)
+
+
+def too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
+    """Add the memory that the Gaussians take, and ways to need less, to an out-of-memory error."""
+    sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
+    now, less = (
+        sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)
+        for is_compact in (compact, True)
+    )
+    count = sum(map(len, sets))
+    message = f"{error.message}; {count:,} Gaussians take {now:,} bytes"
+    hint = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
+    if less < now:
+        hint = f"With `--compact` (`compact=True`) they take {less:,}. {hint}"
+    hint = f"{hint} A smaller image than {camera.width}×{camera.height} takes less, too."
+    return MemoryFull(message, where=error.where, hint=hint)
+
+
+def _require_alone(scene: Scene) -> None:
+    """Raise if a scene has meshes or depth-sorted sets besides weighted splat sets."""
+    summed = [splat_set.weighted is not None for splat_set in scene.sets]
+    if any(summed) and (scene.meshes or not all(summed)):
+        raise SceneInvalid(
+            "is True, but the scene has depth-sorted sets or meshes, expected weighted sums alone",
+            where="published",
+            hint="Draw sorted sets and meshes with a renderer that has published=False.",
+        )
+
+
+def _known_outputs(outputs: Collection[Output]) -> frozenset[Output]:
+    """Return the requested outputs of a frame; raise if the list is empty, or a name unknown."""
+    requested = frozenset(outputs)
+    if not requested or requested - set(OUTPUTS):
+        raise SceneInvalid(
+            f"is {sorted(requested)}, expected some of {', '.join(OUTPUTS)}", where="outputs"
+        )
+    return requested
+
+
+def _premultiplied(background: Sequence[float]) -> np.ndarray:
+    """Return the background of a frame with its colour multiplied by alpha; raise if invalid."""
+    color = np.asarray(background, np.float64)
+    if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:
+        raise SceneInvalid(
+            f"is {list(background)}, expected red, green, blue and an alpha from 0 to 1",
+            where="background",
+        )
+    return np.append(color[:3] * color[3], color[3])
