@@ -72,6 +72,8 @@ def test_figures_are_those_of_the_film(
     words = -(-205 * 40 // 16)  # buffers have whole ones
     assert cost.rows_bytes == words * 16 + 205 * 16
     assert cost.plan_bytes > 48 * 32 * 16
+    assert (cost.frames_in_flight, cost.growths, cost.redrawn) == (2, 0, 0)
+    assert cost.waited > 0
     assert cost.device == renderer.device.name
     assert list(cost.inference) == [str(scenes[1])]
     assert list(cost.stages) == STAGES
@@ -101,7 +103,8 @@ def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
     finished = gsgen_here("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
     assert finished.code == 0, finished.err
     for words in ("wall", "CPU, all threads", "inference, drift.onnx", "blend, ", "p95 ms",
-                  "3 frames of 48×32", "205 Gaussians", "56 bytes each"):  # fmt: skip
+                  "3 frames of 48×32", "205 Gaussians", "56 bytes each",
+                  "2 frames in flight; the host waited "):  # fmt: skip
         assert words in finished.out
     read = json.loads((tmp_path / "new" / "cost.json").read_text())
     assert list(read["stages"]) == STAGES

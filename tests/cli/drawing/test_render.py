@@ -334,7 +334,10 @@ def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
         "--post", places["POST"], "--background", "white", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert finished.code == 0, finished.err
-    assert json.loads(finished.out)["frames"] == 3
+    summary = json.loads(finished.out)
+    assert (summary["frames"], summary["frames_in_flight"], summary["redrawn"]) == (3, 2, 0)
+    assert summary["waited"] >= 0
+    assert summary["growths"] == 0
     pictures = [np.asarray(Image.open(entry)) for entry in sorted((tmp_path / out).iterdir())]
     assert len(pictures) == 3
     assert not np.array_equal(pictures[0], pictures[1])

@@ -333,6 +333,10 @@ def test_a_gpu_is_not_waited_for(cloud: SplatData, painter: SurfaceRenderer) -> 
             break
     rows = dict(hand.viewer._overlay.statistics.rows)
     assert rows["counts"].startswith("2 frames late, waited ")
+    gpu.renderer.growths += 3
+    hand.look(0.3)
+    rows = dict(hand.viewer._overlay.statistics.rows)
+    assert rows["buffers"] == f"grew {gpu.renderer.growths}×"
     hand.send("key_up", key="w", modifiers=())
     last = [hand.bare() for _ in range(3)][-1]
     assert not gpu.renderer.late

@@ -61,6 +61,11 @@ class FrameCost:
         rows_bytes: Bytes of the Gaussians on the device: rows, harmonics, cells.
         plan_bytes: Bytes of all other buffers of a frame.
         capacity: Gaussians that the device has room for.
+        frames_in_flight: Most frames that were submitted, and not read yet, at the same time.
+        waited: Seconds per frame, on average, that the host stood still while it submitted and
+            read frames.
+        growths: How often buffers were enlarged after the first frames.
+        redrawn: Number of frames that were drawn again because their buffers were too small.
     """
 
     device: str
@@ -79,6 +84,10 @@ class FrameCost:
     rows_bytes: int
     plan_bytes: int
     capacity: int
+    frames_in_flight: int
+    waited: float
+    growths: int
+    redrawn: int
 
 
 def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: None) -> FrameCost:
@@ -91,7 +100,7 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
     for number in range(min(sequence.frames, _WARM_UP_FRAMES)):
         sequence.draw(number)
     on_step(f"drawing {sequence.frames} frames")
-    played = _play(sequence)
+    played, statistics = _play(sequence), sequence.player.statistics
     on_step("measuring stages")
     with device.translate_errors():
         staged = _stage(sequence)
@@ -112,6 +121,10 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
         rows_bytes=staged.rows_bytes,
         plan_bytes=staged.plan_bytes,
         capacity=len(sequence.player.scene),
+        frames_in_flight=statistics.in_flight,
+        waited=statistics.waited / max(1, statistics.frames),
+        growths=statistics.growths,
+        redrawn=statistics.redrawn,
     )
 
 

@@ -171,8 +171,8 @@ class FrameSequence(Playback):
             convert = pictures.picture_of if bits == 8 else deep_pictures.picture16_of
             yield convert(frame, self._mode, depths)
 
-    def summary(self) -> dict[str, int | str]:
-        """Return image size, device, and numbers of frames and Gaussians of a drawn sequence."""
+    def summary(self) -> dict[str, object]:
+        """Return size, device, and numbers of frames and Gaussians of a drawn sequence; its waits."""
         assert self._last is not None  # write() comes first
         height, width = self._last.alpha.shape
         return {
@@ -184,6 +184,10 @@ class FrameSequence(Playback):
             "triangles": sum(len(mesh.data) for mesh in self.player.scene.meshes),
             "pairs": self._last.pairs,
             "device": self.player.renderer.device.name,
+            "frames_in_flight": self.player.statistics.in_flight,
+            "waited": round(self.player.statistics.waited, 3),
+            "growths": self.player.statistics.growths,
+            "redrawn": self.player.statistics.redrawn,
         }
 
 

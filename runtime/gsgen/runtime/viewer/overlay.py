@@ -80,6 +80,8 @@ class Statistics:
         if late := renderer.renderer.late:
             text = f"{FRAMES_LATE} frames late, waited {1000 * late.waited:.1f} ms"
             rows.append(("counts", text))
+        if growths := renderer.renderer.growths:
+            rows.append(("buffers", f"grew {growths}×"))
         if is_moving:
             rows.append(("pictures", f"{len(self._frame_times)} a second"))
         for source in playback.sources:
