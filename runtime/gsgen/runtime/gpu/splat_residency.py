@@ -10,6 +10,7 @@ __all__ = [
     "Residency",
     "allocate_pool_page",
     "bytes_of",
+    "exceeds_binding",
     "stride",
 ]
 
@@ -64,6 +65,11 @@ def bytes_of(data: SplatData, *, compact: bool) -> int:
     return len(data) * row + cells
 
 
+def exceeds_binding(device: Device, data: SplatData) -> bool:
+    """Return whether the cells of a splat set take more than one GPU binding."""
+    return data.cells is not None and 4 * layout.ROW * len(data.cells) > device.largest_binding
+
+
 def _bytes_of_row(*, packed: bool) -> int:
     return PACKED_BYTES if packed else 4 * layout.ROW
 
@@ -107,7 +113,9 @@ class Page:
         half: Whether the appearance is float16.
         stride: Length of an appearance row, see :func:`stride`.
         packed: Whether rows are packed into 32 bytes (compact_rows.py).
-        cells: Buffer of all cells of the set, or None without cells.
+        cells: Buffer of all cells of the set, or of those of the page if all exceed a binding;
+            None without cells.
+        first_cell: Index in the set of the first cell in ``cells``.
         rows_of: Index in the set of each row of the page; None if rows keep their own order.
         slots: Slots of the page, if it belongs to a pool.
     """
@@ -120,6 +128,7 @@ class Page:
     stride: int
     packed: bool = False
     cells: Buffer | None = None
+    first_cell: int = 0
     rows_of: UInt32[np.ndarray, " n"] | None = None
     slots: PageSlots | None = None
 
@@ -386,20 +395,26 @@ class Residency:
     def _write_cells(self, data: SplatData, resident: _Resident) -> None:
         if data.cells is None or not resident.pages:
             return
-        for part in resident.cells.missing(data.cells_version, len(data.cells)):
-            make = None if data.cells.dtype == np.float32 else _wide
-            to = Target(resident.pages[0].cells, part.start, _bytes_of_row(packed=False), make)
-            upload(self._device, to, data.cells[part])
+        size, make = _bytes_of_row(packed=False), None if data.cells.dtype == np.float32 else _wide
+        for _ in resident.cells.missing(data.cells_version, len(data.cells)):
+            for buffer, first in {page.cells: page.first_cell for page in resident.pages}.items():
+                part = data.cells[first : first + buffer.size // size]
+                upload(self._device, Target(buffer, 0, size, make), part)
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
         half = self._compact or data.appearance.dtype == np.float16
         words = stride(data.appearance.shape[1], half=half)
         packed = self._compact and data.cells is None
-        cells = None
+        cells, first_cell, is_paged = None, 0, False
         if data.cells is not None:
-            cells = self._device.dynamic_storage("cells", 4 * layout.ROW * len(data.cells))
+            is_paged = exceeds_binding(self._device, data)
+            if not is_paged:
+                cells = self._cells(len(data.cells))
         for first in range(0, len(data), self._page_rows):
             capacity = min(self._page_rows, len(data) - first)
+            if is_paged:  # a cell that two pages share is in both
+                first_cell = first // data.per_cell
+                cells = self._cells((first + capacity - 1) // data.per_cell + 1 - first_cell)
             yield Page(
                 first=first,
                 capacity=capacity,
@@ -411,4 +426,8 @@ class Residency:
                 stride=words,
                 packed=packed,
                 cells=cells,
+                first_cell=first_cell,
             )
+
+    def _cells(self, count: int) -> Buffer:
+        return self._device.dynamic_storage("cells", 4 * layout.ROW * count)

@@ -213,9 +213,10 @@ class _PlannedFrame:
         scene = sequence.player.scene
         placed, meshes = renderer.placed(scene), renderer.placed_meshes(scene)
         plan = renderer.plan(placed, camera, frozenset({"color"}), meshes)
-        if plan.slabs is not None:
+        slabs = plan.weighted_slabs or plan.slabs
+        if slabs is not None:
             raise CapacityExceeded(
-                f"the scene has more than {plan.slabs.capacity:,} splats, the most that "
+                f"the scene has more than {slabs.capacity:,} splats, the most that "
                 f"{renderer.device.name} draws at once; expected fewer to time each GPU stage",
                 where="scene",
                 hint="Measure fewer Gaussians; `gsgen convert --decimate 50%` halves a file.",

@@ -1,9 +1,9 @@
 """Reads a frame's counters and images back from the GPU, and converts them to a frame."""
 
-__all__ = ["FrameReadback", "frame_of"]
+__all__ = ["Counted", "FrameReadback", "frame_of"]
 
 from collections.abc import Mapping
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
@@ -11,6 +11,7 @@ from jaxtyping import Float32, Int64, UInt32
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.bands import Drawing
@@ -19,6 +20,9 @@ from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import NOTHING, Frame
 from gsgen.runtime.scene.scene import Scene
+
+Counted = Literal["all", "splats", "cells"]
+"""Whose counters count: of all, of depth-sorted splats alone, or of weighted sums alone."""
 
 
 @final
@@ -54,12 +58,12 @@ class FrameReadback:
         self._size, self._origins = size, origins
         self.staging = Staging(device, {**counters, **images})
 
-    def collect(self, *, fetch: bool = True, with_cells: bool = True) -> Drawing:
+    def collect(self, *, fetch: bool = True, counted: Counted = "all") -> Drawing:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Args:
             fetch: Whether images are read.
-            with_cells: Whether the counters of weighted sums are added.
+            counted: Whose counters are added up.
 
         Raises:
             CapacityExceeded: More splats are drawn than the device dispatches at once.
@@ -67,7 +71,11 @@ class FrameReadback:
         names = [*self._counters, *(self.images if fetch else ())]
         words_by_name = self.staging.read(dict.fromkeys(names, np.uint32))
         parts = [words_by_name.pop(name) for name in self._counters]
-        counts = frame_counts(self._device, self._kernels, parts if with_cells else parts[:1])
+        if counted == "cells":
+            parts[0] = counting.initial(0, int(parts[0][Counts.PAIR_CAPACITY]))
+        if counted == "splats":
+            parts = parts[:1]
+        counts = frame_counts(self._device, self._kernels, parts)
         width, height = self._size
         images = {
             # Rows of a copied texture are padded.

@@ -12,8 +12,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
-from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
-from gsgen.runtime.kernels.project.slots import slot_table
+from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform
 from gsgen.runtime.kernels.raster.draw_meshes import MeshesStep
 from gsgen.runtime.kernels.raster.draw_quads import QuadsStep
 from gsgen.runtime.kernels.raster.mesh_place import (
@@ -28,7 +27,7 @@ from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, Drawing
-from gsgen.runtime.renderer.frame_images import FrameReadback
+from gsgen.runtime.renderer.frame_images import Counted, FrameReadback
 from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
 from gsgen.runtime.renderer.placed_pages import (
     Placed,
@@ -36,13 +35,13 @@ from gsgen.runtime.renderer.placed_pages import (
     slot_rows,
     sorted_pages,
     weighted_pages,
+    write_pages,
 )
-from gsgen.runtime.renderer.slabs import Slabs, SlabState
+from gsgen.runtime.renderer.slabs import AT_ONCE, Slabs, SlabSizes, SlabState, draw_parts
 from gsgen.runtime.renderer.tile_lists import TileLists, allocate_columns, list_splats
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import OUTPUTS, Output
-from gsgen.runtime.scene.scene import SplatSet
 
 
 @final
@@ -63,7 +62,7 @@ class Plan:
         published: Whether weighted sums count backgrounds as the method's own renderer does.
         steep: Whether a camera's dilation may be below LEAST_DILATION.
         deep: Whether the depth sort is deep, because very many depths share a key.
-        slab_splats: Most depth-sorted splats that are drawn at once, if the scene may have more.
+        sizes: Most splats that are drawn at once, if the scene may have more.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -72,7 +71,8 @@ class Plan:
             all further bytes.
         images: The buffers that :meth:`collect` reads, by output.
         inputs: The uniforms that :meth:`submit` writes, and the counts, by name.
-        slabs: Buffers and steps of a scene that is drawn in slabs of depth, or None.
+        slabs: Buffers and steps of sorted sets that are drawn in slabs of depth, or None.
+        weighted_slabs: The same of weighted sets.
 
     Raises:
         CapacityExceeded: A buffer would be larger than the device binds.
@@ -94,10 +94,11 @@ class Plan:
         published: bool = False,
         steep: bool = False,
         deep: bool = False,
-        slab_splats: int | None = None,
+        sizes: SlabSizes = AT_ONCE,
     ) -> None:
         summed, placed = weighted_pages(placed), sorted_pages(placed)
         self._weighted: WeightedPart | None = None
+        self.weighted_slabs: Slabs | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
@@ -105,16 +106,17 @@ class Plan:
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
-        n = self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
+        n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
-        self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
+        self.slabs = self._slabs(placed, sizes.splats, with_ids="depth" in outputs)
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
+        self._held = {"counts": self._counts}
         self._records = kernels.records(n)
         self._projected, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
@@ -128,8 +130,9 @@ class Plan:
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             count, normal = bool(summed) + bool(meshes), "normal" in tiled
+            numbers = sizes.kept_numbers(count, normal=normal)
             self._layers = allocate_layers(
-                self._storage, count, size, normal=normal, carried=self.slabs is not None
+                self._storage, count, size, normal=normal, numbers=numbers
             )
         self.stages: dict[str, list[Step]] = {}
         if meshes:
@@ -137,7 +140,7 @@ class Plan:
         if summed:
             self._weighted = WeightedPart(
                 device,
-                kernels.weighted(),
+                kernels,
                 summed,
                 size,
                 outputs,
@@ -147,6 +150,7 @@ class Plan:
                 panorama=panorama,
                 published=published,
                 deep=deep,
+                slab_splats=sizes.weighted,
             )
             self._add(self._weighted)
         if alone and self._weighted is not None:
@@ -154,9 +158,6 @@ class Plan:
         else:
             self.stages |= self._record(placed, outputs, quads=quads)
         self.clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots]
-        self._held = {"counts": self._counts}
-        if self._weighted is not None:
-            self._held["counts of cells"] = self._weighted.counts
         self._readback = self.readback()
 
     def _add(self, part: WeightedPart) -> None:
@@ -165,6 +166,8 @@ class Plan:
         self.images |= part.images
         self.stages |= part.stages
         self.clears += part.clears
+        self.weighted_slabs = part.slabs
+        self._held["counts of cells"] = part.counts
 
     def _slabs(
         self, placed: Sequence[Placed], splats: int | None, *, with_ids: bool
@@ -368,7 +371,8 @@ class Plan:
         """
 
         def run(only: Sequence[str] | None, state: SlabState) -> Drawing:
-            fetched = fetch and not state.continues
+            is_last = not (state.continues or (state.weighted and self._layers is not None))
+            fetched = fetch and is_last
             self.submit(
                 placed,
                 band.camera,
@@ -379,11 +383,9 @@ class Plan:
                 band=band,
                 state=state,
             )
-            return self.collect(fetch=fetched, with_cells=not state.resumes)
+            return self.collect(fetch=fetched, state=state)
 
-        if self.slabs is None:
-            return run(only, SlabState())
-        return self.slabs.draw(list(only or self.stages), run)
+        return draw_parts(list(only or self.stages), run, self.weighted_slabs, self.slabs)
 
     def visible(self, placed: Sequence[Placed], camera: Camera) -> int | None:
         """Return the number of splats in view; None if sets are blended by weighted sums."""
@@ -430,18 +432,7 @@ class Plan:
         for buffer, color in ((self._frame, background), (self._bare_frame, np.zeros(3))):
             uniform = frame_uniform(band.whole, color, first_row=band.first, rows=band.rows)
             device.write(buffer, state.written_to(uniform))
-        pages, base = list[tuple[SplatSet, int, int, int]](), 0
-        for splat_set, page in placed:
-            live = min(max(splat_set.data.count - page.first, 0), page.capacity)
-            if page.slots is not None:
-                slots, live = page.slots, page.capacity
-                table = slot_table(
-                    slots.pool, slots.first, slots.count, splat_set.transform, camera
-                )
-                device.write(slots.table, table)
-            pages.append((splat_set, base, page.capacity, live))
-            base += page.capacity
-        device.write(self._slots, page_uniforms(pages, camera))
+        write_pages(device, placed, camera, self._slots)
         if self._meshes is not None:
             device.write(self._mesh_rays, mesh_rays(camera))
         for slot, mesh in enumerate(meshes):
@@ -476,10 +467,19 @@ class Plan:
             self._device, self._kernels, self._held, self.images, self._size, self._origins
         )
 
-    def collect(self, *, fetch: bool = True, with_cells: bool = True) -> Drawing:
+    def collect(self, *, fetch: bool = True, state: SlabState | None = None) -> Drawing:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
-        Arguments and errors are those of :class:`FrameReadback`; ``fetch`` is that of
-        :meth:`submit`.
+        Errors are those of :class:`FrameReadback`. Counters of weighted sums that are not drawn in
+        slabs are added to those of the nearest slab.
+
+        Args:
+            fetch: Whether images are read, as in :meth:`submit`.
+            state: The slab of depth that was drawn, or None.
         """
-        return self._readback.collect(fetch=fetch, with_cells=with_cells)
+        counted: Counted = "all"
+        if state is not None and state.weighted:
+            counted = "cells"
+        elif state is not None and (state.resumes or self.weighted_slabs is not None):
+            counted = "splats"
+        return self._readback.collect(fetch=fetch, counted=counted)

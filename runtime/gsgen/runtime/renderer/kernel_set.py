@@ -1,7 +1,8 @@
 """The rendering kernels of a device, each compiled when a frame first needs it."""
 
-__all__ = ["RECORD", "Kernels"]
+__all__ = ["RECORD", "Kernels", "WeightedKernels"]
 
+from collections.abc import Callable
 from functools import cache
 from typing import Final, final
 
@@ -10,6 +11,7 @@ from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.place_splats import PlaceSplats
 from gsgen.runtime.kernels.project.project import ProjectKernel
+from gsgen.runtime.kernels.project.project_cells import ProjectCells, SlabCells
 from gsgen.runtime.kernels.project.tally_keys import TallyKeys
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
@@ -19,13 +21,61 @@ from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import KEY_BITS, RadixSort, SortConfig, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
+from gsgen.runtime.kernels.tiles.blend_wsr import BlendWsr
 from gsgen.runtime.kernels.tiles.list_tiles import ListTiles
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.renderer.depth_sort import DepthOrder
-from gsgen.runtime.renderer.weighted_plan import WeightedKernels
 
 RECORD: Final = 2 * VEC4
 """Bytes of a splat that is one record; its colour is elsewhere."""
+
+
+@final
+class WeightedKernels:
+    """The kernels of weighted-sum rendering, each compiled when it is first needed.
+
+    Args:
+        device: Device of the kernels.
+        cut: Configuration of the sort.
+        scan: The scan; shared with the rest of the plan, like the next three.
+        sort: The radix sort.
+        order: The depth sort.
+        ranges: The tile ranges.
+        tile_bits: Returns the number of key bits that sort tile indices up to a given one.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        cut: SortConfig,
+        scan: Scan,
+        sort: RadixSort,
+        order: DepthOrder,
+        ranges: TileRanges,
+        tile_bits: Callable[[int], int],
+    ) -> None:
+        self.tile_bits = tile_bits
+        self.cut, self.scan, self.sort = cut, scan, sort
+        self.order, self.ranges = order, ranges
+        self.project = cache(
+            lambda half, words, panorama, slab=None: ProjectKernel(
+                device, words, half=half, panorama=panorama, weighted=True, slab=slab
+            )
+        )
+        self.cells = cache(lambda panorama: ProjectCells(device, panorama=panorama))
+        self.slab_cells = cache(lambda panorama: SlabCells(device, panorama=panorama))
+        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama=panorama))
+        self.blend = cache(
+            lambda pick, panorama, published, layers, first_plane=None: BlendWsr(
+                device,
+                pick=pick,
+                panorama=panorama,
+                published=published,
+                layers=layers,
+                first_plane=first_plane,
+            )
+        )
+        self.normals = cache(lambda placed=False: NormalsKernel(device, placed=placed))
 
 
 @final

@@ -6,8 +6,8 @@ __all__ = [
     "scene_order",
     "slot_rows",
     "sorted_pages",
-    "sorted_splats",
     "weighted_pages",
+    "write_pages",
 ]
 
 from collections.abc import Sequence
@@ -16,7 +16,12 @@ import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.contract.spec import layout
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.kernels.project.project import page_uniforms
+from gsgen.runtime.kernels.project.slots import slot_table
+from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
@@ -52,9 +57,25 @@ def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
 
 
-def sorted_splats(placed: Sequence[Placed]) -> int:
-    """Return an upper bound of the number of splats that a frame of a scene sorts by depth."""
-    return sum(page.capacity for _, page in sorted_pages(placed))
+def write_pages(device: Device, placed: Sequence[Placed], camera: Camera, uniform: Buffer) -> None:
+    """Write a frame's uniforms of the pages (GPU buffers) of sorted sets, and their slot tables.
+
+    Args:
+        device: Device of the buffers.
+        placed: The pages.
+        camera: Camera of the frame.
+        uniform: Receives the uniforms of all pages.
+    """
+    pages, base = list[tuple[SplatSet, int, int, int]](), 0
+    for splat_set, page in placed:
+        live = min(max(splat_set.data.count - page.first, 0), page.capacity)
+        if page.slots is not None:
+            slots, live = page.slots, page.capacity
+            table = slot_table(slots.pool, slots.first, slots.count, splat_set.transform, camera)
+            device.write(slots.table, table)
+        pages.append((splat_set, base, page.capacity, live))
+        base += page.capacity
+    device.write(uniform, page_uniforms(pages, camera))
 
 
 def bare_set(pooled: PooledSet) -> SplatSet:

@@ -32,14 +32,14 @@ from gsgen.runtime.renderer.frame_images import FrameReadback, frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import FrameInFlight, LateCounts, Readbacks
-from gsgen.runtime.renderer.placed_pages import Placed, bare_set, sorted_splats
+from gsgen.runtime.renderer.placed_pages import Placed, bare_set
 from gsgen.runtime.renderer.rasteriser_choice import (
     Rasteriser,
     RasteriserOption,
     choose,
     chosen_cut,
 )
-from gsgen.runtime.renderer.slabs import most_splats
+from gsgen.runtime.renderer.slabs import SlabSizes, kept_layers, most_splats, rows_at_once
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
@@ -270,7 +270,8 @@ class Renderer:
     def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
         """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
         layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
-        return band_rows(self.device, camera, images, layers)
+        kept = kept_layers(scene, self.device, self._most_at_once)
+        return band_rows(self.device, camera, images, layers + kept)
 
     def _drawn_at_once(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
@@ -355,7 +356,8 @@ class Renderer:
 
     def _is_steady(self, plan: Plan) -> bool:
         """Return whether an earlier frame of the same sets and size told the buffers' sizes."""
-        return not plan.slabs and self._steady is not None and self._steady[0] == self._shape
+        in_slabs = plan.slabs or plan.weighted_slabs
+        return not in_slabs and self._steady is not None and self._steady[0] == self._shape
 
     def _take(self, parts: list[np.ndarray]) -> bool:
         """Read an earlier frame's counters; return whether splats were missing or unsorted."""
@@ -443,6 +445,7 @@ class Renderer:
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._readbacks.clear()
+            sizes = SlabSizes.of(placed, self._most_at_once)
             self._plan = Plan(
                 self.device,
                 self._kernels,
@@ -451,12 +454,12 @@ class Renderer:
                 outputs,
                 self._pairs,
                 meshes=meshes,
-                quads=self._takes_quads(outputs) and self._slab_splats(placed) is None,
+                quads=self._takes_quads(outputs) and sizes.splats is None,
                 panorama=panorama,
                 published=self._published,
                 steep=steep,
                 deep=self._deep,
-                slab_splats=self._slab_splats(placed),
+                sizes=sizes,
             )
             self._key = key
         return self._plan
@@ -465,15 +468,14 @@ class Renderer:
         """Return whether splats are drawn as quads; if chosen automatically, for colour only."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
-    def _slab_splats(self, placed: Sequence[Placed]) -> int | None:
-        """Return the number of splats per depth slab if a scene needs slabs."""
-        most = min(most_splats(self.device, self._kernels), self._most_in_slab)
-        return most if sorted_splats(placed) > most else None
+    @property
+    def _most_at_once(self) -> int:
+        """The most splats of a depth slab."""
+        return min(most_splats(self.device, self._kernels), self._most_in_slab)
 
     def _halve_slabs(self, placed: Sequence[Placed]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
-        most = most_splats(self.device, self._kernels)
-        most = min(sorted_splats(placed), most, self._most_in_slab)
+        most = min(rows_at_once(placed), self._most_at_once)
         if most < 2:
             return False
         self._most_in_slab = most // 2

@@ -1,32 +1,51 @@
 """Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
-__all__ = ["KeyRange", "SlabState", "Slabs", "most_splats", "slab_ranges"]
+__all__ = [
+    "AT_ONCE",
+    "KeyRange",
+    "SlabSizes",
+    "SlabState",
+    "Slabs",
+    "draw_parts",
+    "kept_layers",
+    "most_splats",
+    "rows_at_once",
+    "slab_ranges",
+]
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol, final
+from typing import Final, NamedTuple, Protocol, final
 
 import numpy as np
 from jaxtyping import Shaped
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.gpu.splat_residency import Page, exceeds_binding
 from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACE_BLOCK
 from gsgen.runtime.kernels.project.tally_keys import BINS
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.tiles.blend_wsr import PLANES
 from gsgen.runtime.renderer.bands import Drawing
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.placed_pages import slot_rows
+from gsgen.runtime.renderer.placed_pages import Placed, slot_rows, sorted_pages, weighted_pages
+from gsgen.runtime.scene.frame import OUTPUTS
+from gsgen.runtime.scene.scene import Scene
 
 _SLAB_STAGES: Final = ("project", "sort", "bin", "group", "blend", "depth", "normal")
+_CELL_STAGES: Final = (
+    *("project weighted", "sort cells", "bin cells", "group cells"),
+    *("sum", "sum depth", "sum normal"),
+)
 
 _REDRAWN: Final = [Counts.TIED, Counts.UNSORTED]
-_BY_ROW: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows
+_BY_ROW: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows, or cells
+_IN_CELL: Final = 3  # the same if keys are rows of one cell
 _SUMMED: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
 _BIN_BITS: Final = BINS.bit_length() - 1
 _KEY_BITS: Final = 31  # keys are bits of positive floats
@@ -45,16 +64,20 @@ class KeyRange:
         low: First key.
         high: One past the last key.
         tied: Empty if keys are depths. If splats of one depth are divided, its key; then keys are
-            remainders. If splats of one remainder are divided, it follows; then keys are rows.
+            remainders. If splats of one remainder are divided, it follows; then keys are rows. For
+            weighted sums these are the first rows of cells. If one cell is divided, its first row
+            follows; then keys are rows.
+        splats: Number of splats.
     """
 
     low: int
     high: int
     tied: tuple[int, ...] = ()
+    splats: int = 0
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlabState:
     """How a depth slab is drawn: whether nearer slabs precede it and farther slabs follow it.
 
@@ -62,17 +85,27 @@ class SlabState:
         resumes: Whether the image holds the state of pixels after nearer slabs.
         continues: Whether the image keeps the state of pixels for farther slabs.
         tied: See :class:`KeyRange`.
+        splats: See :class:`KeyRange`.
+        resumes_cell: Whether the last nearer slab ended within the cell of this one.
+        continues_cell: Whether the next farther slab goes on with the cell of this one.
+        weighted: Whether the slab is one of weighted sums.
     """
 
     resumes: bool = False
     continues: bool = False
     tied: tuple[int, ...] = ()
+    splats: int = 0
+    resumes_cell: bool = False
+    continues_cell: bool = False
+    weighted: bool = False
 
     def written_to(self, uniform: Shaped[np.ndarray, ""]) -> Shaped[np.ndarray, ""]:
         """Write these slab settings to a frame's uniform data (WGSL ``Frame``); return the data."""
-        uniform["resumes"], uniform["continues"] = self.resumes, self.continues
+        uniform["resumes"] = self.resumes + self.resumes_cell
+        uniform["continues"] = self.continues + self.continues_cell
         uniform["rank"] = len(self.tied)
-        uniform["tied_key"], uniform["tied_low"] = (*self.tied, 0, 0)[:_BY_ROW]
+        pair = (self.tied[-1], self.splats) if len(self.tied) == _IN_CELL else (*self.tied, 0, 0)
+        uniform["tied_key"], uniform["tied_low"] = pair[:_BY_ROW]
         return uniform
 
 
@@ -89,10 +122,72 @@ def most_splats(device: Device, kernels: Kernels) -> int:
     return min(device.largest_binding // VEC4, kernels.most_binned)
 
 
+class SlabSizes(NamedTuple):
+    """The most splats of a slab of each kind, or None where all are drawn at once.
+
+    Attributes:
+        splats: Of depth-sorted splats.
+        weighted: Of weighted sums.
+    """
+
+    splats: int | None = None
+    weighted: int | None = None
+
+    @classmethod
+    def of(cls, placed: Sequence[Placed], most: int) -> "SlabSizes":
+        """Return the sizes for the pages (GPU buffers) of a scene, and ``most`` splats at once."""
+        summed = weighted_pages(placed)
+        is_paged = any(page.first_cell for _, page in summed)
+        return cls(
+            most if _rows(sorted_pages(placed)) > most else None,
+            most if _rows(summed) > most or is_paged else None,
+        )
+
+    def kept_numbers(self, layers: int, *, normal: bool) -> int:
+        """Return how many numbers per pixel slabs keep with the depths of image layers.
+
+        Args:
+            layers: Number of layers.
+            normal: Whether normals are requested.
+        """
+        numbers = layers * len(OUTPUTS) if self.splats is not None else 0
+        return numbers + (PLANES[False] * (1 + normal) if self.weighted is not None else 0)
+
+
+AT_ONCE: Final = SlabSizes()
+"""The sizes for a scene that no slabs divide."""
+
+
+def kept_layers(scene: Scene, device: Device, most: int) -> int:
+    """Return how many image layers more, of 16 bytes per pixel, hold what slabs of cells keep.
+
+    Args:
+        scene: The scene.
+        device: The device.
+        most: Most splats of a slab.
+    """
+    summed = [splat_set.data for splat_set in scene.sets if splat_set.weighted is not None]
+    is_paged = any(exceeds_binding(device, data) for data in summed)
+    if sum(map(len, summed)) <= most and not is_paged:
+        return 0
+    is_alone = len(summed) == len(scene.sets) and not scene.pools and not scene.meshes
+    return 1 if is_alone else 2
+
+
+def rows_at_once(placed: Sequence[Placed]) -> int:
+    """Return an upper bound of the splats of a scene that are sorted or summed at once."""
+    return max(_rows(sorted_pages(placed)), _rows(weighted_pages(placed)))
+
+
+def _rows(placed: Sequence[Placed]) -> int:
+    return sum(page.capacity for _, page in placed)
+
+
 def slab_ranges(tally: Tally, capacity: int) -> list[KeyRange]:
     """Divide all splats into ranges of sort keys, of at most ``capacity`` splats each.
 
-    Splats of one depth are divided by its remainder, and those of one remainder by their rows.
+    Splats of one depth are divided by its remainder, and those of one remainder by their rows or
+    cells; those of one cell by their rows.
 
     Args:
         tally: Counts the keys of the frame.
@@ -111,7 +206,7 @@ def _ranges(tally: Tally, capacity: int, tied: tuple[int, ...]) -> Iterator[KeyR
     for start, amount in _bins(partial(tally, tied), 0, bits - _BIN_BITS, capacity):
         # Case 1: the range is full.
         if splats and splats + amount > capacity:
-            yield KeyRange(low, start, tied)
+            yield KeyRange(low, start, tied, splats)
             low, splats = start, 0
         splats += amount
         # Case 2: too many splats have this key.
@@ -119,7 +214,7 @@ def _ranges(tally: Tally, capacity: int, tied: tuple[int, ...]) -> Iterator[KeyR
             yield from _ranges(tally, capacity, (*tied, start))
             low, splats = start + 1, 0
     if splats or not tied:
-        yield KeyRange(low, min(1 << bits, ABSENT), tied)
+        yield KeyRange(low, min(1 << bits, ABSENT), tied, splats)
 
 
 def _bins(
@@ -152,6 +247,12 @@ def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return total
 
 
+def _is_redrawn(total: np.ndarray) -> bool:
+    """Return whether a frame is drawn again: by other keys, or with more room for pairs."""
+    is_short = total[Counts.WANTED_PAIRS] > total[Counts.PAIR_CAPACITY]
+    return bool(total[_REDRAWN].any() or is_short)
+
+
 @final
 class Slabs:
     """The GPU buffers and dispatches that draw a scene in slabs of depth.
@@ -160,6 +261,9 @@ class Slabs:
     into arrays of ``capacity`` splats, in the order of their rows, so that a slab is sorted and
     blended like a whole scene. Pixels keep their state in the image between slabs.
 
+    Of weighted sums a slab has whole cells: the key of a Gaussian is that of its cell. One cell of
+    more Gaussians than a slab is divided by rows, and pixels keep the light before it, too.
+
     Args:
         device: Device of the buffers.
         kernels: Kernels of the device.
@@ -167,6 +271,8 @@ class Slabs:
         capacity: Most splats of a slab.
         origins: Index of each GPU row in the order of the sets; None if rows are in it.
         with_ids: Whether Gaussians are identified, for depths.
+        weighted: Whether the pages are those of weighted sums, whose keys and splats the caller
+            computes by ``keys`` and ``places``.
 
     Attributes:
         buffers: The buffers, by name.
@@ -174,6 +280,8 @@ class Slabs:
         origins: Index of each splat of the slab in the order of the sets.
         takers: The same as two floats.
         tally: The counts of keys.
+        keys: The sort keys of each page's rows.
+        places: The index in the slab of each row of a page.
     """
 
     def __init__(
@@ -185,17 +293,21 @@ class Slabs:
         origins: np.ndarray | None,
         *,
         with_ids: bool,
+        weighted: bool = False,
     ) -> None:
         self._device, self._kernels, self._pages = device, kernels, pages
+        self._weighted = weighted
+        self._stages = _CELL_STAGES if weighted else _SLAB_STAGES
+        self._first = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
         self.capacity = capacity
         self.buffers: dict[str, Buffer] = {}
         rows = max(page.capacity for page in pages)
         self._range = device.uniform("slab", 16)
-        self._keys = [
+        self.keys = [
             self._storage(f"keys of page {slot}", 4 * page.capacity)
             for slot, page in enumerate(pages)
         ]
-        self._places = self._storage("places of a page", 4 * rows)
+        self.places = self._storage("places of a page", 4 * rows)
         self._block_counts = self._storage("block counts", 4 * -(-rows // PLACE_BLOCK))
         self._ends = self._storage("ends of pages", PAGE_BYTES * (len(pages) + 1))
         self.tally = self._storage("tally of keys", 4 * BINS)
@@ -206,6 +318,7 @@ class Slabs:
             self._row_origins = [self._origins_of(slot, origins) for slot in range(len(pages))]
 
     def _storage(self, name: str, size: int) -> Buffer:
+        name = f"{name} of cells" if self._weighted else name
         self.buffers[name] = self._device.storage(name, size)
         return self.buffers[name]
 
@@ -224,21 +337,23 @@ class Slabs:
         """Draw all depth slabs, and return the summed GPU counters and the images.
 
         Args:
-            stages: Names of the frame's stages. Those of meshes and weighted sums run once.
+            stages: Names of the frame's stages. Those of others, as of meshes, run once.
             run: Runs stages of the plan.
         """
-        before = ["keys", "tally", *(name for name in stages if name not in _SLAB_STAGES)]
-        stages = [name for name in stages if name in _SLAB_STAGES]
+        key_stage, tally_stage = self._first
+        others = (name for name in stages if name not in (*self._stages, *self._first))
+        before = [*self._first, *others]
+        stages = [name for name in stages if name in self._stages]
         ranked: tuple[int, ...] = ()  # by what the keys are
         total = np.zeros(0, np.uint32)
 
         def tally(tied: tuple[int, ...], low: int, shift: int) -> np.ndarray:
             nonlocal ranked
             if tied != ranked:
-                before.append("keys")
+                before.append(key_stage)
             self._choose(low, min(low + (BINS << shift), ABSENT), shift)
-            run(before, SlabState(continues=True, tied=tied))
-            before[:], ranked = ["tally"], tied  # the keys stay the same
+            run(before, SlabState(continues=True, tied=tied, weighted=self._weighted))
+            before[:], ranked = [tally_stage], tied  # the keys stay the same
             return self._device.read(self.tally, np.uint32, BINS)
 
         ranges = slab_ranges(tally, self.capacity)
@@ -248,13 +363,29 @@ class Slabs:
             return total, {}
         for number, keys in enumerate(ranges):
             self._choose(keys.low, keys.high)
-            state = SlabState(number > 0, number + 1 < len(ranges), keys.tied)
-            counts, images = run([*(["keys"] if keys.tied != ranked else []), *stages], state)
+            state = self._state(ranges, number)
+            counts, images = run([*([key_stage] if keys.tied != ranked else []), *stages], state)
             ranked = keys.tied
+            if state.resumes_cell:
+                counts[Counts.PAIRS] = 0  # those of the cell were counted
             total = counts if number == 0 else _total(total, counts)
-            if total[_REDRAWN].any() or total[Counts.WANTED_PAIRS] > total[Counts.PAIR_CAPACITY]:
-                break  # the frame is drawn again
+            if _is_redrawn(total):
+                break
         return total, images
+
+    def _state(self, ranges: Sequence[KeyRange], number: int) -> SlabState:
+        """Return how the depth slab ``number`` is drawn."""
+        own, is_last = ranges[number], number + 1 == len(ranges)
+        in_cell = len(own.tied) == _IN_CELL
+        return SlabState(
+            resumes=number > 0,
+            continues=not is_last,
+            tied=own.tied,
+            splats=own.splats,
+            resumes_cell=in_cell and number > 0 and ranges[number - 1].tied == own.tied,
+            continues_cell=in_cell and not is_last and ranges[number + 1].tied == own.tied,
+            weighted=self._weighted,
+        )
 
     def key_steps(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, *, panorama: bool
@@ -267,7 +398,7 @@ class Slabs:
             panorama: Whether the image is a panorama.
         """
         steps, (frame, _, *others) = [], outputs
-        for slot, (page, keys) in enumerate(zip(self._pages, self._keys, strict=True)):
+        for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True)):
             rows_of_slot = slot_rows(page)
             if rows_of_slot:
                 cull = self._kernels.cull_slots(rows_of_slot, panorama, True)
@@ -283,8 +414,24 @@ class Slabs:
         kernel = self._kernels.tally()
         return [
             kernel.step(self._range, keys, self.tally, uniform, slot, page)
-            for slot, (page, keys) in enumerate(zip(self._pages, self._keys, strict=True))
+            for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True))
         ]
+
+    def place_steps(self, slot: int, counts: Buffer, uniform: Buffer) -> list[Step]:
+        """Return the dispatches that index the Gaussians of one page in the chosen range of depths.
+
+        Args:
+            slot: Index of the page.
+            counts: The frame's counts.
+            uniform: Buffer with the uniforms of all pages.
+        """
+        numbering = self._kernels.place(bool(self._row_origins))
+        keys = self.keys[slot]
+        row_origins = self._row_origins[slot] if self._row_origins else keys
+        resources = (self._range, keys, self._block_counts, self.places, row_origins)
+        written = (self.origins, self.takers, counts)
+        page = self._pages[slot]
+        return numbering.steps((*resources, *written), self._ends, uniform, slot, page)
 
     def project_steps(
         self,
@@ -306,18 +453,39 @@ class Slabs:
             panorama: Whether the image is a panorama.
             records: Whether each splat is one record.
         """
-        numbering = self._kernels.place(bool(self._row_origins))
         steps = []
-        for slot, (page, keys) in enumerate(zip(self._pages, self._keys, strict=True)):
-            row_origins = self._row_origins[slot] if self._row_origins else keys
-            resources = (self._range, keys, self._block_counts, self._places, row_origins)
-            written = (self.origins, self.takers, counts)
-            steps += numbering.steps((*resources, *written), self._ends, uniform, slot, page)
+        for slot, page in enumerate(self._pages):
+            steps += self.place_steps(slot, counts, uniform)
             project = self._kernels.project(
                 page.half, page.stride, panorama, page.packed, slot_rows(page), records, "splats"
             )
-            steps.append(project.step(outputs, uniform, slot, page, self._places))
+            steps.append(project.step(outputs, uniform, slot, page, self.places))
             if normals is not None:
                 kernel = self._kernels.normals(page.packed, slot_rows(page), True)
-                steps.append(kernel.step(self._places, normals, uniform, slot, page))
+                steps.append(kernel.step(self.places, normals, uniform, slot, page))
         return steps
+
+
+def draw_parts(
+    stages: Sequence[str], run: Run, weighted: Slabs | None, splats: Slabs | None
+) -> Drawing:
+    """Draw a frame: first weighted sums in slabs, if they need any, then all else, in slabs or not.
+
+    Args:
+        stages: Names of the frame's stages.
+        run: Runs stages of the plan.
+        weighted: The slabs of weighted sums, or None.
+        splats: The slabs of depth-sorted splats, or None.
+
+    Returns:
+        The summed GPU counters and the images.
+    """
+    earlier, rest = None, list(stages)
+    if weighted is not None:
+        own = [name for name in stages if name in ("meshes", *_CELL_STAGES)]
+        earlier, images = weighted.draw(own, run)
+        rest = [name for name in stages if name not in own and "cells" not in name]
+        if not rest or _is_redrawn(earlier):
+            return earlier, images
+    counts, images = splats.draw(rest, run) if splats is not None else run(rest, SlabState())
+    return counts if earlier is None else _total(earlier, counts), images

@@ -1,13 +1,13 @@
 """The part of a frame's recorded GPU work that draws splat sets by weighted sums.
 
 Only cells are sorted and listed per tile, and their Gaussians are looked up through them. A Gaussian
-needs neither sort keys nor pairs of its own.
+needs neither sort keys nor pairs of its own. Where there are more Gaussians than a GPU binding holds,
+cells are drawn in slabs of depth, and sums go on from slab to slab.
 """
 
-__all__ = ["WeightedKernels", "WeightedPart"]
+__all__ = ["WeightedPart"]
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from collections.abc import Iterator, Sequence
 from typing import final
 
 import numpy as np
@@ -17,65 +17,19 @@ from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
-from gsgen.runtime.kernels.project.normals import NormalsKernel
-from gsgen.runtime.kernels.project.project import PAGE, ProjectKernel, page_uniform
-from gsgen.runtime.kernels.project.project_cells import ProjectCells
+from gsgen.runtime.kernels.project.project import PAGE, page_uniform
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.kernels.shared.shader import TILE
-from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
-from gsgen.runtime.kernels.tiles.bin_tiles import BinTiles
+from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
-from gsgen.runtime.kernels.tiles.blend_wsr import BlendWsr
-from gsgen.runtime.kernels.tiles.tile_ranges import TileRanges
-from gsgen.runtime.renderer.depth_sort import DepthOrder
+from gsgen.runtime.kernels.tiles.blend_wsr import PLANES
+from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.slabs import Slabs
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
-
-
-@final
-class WeightedKernels:
-    """The kernels of weighted-sum rendering, each compiled when it is first needed.
-
-    Args:
-        device: Device of the kernels.
-        cut: Configuration of the sort.
-        scan: The scan; shared with the rest of the plan, like the next three.
-        sort: The radix sort.
-        order: The depth sort.
-        ranges: The tile ranges.
-        tile_bits: Returns the number of key bits that sort tile indices up to a given one.
-    """
-
-    def __init__(
-        self,
-        device: Device,
-        cut: SortConfig,
-        scan: Scan,
-        sort: RadixSort,
-        order: DepthOrder,
-        ranges: TileRanges,
-        tile_bits: Callable[[int], int],
-    ) -> None:
-        self.tile_bits = tile_bits
-        self.cut, self.scan, self.sort = cut, scan, sort
-        self.order, self.ranges = order, ranges
-        self.project = cache(
-            lambda half, words, panorama: ProjectKernel(
-                device, words, half=half, panorama=panorama, weighted=True
-            )
-        )
-        self.cells = cache(lambda panorama: ProjectCells(device, panorama=panorama))
-        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama=panorama))
-        self.blend = cache(
-            lambda pick, panorama, published, layers: BlendWsr(
-                device, pick=pick, panorama=panorama, published=published, layers=layers
-            )
-        )
-        self.normals = cache(lambda: NormalsKernel(device))
 
 
 @final
@@ -94,6 +48,7 @@ class WeightedPart:
         layers: Layers whose first receives the result; None if the result is the image.
         published: Whether backgrounds count as in the method's own renderer.
         deep: Whether the depth sort is deep, because very many depths share a key.
+        slab_splats: Most Gaussians that are drawn at once, if the sets may have more.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -102,12 +57,13 @@ class WeightedPart:
         counts: Counts of cells, of their pairs and of drawn Gaussians.
         inputs: The uniforms that :meth:`write` writes, and the counts, by name.
         clears: Buffers whose bytes are zero at the start of a frame, as in a plan.
+        slabs: Buffers and steps of sets that are drawn in slabs of depth, or None.
     """
 
     def __init__(
         self,
         device: Device,
-        kernels: WeightedKernels,
+        kernels: Kernels,
         placed: Sequence[tuple[SplatSet, Page]],
         size: tuple[int, int],
         outputs: frozenset[Output],
@@ -118,8 +74,9 @@ class WeightedPart:
         panorama: bool,
         published: bool,
         deep: bool,
+        slab_splats: int | None,
     ) -> None:
-        self._device, self._kernels = device, kernels
+        self._device, self._kernels = device, kernels.weighted()
         self._size, self._panorama, self._published = size, panorama, published
         self._frame, self._bare_frame = frames
         self._layers, self._deep = layers, deep
@@ -127,7 +84,18 @@ class WeightedPart:
         self.buffers: dict[str, Buffer] = {}
         self.images: dict[str, Buffer] = {}
         self._pair_capacity = pair_capacity
+        self._per_slot = min(splat_set.data.per_cell for splat_set, _ in placed)
+        self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
         self._cells = sum(_cells(page) for _, page in _sets(placed))
+        self.slabs: Slabs | None = None
+        if slab_splats is not None:
+            self._cells = max(1, slab_splats // self._per_slot)
+            pages = [page for _, page in placed]
+            with_ids = "depth" in outputs and layers is None
+            self.slabs = Slabs(
+                device, kernels, pages, slab_splats, None, with_ids=with_ids, weighted=True
+            )
+            self.buffers |= self.slabs.buffers
         self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
         device.write(self.counts, counting.initial(self._cells, pair_capacity))
         self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
@@ -138,6 +106,8 @@ class WeightedPart:
             (self._ranges, 0, None),
             (self.counts, 4 * Counts.DRAWN, 12),  # to UNSORTED
         ]
+        if self.slabs is not None:
+            self.clears.append((self.slabs.tally, 0, None))
         self.stages = self._record(placed, outputs)
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
@@ -153,8 +123,7 @@ class WeightedPart:
     def _record(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: frozenset[Output]
     ) -> dict[str, list[Step]]:
-        n = sum(page.capacity for _, page in placed)
-        keys = self._storage("keys of weighted", 4 * n)
+        n = self._gaussians
         shapes, weights, colors = (
             self._storage(f"weighted {name}", VEC4 * n) for name in ("shapes", "weights", "colors")
         )
@@ -162,12 +131,12 @@ class WeightedPart:
         lows = self._storage("lows of cells", 4 * self._cells)
         circles = self._storage("circles of cells", VEC4 * self._cells)
         spans = self._storage("spans of cells", VEC4 * self._cells)
-        stages = {
-            "project weighted": self._project(placed, (keys, shapes, weights, colors)),
-            "project cells": self._project_cells(
-                placed, (columns[0].keys, circles, spans, keys, self.counts, lows)
-            ),
-        }
+        normals = self._storage("weighted normals", VEC4 * n) if "normal" in outputs else None
+        splats, cells = (shapes, weights, colors), (columns[0].keys, circles, spans)
+        if self.slabs is not None:
+            stages = self._project_slab(self.slabs, placed, splats, (*cells, lows), normals)
+        else:
+            stages = self._project_all(placed, splats, (cells, lows), normals)
         stages["sort cells"], order = self._sort(columns, lows)
         pairs = [self._columns(f"pairs of cells {side}", self._pair_capacity) for side in "ab"]
         stages["bin cells"] = self._bin(order, circles, pairs[0])
@@ -176,12 +145,67 @@ class WeightedPart:
         if "color" in outputs or self._layers is not None:
             stages["sum"] = [self._blend("color", (*known, colors))]
         if "depth" in outputs and self._layers is None:
-            stages["sum depth"] = [self._blend("depth", (*known, colors), pick=True)]
-        if "normal" in outputs:
-            normals = self._storage("weighted normals", VEC4 * n)
-            stages["project weighted"] += self._normals(placed, keys, normals)
+            ids = colors if self.slabs is None else self.slabs.takers
+            stages["sum depth"] = [self._blend("depth", (*known, ids), pick=True)]
+        if normals is not None:
             stages["sum normal"] = [self._blend("normal", (*known, normals))]
         return stages
+
+    def _project_all(
+        self,
+        placed: Sequence[tuple[SplatSet, Page]],
+        splats: tuple[Buffer, ...],
+        cells: tuple[tuple[Buffer, ...], Buffer],
+        normals: Buffer | None,
+    ) -> dict[str, list[Step]]:
+        """Return the GPU stages that project all Gaussians and cells (groups of Gaussians).
+
+        Args:
+            placed: The pages.
+            splats: Buffers of the Gaussians' splats, in order.
+            cells: Buffers of the cells: keys, circles, spans; and remainders of depths.
+            normals: Buffer of normals; None if they are not requested.
+        """
+        keys, (projected, lows) = self._storage("keys of weighted", 4 * self._gaussians), cells
+        stages = {
+            "project weighted": self._project(placed, (keys, *splats)),
+            "project cells": self._project_cells(placed, (*projected, keys, self.counts, lows)),
+        }
+        if normals is not None:
+            stages["project weighted"] += self._normals(placed, keys, normals)
+        return stages
+
+    def _project_slab(
+        self,
+        slabs: Slabs,
+        placed: Sequence[tuple[SplatSet, Page]],
+        splats: tuple[Buffer, ...],
+        cells: tuple[Buffer, ...],
+        normals: Buffer | None,
+    ) -> dict[str, list[Step]]:
+        """Return the GPU stages that choose and project the Gaussians and cells of a depth slab.
+
+        Arguments are those of :meth:`_project_all`.
+        """
+        kernel, keys, steps = self._kernels.slab_cells(self._panorama), list[Step](), list[Step]()
+        for slot, (_, page) in enumerate(placed):
+            assert page.cells is not None
+            bound = (self._frame, slabs.keys[slot])
+            keys.append(kernel.key_step(*bound, self._slots, slot, page, page.cells))
+            steps += slabs.place_steps(slot, self.counts, self._slots)
+            project = self._kernels.project(page.half, page.stride, self._panorama, "splats")
+            written = (self._frame, self.counts, *splats)
+            steps.append(project.step(written, self._slots, slot, page, page.cells, slabs.places))
+            written = (self._frame, *cells, slabs.places)
+            steps.append(kernel.cell_step(written, self._slots, slot, page, page.cells))
+            if normals is not None:
+                find = self._kernels.normals(True)
+                steps.append(find.step(slabs.places, normals, self._slots, slot, page))
+        return {
+            "keys of cells": keys,
+            "tally cells": slabs.tally_steps(self._slots),
+            "project weighted": steps,
+        }
 
     def _project(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
@@ -243,16 +267,23 @@ class WeightedPart:
         return [*steps, mark], pairs[side].values
 
     def _blend(self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False) -> Step:
+        pixels, in_slabs = self._size[0] * self._size[1], self.slabs is not None
         if self._layers is not None:
-            kernel = self._kernels.blend(False, self._panorama, False, self._layers.count)
-            image = self._layers.normals if name == "normal" else self._layers.colors
+            # What slabs keep is at the end of the layers' depths: of colours, then of normals.
+            numbers, last = self._layers.depths.size // (4 * pixels), name == "normal"
+            behind = 1 if last or self._layers.normals is None else 2
+            first_plane = numbers - behind * PLANES[False] if in_slabs else None
+            count = self._layers.count
+            kernel = self._kernels.blend(False, self._panorama, False, count, first_plane)
+            image = self._layers.normals if last else self._layers.colors
             bound = (self._bare_frame, *resources, image)
             return kernel.step(self._tiles, bound, self._layers.depths)
-        pixels = self._size[0] * self._size[1]
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
-        kernel = self._kernels.blend(pick, self._panorama, self._published, 0)
-        return kernel.step(self._tiles, (frame, *resources, self.images[name]))
+        kept = self._storage(f"{name} kept", 4 * PLANES[pick] * pixels) if in_slabs else None
+        first_plane = 0 if in_slabs else None
+        kernel = self._kernels.blend(pick, self._panorama, self._published, 0, first_plane)
+        return kernel.step(self._tiles, (frame, *resources, self.images[name]), kept)
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
         """Write the uniform buffers of a frame for weighted-sum rendering of splat sets."""
@@ -270,6 +301,10 @@ class WeightedPart:
             slots[slot] = _weighing(uniform, splat_set)
             slots[slot]["first_row"] = page.first
             base += page.capacity
+        if self.slabs is not None:
+            slots["per_slot"] = self._per_slot
+            slots["first_cell"] = [page.first_cell for _, page in placed]
+            slots["live_cells"] = [-(-s.data.count // s.data.per_cell) for s, _ in placed]
         self._device.write(self._slots, slots)
         self._device.write(self._cell_slots, cell_slots)
 

@@ -79,6 +79,7 @@ fn place(
     // Step 3: the last run knows the end of the page.
     if (thread == THREADS - 1u && group.x == groups_of_page.x - 1u) {
         ends[PAGE_STEP] = next;
-        counts[GAUSSIANS] = next;
+        // Cells that are not empty take at least one slot.
+        counts[GAUSSIANS] = min(next, max(next / max(page.per_slot, 1u), 1u));
     }
 }

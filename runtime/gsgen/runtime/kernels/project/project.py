@@ -24,6 +24,7 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
+from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, POLE, TILE
@@ -92,6 +93,9 @@ PAGE: Final = _bytes(
         "inverse_range": ("f4", 200),
         "inverse_divisor": ("f4", 204),
         "behind": ("f4", 208),
+        "per_slot": ("u4", 212),
+        "first_cell": ("u4", 216),
+        "live_cells": ("u4", 220),
         "linear_rest": ("(3,4)f4", 224),
         "eye_at": ("3f4", 272),
         "zero": ("u4", 284),
@@ -209,7 +213,8 @@ class ProjectKernel:
         tile: Edge of the tiles that are counted, in pixels.
         records: Whether each splat is one record.
         slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
-            in a slab, to the indices of ``place_splats.wgsl``.
+            in a slab, to the indices of ``place_splats.wgsl``. With ``weighted``, the frame's counts
+            then take the place of keys.
         windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number,
             in whose place colours are followed by variances.
         digits: How the first digits of the keys are counted, into one more output; None if they are
@@ -235,6 +240,7 @@ class ProjectKernel:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         if slab == "splats":
             name = "project_placed_pooled" if slot_rows else "project_placed"
+            name = "project_weighted_placed" if weighted else name
         page_bindings = "urruu" if slot_rows else "urr"
         if slab == "splats":
             page_bindings = "urrur" if slot_rows else "urrr"
@@ -243,7 +249,7 @@ class ProjectKernel:
             device,
             name if digits is None else f"{name}_counted",
             "project_pooled" if name == "project_pooled" else "project",
-            ("uwwww", "urrr") if weighted else (outputs, page_bindings),
+            ("uwwww", "urrr" + "r" * (slab == "splats")) if weighted else (outputs, page_bindings),
             THREADS=THREADS,
             TILE=tile,
             RECORDS=records,
@@ -256,6 +262,7 @@ class ProjectKernel:
             WEIGHTED=weighted,
             PACKED=packed,
             WINDOWS=windows,
+            **({"DRAWN": int(Counts.DRAWN)} if weighted else {}),
             **(PANORAMA_CONSTANTS if panorama else {}),
             **(digits.constants if digits else {}),
         )
@@ -270,7 +277,7 @@ class ProjectKernel:
             uniform: Buffer with the uniforms of all pages.
             slot: Index of this page's uniform.
             page: The page.
-            others: Buffer of the set's cells, for weighted sums, or of the rows' places in a slab.
+            others: Buffer of the set's cells, for weighted sums, and of the rows' places in a slab.
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         slots = page.slots

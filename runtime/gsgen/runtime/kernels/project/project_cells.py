@@ -1,6 +1,6 @@
 """Projects cells (groups of Gaussians) for weighted-sum rendering: depth, circle, tile count."""
 
-__all__ = ["ProjectCells", "box_reference", "circle_reference"]
+__all__ = ["ProjectCells", "SlabCells", "box_reference", "circle_reference"]
 
 from typing import final
 
@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
@@ -45,6 +46,72 @@ class ProjectCells:
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (self.kernel.bind(*outputs), self.kernel.bind(page_uniform, cells, group=1))
         return Step(self.kernel, binds, (-(-count // THREADS), 1, 1))
+
+
+@final
+class SlabCells:
+    """The kernels of ``slab_cells.wgsl``: keys by which cells are in a slab, and the cells of one.
+
+    Args:
+        device: Device of the kernels.
+        panorama: Whether the image is a panorama.
+    """
+
+    def __init__(self, device: Device, *, panorama: bool = False) -> None:
+        self._keys, self._cells = (
+            Kernel(
+                device,
+                "slab_cells",
+                entry,
+                (resources, "ur"),
+                THREADS=THREADS,
+                **(PANORAMA_CONSTANTS if panorama else {}),
+            )
+            for entry, resources in (("find_keys", "uw"), ("place_cells", "uwwwwr"))
+        )
+
+    def key_step(
+        self, frame: Buffer, keys: Buffer, uniform: Buffer, slot: int, page: Page, cells: Buffer
+    ) -> Step:
+        """Return the dispatch that gives each Gaussian of a page (GPU buffers) its cell's key.
+
+        Args:
+            frame: The frame's uniform.
+            keys: Keys of the page.
+            uniform: Buffer with the uniforms of all pages.
+            slot: Index of this page's uniform.
+            page: The page.
+            cells: Buffer of the page's cells.
+        """
+        return _by_row(self._keys, (frame, keys), uniform, slot, page, cells)
+
+    def cell_step(
+        self, resources: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, cells: Buffer
+    ) -> Step:
+        """Return the dispatch that writes the cells of a slab whose Gaussians begin in a page.
+
+        Args:
+            resources: Resources of bind group 0 of the shader, in order.
+            uniform: Buffer with the uniforms of all pages.
+            slot: Index of this page's uniform.
+            page: The page.
+            cells: Buffer of the page's cells.
+        """
+        return _by_row(self._cells, resources, uniform, slot, page, cells)
+
+
+def _by_row(
+    kernel: Kernel,
+    resources: tuple[Buffer, ...],
+    uniform: Buffer,
+    slot: int,
+    page: Page,
+    cells: Buffer,
+) -> Step:
+    """Return a kernel's dispatch with one invocation per Gaussian of a page (GPU buffers)."""
+    page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+    binds = (kernel.bind(*resources), kernel.bind(page_uniform, cells, group=1))
+    return Step(kernel, binds, (-(-page.capacity // THREADS), 1, 1))
 
 
 def circle_reference(

@@ -9,13 +9,13 @@ struct Frame {
     near: f32,
     period: f32,         // of a panorama: pixels of a full turn
     size: vec2u,         // pixels
-    resumes: u32,        // 1: the image holds the state of pixels after nearer splats
-    continues: u32,      // 1: it keeps their state for farther splats
+    resumes: u32,        // 1: the image holds the state of pixels after nearer splats; 2: within a cell
+    continues: u32,      // 1: it keeps their state for farther splats; 2: within a cell
     background: vec4f,   // red, green, blue; alpha stays that of the splats
     extra_dilation: f32, // pixels², beyond DILATION; negative for pictures that are enlarged
-    rank: u32,           // what the keys of slabs are: 0 depths, 1 remainders of one depth, 2 rows
-    tied_key: u32,       // the depth whose splats are ranked …
-    tied_low: u32,       // … and, for rows, its remainder
+    rank: u32,           // what the keys of slabs are: 0 depths, 1 remainders of one depth, 2 rows or cells, 3 rows of one cell
+    tied_key: u32,       // the depth whose splats are ranked, or the first Gaussian of the cell …
+    tied_low: u32,       // … and, for rows or cells, its remainder, or the Gaussians of the cell in the slab
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -23,6 +23,10 @@ struct Page {
     inverse_range: f32,   // 1 / the depth at which weights reach 0; 0 without such a depth
     inverse_divisor: f32, // 1 / the divisor of opacities
     behind: f32,          // weight of the background
+    // In slabs:
+    per_slot: u32,        // fewest Gaussians of any cell of the frame
+    first_cell: u32,      // index in the set of the first bound cell
+    live_cells: u32,      // live cells of the set
     // For exact depths:
     linear_rest: mat3x3f, // the rounding error of `linear`
     eye_at: vec3f,        // the rounded `eye` in camera space …

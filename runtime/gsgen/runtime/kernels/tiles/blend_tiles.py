@@ -29,7 +29,6 @@ from gsgen.runtime.kernels.shared.shader import (
     TILE,
 )
 from gsgen.runtime.kernels.shared.subgroups import lanes
-from gsgen.runtime.scene.frame import OUTPUTS
 
 LEAST_DILATION: Final = 0.25
 """Dilation, in pixels², below which opacities may underflow within four pixels of a column."""
@@ -51,7 +50,8 @@ class Layers:
         count: Number of layers.
         colors: Buffer of four float32 per pixel, layer by layer.
         depths: Buffer of one float32 per pixel, layer by layer. Of a scene in depth slabs, the
-            light that reaches each pixel of a layer follows, for each of OUTPUTS.
+            light that reaches each pixel of a layer follows, for each of OUTPUTS; then what slabs
+            of weighted sums keep.
         normals: Like ``colors``, with normals in camera space in place of colours; None if
             normals are not requested.
     """
@@ -68,7 +68,7 @@ def allocate_layers(
     size: tuple[int, int],
     *,
     normal: bool,
-    carried: bool = False,
+    numbers: int = 0,
 ) -> Layers:
     """Allocate GPU buffers for image layers: colours, depths and normals.
 
@@ -77,14 +77,14 @@ def allocate_layers(
         count: Number of layers.
         size: Width and height of the image, in pixels.
         normal: Whether normals are requested.
-        carried: Whether the scene is drawn in depth slabs.
+        numbers: Numbers per pixel that depth slabs keep with the depths.
     """
-    pixels = count * size[0] * size[1]
+    pixels = size[0] * size[1]
     return Layers(
         count,
-        storage("layer colors", VEC4 * pixels),
-        storage("layer depths", 4 * pixels * (1 + len(OUTPUTS) * carried)),
-        storage("layer normals", VEC4 * pixels) if normal else None,
+        storage("layer colors", VEC4 * count * pixels),
+        storage("layer depths", 4 * (count + numbers) * pixels),
+        storage("layer normals", VEC4 * count * pixels) if normal else None,
     )
 
 

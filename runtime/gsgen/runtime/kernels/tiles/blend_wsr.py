@@ -1,9 +1,9 @@
 """Blends cells (groups of Gaussians) in each image tile front to back, by weighted sums."""
 
-__all__ = ["BlendWsr", "blend_wsr_reference"]
+__all__ = ["PLANES", "BlendWsr", "blend_wsr_reference"]
 
 from collections.abc import Sequence
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,6 +16,9 @@ from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.shared.shader import FINISHED, MAX_ALPHA, TILE
 from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
+PLANES: Final = {False: 4, True: 6}
+"""Numbers per pixel that farther slabs go on from, beside the image: of colours, and of depths."""
+
 
 @final
 class BlendWsr:
@@ -27,6 +30,9 @@ class BlendWsr:
         panorama: Whether the image is a panorama.
         published: Whether backgrounds count as in the method's own renderer.
         layers: Number of layers if the result is the first of them, else 0.
+        first_plane: Where the numbers that slabs keep begin in the buffer of the layers' depths, or
+            in one of their own, in numbers per pixel; None if there are no slabs. Ids of slabs are
+            computed from arrays of ``place_splats.wgsl`` in place of colours.
     """
 
     def __init__(
@@ -37,6 +43,7 @@ class BlendWsr:
         panorama: bool = False,
         published: bool = False,
         layers: int = 0,
+        first_plane: int | None = None,
     ) -> None:
         self._no_depths = device.storage("no layer depths", 16)
         together, constants = workgroup_shape(device, layers, panorama=panorama)
@@ -49,6 +56,9 @@ class BlendWsr:
             PICK=pick,
             PUBLISHED=published,
             LAYERED=layers > 0,
+            CARRIED=first_plane is not None,
+            FIRST_PLANE=first_plane or 0,
+            KEPT=4 + PLANES[pick] if first_plane is not None else 0,
             **constants,
         )
 
@@ -60,7 +70,7 @@ class BlendWsr:
         Args:
             tiles: Number of tiles across and down.
             resources: Resources of the shader, in order.
-            depths: Buffer of the layers' depths; None without layers.
+            depths: Buffer of the layers' depths, or of what slabs keep; None without both.
         """
         if depths is None:
             depths = self._no_depths

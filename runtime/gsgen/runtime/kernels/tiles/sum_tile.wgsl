@@ -22,7 +22,8 @@
 @group(0) @binding(7) var<storage, read_write> image: array<vec4u>;
 
 // If LAYERED, the image is the first of LAYERS layers. Meshes, if any, are the last layer, whose
-// depths are here already: splats behind them are skipped.
+// depths are here already: splats behind them are skipped. If CARRIED, planes of one number per pixel
+// follow, from plane FIRST_PLANE on, which keep with the image what farther slabs go on from.
 @group(1) @binding(0) var<storage, read_write> layer_depths: array<f32>;
 
 const ZERO = vec4f(0.0);
@@ -49,6 +50,7 @@ var<private> corner: vec2u;  // the first pixel of the first part …
 var<private> x: f32;         // … and its centre, relative to the frame's origin,
 var<private> y: vec4f;       // with those of the three pixels below it
 var<private> middle: vec2f;  // of the tile
+var<private> kept: array<vec4u, max(KEPT * PARTS, 1u)>;  // by number and part, what slabs keep
 //!repeat PART PARTS
 var<private> part_PART: Part;
 //!end
@@ -83,25 +85,116 @@ fn empty_part(part: u32) -> Part {
     return result;
 }
 
+// Read the numbers of all parts that were kept after nearer slabs, or write them for farther ones.
+// Compilers take long to unroll this, so the length of the loop depends on the frame.
+fn carry(writes: bool) {
+    let pixels = select(0u, 4u * PARTS, frame.size.x > 0u);
+    for (var pixel = 0u; pixel < pixels; pixel++) {
+        let part = pixel / 4u;
+        let i = pixel % 4u;
+        let position = corner + offset_of(part) + vec2u(0u, i);
+        if (all(position < frame.size)) {
+            let index = position.y * frame.size.x + position.x;
+            let plane = frame.size.x * frame.size.y;
+            if (writes) {
+                image[index] = vec4u(kept[part][i], kept[PARTS + part][i], kept[2u * PARTS + part][i], kept[3u * PARTS + part][i]);
+            } else {
+                let state = image[index];
+                kept[part][i] = state.x;
+                kept[PARTS + part][i] = state.y;
+                kept[2u * PARTS + part][i] = state.z;
+                kept[3u * PARTS + part][i] = state.w;
+            }
+            for (var number = 4u; number < KEPT; number++) {
+                let at = (FIRST_PLANE + number - 4u) * plane + index;
+                if (writes) {
+                    layer_depths[at] = bitcast<f32>(kept[number * PARTS + part][i]);
+                } else {
+                    kept[number * PARTS + part][i] = bitcast<u32>(layer_depths[at]);
+                }
+            }
+        }
+    }
+}
+
+fn kept_of(number: u32, part: u32) -> vec4f {
+    return bitcast<vec4f>(kept[number * PARTS + part]);
+}
+
+fn keep(number: u32, part: u32, values: vec4f) {
+    kept[number * PARTS + part] = bitcast<vec4u>(values);
+}
+
+// Return a part with its numbers after nearer slabs.
+fn resumed(number: u32, part: Part) -> Part {
+    var result = part;
+    result.red = kept_of(0u, number);
+    result.green = kept_of(1u, number);
+    result.transmittance = kept_of(4u, number);
+    result.open = kept_of(5u, number);
+    result.total = kept_of(6u, number);
+    result.behind = kept_of(7u, number);
+    if (PICK) {
+        result.taker = kept[2u * PARTS + number];
+        result.largest_id = kept[3u * PARTS + number];
+        result.largest_alpha = kept_of(8u, number);
+        result.largest_depth = kept_of(9u, number);
+    } else {
+        result.blue = kept_of(2u, number);
+        result.depths = kept_of(3u, number);
+    }
+    return result;
+}
+
+// Keep the numbers of a part for farther slabs, as `resumed` reads them.
+fn keep_part(number: u32, part: Part) {
+    keep(0u, number, part.red);
+    keep(1u, number, part.green);
+    keep(4u, number, part.transmittance);
+    keep(5u, number, part.open);
+    keep(6u, number, part.total);
+    keep(7u, number, part.behind);
+    if (PICK) {
+        kept[2u * PARTS + number] = part.taker;
+        kept[3u * PARTS + number] = part.largest_id;
+        keep(8u, number, part.largest_alpha);
+        keep(9u, number, part.largest_depth);
+    } else {
+        keep(2u, number, part.blue);
+        keep(3u, number, part.depths);
+    }
+}
+
 // Step 1: initialise the state, and return the range of the tile's pairs.
 fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
     middle = vec2f(tile * TILE) + 0.5 * f32(TILE) - frame.origin;
     x = f32(corner.x) + 0.5 - frame.origin.x;
     y = f32(corner.y) + 0.5 - frame.origin.y + vec4f(0.0, 1.0, 2.0, 3.0);
+    let resumes = CARRIED && frame.resumes != 0u;
+    if (resumes) {
+        carry(false);
+    }
 //!repeat PART PARTS
     part_PART = empty_part(PARTu);
+    if (resumes) {
+        part_PART = resumed(PARTu, part_PART);
+    }
 //!end
     return ranges[tile.y * image_tiles().x + tile.x];
 }
 
-// Step 2: store the light before a cell, and return the most light of any part.
+// Step 2: store the light before a cell, and return the most light of any part. A slab that goes on
+// within a cell has no other.
 fn enter_cell() -> vec4f {
     var most = ZERO;
+    let goes_on = CARRIED && frame.resumes == 2u;
 //!repeat PART PARTS
-    part_PART.open = select(ZERO, part_PART.transmittance, part_PART.transmittance >= vec4f(FINISHED));
+    if (!goes_on) {
+        part_PART.open = select(ZERO, part_PART.transmittance, part_PART.transmittance >= vec4f(FINISHED));
+        part_PART.largest_alpha = ZERO;
+    }
     most = max(most, part_PART.open);
-    part_PART.largest_alpha = ZERO;
 //!end
     return most;
 }
@@ -157,14 +250,19 @@ fn added(part: Part, number: u32, id: u32, shape: vec4f, weight: vec4f, color: v
 
 // Step 3: add one Gaussian of the present cell to all parts.
 fn add_splat(id: u32, shape: vec4f, weight: vec4f, color: vec3f, factors: vec2f) {
+    // The arrays of a slab have other indices: with PICK, colours are the halves of the scene's there.
+    var taker = id;
+    if (PICK && CARRIED) {
+        taker = (u32(color.x) << 16u) | u32(color.y);
+    }
 //!repeat PART PARTS
-    part_PART = added(part_PART, PARTu, id, shape, weight, color, factors);
+    part_PART = added(part_PART, PARTu, taker, shape, weight, color, factors);
 //!end
 }
 
 // Step 4: with PICK, store depth and id at pixels where half of the light ends in the cell.
 fn leave_cell() {
-    if (PICK) {
+    if (PICK && !(CARRIED && frame.continues == 2u)) {
 //!repeat PART PARTS
         let is_halved_PART = (part_PART.open >= vec4f(0.5)) & (part_PART.transmittance < vec4f(0.5));
         part_PART.green = select(part_PART.green, part_PART.largest_depth, is_halved_PART);
@@ -206,9 +304,17 @@ fn write_part(number: u32, part: Part) {
     }
 }
 
-// Step 5: write each pixel over the background.
+// Step 5: write each pixel over the background; before farther slabs, keep its state instead.
 fn end_tile() {
+    let continues = CARRIED && frame.continues != 0u;
 //!repeat PART PARTS
-    write_part(PARTu, part_PART);
+    if (continues) {
+        keep_part(PARTu, part_PART);
+    } else {
+        write_part(PARTu, part_PART);
+    }
 //!end
+    if (continues) {
+        carry(true);
+    }
 }
