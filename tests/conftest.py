@@ -50,6 +50,7 @@ _SLOWEST = (
     "test_models_as_tests.py",
     "test_cesium.py",
     "test_slabs.py",
+    "test_weighted_slabs.py",
     "test_meshes.py",
     "test_viewer_kit.py",
     "test_denoiser.py",

@@ -22,7 +22,7 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from support.rendering.failing_devices import memory_of
 from support.rendering.splat_scenes import camera, cloud, single
-from support.rendering.weighted_scenes import WEIGHTED
+from support.rendering.weighted_scenes import WEIGHTED, celled, summed
 
 
 def test_room_for_pairs_grows_by_itself(device: Device) -> None:
@@ -34,15 +34,22 @@ def test_room_for_pairs_grows_by_itself(device: Device) -> None:
     assert np.array_equal(frame.rgba, again.rgba)
 
 
-def test_more_pairs_of_cells_than_a_binding_holds_is_an_error(
+def test_a_cell_of_more_tiles_than_a_binding_holds_pairs_is_an_error(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Gaussians that are sorted are drawn in slabs of depth instead."""
+    """Several cells are drawn in slabs of depth instead."""
+    scene, view = WEIGHTED["many_cells"]()
+    view = view.scaled(800, 700)
+    expected = renderer.render(scene, view)
+    assert expected.pairs > 2048
     monkeypatch.setattr(renderers, "MOST_GROUPS", 1)
     monkeypatch.setattr(renderer, "_pairs", 2048)
-    scene, view = WEIGHTED["many_cells"]()
-    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 2,048"):
-        renderer.draw(scene, view.scaled(640, 480))
+    image = renderer.draw(scene, view).image
+    seen = renderer.device.read(image, np.float32, expected.rgba.size)
+    assert np.array_equal(seen, expected.rgba.ravel())
+    assert "tally cells" in renderer._plan.stages
+    with pytest.raises(CapacityExceeded, match=r"needs 2,200 pairs .* holds at most 2,048"):
+        renderer.draw(Scene([summed(celled(1, 5, size=90, depth=(2, 2.1)))]), view)
 
 
 def test_more_pairs_than_a_dispatch_has_are_drawn_in_bands(

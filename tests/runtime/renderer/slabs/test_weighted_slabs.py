@@ -1,0 +1,250 @@
+"""Weighted sets that exceed a binding are drawn in slabs of depth, bit by bit the same."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Frame
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from support.rendering.mesh_scenes import wall
+from support.rendering.splat_scenes import camera, cloud, turned
+from support.rendering.weighted_scenes import celled, summed
+
+OUTPUTS = ("color", "depth", "normal")
+BEHIND = (0.1, 0.4, 0.7, 0.5)
+ROWS = 512  # of a page
+SMALL = 1 << 15  # bytes of a binding: 2,048 splats, or 819 cells
+MOST = SMALL // 16
+NARROW = camera(width=32, height=32)
+
+
+@pytest.fixture(scope="module", params=["as it is", "as a GPU"])
+def renderers(device: Device, request: pytest.FixtureRequest) -> tuple[Renderer, Renderer]:
+    """Two renderers of a device, the second of which binds little."""
+    pair = Device(device.raw), Device(device.raw)
+    for alike in pair:
+        if request.param == "as a GPU":
+            alike.software, alike.subgroups = False, False
+    pair[1].largest_binding = SMALL
+    whole, small = (Renderer(alike, rasteriser="tiles", page_rows=ROWS) for alike in pair)
+    return whole, small
+
+
+def assert_equal(first: Frame, second: Frame) -> None:
+    for name in ("rgba", "alpha", "depth", "median_depth", "ids", "normal"):
+        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+
+
+def compare(
+    renderers: tuple[Renderer, Renderer],
+    scene: Scene,
+    view: Camera = NARROW,
+    outputs: tuple[str, ...] = OUTPUTS,
+) -> Frame:
+    """Draw a scene at once and in slabs, of which both are equal; return the frame in slabs."""
+    whole, small = renderers
+    expected = whole.render(scene, view, outputs=outputs, background=BEHIND)
+    drawn = small.render(scene, view, outputs=outputs, background=BEHIND)
+    assert whole._plan.weighted_slabs is None
+    assert small._plan.weighted_slabs is not None
+    assert_equal(drawn, expected)
+    return drawn
+
+
+def crowd() -> Scene:
+    """Ten thousand Gaussians in cells of different sizes; a set of them is placed twice."""
+    first, second = celled(1200, 5, 1, size=0.05), celled(700, 3, 2, size=0.06, degree=1)
+    moved = summed(second, transform=turned(0.3, (0, 0, 1)), background=0.5, divisor=1.5)
+    return Scene([summed(first), summed(second), moved])
+
+
+def test_ten_thousand_gaussians_are_those_of_the_oracle(
+    renderers: tuple[Renderer, Renderer],
+) -> None:
+    scene = crowd()
+    drawn = compare(renderers, scene)
+    whole = renderers[0].render(scene, NARROW, background=BEHIND)
+    assert drawn.visible == whole.visible > MOST
+    assert drawn.pairs == whole.pairs
+    expected = oracle.render(scene, NARROW, background=BEHIND)
+    firm = ~expected.fragile
+    assert firm.mean() > 0.9
+    assert np.abs(drawn.rgba - expected.rgba)[firm].max() <= 2e-5
+    np.testing.assert_array_equal(
+        drawn.ids[~expected.fragile_median], expected.ids[~expected.fragile_median]
+    )
+
+
+def test_slabs_in_bands(renderers: tuple[Renderer, Renderer]) -> None:
+    view = camera(width=32, height=75)
+    compare(renderers, crowd(), view)
+    assert renderers[1]._plan._size == (32, 75 % 32)  # of the last band
+
+
+@pytest.mark.parametrize(("cells", "per_cell"), [(MOST // 4, 4), (MOST // 4 + 1, 4)])
+def test_as_many_as_a_binding_holds_and_one_cell_more(
+    renderers: tuple[Renderer, Renderer], cells: int, per_cell: int
+) -> None:
+    scene = Scene([summed(celled(cells, per_cell, 3, size=0.05))])
+    whole, small = renderers
+    expected, drawn = (each.render(scene, NARROW, outputs=OUTPUTS) for each in (whole, small))
+    assert_equal(drawn, expected)
+    assert (small._plan.weighted_slabs is None) == (cells * per_cell <= MOST)
+
+
+def test_cells_alone_exceed_a_binding(renderers: tuple[Renderer, Renderer]) -> None:
+    """They are in the buffers of pages, and change in each of them."""
+    data, later = celled(1000, 1, 4, size=0.1), celled(1000, 1, 5, size=0.1)
+    scene = Scene([summed(data)])
+    first = compare(renderers, scene)
+    pages = renderers[1]._residency.pages(data)
+    assert [page.first_cell for page in pages] == [0, ROWS]
+    data.update(later.rows, later.appearance, cells=later.cells)
+    assert not np.array_equal(compare(renderers, scene).rgba, first.rgba)
+
+
+def test_cells_in_two_pages(renderers: tuple[Renderer, Renderer]) -> None:
+    """Neither pages nor slabs end where cells do, and half-floats are widened."""
+    data = celled(900, 3, 6, size=0.1, degree=1, dtype=np.float16)
+    compare(renderers, Scene([summed(data)]))
+    pages = renderers[1]._residency.pages(data)
+    assert pages[1].first_cell == ROWS // 3
+    assert ROWS % 3
+
+
+@pytest.mark.parametrize("live", [0, 1, 703, 1024, 3000])
+def test_empty_pages(renderers: tuple[Renderer, Renderer], live: int) -> None:
+    whole = celled(800, 5, 7, size=0.1)
+    data = SplatData(whole.rows, whole.appearance, "rgb", count=live, cells=whole.cells, per_cell=5)
+    drawn = compare(renderers, Scene([summed(data)]))
+    assert (drawn.visible > 0) == (live > 1)
+
+
+def test_nothing_is_in_view(renderers: tuple[Renderer, Renderer]) -> None:
+    drawn = compare(renderers, Scene([summed(celled(800, 5, 8, depth=(-8, -2)))]))
+    assert drawn.visible == 0
+    assert np.array_equal(drawn.rgba[0, 0], np.float32([0.05, 0.2, 0.35, 0.5]))
+
+
+def test_a_cell_of_more_gaussians_than_a_slab(renderers: tuple[Renderer, Renderer]) -> None:
+    """Its Gaussians are all weighted by the light before it, from whatever slab they are."""
+    large = celled(3, MOST + 700, 9, size=0.9, share=0.05, opacity=(0.02, 0.06))
+    scene = Scene([summed(celled(40, 5, 10)), summed(large), summed(celled(200, 3, 11))])
+    drawn = compare(renderers, scene)
+    whole = renderers[0].render(scene, NARROW)
+    assert drawn.visible == whole.visible > ROWS
+    assert drawn.pairs == whole.pairs
+    alone = compare(renderers, Scene([summed(celled(1, 5 * MOST, 12, size=0.9, share=0.03))]))
+    assert alone.visible > ROWS
+
+
+@pytest.mark.parametrize("tilt", [0, 1e-9])
+def test_more_cells_of_one_depth_than_a_slab_holds(
+    renderers: tuple[Renderer, Renderer], tilt: float
+) -> None:
+    """They are divided by the remainders of their depths, and by their numbers."""
+    data = celled(900, 4, 13, size=0.03)
+    data.cells[:, 2] = 3
+    data.cells[:, :2] *= 0.1
+    data.rows[:, :2] *= 0.1
+    near = summed(celled(60, 3, 14, depth=(2, 3)))
+    compare(renderers, Scene([near, summed(data, transform=turned(tilt, (0, 1, 0)))]))
+
+
+def test_an_orthographic_camera_and_a_panorama(renderers: tuple[Renderer, Renderer]) -> None:
+    flat, around = camera(width=32, height=25).flattened(6.0), Camera.panorama((0, 0, 0), width=32)
+    scene = Scene([summed(celled(900, 5, 15, depth=(-4, 4), size=0.1))])
+    for view in (flat, around):
+        assert compare(renderers, scene, view, ("color",)).visible > 0
+
+
+@pytest.mark.parametrize("sorted_splats", [50, 5000])
+def test_sorted_sets_beside_slabs_of_sums(
+    renderers: tuple[Renderer, Renderer], sorted_splats: int
+) -> None:
+    """They are sorted at once, or in slabs of their own."""
+    scene = Scene([summed(celled(700, 5, 16, size=0.1)), cloud(sorted_splats, 17, size=0.03)])
+    drawn = compare(renderers, scene, camera(width=16, height=20), ("color",))
+    plan = renderers[1]._plan
+    assert (plan.slabs is not None) == (sorted_splats > MOST)
+    whole = renderers[0].render(scene, camera(width=16, height=20))
+    assert drawn.visible == whole.visible
+    assert drawn.pairs == whole.pairs
+
+
+def test_meshes_hide_what_is_summed_in_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+    scene = Scene([summed(celled(700, 5, 18, size=0.1))], meshes=[wall(5)])
+    view = camera(width=16, height=20)
+    outputs = ("color",) if renderers[0].device.software else OUTPUTS
+    drawn = compare(renderers, scene, view, outputs)
+    bare = renderers[1].render(Scene(scene.sets), view)
+    assert not np.array_equal(drawn.rgba, bare.rgba)
+
+
+def test_a_pool_beside_slabs_of_sums(renderers: tuple[Renderer, Renderer]) -> None:
+    tile, sums = cloud(300, 19, degree=1), summed(celled(700, 5, 20, size=0.1))
+    frames = []
+    for renderer in renderers:
+        pool = SplatPool(512, 12, slot_rows=128)
+        pool.insert(0, tile.rows, tile.appearance, np.zeros(3))
+        pool.draw({0: 0.9})
+        scene = Scene([sums], pools=[PooledSet(pool, turned(0.4, (1, 2, 3), 1.3))])
+        frames.append(renderer.render(scene, camera(width=16, height=20)))
+    assert np.array_equal(frames[0].rgba, frames[1].rgba)
+    assert frames[0].visible == frames[1].visible
+
+
+def test_pairs_that_exceed_a_binding_halve_the_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+    """Narrower bands come first; an image that stays on the GPU is drawn in thinner slabs alone."""
+    whole, small = renderers
+    view = camera(width=32, height=32)
+    scene = Scene([summed(celled(1900, 1, 21, size=1.5, opacity=(0.01, 0.02)))])
+    small._pairs, most = 512, type(small)._most_pairs
+    expected = whole.render(scene, view)
+    assert expected.pairs > 4096
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(small), "_most_pairs", property(lambda self: 1024))
+        drawn = small.draw(scene, view)
+        seen = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
+        assert np.array_equal(seen, expected.rgba)
+        assert np.array_equal(small.render(scene, view).rgba, expected.rgba)
+    assert type(small)._most_pairs is most
+    assert drawn.pairs == expected.pairs
+    assert small._plan.weighted_slabs.capacity < 1024
+
+
+def test_frames_in_flight_are_waited_for(renderers: tuple[Renderer, Renderer]) -> None:
+    scene = crowd()
+    whole, small = renderers
+    expected = whole.render(scene, NARROW)
+    for _ in range(3):
+        drawn = small.draw(scene, NARROW, wait=False)
+        seen = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
+        assert np.array_equal(seen, expected.rgba)
+        assert drawn.visible == expected.visible
+    assert not small.settle()
+
+
+def test_the_keys_of_gaussians_are_those_of_their_cells(
+    renderers: tuple[Renderer, Renderer],
+) -> None:
+    data = celled(700, 5, 22, size=0.1)
+    compare(renderers, Scene([summed(data)]))
+    small = renderers[1]
+    keys = np.concatenate(
+        [small.device.read(part, np.uint32, part.size // 4) for part in slab_keys(small)]
+    )[: len(data)].reshape(700, 5)
+    assert (keys == keys[:, :1]).all()
+    drawn = keys[:, 0] != ABSENT
+    assert 0.1 < drawn.mean() < 1
+    np.testing.assert_array_equal(keys[drawn, 0].view(np.float32), data.cells[drawn, 2])
+
+
+def slab_keys(renderer: Renderer) -> list:
+    return renderer._plan.weighted_slabs.keys
