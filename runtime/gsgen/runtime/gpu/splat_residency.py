@@ -398,6 +398,7 @@ class Residency:
         size, make = _bytes_of_row(packed=False), None if data.cells.dtype == np.float32 else _wide
         for _ in resident.cells.missing(data.cells_version, len(data.cells)):
             for buffer, first in {page.cells: page.first_cell for page in resident.pages}.items():
+                assert buffer is not None
                 part = data.cells[first : first + buffer.size // size]
                 upload(self._device, Target(buffer, 0, size, make), part)
 

@@ -87,7 +87,6 @@ class SlabState:
         tied: See :class:`KeyRange`.
         splats: See :class:`KeyRange`.
         resumes_cell: Whether the last nearer slab ended within the cell of this one.
-        continues_cell: Whether the next farther slab goes on with the cell of this one.
         weighted: Whether the slab is one of weighted sums.
     """
 
@@ -96,13 +95,12 @@ class SlabState:
     tied: tuple[int, ...] = ()
     splats: int = 0
     resumes_cell: bool = False
-    continues_cell: bool = False
     weighted: bool = False
 
     def written_to(self, uniform: Shaped[np.ndarray, ""]) -> Shaped[np.ndarray, ""]:
         """Write these slab settings to a frame's uniform data (WGSL ``Frame``); return the data."""
         uniform["resumes"] = self.resumes + self.resumes_cell
-        uniform["continues"] = self.continues + self.continues_cell
+        uniform["continues"] = self.continues
         uniform["rank"] = len(self.tied)
         pair = (self.tied[-1], self.splats) if len(self.tied) == _IN_CELL else (*self.tied, 0, 0)
         uniform["tied_key"], uniform["tied_low"] = pair[:_BY_ROW]
@@ -375,15 +373,14 @@ class Slabs:
 
     def _state(self, ranges: Sequence[KeyRange], number: int) -> SlabState:
         """Return how the depth slab ``number`` is drawn."""
-        own, is_last = ranges[number], number + 1 == len(ranges)
+        own = ranges[number]
         in_cell = len(own.tied) == _IN_CELL
         return SlabState(
             resumes=number > 0,
-            continues=not is_last,
+            continues=number + 1 < len(ranges),
             tied=own.tied,
             splats=own.splats,
             resumes_cell=in_cell and number > 0 and ranges[number - 1].tied == own.tied,
-            continues_cell=in_cell and not is_last and ranges[number + 1].tied == own.tied,
             weighted=self._weighted,
         )
 

@@ -10,7 +10,7 @@ struct Frame {
     period: f32,         // of a panorama: pixels of a full turn
     size: vec2u,         // pixels
     resumes: u32,        // 1: the image holds the state of pixels after nearer splats; 2: within a cell
-    continues: u32,      // 1: it keeps their state for farther splats; 2: within a cell
+    continues: u32,      // 1: it keeps their state for farther splats
     background: vec4f,   // red, green, blue; alpha stays that of the splats
     extra_dilation: f32, // pixels², beyond DILATION; negative for pictures that are enlarged
     rank: u32,           // what the keys of slabs are: 0 depths, 1 remainders of one depth, 2 rows or cells, 3 rows of one cell

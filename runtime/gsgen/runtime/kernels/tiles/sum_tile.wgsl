@@ -260,9 +260,10 @@ fn add_splat(id: u32, shape: vec4f, weight: vec4f, color: vec3f, factors: vec2f)
 //!end
 }
 
-// Step 4: with PICK, store depth and id at pixels where half of the light ends in the cell.
+// Step 4: with PICK, store depth and id at pixels where half of the light ends in the cell. A slab that
+// ends within a cell does so, too; the next one stores those of the whole cell.
 fn leave_cell() {
-    if (PICK && !(CARRIED && frame.continues == 2u)) {
+    if (PICK) {
 //!repeat PART PARTS
         let is_halved_PART = (part_PART.open >= vec4f(0.5)) & (part_PART.transmittance < vec4f(0.5));
         part_PART.green = select(part_PART.green, part_PART.largest_depth, is_halved_PART);
