@@ -72,7 +72,6 @@ class Plan:
         images: The buffers that :meth:`collect` reads, by output.
         inputs: The uniforms that :meth:`submit` writes, and the counts, by name.
         slabs: Buffers and steps of sorted sets that are drawn in slabs of depth, or None.
-        weighted_slabs: The same of weighted sets.
 
     Raises:
         CapacityExceeded: A buffer would be larger than the device binds.
@@ -98,7 +97,6 @@ class Plan:
     ) -> None:
         summed, placed = weighted_pages(placed), sorted_pages(placed)
         self._weighted: WeightedPart | None = None
-        self.weighted_slabs: Slabs | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
@@ -160,13 +158,17 @@ class Plan:
         self.clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots]
         self._readback = self.readback()
 
+    @property
+    def weighted_slabs(self) -> Slabs | None:
+        """Buffers and steps of weighted sets that are drawn in slabs of depth, or None."""
+        return None if self._weighted is None else self._weighted.slabs
+
     def _add(self, part: WeightedPart) -> None:
         """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
         self.buffers |= part.buffers
         self.images |= part.images
         self.stages |= part.stages
         self.clears += part.clears
-        self.weighted_slabs = part.slabs
         self._held["counts of cells"] = part.counts
 
     def _slabs(
