@@ -13,8 +13,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 setup: $(READY)
 
-# torch comes first and by exact version: asked for as a range, pip would fetch the
-# newest build with gigabytes of CUDA packages. Of twelve thousand modules two thousand are used:
+# torch comes by exact version: asked for as a range, pip would fetch the newest build with
+# gigabytes of CUDA packages. It is unpacked beside the other pinned packages, which takes as long;
+# then pip asks whether anything is missing. Of twelve thousand modules two thousand are used:
 # Python compiles them when they are imported.
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile -c constraints.txt
 
@@ -23,7 +24,8 @@ $(READY): pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not installed: name another with make PYTHON=…"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade 'pip>=25.1'
-	$(PIP) "$$(grep '^torch==' constraints.txt)"
+	$(PIP) --no-deps "$$(grep '^torch==' constraints.txt)" & torch=$$!; \
+	grep -v '^torch==' constraints.txt | $(PIP) --no-deps -r /dev/stdin && wait $$torch
 	$(PIP) -e '.[all]' --group dev
 	@$(BIN)/python -c 'import hypothesis, onnxruntime, onnxscript, pytest, scipy.spatial, torch.export, wgpu'
 	@touch $@
