@@ -25,7 +25,8 @@ $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade 'pip>=25.1'
 	$(PIP) --no-deps "$$(grep '^torch==' constraints.txt)" & torch=$$!; \
-	grep -v '^torch==' constraints.txt | $(PIP) --no-deps -r /dev/stdin && wait $$torch
+	grep -v '^torch==' constraints.txt | $(PIP) --no-deps -r /dev/stdin; others=$$?; \
+	wait $$torch && exit $$others
 	$(PIP) -e '.[all]' --group dev
 	@$(BIN)/python -c 'import hypothesis, onnxruntime, onnxscript, pytest, scipy.spatial, torch.export, wgpu'
 	@touch $@
