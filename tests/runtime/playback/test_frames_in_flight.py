@@ -21,6 +21,7 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.source import Source, Values
 from support.rendering.near_ties import plane
+from support.rendering.small_bindings import assert_same_images
 from support.rendering.splat_scenes import camera, cloud, turned
 
 Arrays = tuple[np.ndarray, np.ndarray, int]
@@ -124,8 +125,7 @@ def little_room(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def assert_same(one: Frame, other: Frame) -> None:
-    for name in ("rgba", "alpha", "depth", "median_depth", "ids", "normal"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert_same_images(one, other)
     assert (one.visible, one.pairs) == (other.visible, other.pairs)
 
 

@@ -270,8 +270,8 @@ class Renderer:
     def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
         """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
         layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
-        kept = kept_layers(scene, self.device, self._most_at_once)
-        return band_rows(self.device, camera, images, layers + kept)
+        slab_layers = kept_layers(scene, self.device, self._most_at_once)
+        return band_rows(self.device, camera, images, layers + slab_layers)
 
     def _drawn_at_once(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output

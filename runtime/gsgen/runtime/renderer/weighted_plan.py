@@ -280,10 +280,10 @@ class WeightedPart:
             return kernel.step(self._tiles, bound, self._layers.depths)
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
-        kept = self._storage(f"{name} kept", 4 * PLANES[pick] * pixels) if in_slabs else None
+        sums = self._storage(f"{name} kept", 4 * PLANES[pick] * pixels) if in_slabs else None
         first_plane = 0 if in_slabs else None
         kernel = self._kernels.blend(pick, self._panorama, self._published, 0, first_plane)
-        return kernel.step(self._tiles, (frame, *resources, self.images[name]), kept)
+        return kernel.step(self._tiles, (frame, *resources, self.images[name]), sums)
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
         """Write the uniform buffers of a frame for weighted-sum rendering of splat sets."""

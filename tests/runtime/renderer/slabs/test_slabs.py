@@ -6,39 +6,19 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu import splat_residency
-from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.place_splats import place_reference
 from gsgen.runtime.kernels.project.tally_keys import BINS, tally_reference
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.renderer.slabs import KeyRange, Tally, slab_ranges
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from support.rendering.small_bindings import SMALL, assert_same_images
 from support.rendering.splat_scenes import SCENES, camera, cloud, turned
 from support.rendering.weighted_scenes import MIXED
 
 OUTPUTS = ("color", "depth", "normal")
-ROWS = 512  # of a page
-SMALL = 1 << 15  # bytes of a binding: 2,048 splats, or 2,048 pixels
-
-
-@pytest.fixture(scope="module", params=["as it is", "as a GPU"])
-def renderers(device: Device, request: pytest.FixtureRequest) -> tuple[Renderer, Renderer]:
-    """Two renderers of a device, the second of which binds little."""
-    pair = Device(device.raw), Device(device.raw)
-    for alike in pair:
-        if request.param == "as a GPU":
-            alike.software, alike.subgroups = False, False
-    pair[1].largest_binding = SMALL
-    whole, small = (Renderer(alike, rasteriser="tiles", page_rows=ROWS) for alike in pair)
-    return whole, small
-
-
-def assert_equal(first: Frame, second: Frame) -> None:
-    for name in ("rgba", "alpha", "depth", "median_depth", "ids", "normal"):
-        assert np.array_equal(getattr(first, name), getattr(second, name)), name
 
 
 def crowd() -> Scene:
@@ -53,7 +33,7 @@ def test_ten_thousand_splats_in_slabs_and_bands(renderers: tuple[Renderer, Rende
     whole, small = renderers
     expected = whole.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
     seen = small.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
-    assert_equal(seen, expected)
+    assert_same_images(seen, expected)
     assert expected.visible > 3 * SMALL // 16
     assert seen.visible == expected.visible  # though some are in two bands
     assert "tally" in small._plan.stages
@@ -88,7 +68,7 @@ def test_arranged_rows_keep_their_ids(
     whole, small = renderers
     for _ in range(2):  # arranged when they are drawn again
         expected = whole.render(scene, view, outputs=OUTPUTS)
-        assert_equal(small.render(scene, view, outputs=OUTPUTS), expected)
+        assert_same_images(small.render(scene, view, outputs=OUTPUTS), expected)
     assert small._residency.pages(data)[0].rows_of is not None
 
 
@@ -121,7 +101,7 @@ def test_more_splats_of_one_depth_than_a_slab_holds(
     whole, small = renderers
     for _ in range(2):  # arranged when they are drawn again
         expected = whole.render(scene, camera(), outputs=("color", "depth"))
-        assert_equal(small.render(scene, camera(), outputs=("color", "depth")), expected)
+        assert_same_images(small.render(scene, camera(), outputs=("color", "depth")), expected)
     assert expected.visible > SMALL // 16 + 500
 
 
@@ -135,8 +115,8 @@ def test_meshes_and_weighted_sums_among_slabs(renderers: tuple[Renderer, Rendere
     scene = Scene([*sets, cloud(4000, 1, size=0.02)], meshes=scene.meshes)
     expected = whole.render(scene, view, outputs=outputs)
     seen, again = (small.render(scene, view, outputs=outputs) for _ in range(2))
-    assert_equal(seen, expected)
-    assert_equal(again, expected)
+    assert_same_images(seen, expected)
+    assert_same_images(again, expected)
     assert again.visible == seen.visible
     assert expected.visible > SMALL // 16
     assert {"meshes", "tally"} <= set(small._plan.stages)
@@ -152,7 +132,7 @@ def test_a_pool_in_slabs(renderers: tuple[Renderer, Renderer]) -> None:
         pool.draw({0: 0.9})
         pooled = PooledSet(pool, turned(0.4, (1, 2, 3), 1.3))
         frames.append(renderer.render(Scene([around], pools=[pooled]), camera(), outputs=OUTPUTS))
-    assert_equal(frames[1], frames[0])
+    assert_same_images(frames[1], frames[0])
     assert frames[0].visible == frames[1].visible > SMALL // 16
     assert "tally" in renderers[1]._plan.stages
 

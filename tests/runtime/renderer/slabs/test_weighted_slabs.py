@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
@@ -13,32 +12,14 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
 from support.rendering.mesh_scenes import wall
+from support.rendering.small_bindings import ROWS, SMALL, assert_same_images
 from support.rendering.splat_scenes import camera, cloud, turned
 from support.rendering.weighted_scenes import celled, summed
 
 OUTPUTS = ("color", "depth", "normal")
 BEHIND = (0.1, 0.4, 0.7, 0.5)
-ROWS = 512  # of a page
-SMALL = 1 << 15  # bytes of a binding: 2,048 splats, or 819 cells
 MOST = SMALL // 16
 NARROW = camera(width=32, height=32)
-
-
-@pytest.fixture(scope="module", params=["as it is", "as a GPU"])
-def renderers(device: Device, request: pytest.FixtureRequest) -> tuple[Renderer, Renderer]:
-    """Two renderers of a device, the second of which binds little."""
-    pair = Device(device.raw), Device(device.raw)
-    for alike in pair:
-        if request.param == "as a GPU":
-            alike.software, alike.subgroups = False, False
-    pair[1].largest_binding = SMALL
-    whole, small = (Renderer(alike, rasteriser="tiles", page_rows=ROWS) for alike in pair)
-    return whole, small
-
-
-def assert_equal(first: Frame, second: Frame) -> None:
-    for name in ("rgba", "alpha", "depth", "median_depth", "ids", "normal"):
-        assert np.array_equal(getattr(first, name), getattr(second, name)), name
 
 
 def compare(
@@ -53,7 +34,7 @@ def compare(
     drawn = small.render(scene, view, outputs=outputs, background=BEHIND)
     assert whole._plan.weighted_slabs is None
     assert small._plan.weighted_slabs is not None
-    assert_equal(drawn, expected)
+    assert_same_images(drawn, expected)
     return drawn
 
 
@@ -94,7 +75,7 @@ def test_as_many_as_a_binding_holds_and_one_cell_more(
     scene = Scene([summed(celled(cells, per_cell, 3, size=0.05))])
     whole, small = renderers
     expected, drawn = (each.render(scene, NARROW, outputs=OUTPUTS) for each in (whole, small))
-    assert_equal(drawn, expected)
+    assert_same_images(drawn, expected)
     assert (small._plan.weighted_slabs is None) == (cells * per_cell <= MOST)
 
 
