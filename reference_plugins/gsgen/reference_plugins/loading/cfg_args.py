@@ -127,7 +127,7 @@ def _parsed(path: Path) -> dict[str, Any]:
 def _tree(text: str) -> ast.expr:
     try:
         return ast.parse(text, mode="eval").body
-    except SyntaxError:
+    except (SyntaxError, ValueError):  # a ValueError: Python < 3.11.4 so refuses null characters
         # Replace it by a name of equal length, so that positions in the text stay valid.
         parsable = _TEXT_OR_NOT_PYTHON.sub(
             lambda match: "_" * len(match[0].encode()) if match["other"] else match[0], text

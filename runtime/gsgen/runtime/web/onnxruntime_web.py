@@ -83,9 +83,10 @@ def _fetch(folder: Path) -> None:
             message = f"has the digest {digest}, expected {_SHA256}"
             raise ConfigInvalid(message, where=package, hint=hint)
         with tarfile.open(archives[0]) as archive:
-            members = [archive.getmember(f"package/dist/{name}") for name in ORT_FILES]
-            archive.extractall(work, members, filter="data")
-        dist = Path(work) / "package" / "dist"
+            for name in ORT_FILES:
+                file = archive.extractfile(f"package/dist/{name}")
+                assert file is not None, f"{name} is a file in the package of this digest"
+                (Path(work) / name).write_bytes(file.read())
         folder.mkdir(exist_ok=True)
         for name in ORT_FILES:
-            (dist / name).replace(folder / name)
+            (Path(work) / name).replace(folder / name)
