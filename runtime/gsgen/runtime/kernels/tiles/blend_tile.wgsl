@@ -1,14 +1,12 @@
 // The state of an invocation that blends a tile, and the three steps of both entry files:
 // `begin_tile`, `blend_splat` for every splat, nearest first, and `end_tile`.
 //
-// An invocation has CELLS = COLUMNS × QUADS cells, each of four pixels above each other; its
-// columns are TILE / COLUMNS apart. `repeat` declares a variable for each cell: on Mesa's
-// llvmpipe, blending with an array of cells took 2.1 times as long with subgroups, 2.6 without. An
-// array of layers took 1.0 and 1.2 times as long.
+// `repeat` declares a variable for each cell: on Mesa's llvmpipe, blending with an array of cells took
+// 2.1 times as long with subgroups, 2.6 without. An array of layers took 1.0 and 1.2 times as long.
 
-//!include frame
 //!include blend_opacity
 //!include splat_record
+//!include tile_pixels
 //!include words
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -42,10 +40,7 @@ struct LayerCell {
     light: vec4f,          // light that reaches the layer; negative until a splat behind it is met
 }
 
-var<private> corner: vec2u;  // the first pixel of the first cell …
-var<private> x: f32;         // … and its centre, relative to the frame's origin,
-var<private> y: vec4f;       // with those of the three pixels below it
-var<private> lights: array<vec4f, max(LAYERS * CELLS, 1u)>;  // light per layer and cell, of nearer slabs or at the end
+var<private> lights: array<vec4f, max(LAYERS * CELLS, 1u)>;  // light per layer and cell at the end
 //!repeat CELL CELLS
 var<private> cell_CELL: Cell;
 //!repeat LAYER LAYERS
@@ -53,39 +48,33 @@ var<private> layer_LAYER_CELL: LayerCell;
 //!end
 //!end
 
-// Return the first pixel of a cell, relative to `corner`.
-fn offset_of(cell: u32) -> vec2u {
-    return vec2u(cell / QUADS * (TILE / COLUMNS), cell % QUADS * 4u);
-}
-
+// Return what a layer has at a cell before the first splat of a slab. Pixels beyond the image repeat
+// its edge.
 fn layer_cell(layer: u32, cell: u32) -> LayerCell {
-    // Pixels beyond the image repeat its edge.
-    let first = corner + offset_of(cell);
-    let last = frame.size - 1u;
-    let rows = min(first.y + vec4u(0u, 1u, 2u, 3u), vec4u(last.y));
-    let index = (layer * frame.size.y + rows) * frame.size.x + min(first.x, last.x);
-    let upper = vec2f(layer_depths[index.x], layer_depths[index.y]);
-    let lower = vec2f(layer_depths[index.z], layer_depths[index.w]);
-    let alpha = vec4f(layers[index.x].a, layers[index.y].a, layers[index.z].a, layers[index.w].a);
-    let light = select(vec4f(-1.0), lights[layer * CELLS + cell], CARRIED);
-    return LayerCell(min(vec4f(upper, lower), vec4f(NOWHERE)), 1.0 - alpha, light);
+    var result = LayerCell(vec4f(NOWHERE), vec4f(1.0), vec4f(-1.0));
+    let rows = loop_length(4u);
+    for (var i = 0u; i < rows; i++) {
+        let position = position_of(4u * cell + i);
+        let nearest = min(position, frame.size - 1u);
+        let index = (layer * frame.size.y + nearest.y) * frame.size.x + nearest.x;
+        result.depth[i] = min(layer_depths[index], NOWHERE);
+        result.transmittance[i] = 1.0 - layers[index].a;
+        if (CARRIED && frame.resumes != 0u && all(position < frame.size)) {
+            result.light[i] = layer_depths[index + CARRIED_OUTPUT * LAYERS * frame.size.y * frame.size.x];
+        }
+    }
+    return result;
 }
 
-// Read the light of all layers after nearer slabs, or write it for farther ones. The length of the
-// loop depends on the frame, as in `add_layer`.
-fn carry_lights(writes: bool) {
-    let pixels = select(0u, 4u * CELLS * LAYERS, frame.size.x > 0u);
+// Keep the light of all layers for farther slabs.
+fn keep_lights() {
+    let pixels = loop_length(4u * CELLS * LAYERS);
     for (var pixel = 0u; pixel < pixels; pixel++) {
         let cell = pixel / 4u;
-        let position = corner + offset_of(cell % CELLS) + vec2u(0u, pixel % 4u);
+        let position = position_of(pixel % (4u * CELLS));
         if (all(position < frame.size)) {
             let line = (CARRIED_OUTPUT * LAYERS + cell / CELLS) * frame.size.y + position.y;
-            let index = line * frame.size.x + position.x;
-            if (writes) {
-                layer_depths[index] = lights[cell][pixel % 4u];
-            } else {
-                lights[cell][pixel % 4u] = select(-1.0, layer_depths[index], frame.resumes != 0u);
-            }
+            layer_depths[line * frame.size.x + position.x] = lights[cell][pixel % 4u];
         }
     }
 }
@@ -93,10 +82,11 @@ fn carry_lights(writes: bool) {
 // Return the state of a cell that `write_cell` kept after nearer splats.
 fn read_cell(number: u32) -> Cell {
     var cell = Cell(vec4f(1.0), ZERO, ZERO, ZERO, vec4u(ABSENT));
-    let first = corner + offset_of(number);
-    for (var i = 0u; i < 4u; i++) {
-        if (first.x < frame.size.x && first.y + i < frame.size.y) {
-            let state = image[(first.y + i) * frame.size.x + first.x];
+    let rows = loop_length(4u);
+    for (var i = 0u; i < rows; i++) {
+        let position = position_of(4u * number + i);
+        if (all(position < frame.size)) {
+            let state = image[position.y * frame.size.x + position.x];
             let numbers = bitcast<vec4f>(state);
             cell.red[i] = numbers.x;
             cell.green[i] = numbers.y;
@@ -108,16 +98,16 @@ fn read_cell(number: u32) -> Cell {
     return cell;
 }
 
+// Return the state of a pixel of a cell.
+fn state_of(cell: Cell, i: u32) -> vec4u {
+    let third = select(bitcast<u32>(cell.blue[i]), cell.taker[i], PICK);
+    let numbers = bitcast<vec3u>(vec3f(cell.red[i], cell.green[i], cell.transmittance[i]));
+    return vec4u(numbers.xy, third, numbers.z);
+}
+
 // Step 1: initialise the state, and return the range of the tile's pairs.
 fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
-    corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
-    x = f32(corner.x) + 0.5 - frame.origin.x;
-    y = f32(corner.y) + 0.5 - frame.origin.y + vec4f(0.0, 1.0, 2.0, 3.0);
-//!repeat LAYER LAYERS
-    if (CARRIED && LAYERu == 0u) {
-        carry_lights(false);
-    }
-//!end
+    place_pixels(tile, local);
 //!repeat CELL CELLS
     cell_CELL = Cell(vec4f(1.0), ZERO, ZERO, ZERO, vec4u(ABSENT));
     if (CARRIED && frame.resumes != 0u) {
@@ -231,39 +221,42 @@ fn ended(cell: Cell, layer: LayerCell, light: vec4f, is_last: vec4<bool>) -> Cel
     return result;
 }
 
-fn write_cell(number: u32, cell: Cell) {
-    let rest = abs(cell.transmittance);
-    let first = corner + offset_of(number);
-    for (var i = 0u; i < 4u; i++) {
-        if (first.x < frame.size.x && first.y + i < frame.size.y) {
-            let index = (first.y + i) * frame.size.x + first.x;
-            let alpha = 1.0 - rest[i];
-            if (CARRIED && frame.continues != 0u) {
-                let third = select(bitcast<u32>(cell.blue[i]), cell.taker[i], PICK);
-                let others = bitcast<vec3u>(vec3f(cell.red[i], cell.green[i], cell.transmittance[i]));
-                image[index] = vec4u(others.xy, third, others.z);
-            } else if (PICK) {
-                let depths = bitcast<vec2u>(vec2f(cell.red[i], cell.green[i]));
-                image[index] = vec4u(depths, cell.taker[i], bitcast<u32>(alpha));
+// Return what the image holds for a state: a colour, or depths and a Gaussian.
+fn shown(state: vec4u) -> vec4u {
+    let numbers = bitcast<vec4f>(state);
+    let rest = abs(numbers.w);
+    if (PICK) {
+        return vec4u(state.xyz, bitcast<u32>(1.0 - rest));
+    }
+    return bitcast<vec4u>(vec4f(numbers.xyz, 1.0 - rest) + rest * frame.background);
+}
+
+// Write the pixels of a cell; their states are kept for farther slabs.
+fn write_cell(number: u32, cell: Cell, continues: bool) {
+    let rows = loop_length(4u);
+    for (var i = 0u; i < rows; i++) {
+        let position = position_of(4u * number + i);
+        if (all(position < frame.size)) {
+            let state = state_of(cell, i);
+            let index = position.y * frame.size.x + position.x;
+            if (continues) {
+                image[index] = state;
             } else {
-                let color = vec4f(cell.red[i], cell.green[i], cell.blue[i], alpha);
-                image[index] = bitcast<vec4u>(color + rest[i] * frame.background);
+                image[index] = shown(state);
             }
         }
     }
 }
 
-// Add a layer's colours to the image. Compilers take long to unroll these reads, so the length of
-// the loop depends on the frame.
+// Add a layer's colours to the image.
 fn add_layer(layer: u32) {
-    let pixels = select(0u, 4u * CELLS, frame.size.x > 0u);
+    let pixels = loop_length(4u * CELLS);
     for (var pixel = 0u; pixel < pixels; pixel++) {
-        let cell = pixel / 4u;
-        let position = corner + offset_of(cell) + vec2u(0u, pixel % 4u);
+        let position = position_of(pixel);
         if (all(position < frame.size)) {
             let index = position.y * frame.size.x + position.x;
             let shown = layers[layer * frame.size.x * frame.size.y + index];
-            let light = lights[layer * CELLS + cell][pixel % 4u];
+            let light = lights[layer * CELLS + pixel / 4u][pixel % 4u];
             image[index] = bitcast<vec4u>(bitcast<vec4f>(image[index]) + light * vec4f(shown.xyz, 0.0));
         }
     }
@@ -285,11 +278,11 @@ fn end_tile() {
         lights[LAYERu * CELLS + CELLu] = light;
     }
 //!end
-    write_cell(CELLu, cell_CELL);
+    write_cell(CELLu, cell_CELL, continues);
 //!end
 //!repeat LAYER LAYERS
     if (continues && LAYERu == 0u) {
-        carry_lights(true);
+        keep_lights();
     } else if (!continues && !PICK) {
         add_layer(LAYERu);
     }

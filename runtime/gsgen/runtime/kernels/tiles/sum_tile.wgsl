@@ -6,12 +6,12 @@
 // cell's Gaussians does not matter. Once less than FINISHED is left, further cells and the
 // background are skipped.
 //
-// An invocation has PARTS = COLUMNS × QUADS parts, each of four pixels above each other. `repeat`
-// declares a variable for each part: on Mesa's llvmpipe, sums in an array of parts took 4.4 times as
-// long with subgroups, 4.3 without.
+// An invocation has PARTS = CELLS parts, each of four pixels above each other. `repeat` declares a
+// variable for each part: on Mesa's llvmpipe, sums in an array of parts took 4.4 times as long with
+// subgroups, 4.3 without.
 
-//!include frame
 //!include blend_opacity
+//!include tile_pixels
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pair_cells: array<u32>;
@@ -46,30 +46,21 @@ struct Part {
     depths: vec4f,          // LAYERED: Σ w z
 }
 
-var<private> corner: vec2u;  // the first pixel of the first part …
-var<private> x: f32;         // … and its centre, relative to the frame's origin,
-var<private> y: vec4f;       // with those of the three pixels below it
 var<private> middle: vec2f;  // of the tile
 var<private> kept: array<vec4u, max(KEPT * PARTS, 1u)>;  // by number and part, what slabs keep
 //!repeat PART PARTS
 var<private> part_PART: Part;
 //!end
 
-// Return the first pixel of a part, relative to `corner`.
-fn offset_of(part: u32) -> vec2u {
-    return vec2u(part / QUADS * (TILE / COLUMNS), part % QUADS * 4u);
-}
-
 // Return the depths of meshes at the pixels of a part.
 fn limits(part: u32) -> vec4f {
     var result = vec4f(NOWHERE);
-    if (LAYERED && LAYERS > 1u) {
-        let first = corner + offset_of(part);
-        for (var i = 0u; i < 4u; i++) {
-            if (first.x < frame.size.x && first.y + i < frame.size.y) {
-                let line = (LAYERS - 1u) * frame.size.y + first.y + i;
-                result[i] = min(layer_depths[line * frame.size.x + first.x], NOWHERE);
-            }
+    let rows = loop_length(4u);
+    for (var i = 0u; i < rows; i++) {
+        let position = position_of(4u * part + i);
+        if (all(position < frame.size)) {
+            let line = (LAYERS - 1u) * frame.size.y + position.y;
+            result[i] = min(layer_depths[line * frame.size.x + position.x], NOWHERE);
         }
     }
     return result;
@@ -81,18 +72,21 @@ fn empty_part(part: u32) -> Part {
     result.open = vec4f(1.0);
     result.taker = vec4u(ABSENT);
     result.largest_id = vec4u(ABSENT);
-    result.limit = limits(part);
+    result.limit = vec4f(NOWHERE);
+    if (LAYERED && LAYERS > 1u) {
+        result.limit = limits(part);
+    }
     return result;
 }
 
 // Read the numbers of all parts that were kept after nearer slabs, or write them for farther ones.
-// Compilers take long to unroll this, so the length of the loop depends on the frame.
 fn carry(writes: bool) {
-    let pixels = select(0u, 4u * PARTS, frame.size.x > 0u);
+    let pixels = loop_length(4u * PARTS);
+    let numbers = loop_length(KEPT);
     for (var pixel = 0u; pixel < pixels; pixel++) {
         let part = pixel / 4u;
         let i = pixel % 4u;
-        let position = corner + offset_of(part) + vec2u(0u, i);
+        let position = position_of(pixel);
         if (all(position < frame.size)) {
             let index = position.y * frame.size.x + position.x;
             let plane = frame.size.x * frame.size.y;
@@ -105,7 +99,7 @@ fn carry(writes: bool) {
                 kept[2u * PARTS + part][i] = state.z;
                 kept[3u * PARTS + part][i] = state.w;
             }
-            for (var number = 4u; number < KEPT; number++) {
+            for (var number = 4u; number < numbers; number++) {
                 let at = (FIRST_PLANE + number - 4u) * plane + index;
                 if (writes) {
                     layer_depths[at] = bitcast<f32>(kept[number * PARTS + part][i]);
@@ -167,10 +161,8 @@ fn keep_part(number: u32, part: Part) {
 
 // Step 1: initialise the state, and return the range of the tile's pairs.
 fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
-    corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
+    place_pixels(tile, local);
     middle = vec2f(tile * TILE) + 0.5 * f32(TILE) - frame.origin;
-    x = f32(corner.x) + 0.5 - frame.origin.x;
-    y = f32(corner.y) + 0.5 - frame.origin.y + vec4f(0.0, 1.0, 2.0, 3.0);
     let resumes = CARRIED && frame.resumes != 0u;
     if (resumes) {
         carry(false);
@@ -272,34 +264,30 @@ fn leave_cell() {
     }
 }
 
+// Write the pixels of a part over the background, and their depths in a layer.
 fn write_part(number: u32, part: Part) {
-    let first = corner + offset_of(number);
-    for (var i = 0u; i < 4u; i++) {
-        if (first.x < frame.size.x && first.y + i < frame.size.y) {
-            let index = (first.y + i) * frame.size.x + first.x;
-            let total = part.total[i];
-            var alpha = 0.0;
-            var share = 0.0;      // factor of Σ w c
-            var backdrop = 1.0;
-            if (total > 0.0) {
-                let left = part.transmittance[i];
-                let weight = select(part.behind[i] / total, 0.0, left < FINISHED);
-                share = 1.0 / (total + weight * left);
-                alpha = total * share;
-                backdrop = weight * select(left, 1.0, PUBLISHED) * share;
-            }
+    let left = part.transmittance;
+    let is_met = part.total > ZERO;
+    let weight = select(part.behind / part.total, ZERO, left < vec4f(FINISHED));
+    let share = select(ZERO, 1.0 / (part.total + weight * left), is_met);  // factor of Σ w c
+    let alpha = select(ZERO, part.total * share, is_met);
+    let backdrop = select(vec4f(1.0), weight * select(left, vec4f(1.0), PUBLISHED) * share, is_met);
+    let depth = select(vec4f(NOWHERE), min(part.depths / part.total, part.limit), is_met);
+    let rows = loop_length(4u);
+    for (var i = 0u; i < rows; i++) {
+        let position = position_of(4u * number + i);
+        if (all(position < frame.size)) {
+            let index = position.y * frame.size.x + position.x;
             if (LAYERED) {
-                layer_depths[index] = NOWHERE;
-                if (total > 0.0) {
-                    layer_depths[index] = min(part.depths[i] / total, part.limit[i]);
-                }
+                layer_depths[index] = depth[i];
             }
             if (PICK) {
-                let depths = bitcast<vec2u>(vec2f(part.red[i] * share, part.green[i]));
-                image[index] = vec4u(depths, part.taker[i], bitcast<u32>(alpha));
+                let depths = bitcast<vec2u>(vec2f(part.red[i] * share[i], part.green[i]));
+                image[index] = vec4u(depths, part.taker[i], bitcast<u32>(alpha[i]));
             } else {
-                let color = vec3f(part.red[i], part.green[i], part.blue[i]) * share;
-                image[index] = bitcast<vec4u>(vec4f(color + backdrop * frame.background.xyz, alpha));
+                let color = vec3f(part.red[i], part.green[i], part.blue[i]) * share[i];
+                let blended = vec4f(color + backdrop[i] * frame.background.xyz, alpha[i]);
+                image[index] = bitcast<vec4u>(blended);
             }
         }
     }
