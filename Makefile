@@ -15,21 +15,17 @@ unexport PYTHONDONTWRITEBYTECODE
 
 setup: $(READY)
 
-# torch comes by exact version: asked for as a range, pip would fetch the newest build with
-# gigabytes of CUDA packages. It is unpacked beside the other pinned packages, which takes as long;
-# then pip asks whether anything is missing. Of twelve thousand modules two thousand are used:
-# Python compiles them when they are imported.
-PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile -c constraints.txt
+# torch comes by exact version: asked for as a range, its newest build would be fetched, with
+# gigabytes of CUDA packages. Then the extras are asked for, lest a package is not pinned. Of twelve
+# thousand modules two thousand are used: Python compiles them when they are imported.
+INSTALL := $(BIN)/python scripts/install.py
 
 $(READY): pyproject.toml constraints.txt
-	@echo "setting up $(VENV): two to three minutes, once"
+	@echo "setting up $(VENV): a minute or two, once"
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not installed: name another with make PYTHON=…"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) --upgrade 'pip>=25.1'
-	$(PIP) --no-deps "$$(grep '^torch==' constraints.txt)" & torch=$$!; \
-	grep -v '^torch==' constraints.txt | $(PIP) --no-deps -r /dev/stdin; others=$$?; \
-	wait $$torch && exit $$others
-	$(PIP) -e '.[all]' --group dev
+	$(INSTALL) --no-deps -r constraints.txt
+	$(INSTALL) -e '.[all]' --group dev
 	@$(BIN)/python -c 'import hypothesis, onnxruntime, onnxscript, pytest, scipy.spatial, torch.export, wgpu'
 	@touch $@
 
@@ -37,22 +33,21 @@ $(READY): pyproject.toml constraints.txt
 # that tests compare it with, and what loads tilesets and checks the browser client.
 drivers:
 	scripts/drivers.sh
-	scripts/swiftshader.sh
 	scripts/cesium.sh
+	scripts/swiftshader.sh
 	scripts/browser_packages.sh
 
 demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
 	$(BIN)/python docs/examples/demo.py out/demo
 
-# Drivers are fetched beside the packages. The types are checked beside the tests, which leave
-# parts of two cores idle.
+# Drivers are fetched while packages are installed and the style is checked. The types are checked
+# beside the tests, which leave parts of two cores idle.
 test:
-	@$(MAKE) --no-print-directory -j2 setup drivers
-	@$(MAKE) --no-print-directory -j2 --output-sync style ort
+	@$(MAKE) --no-print-directory -j3 drivers style ort
 	@$(MAKE) --no-print-directory -j2 types suite
 
-suite:
+suite: setup
 	scripts/test.sh
 
 # ONNX Runtime Web, which computes generators in a page: fetched once, into the user's cache.
@@ -62,11 +57,11 @@ ort: setup
 check: setup
 	@$(MAKE) --no-print-directory -j2 --output-sync types style
 
-types:
+types: setup
 	$(BIN)/mypy
 	$(BIN)/mypy docs/examples/demo.py docs/examples/demo_families.py
 
-style:
+style: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
@@ -129,7 +124,7 @@ web: setup
 	$(BIN)/python scripts/write_plans.py
 
 docs: setup
-	$(PIP) --group docs
+	$(INSTALL) --group docs
 	$(BIN)/python scripts/write_docs.py
 	$(BIN)/zensical build --clean
 	$(BIN)/python scripts/live/write_live.py site
@@ -141,13 +136,13 @@ wheel: setup
 # a process that has collected them. A run that was stopped goes on where it was.
 MUTANTS ?= 300
 mutants: setup
-	$(PIP) --group mutants
+	$(INSTALL) --group mutants
 	nice -n 15 $(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup
 	@tag=$$($(BIN)/python scripts/check_release.py) || exit 1; \
-	rm -rf dist && $(PIP) --group release && \
+	rm -rf dist && $(INSTALL) --group release && \
 	$(BIN)/python -m build --outdir dist && \
 	$(BIN)/python -m twine check --strict dist/* && \
 	$(BIN)/python scripts/check_wheel.py dist && \
