@@ -141,11 +141,11 @@ mutants: setup
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup
-	@tag=$$($(BIN)/python scripts/check_release.py) || exit 1; \
+	@tag=$$($(BIN)/python scripts/release/check_release.py) || exit 1; \
 	rm -rf dist && $(INSTALL) --group release && \
 	$(BIN)/python -m build --outdir dist && \
 	$(BIN)/python -m twine check --strict dist/* && \
-	$(BIN)/python scripts/check_wheel.py dist && \
+	$(BIN)/python scripts/release/check_wheel.py dist && \
 	git tag -a "$$tag" -m "gsgen $$tag" && \
 	echo "$$tag is tagged here, and dist/ holds its files. To publish it:" && \
 	echo "  git push origin $$tag && $(BIN)/python -m twine upload dist/*"

@@ -134,7 +134,7 @@ def test_the_container_s_stages_build_the_wheel_and_run_it(
 
 
 def test_the_environment_is_small(fresh: Path) -> None:
-    """As `scripts/check_wheel.py` measures it, with pip and without compiled files."""
+    """As `scripts/release/check_wheel.py` measures it, with pip and without compiled files."""
     files = [path for path in fresh.parent.rglob("*") if not path.is_symlink()]
     assert sum(path.stat().st_size for path in files) <= 250 * 2**20
 

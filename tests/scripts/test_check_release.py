@@ -9,7 +9,7 @@ import pytest
 
 from support.commands import ROOT
 
-sys.path.insert(0, str(ROOT / "scripts"))
+sys.path.insert(0, str(ROOT / "scripts" / "release"))
 import check_release
 
 NAMES = (*check_release.PLACEHOLDER_FILES, "CHANGELOG.md", "Makefile")
@@ -82,7 +82,7 @@ def test_a_tag_is_not_used_twice(project: Path) -> None:
 def test_the_placeholder_is_in_no_other_file() -> None:
     command = ["git", "grep", "-lI", check_release.PLACEHOLDER]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, encoding="utf-8").stdout
-    tools = {"Makefile", "scripts/check_release.py"}
+    tools = {"Makefile", "scripts/release/check_release.py"}
     files = {name for name in listed.splitlines() if not name.startswith("tests/")} - tools
     assert files <= set(check_release.PLACEHOLDER_FILES)
 

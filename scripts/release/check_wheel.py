@@ -2,7 +2,7 @@
 
 Exits 1 if the environment is larger than the bar, or if a command fails.
 
-    python scripts/check_wheel.py dist
+    python scripts/release/check_wheel.py dist
 """
 
 import json
@@ -42,7 +42,7 @@ def check(wheel: Path, folder: Path) -> int:
     venv.create(folder / "venv", with_pip=True)
     binaries = folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin")
     python = binaries / "python"
-    constraints = Path(__file__).resolve().parents[1] / "constraints.txt"
+    constraints = Path(__file__).resolve().parents[2] / "constraints.txt"
     pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--no-compile"]
     _run([*pip, "-c", constraints, wheel], folder)
     size = sum(file.stat().st_size for file in folder.rglob("*") if not file.is_symlink())

@@ -2,7 +2,7 @@
 
 Prints every fault with its place and exits 1 if there is one, else the tag of the release.
 
-    .venv/bin/python scripts/check_release.py
+    .venv/bin/python scripts/release/check_release.py
 """
 
 import re
@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PLACEHOLDER = "OWNER/gsgen"
 """Stands for the repository until `make owner` has written its name."""
 PLACEHOLDER_FILES = (
