@@ -23,7 +23,12 @@ def main(words: Sequence[str]) -> int:
     """Install what ``words`` name, as `pip install` understands them; return the exit code."""
     uv = Path(sys.executable).with_name("uv")
     if uv.exists() or _pip("--only-binary", ":all:", "uv") == 0:
-        listed = subprocess.check_output([*_PIP, "config", "list"], cwd=_ROOT, text=True)
+        listed = subprocess.check_output(
+            [*_PIP, "config", "list"],
+            cwd=_ROOT,
+            env=os.environ | {"PYTHONIOENCODING": "utf-8"},
+            encoding="utf-8",
+        )
         command = [uv, "pip", "install", "--quiet", "--python", sys.executable]
         command += ["--index-strategy", "unsafe-best-match", "-c", "constraints.txt", *words]
         environment = uv_settings(listed) | os.environ
