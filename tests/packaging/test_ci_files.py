@@ -184,6 +184,22 @@ class TestAction:
         assert (ran.returncode, ran.stdout) == (0, ""), ran.stderr
         assert '"verdict": "conforms"' in (models / "report.json").read_text("utf-8")
 
+    @pytest.mark.parametrize(("named", "code"), [({}, 0), ({"fail-on": "warning"}, 1)])
+    def test_inputs_that_are_not_set_leave_the_project_s_file_its_say(
+        self, models: Path, named: dict[str, str], code: int
+    ) -> None:
+        text = '[validate]\ntarget = "webgpu"\nlevel = "values"\n[severity]\nGV003 = "warning"\n'
+        (models / "gsgen.toml").write_text(text, "utf-8")
+        inputs = {"models": "opacity_is_logits.onnx", "format": "json", "python": sys.executable}
+        ran = run_step("Validate", inputs | named, models)
+        assert ran.returncode == code, ran.stderr
+        report = json.loads(ran.stdout)
+        assert (report["target"], report["level"]) == ("webgpu@1.0", "values")
+
+    def test_names_of_models_are_trimmed(self, models: Path) -> None:
+        inputs = {"models": "  a good one.onnx \r\n\r\n", "python": sys.executable}
+        assert run_step("Validate", inputs, models).returncode == 0
+
     def test_a_missing_model_fails_the_step(self, models: Path) -> None:
         ran = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
         assert ran.returncode == 4
