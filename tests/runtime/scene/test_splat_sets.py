@@ -12,6 +12,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from support.rendering.splat_scenes import camera, cloud, single, turned
+from support.splat_files import scene
 
 
 def merged(*parts: SplatData) -> SplatData:
@@ -138,3 +139,14 @@ def test_rows_that_cannot_be_drawn_say_so() -> None:
         SplatData(rows, color[:, :2], "sh")
     with pytest.raises(SceneInvalid, match="count: is 2, expected 0 to 1"):
         SplatData(rows, color, "rgb", count=2)
+
+
+@pytest.mark.parametrize("entry", ["garden.ply", 7, scene(3, 0)])
+def test_a_set_of_another_type_is_refused(entry: object) -> None:
+    with pytest.raises(SceneInvalid, match=f"type {type(entry).__name__}, expected SplatData"):
+        Scene([entry])  # type: ignore[list-item]
+
+
+def test_a_renderer_draws_scenes_alone(renderer: Renderer) -> None:
+    with pytest.raises(SceneInvalid, match="type str, expected a Scene"):
+        renderer.render("garden.ply", camera())  # type: ignore[arg-type]

@@ -1,5 +1,8 @@
 """How a window begins, takes dropped files, and ends."""
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,6 +61,27 @@ def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
     made = np.asarray(canvas.draw())
     assert made.shape == (*SIZE[::-1], 4)
     assert made[..., :3].max() > 60
+
+
+def test_view_without_a_screen_raises_before_a_window_aborts_the_process() -> None:
+    program = (
+        "from gsgen.runtime import view\n"
+        "from gsgen.runtime.errors import DisplayUnavailable\n"
+        "try:\n    view('cloud.ply')\n"
+        "except DisplayUnavailable as error:\n    print(error)\n"
+    )
+    names = ("DISPLAY", "WAYLAND_DISPLAY")
+    without_screen = {name: value for name, value in os.environ.items() if name not in names}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=without_screen,
+        capture_output=True,
+        encoding="utf-8",
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "no window can be opened" in done.stdout
+    assert "pip install anywidget" in done.stdout
 
 
 def test_files_that_are_dropped_on_a_window_are_opened(

@@ -25,8 +25,15 @@ def checked(
         published: See :class:`gsgen.runtime.renderer.renderer.Renderer`.
 
     Raises:
-        SceneInvalid: ``outputs`` or ``background`` is invalid, or the scene if ``published``.
+        SceneInvalid: ``outputs`` or ``background`` is invalid, or the scene if ``published``; or
+            ``scene`` is of another type.
     """
+    if not isinstance(scene, Scene):
+        raise SceneInvalid(
+            f"is of type {type(scene).__name__}, expected a Scene",
+            where="scene",
+            hint="Scene([SplatData.from_splats(gsgen.formats.open_splats(file))]) reads a file.",
+        )
     requested = _known_outputs(outputs)
     if published:
         _require_alone(scene)

@@ -120,7 +120,8 @@ class Scene:
         pools: Pools, whose tiles may change between frames; they count as sets after ``sets``.
 
     Raises:
-        SceneInvalid: The sets have different colour spaces, and ``color_space`` is None.
+        SceneInvalid: The sets have different colour spaces, and ``color_space`` is None; or one of
+            ``sets`` is of another type.
     """
 
     sets: tuple[SplatSet, ...]
@@ -135,10 +136,7 @@ class Scene:
         meshes: Iterable[Mesh | MeshData] = (),
         pools: Iterable[PooledSet | SplatPool] = (),
     ) -> None:
-        splat_sets = tuple(
-            splat_set if isinstance(splat_set, SplatSet) else SplatSet(splat_set)
-            for splat_set in sets
-        )
+        splat_sets = tuple(map(_as_set, sets))
         object.__setattr__(self, "sets", splat_sets)
         object.__setattr__(self, "color_space", color_space or _common_space(splat_sets))
         stood = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
@@ -178,6 +176,18 @@ class Scene:
     def __len__(self) -> int:
         own = sum(len(splat_set.data) for splat_set in self.sets)
         return own + sum(len(pooled.pool) for pooled in self.pools)
+
+
+def _as_set(entry: SplatSet | SplatData) -> SplatSet:
+    if isinstance(entry, SplatSet):
+        return entry
+    if isinstance(entry, SplatData):
+        return SplatSet(entry)
+    raise SceneInvalid(
+        f"one is of type {type(entry).__name__}, expected SplatData or SplatSet",
+        where="sets",
+        hint="A file is read by SplatData.from_splats(gsgen.formats.open_splats(file)).",
+    )
 
 
 def _common_space(sets: Iterable[SplatSet]) -> Literal["srgb", "linear"]:

@@ -169,6 +169,15 @@ def _canvas(size: tuple[int, int]) -> "BaseRenderCanvas":
             f"no canvas can be created: {error}",
             hint="In a notebook: pip install anywidget. Elsewhere: pip install 'gsgen[runtime]'.",
         ) from error
+    if RenderCanvas.__module__ == "rendercanvas.glfw":  # it would abort the process
+        try:
+            require_display()
+        except DisplayUnavailable as error:
+            hint = (
+                "In a notebook: pip install anywidget. Without a screen: "
+                "Renderer().render(scene, camera) returns a picture."
+            )
+            raise DisplayUnavailable(error.message, hint=error.hint or hint) from error
     return RenderCanvas(size=size, title="gsgen", max_fps=_MAX_FPS)
 
 
