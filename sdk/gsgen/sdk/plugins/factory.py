@@ -1,12 +1,12 @@
 """Imports the user's factory of `gsgen export module:factory`, and calls it with `--arg`."""
 
-__all__ = ["Factory", "is_target", "load_factory", "require_torch"]
+__all__ = ["Factory", "is_target", "load_factory", "locate_errors", "require_torch"]
 
 import importlib
 import inspect
 import sys
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.util import find_spec
@@ -210,6 +210,22 @@ def _checked(module: Any, target: str) -> Any:
         )
     message = f"returns {name_of(type(module))}, expected a GaussianGenerator"
     raise GeneratorInvalid(message, where=target, hint=hint)
+
+
+def locate_errors(build: Callable[[], Any], name: str) -> Callable[[], Any]:
+    """Return a plugin's ``build`` whose errors name the plugin and the line of its code."""
+
+    def located_build() -> Any:
+        try:
+            return build()
+        except GsgenError:
+            raise
+        except Exception as error:  # the plugin's code may raise anything
+            if isinstance(error, ModuleNotFoundError):
+                require_torch()
+            raise _raised(error, name) from error
+
+    return located_build
 
 
 def _raised(error: Exception, where: str) -> GsgenError:

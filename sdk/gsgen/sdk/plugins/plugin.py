@@ -117,9 +117,16 @@ class Plugin:
         assert self.build is not None
         from gsgen.sdk.plugins.export_job import run_export
         from gsgen.sdk.plugins.export_options import with_common_options
+        from gsgen.sdk.plugins.factory import locate_errors
+
+        # An exception of one of our own plugins is a fault of gsgen, and stays a crash.
+        is_ours = self.build.__module__.partition(".")[0] == "gsgen"
 
         return with_common_options(
-            self.build, lambda build, request: run_export(build, request, self.name)
+            self.build,
+            lambda build, request: run_export(
+                build if is_ours else locate_errors(build, self.name), request, self.name
+            ),
         )
 
 
