@@ -52,6 +52,7 @@ def test_the_package_installs_exports_and_passes_its_own_tests(
     assert done.returncode == 0, done.stdout + done.stderr
     assert " passed" in done.stdout
     assert "failed" not in done.stdout
+    assert "warning" not in done.stdout  # a new package has no findings
     listed = gsgen("export", "--help", env={"PYTHONPATH": str(tmp_path)})
     assert "acme-splats" in listed.out
 
