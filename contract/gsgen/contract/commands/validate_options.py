@@ -56,5 +56,5 @@ Output = Annotated[
 Jobs = Annotated[
     int, typer.Option("-j", "--jobs", help="Number of models to validate at once.", min=1)
 ]
-Strict = Annotated[bool, typer.Option(help="A missing manifest is an error.")]
+Strict = Annotated[bool, typer.Option(help="A missing manifest is an error for every target.")]
 Times = Annotated[bool, typer.Option(help="Report how long it took; equal inputs then differ.")]

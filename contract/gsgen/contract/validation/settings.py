@@ -38,7 +38,7 @@ class Settings:
         ignore: Rules whose findings are reported but do not count.
         severities: Rule id → severity, in place of those of target and rule.
         limits: Time and memory limits for running the model.
-        strict: A missing manifest is an error.
+        strict: A missing manifest is an error for every target.
         seed: Seed of the probe set.
         source: The file that the settings were read from, for the report.
         tolerances: Field → largest difference of executions, in place of the manifest's.
@@ -239,7 +239,10 @@ def _validate_schema(names: list[str], severities: list[str]) -> dict[str, objec
             "minimum": 64,
             "description": "Memory for running a model, in MiB.",
         },
-        "strict": {"type": "boolean", "description": "A missing manifest is an error."},
+        "strict": {
+            "type": "boolean",
+            "description": "A missing manifest is an error for every target.",
+        },
         "seed": {"type": "integer", "minimum": 0, "description": "Seed of the probe set."},
     }
 

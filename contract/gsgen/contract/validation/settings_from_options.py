@@ -51,7 +51,7 @@ def make_settings(
             else ``pyproject.toml`` if that has a table ``[tool.gsgen]``.
         timeout: Seconds for all runs of a model together.
         memory: Memory for running a model, in MiB.
-        strict: A missing manifest is an error.
+        strict: A missing manifest is an error for every target.
         seed: Seed of the probe set.
         prefix: Start of option names, for messages.
 
