@@ -72,6 +72,23 @@ def test_one_suite_alone(folder: Path) -> None:
     assert "  basic " not in ran.out
 
 
+def test_a_suite_that_applies_to_no_model_does_not_pass(folder: Path) -> None:
+    (model,) = write(folder, "drift")
+    ran = gsgen_here("conformance", model, "--suite", "camera", "--level", "static")
+    assert ran.code == 2
+    assert "the suite 'camera' applies to no tested model" in ran.err
+    assert "Those that apply: basic, time" in ran.err
+
+
+def test_a_folder_and_a_glob_name_their_models(folder: Path) -> None:
+    write(folder, "drift", "still_rgb")
+    for name in (folder, folder / "*.onnx"):
+        ran = gsgen_here("conformance", name, "--level", "static")
+        assert ran.code == 0
+        assert "drift.onnx" in ran.out
+        assert "still_rgb.onnx" in ran.out
+
+
 def test_exit_codes_are_those_of_validate(folder: Path) -> None:
     (model,) = write(folder, "drift")
     empty = folder / "empty.onnx"

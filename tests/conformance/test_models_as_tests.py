@@ -82,6 +82,14 @@ def test_a_broken_model_fails_with_its_rule_and_a_line_that_shows_it_again(
     assert len(dumps) == (0 if rule == "GI001" else 1)
 
 
+def test_a_folder_names_all_models_in_it(folder: Path) -> None:
+    write(folder, "drift", "still_rgb")
+    ran = run_pytest(folder, f"--gsgen={folder}", "--gsgen-level=static", "-k", "GM001", "-v")
+    assert ran.code == 0, ran.out
+    assert "2 passed" in ran.out
+    assert run_pytest(folder, "--gsgen=none*.onnx").code == pytest.ExitCode.USAGE_ERROR
+
+
 def test_the_dump_holds_what_went_in_and_what_came_out(folder: Path) -> None:
     write(folder, "drift")
     import onnx

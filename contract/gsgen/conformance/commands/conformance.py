@@ -28,7 +28,9 @@ class Format(StrEnum):
 
 
 def conformance(
-    models: Annotated[list[Path], typer.Argument(help="ONNX files.", show_default=False)],
+    models: Annotated[
+        list[Path], typer.Argument(help="ONNX files, folders and globs.", show_default=False)
+    ],
     suite: Annotated[
         list[str] | None,
         typer.Option(help="Only this suite: basic, camera, time, avatar, …; repeatable."),
@@ -55,15 +57,18 @@ def conformance(
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
     from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.tools.model_paths import expand_paths
     from gsgen.contract.validation.settings_from_options import make_settings
 
+    files = expand_paths(models)
     registry = installed_rules()
     settings = make_settings(registry, level=level, target=target, fail_on=fail_on, config=config)
     suites = [find_suite(name).name for name in suite or ()]
     expected = read_expected(xfails, registry) if xfails else ()
     dumps = Dumps(dump) if dump else None
-    entries = [_test(model, settings, suites, expected, dumps) for model in models]
+    entries = [_test(model, settings, suites, expected, dumps) for model in files]
     _print(entries, Format.JSON if as_json else format)
+    _refuse_idle_suites(entries, settings, suites)
     _refuse_strangers(entries, settings, expected)
     raise typer.Exit(exit_code(entries))
 
@@ -101,6 +106,22 @@ def _print(entries: "list[Entry]", format: Format) -> None:
             show(lines_of(entry))
     if format is Format.JSON:
         typer.echo(to_json(entries))
+
+
+def _refuse_idle_suites(entries: "list[Entry]", settings: "Settings", suites: "list[str]") -> None:
+    """Raise if a requested suite applies to no tested model: nothing was tested by it."""
+    from gsgen.conformance.run import ModelRun, suites_of
+
+    runs = [entry for entry in entries if isinstance(entry, ModelRun)]
+    tested = {name for run in runs for name in run.suites}
+    idle = [name for name in suites if name not in tested]
+    if not runs or not idle:
+        return
+    known = dict.fromkeys(
+        name for run in runs for name in suites_of(Path(run.report.path), settings)
+    )
+    message = f"the suite {idle[0]!r} applies to no tested model"
+    raise ConfigInvalid(message, where="--suite", hint=f"Those that apply: {', '.join(known)}.")
 
 
 def _refuse_strangers(

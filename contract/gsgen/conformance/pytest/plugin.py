@@ -29,7 +29,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="MODEL",
-        help="Test this ONNX file by the contract, one test a rule; repeatable.",
+        help="Test this ONNX file by the contract, one test a rule; repeatable. A folder or a glob "
+        "names all in it.",
     )
     for name, metavar, text in _OPTIONS:
         group.addoption(f"--gsgen-{name}", metavar=metavar, help=text)
@@ -59,10 +60,17 @@ _OPTIONS = (
 def pytest_configure(config: pytest.Config) -> None:
     """Add models named with ``--gsgen`` to pytest's paths; without other paths, test only those."""
     config.addinivalue_line("markers", f"{_MARK}(request): give a test each rule of some models")
-    models = [str(Path(name)) for name in config.getoption("--gsgen")]
-    if not models:
+    if not config.getoption("--gsgen"):
         return
     from gsgen.conformance.pytest.session import ConformanceSession
+    from gsgen.contract.errors import ConfigInvalid
+    from gsgen.contract.tools.model_paths import expand_paths
+
+    try:
+        models = [str(path) for path in expand_paths(map(Path, config.getoption("--gsgen")))]
+    except ConfigInvalid as error:
+        raise pytest.UsageError(f"gsgen: --gsgen: {error}") from error
+    config.option.gsgen = models
 
     ConformanceSession.of(config)  # a wrong option ends the run here
     if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR:

@@ -101,7 +101,8 @@ def _severities(registry: Registry, entries: Iterable[str], where: str) -> dict[
     for entry in entries:
         name, sign, word = entry.partition("=")
         if not sign:
-            hint = f"Write it as {name}=error."
+            rule, colon, severity = name.partition(":")
+            hint = f"Write it as {rule}={severity if colon else 'error'}."
             raise ConfigInvalid(
                 f"{entry!r} has no '=': expected RULE=SEVERITY", where=where, hint=hint
             )
