@@ -4,6 +4,7 @@ from types import ModuleType
 
 import pytest
 
+from gsgen.contract.errors import UnknownName
 from gsgen.contract.rules import catalogue as installed
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
 from gsgen.contract.spec.fields.roles import KINDS
@@ -100,6 +101,32 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
         f"ImportError: rules {name} = absent_module_of_acme do not load: "
         "ModuleNotFoundError(\"No module named 'absent_module_of_acme'\")"
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("from gsgen.contract.rules import absent\n", "faulty_acme.py:1 (from gsgen"),
+        (
+            "from gsgen.contract.rule import Severity, rule\n\n"
+            "@rule('acme/AC001', 'a-b', Severity.ERROR, over='modle', fixture='')\n"
+            "def check(model):\n    'One. Why: two.'\n",
+            "over is 'modle', expected one of model, ",
+        ),
+    ],
+)
+def test_a_fault_in_a_plugin_s_module_names_its_line(plugin, tmp_path, monkeypatch, text, place):
+    (tmp_path / "faulty_acme.py").write_text(text, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "faulty_acme", raising=False)
+    plugin("acme", "faulty_acme")
+    (rule,) = foreign()
+    with pytest.raises(ImportError) as raised:
+        list(rule.check(None))
+    assert place in str(raised.value)
+    assert "faulty_acme.py:" in str(raised.value)
+    with pytest.raises(UnknownName, match="rules of 'acme' do not load"):
+        installed_rules().find("acme/AC001")
 
 
 def test_two_plugins_that_do_not_load_are_two_rules(plugin):

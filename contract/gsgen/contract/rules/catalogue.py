@@ -3,9 +3,11 @@
 __all__ = ["FAMILIES", "builtin_rules", "installed_rules", "model_rules"]
 
 import re
+import traceback
 from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
@@ -177,9 +179,20 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
         Hint:
             Repair or uninstall the package that registers them.
         """
-        raise ImportError(f"rules {point.name} = {point.value} do not load: {error!r}")
+        message = f"rules {point.name} = {point.value} do not load: {error!r}"
+        raise ImportError(f"{message}{_place_of(error)}")
 
     return plugin_loads
+
+
+def _place_of(error: BaseException) -> str:
+    """Return the file and line of a plugin's code that raised an error, if its code ran."""
+    own = str(Path(__file__).parents[1])
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        is_import = frame.filename.startswith("<") or "importlib" in Path(frame.filename).parts
+        if not is_import and not frame.filename.startswith(own):
+            return f", at {Path(frame.filename).name}:{frame.lineno} ({frame.line})"
+    return ""
 
 
 def _load(point: EntryPoint) -> tuple[list[Rule], list[LevelBackend]]:

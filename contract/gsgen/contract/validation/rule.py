@@ -142,7 +142,8 @@ def rule(
         level: The first level that can check it; by default, that of the scope.
 
     Raises:
-        ValueError: The id, the slug or the docstring does not have that form.
+        ValueError: The id, the slug or the docstring does not have that form, or no scope has the
+            name ``over``.
     """
 
     def declare(check: Check) -> Rule:
@@ -150,6 +151,8 @@ def rule(
             raise ValueError(
                 f"the rule is named {id} {slug}, expected an id like GV003 and a slug like opacity-range"
             )
+        if over not in _LEVELS:
+            raise ValueError(f"{id}: over is {over!r}, expected one of {', '.join(_LEVELS)}")
         statement, rationale, hint, evidence = _sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
@@ -275,6 +278,8 @@ def _nearest(stem: str, number: int, ids: list[str]) -> str:
     owner, slash, letters = stem.rpartition("/")
     family = f"{owner.lower()}{slash}{letters.upper()}"
     code = f"{family}{number:03}"
+    if slash and any(rule_id.startswith(f"{owner.lower()}/XX") for rule_id in ids):
+        return f"The rules of {owner.lower()!r} do not load; `gsgen validate` tells why."
     kin = [rule_id for rule_id in ids if rule_id[:-3] == family]
     likely = [rule_id for rule_id in ids if rule_id == code or rule_id.endswith(f"/{code}")]
     likely = likely or [rule_id for rule_id in kin if _mistyped(rule_id, code)]
