@@ -163,7 +163,24 @@ def _import_libraries() -> None:
 
     for command in find_commands().values():
         command.load()
+    _make_tables_of_operators()
     gc.freeze()
+
+
+def _make_tables_of_operators() -> None:
+    """Make torch's tables for exports, which every program that exports would make anew."""
+    import pytest
+    from torch._export import utils
+    from torch.onnx._internal.exporter import _constants, _registration
+
+    tests = str(Path(__file__).parents[1])
+    sys.path.insert(0, tests)
+    from support.reports.one_registry import share_operators
+
+    sys.path.remove(tests)  # a reader's program finds no tests
+    share_operators(pytest.MonkeyPatch())
+    _registration.ONNXRegistry.from_torchlib(opset_version=_constants.TORCHLIB_OPSET)
+    utils._collect_all_valid_cia_ops()
 
 
 if __name__ == "__main__":
