@@ -200,6 +200,13 @@ class TestAction:
         inputs = {"models": "  a good one.onnx \r\n\r\n", "python": sys.executable}
         assert run_step("Validate", inputs, models).returncode == 0
 
+    def test_a_wrong_option_is_annotated(self, models: Path) -> None:
+        inputs = {"models": "*.onnx", "target": "webgpus", "python": sys.executable}
+        ran = run_step("Validate", inputs, models)
+        assert ran.returncode == 2
+        assert "::error title=gsgen::" in ran.stdout
+        assert "webgpus" in ran.stderr
+
     def test_a_missing_model_fails_the_step(self, models: Path) -> None:
         ran = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
         assert ran.returncode == 4

@@ -143,6 +143,13 @@ def test_a_plugin_cannot_take_the_place_of_a_rule(plugin):
         list(rule.check(None))
 
 
+def test_an_id_without_a_name_in_front_is_gsgen_s_own(plugin):
+    plugin("acme", rule=made_up("AC001"))
+    (rule,) = foreign()
+    with pytest.raises(ImportError, match="AC001 has no name in front, expected acme/AC001"):
+        list(rule.check(None))
+
+
 def test_a_plugin_that_names_something_else_is_a_rule_that_crashes(plugin, monkeypatch):
     monkeypatch.setattr(EntryPoint, "load", lambda self: [3])
     plugin("acme", "acme:RULES")

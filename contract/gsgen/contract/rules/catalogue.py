@@ -151,11 +151,23 @@ def _registry(*groups: str) -> Registry:
             loaded, loaded_backends = _load(point)
             # Raises if an id or a level is already taken.
             Registry.of([*rules, *loaded], [*backends, *loaded_backends])
+            _require_owner(point, loaded)
         except Exception as error:  # a third party's import may fail in any way
             loaded, loaded_backends = [_unloadable(point, number, error)], []
         rules.extend(loaded)
         backends.extend(loaded_backends)
     return Registry.of(rules, backends)
+
+
+def _require_owner(point: EntryPoint, rules: list[Rule]) -> None:
+    """Raise if a package other than gsgen registers an id without a name in front."""
+    if point.value.partition(".")[0] == "gsgen":
+        return
+    for entry in rules:
+        if "/" not in entry.id:
+            raise ValueError(
+                f"rule {entry.id} has no name in front, expected {point.name}/{entry.id}"
+            )
 
 
 def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
