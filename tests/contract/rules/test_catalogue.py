@@ -30,6 +30,11 @@ def test_every_rule_has_an_id_and_a_name_of_its_own():
     assert Registry.of(rules)
 
 
+def test_every_rule_names_each_rule_that_it_needs_once():
+    for rule in builtin_rules():
+        assert len(set(rule.needs)) == len(rule.needs), rule.id
+
+
 def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():
     for rule in builtin_rules():
         assert rule.kinds

@@ -165,7 +165,7 @@ def rule(
             hint=hint,
             fixture=fixture,
             check=check,
-            needs=needs,
+            needs=tuple(dict.fromkeys(needs)),  # groups of rules overlap
             kinds=kinds,
             target=target,
             limit=limit,
