@@ -58,7 +58,8 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A reader refuses a model that requires what it does not know; an extension that nobody else
-        can look up closes the model to all readers but one.
+        can look up closes the model to all readers but one. A viewer that refuses it names the
+        extension, and shows nothing of the model.
 
     Hint:
         Register the extension as the page of extensions says, or do not require it.

@@ -100,6 +100,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A newer major version may change what a field means, so guessing would be wrong in silence.
+        A viewer refuses the model, and shows nothing of it.
 
     Hint:
         Update gsgen, or export the model for the contract version that your readers know.

@@ -26,7 +26,8 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
 
     Why:
         ONNX Runtime only logs a warning where they differ, and readers have sized their buffers by
-        the declaration.
+        the declaration. A viewer draws the rows that the run gave, or treats the frame as one that
+        failed; it never reads beyond them.
 
     Hint:
         Declare what the operators compute, or give data-dependent outputs a fixed capacity.

@@ -187,7 +187,8 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The row count lies between 0 and the number of packed rows, at every probe (test inputs).
 
     Why:
-        A renderer that believes a count above the capacity reads beyond the buffer.
+        A renderer that believes a count above the capacity reads beyond the buffer. A viewer takes
+        9 of 5 rows as 5, and a count below 0 as 0.
 
     Hint:
         Clamp the count to the number of rows that are returned.
