@@ -1,6 +1,7 @@
 """The guide "Write a viewer": what follows the specification alone draws what gsgen draws."""
 
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,6 +11,7 @@ import onnxruntime as ort
 import pytest
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.arrays import i32
 from gsgen.runtime import Camera, Scene, SplatData, SplatSet
 from gsgen.runtime.oracle import render as oracle
 from gsgen.sdk.binding import FrameSession
@@ -30,7 +32,14 @@ MODELS = [
     ("flat_disks", AMONG),
     ("opacity_at_its_ends", FAR),
     ("bright_sh", AMONG),
+    ("nan_color", FAR),
+    ("nan_row", FAR),
+    ("indefinite_covariance", FAR),
+    ("axes_without_variance", FAR),
+    ("count_above_capacity", FAR),
+    ("shape_differs_at_run", FAR),
 ]
+OFF_CENTER = (0.0, 31.0)  # the principal point, at the left and near the lower edge
 DEFAULTS = [
     "avatar",
     "slider",
@@ -71,15 +80,19 @@ def fed(viewer: ModuleType, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("name", "eye"), MODELS)
+@pytest.mark.parametrize("center", [None, OFF_CENTER], ids=["centred", "off-centre"])
 def test_the_picture_is_that_of_the_oracle(
     name: str,
     eye: tuple[float, float, float],
+    center: tuple[float, float] | None,
     viewer: ModuleType,
     fed: dict[str, Any],
     tmp_path: Path,
 ) -> None:
     path = find(name).write(tmp_path)
     lens = viewer.look_at(eye, (0, 0, 0), size=SIZE, fov=FOV)
+    if center is not None:
+        lens |= dict(zip(("cx", "cy"), center, strict=True))
     picture = viewer.frame(str(path), lens)
     session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     manifest = viewer.read_manifest(session)
@@ -87,7 +100,8 @@ def test_the_picture_is_that_of_the_oracle(
     names = [outputs[one]["name"] for one in ("gaussians", "appearance", "count")]
     rows, looks, count = session.run(names, fed)
     space = outputs["appearance"]["space"]
-    data = SplatData(rows, looks, space, count=int(count[0]))
+    live = min(int(count[0]), len(rows))
+    data = SplatData(rows, looks, space, count=live)
     scene = Scene([SplatSet(data, antialias=manifest.get("antialias", "classic"))])
     wanted = oracle.render(scene, Camera(**lens))
     assert wanted.visible > 0
@@ -117,3 +131,59 @@ def test_missing_inputs_are_fed_as_gsgen_feeds_them(
         again = session.run(fed, copy=True)
         for output in session.outputs:
             np.testing.assert_array_equal(again[output], wanted[output])
+
+
+def altered(name: str, path: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
+    """Write a fixture with an edited manifest to ``path``."""
+    find(name).draw().rewritten(edit).write(path)
+    return path
+
+
+def test_a_count_below_zero_counts_as_zero(viewer: ModuleType, tmp_path: Path) -> None:
+    path = tmp_path / "negative.onnx"
+    spec = find("still_sh0").draw()
+    lens = viewer.look_at(FAR, (0, 0, 0), size=SIZE)
+    spec.write(path)
+    assert viewer.frame(str(path), lens).max() > 0.1
+    spec.weighing(live=i32(-1)).write(path)
+    assert viewer.frame(str(path), lens).max() == 0
+
+
+def test_the_fourth_channel_of_rgb_may_be_nan(viewer: ModuleType, tmp_path: Path) -> None:
+    path = tmp_path / "fourth.onnx"
+    spec = find("still_half_rgb4").draw()
+    lens = viewer.look_at(FAR, (0, 0, 0), size=SIZE)
+    spec.write(path)
+    right = viewer.frame(str(path), lens)
+    spec.altered("colors", np.s_[:, 3], np.nan).write(path)
+    np.testing.assert_array_equal(viewer.frame(str(path), lens), right)
+
+
+def test_a_required_extension_is_refused_by_its_name(viewer: ModuleType, tmp_path: Path) -> None:
+    path = find("extension_unregistered").write(tmp_path)
+    with pytest.raises(SystemExit, match="x-studio-relight"):
+        viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+
+
+@pytest.mark.parametrize("version", ["2.0", "1", "1.x", "", None])
+def test_other_versions_are_refused(
+    version: str | None, viewer: ModuleType, tmp_path: Path
+) -> None:
+    path = altered("still_sh0", tmp_path / "m.onnx", lambda m: m.update(contract=version))
+    with pytest.raises(SystemExit, match=r"expected a generator of 1\.x"):
+        viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+
+
+def test_a_newer_minor_version_is_drawn_with_a_note(
+    viewer: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = altered("still_sh0", tmp_path / "m.onnx", lambda m: m.update(contract="1.9"))
+    picture = viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+    assert picture.max() > 0.1
+    assert "1.9 is newer" in capsys.readouterr().err
+
+
+def test_other_kinds_are_refused(viewer: ModuleType, tmp_path: Path) -> None:
+    path = find("trajectory").write(tmp_path)
+    with pytest.raises(SystemExit, match="trajectory-predictor"):
+        viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
