@@ -12,17 +12,19 @@ from jsonschema import Draft202012Validator
 from PIL import Image
 
 from gsgen.conformance.viewer_kit.check_viewer import (
-    PictureUnreadable,
     check_viewer,
     compare,
-    decode_png,
-    encode_png,
     page_of,
-    read_picture,
     suspected_faults,
 )
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.picture_files import (
+    PictureUnreadable,
+    decode_png,
+    encode_png,
+    read_picture,
+)
 from gsgen.conformance.viewer_kit.write import TOLERANCE, kit_cases, write_kit
 from gsgen.contract import validate
 from gsgen.contract.errors import ConfigInvalid

@@ -146,11 +146,13 @@ class _FindsByShape(Viewer):
 
 
 class _LosesWeights(Viewer):
-    """Draws nothing where a model has weights in another file."""
+    """Shows an empty screen where a model has weights in another file."""
 
     def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
-        if not case.spec().external:
-            super().draw(model, case, render, folder)
+        def black(scene: Scene, camera: Camera) -> np.ndarray:
+            return np.zeros((camera.height, camera.width, 4))
+
+        super().draw(model, case, black if case.spec().external else render, folder)
 
 
 class _ForgetsRole(Viewer):

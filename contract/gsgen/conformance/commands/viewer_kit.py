@@ -56,7 +56,8 @@ def check(
 ) -> None:
     """Compare a viewer's PICTURES with those of the test kit KIT, and name the likely faults.
 
-    Exits 0 if every case passes, 1 if one fails, 4 if the kit cannot be read.
+    Exits 0 if every case passes, 1 if one fails, 4 if the kit or the folder of pictures cannot be
+    read.
     """
     from gsgen.conformance.viewer_kit import check_viewer as checking
     from gsgen.contract.process.atomic_files import atomic_write, refuse_model
@@ -66,10 +67,10 @@ def check(
     try:
         result = checking.check_viewer(kit, pictures)
     except checking.KitUnreadable as error:
-        raise InputUnreadable(str(error)) from error
-    if html is not None:
-        with atomic_write(html) as draft:
-            draft.write_text(checking.page_of(kit, pictures, result), "utf-8")
+        raise InputUnreadable(str(error), hint=error.hint) from error
     text = json.dumps(result, indent=2, ensure_ascii=False) if as_json else None
     typer.echo(text or checking.summary_of(result).rstrip())
+    if html is not None:  # after the verdict, which a page that cannot be written must not hide
+        with atomic_write(html) as draft:
+            draft.write_text(checking.page_of(kit, pictures, result), "utf-8")
     raise typer.Exit(ExitCode.FAILURE if result["verdict"] == "failed" else ExitCode.SUCCESS)

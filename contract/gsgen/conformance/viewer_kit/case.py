@@ -1,6 +1,16 @@
 """Test cases for viewers: a model, the frames to draw, and the viewer faults that they reveal."""
 
-__all__ = ["HEIGHT", "WIDTH", "KitCamera", "KitCase", "KitFrame", "kit_camera", "orbit_frame"]
+__all__ = [
+    "EVERY",
+    "EVERY_SH",
+    "HEIGHT",
+    "WIDTH",
+    "KitCamera",
+    "KitCase",
+    "KitFrame",
+    "kit_camera",
+    "orbit_frame",
+]
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +27,12 @@ WIDTH: Final = 64
 
 HEIGHT: Final = 48
 """Height of the pictures, in pixels."""
+
+EVERY: Final = ("rows", "dilation", "encoded-twice")
+"""The faults that spoil every case whose colours are sRGB."""
+
+EVERY_SH: Final = (*EVERY, "sh-offset", "sh-stride")
+"""The faults that spoil every case with SH of a degree below 3 and more than one row."""
 
 _NEAR: Final = 0.01
 _FOCAL: Final = 60.0
@@ -71,6 +87,8 @@ class KitCase:
         spec: The model.
         frames: The frames, in the order in which they are drawn in one session.
         breaks: The ids of the rules that the model breaks on purpose.
+        slight: Those of ``faults`` whose difference is near the tolerance, so that a viewer with
+            the fault may pass.
     """
 
     name: str
@@ -79,6 +97,7 @@ class KitCase:
     spec: Callable[[], ModelSpec]
     frames: tuple[KitFrame, ...]
     breaks: tuple[str, ...] = ()
+    slight: tuple[str, ...] = ()
 
 
 def kit_camera(

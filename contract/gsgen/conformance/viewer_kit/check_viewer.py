@@ -4,36 +4,44 @@
 
 A picture of frame N of a case is PICTURES/CASE-N.npy or CASE-N.png: what the screen shows over
 black, [height, width, 3 or 4]. Floats of four channels are multiplied by alpha; PNGs are not.
-Exits 0 if all cases pass, 1 if one fails, 2 if a file cannot be read.
+Exits 0 if all cases pass, 1 if one fails, 2 if the call is wrong or the page or the result cannot
+be written, 4 if the kit or the folder of pictures cannot be read.
 """
 
 import argparse
 import base64
 import html
 import json
-import struct
 import sys
-import zlib
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gsgen.conformance.viewer_kit.picture_files import PictureUnreadable, encode_png, read_picture
+
 RESULT_SCHEMA = "gsgen-viewer-kit-result/1"
 INDEX_SCHEMA = "gsgen-viewer-kit/1"
 
-_PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
-_MAX_BYTES = 64 << 20
 _SHOWN_GAIN = 4.0  # of differences on the page
+_EXPLAINED = 0.8  # share of the failed cases that a suspected fault explains
+_NUMBER = (int, float)
+_FIELDS: dict[str, dict[str, Any]] = {
+    "index": {"tolerance": dict, "faults": list, "cases": list},
+    "tolerance": {"pixel": _NUMBER, "share": _NUMBER, "mean": _NUMBER},
+    "fault": {"id": str, "title": str, "hint": str, "cases": list},
+    "case": {"name": str, "tests": str, "frames": list},
+    "frame": {"picture": str},
+}
 
 
 class KitUnreadable(ValueError):
     """Raised if a viewer test kit or the folder of the viewer's pictures cannot be read."""
 
-
-class PictureUnreadable(ValueError):
-    """Raised if a viewer's picture is missing or cannot be read."""
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.hint = hint
 
 
 def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
@@ -42,19 +50,39 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
     Returns:
         The result as docs describe it: verdict, cases with their frames, and suspected faults.
     """
-    index = read_index(kit)
+    index = _index_beside(kit, pictures)
     if not pictures.is_dir():
         raise KitUnreadable(f"{pictures}: is not a folder, expected that of the viewer's pictures")
-    cases = [_check_case(kit, pictures, case, index["tolerance"]) for case in index["cases"]]
+    cases = [_check_case(kit, pictures, case, index) for case in index["cases"]]
     failed = {case["name"] for case in cases if case["verdict"] == "failed"}
+    differing = {case["name"] for case in cases if any(map(_differs, case["frames"]))}
+    frames = [frame for case in cases for frame in case["frames"]]
+    causes = [frame.get("cause") for frame in frames]
     return {
         "schema": RESULT_SCHEMA,
         "verdict": "failed" if failed else "passed",
         "counts": {"passed": len(cases) - len(failed), "failed": len(failed)},
+        "pictures": {
+            "total": len(frames),
+            "missing": causes.count("missing"),
+            "unreadable": causes.count("unreadable"),
+        },
         "tolerance": index["tolerance"],
-        "faults": suspected_faults(index, failed),
+        "tolerance_8_bits": _tolerance(index, is_png=True),
+        "faults": suspected_faults(index, differing, failed - differing),
         "cases": cases,
     }
+
+
+def _index_beside(kit: Path, pictures: Path) -> dict[str, Any]:
+    """Read the index of a kit; where there is none, hint at one in the folder of pictures."""
+    if (kit / "index.json").exists():
+        return read_index(kit)
+    hint = "`gsgen viewer-kit write FOLDER` writes a kit"
+    if (pictures / "index.json").exists():
+        hint = f"{pictures} holds an index.json: the two folders may be swapped"
+    problem = "holds no index.json" if kit.is_dir() else "is not a folder"
+    raise KitUnreadable(f"{kit}: {problem}, expected the folder of a viewer test kit", hint)
 
 
 def read_index(kit: Path) -> dict[str, Any]:
@@ -63,13 +91,49 @@ def read_index(kit: Path) -> dict[str, Any]:
     try:
         index = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise KitUnreadable(
-            f"{path}: cannot be read as the index of a viewer test kit: {error}"
+            f"{path}: cannot be read as the index of a viewer test kit: {reason}"
         ) from error
     schema = index.get("schema") if isinstance(index, dict) else None
     if schema != INDEX_SCHEMA:
         raise KitUnreadable(f"{path}: the schema is {schema!r}, expected {INDEX_SCHEMA!r}")
+    try:
+        _require_index(index)
+    except KitUnreadable as error:
+        hint = "The file is damaged: write the kit again with `gsgen viewer-kit write FOLDER`"
+        raise KitUnreadable(f"{path}: {error}", hint) from error
     return dict(index)
+
+
+def _require_index(index: dict[str, Any]) -> None:
+    """Raise if an index lacks a field that the comparison reads."""
+    _require_fields("the index", index, "index")
+    for name in {"tolerance", "tolerance_8_bits"} & set(index):
+        _require_fields(name, index[name], "tolerance")
+    for i, fault in enumerate(index["faults"]):
+        _require_fields(f"faults[{i}]", fault, "fault")
+        if not all(isinstance(name, str) for name in fault["cases"]):
+            raise KitUnreadable(f"faults[{i}]: cases is {fault['cases']!r}, expected names")
+    for i, case in enumerate(index["cases"]):
+        _require_fields(f"cases[{i}]", case, "case")
+        for j, frame in enumerate(case["frames"]):
+            _require_fields(f"cases[{i}].frames[{j}]", frame, "frame")
+        if not case["frames"]:
+            raise KitUnreadable(f"cases[{i}]: frames is empty, expected at least one")
+    if not index["cases"]:
+        raise KitUnreadable("cases is empty, expected at least one")
+
+
+def _require_fields(place: str, entry: object, kind: str) -> None:
+    if not isinstance(entry, dict):
+        raise KitUnreadable(f"{place} is a {type(entry).__name__}, expected an object")
+    for name, expected in _FIELDS[kind].items():
+        if name not in entry:
+            raise KitUnreadable(f"{place}: {name} is missing")
+        if not isinstance(entry[name], expected) or isinstance(entry[name], bool):
+            words = {dict: "an object", list: "a list", str: "a text"}.get(expected, "a number")
+            raise KitUnreadable(f"{place}: {name} is {entry[name]!r}, expected {words}")
 
 
 def read_expected(kit: Path, name: str) -> np.ndarray:
@@ -78,27 +142,60 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
     try:
         return np.asarray(np.load(path, allow_pickle=False), np.float64)
     except (OSError, ValueError, EOFError) as error:
-        raise KitUnreadable(f"{path}: the expected picture cannot be read: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise KitUnreadable(f"{path}: the expected picture cannot be read: {reason}") from error
 
 
-def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, Any]]:
-    """Return viewer faults whose test cases all failed, except subsets of another such fault."""
-    whole = {
-        fault["id"]: set(fault["cases"])
-        for fault in index["faults"]
-        if fault["cases"] and failed.issuperset(fault["cases"])
+def suspected_faults(
+    index: dict[str, Any], failed: set[str], unknown: set[str] | frozenset[str] = frozenset()
+) -> list[dict[str, Any]]:
+    """Return the known faults that explain the failed cases, or none.
+
+    A fault is ruled out if one of its cases passed, or if most of them are ``unknown``, because
+    their pictures cannot be read. Of the others, those are suspected that explain 80 % of the
+    failed cases, except subsets of another; if there are none, the one pair that explains all.
+    """
+    spoiled: dict[str, frozenset[str]] = {}
+    for fault in index["faults"]:
+        judged = frozenset(fault["cases"]) - unknown
+        if judged and judged <= failed and 2 * len(judged) >= len(fault["cases"]):
+            spoiled[fault["id"]] = judged
+    largest = {
+        fault: cases
+        for fault, cases in spoiled.items()
+        if not any(cases < other for other in spoiled.values())
     }
-    return [
-        fault
-        for fault in index["faults"]
-        if fault["id"] in whole and not any(whole[fault["id"]] < cases for cases in whole.values())
-    ]
+    slight = {
+        fault["id"]: failed.intersection(fault.get("slight", [])) for fault in index["faults"]
+    }
+    explaining = {
+        cases
+        for fault, cases in largest.items()
+        if len(cases | slight[fault]) >= _EXPLAINED * len(failed)
+    } or _explaining_pair(set(largest.values()), failed)
+    return [fault for fault in index["faults"] if largest.get(fault["id"]) in explaining]
+
+
+def _explaining_pair(spoiled: set[frozenset[str]], failed: set[str]) -> set[frozenset[str]]:
+    """Return the two sets of cases whose union is ``failed``, if there is one such pair."""
+    pairs = [{one, other} for one, other in combinations(spoiled, 2) if one | other == failed]
+    return pairs[0] if len(pairs) == 1 else set()
+
+
+def _differs(frame: dict[str, Any]) -> bool:
+    """Return whether a picture was compared and failed, unlike one that cannot be read."""
+    return frame["verdict"] == "failed" and "problem" not in frame
+
+
+def _tolerance(index: dict[str, Any], *, is_png: bool) -> dict[str, float]:
+    limits: dict[str, float] = index["tolerance"]
+    return index.get("tolerance_8_bits", limits) if is_png else limits
 
 
 def _check_case(
-    kit: Path, pictures: Path, case: dict[str, Any], tolerance: dict[str, float]
+    kit: Path, pictures: Path, case: dict[str, Any], index: dict[str, Any]
 ) -> dict[str, Any]:
-    frames = [_check_frame(kit, pictures, frame, tolerance) for frame in case["frames"]]
+    frames = [_check_frame(kit, pictures, frame["picture"], index) for frame in case["frames"]]
     passed = all(frame["verdict"] == "passed" for frame in frames)
     return {
         "name": case["name"],
@@ -108,10 +205,7 @@ def _check_case(
     }
 
 
-def _check_frame(
-    kit: Path, pictures: Path, frame: dict[str, Any], tolerance: dict[str, float]
-) -> dict[str, Any]:
-    name = frame["picture"]
+def _check_frame(kit: Path, pictures: Path, name: str, index: dict[str, Any]) -> dict[str, Any]:
     expected = read_expected(kit, name)
     try:
         actual = read_picture(pictures, name)
@@ -121,14 +215,15 @@ def _check_frame(
                 f"expected {expected.shape[1]}×{expected.shape[0]}"
             )
     except PictureUnreadable as error:
-        return {"picture": name, "verdict": "failed", "problem": str(error)}
-    return {"picture": name, **compare(expected, actual, tolerance)}
+        return {"picture": name, "verdict": "failed", "problem": str(error), "cause": error.cause}
+    is_png = (pictures / f"{name}.png").is_file()
+    return {"picture": name, **compare(expected, actual, _tolerance(index, is_png=is_png))}
 
 
 def compare(
     expected: np.ndarray, actual: np.ndarray, tolerance: dict[str, float]
 ) -> dict[str, Any]:
-    """Compare two pictures [h, w, 3]; return the differences, and whether the tolerance holds.
+    """Compare two pictures [h, w, 3]; return the differences, and the limits that they exceed.
 
     The picture fails if more than ``share`` of its pixels differ by more than ``pixel`` in some
     channel, or if its mean difference is above ``mean``. NaN differs from everything.
@@ -137,109 +232,35 @@ def compare(
     worst = difference.max(axis=2)
     share = float((worst > tolerance["pixel"]).mean())
     mean = float(difference.mean())
-    passed = share <= tolerance["share"] and mean <= tolerance["mean"]
+    exceeded = []
+    if share > tolerance["share"]:
+        percent, most = 100 * share, 100 * tolerance["share"]
+        words = f"{_beyond(percent, most)} % of the pixels differ by more than "
+        words += f"{tolerance['pixel']:.3g}, expected at most {most:g} %"
+        exceeded.append(_exceeded("share", share, tolerance, words))
+    if mean > tolerance["mean"]:
+        most = tolerance["mean"]
+        words = f"mean difference {_beyond(mean, most)}, expected at most {most:g}"
+        exceeded.append(_exceeded("mean", mean, tolerance, words))
     return {
-        "verdict": "passed" if passed else "failed",
+        "verdict": "failed" if exceeded else "passed",
         "max": float(worst.max()),
         "mean": mean,
         "share": share,
+        "exceeded": exceeded,
     }
 
 
-def read_picture(folder: Path, name: str) -> np.ndarray:
-    """Read a viewer's picture from .npy or .png as floats [h, w, 3], composited over black."""
-    array_path, image_path = folder / f"{name}.npy", folder / f"{name}.png"
-    path = array_path if array_path.is_file() else image_path
-    if not path.is_file():
-        raise PictureUnreadable(
-            f"{name}: the picture is missing: expected {array_path.name} or {image_path.name}"
-        )
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise PictureUnreadable(f"the file is larger than the limit of {_MAX_BYTES:,} bytes")
-        if path is image_path:
-            return _over_black(decode_png(path.read_bytes()))
-        array = np.load(path, allow_pickle=False)
-    except PictureUnreadable as error:
-        raise PictureUnreadable(f"{path}: {error}") from error
-    except (OSError, ValueError, EOFError, KeyError, zlib.error, struct.error) as error:
-        raise PictureUnreadable(f"{path}: the picture cannot be read: {error!r}") from error
-    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype.kind != "f":
-        raise PictureUnreadable(
-            f"{path}: the array is {array.dtype}{list(array.shape)}, "
-            "expected floats [height, width, 3 or 4]"
-        )
-    return np.asarray(np.clip(array[..., :3], 0, 1), np.float64)
+def _exceeded(
+    limit: str, actual: float, tolerance: dict[str, float], message: str
+) -> dict[str, Any]:
+    return {"limit": limit, "actual": actual, "expected": tolerance[limit], "message": message}
 
 
-def _over_black(picture: np.ndarray) -> np.ndarray:
-    """Composite an 8-bit image, grey or RGB, with or without straight alpha, over black."""
-    values = picture.astype(np.float64) / 255
-    if values.shape[2] in (2, 4):
-        values = values[..., :-1] * values[..., -1:]
-    return np.array(np.broadcast_to(values, (*values.shape[:2], 3)))
-
-
-def decode_png(raw: bytes) -> np.ndarray:
-    """Decode an 8-bit PNG, without palette or interlacing, to uint8 [h, w, c]."""
-    if raw[:8] != _PNG_MAGIC:
-        raise PictureUnreadable(f"the picture is not a PNG, but starts with {raw[:8]!r}")
-    chunks: dict[bytes, bytes] = {}
-    offset = 8
-    while offset + 8 <= len(raw):
-        length, kind = struct.unpack_from(">I4s", raw, offset)
-        chunks[kind] = chunks.get(kind, b"") + raw[offset + 8 : offset + 8 + length]
-        offset += length + 12
-    width, height, depth, color, _, _, interlace = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
-    if depth != 8 or color not in _CHANNELS or interlace:
-        raise PictureUnreadable(
-            f"the PNG has depth {depth}, colour type {color}, interlace {interlace}; "
-            "expected 8 bits of grey or RGB, not interlaced"
-        )
-    size = width * _CHANNELS[color]
-    if (size + 1) * height > _MAX_BYTES:
-        raise PictureUnreadable(
-            f"the picture of {width}×{height} pixels takes {(size + 1) * height:,} bytes, "
-            f"expected at most {_MAX_BYTES:,}"
-        )
-    inflated = zlib.decompressobj().decompress(chunks[b"IDAT"], (size + 1) * height)
-    lines = np.frombuffer(inflated, np.uint8).reshape(height, size + 1)
-    return _unfiltered(lines, _CHANNELS[color]).reshape(height, width, _CHANNELS[color])
-
-
-def _unfiltered(lines: np.ndarray, step: int) -> np.ndarray:
-    """Undo the filters of PNG lines; the first byte of each line is its filter type."""
-    result = np.zeros((len(lines) + 1, lines.shape[1] - 1 + step), np.int32)  # a margin of zeros
-    for y in range(1, len(result)):
-        method, line, above = lines[y - 1, 0], lines[y - 1, 1:], result[y - 1]
-        current = result[y]
-        for i in range(len(line)):
-            left, up, corner = int(current[i]), int(above[i + step]), int(above[i])
-            guess = _predicted(int(method), left, up, corner)
-            current[i + step] = (int(line[i]) + guess) & 255
-    return result[1:, step:].astype(np.uint8)
-
-
-def _predicted(method: int, left: int, up: int, corner: int) -> int:
-    if method < 4:
-        return (0, left, up, (left + up) // 2)[method]
-    if method > 4:
-        raise PictureUnreadable(f"a PNG line has filter type {method}, expected 0 to 4")
-    estimate = left + up - corner
-    return min((left, up, corner), key=lambda value: abs(estimate - value))
-
-
-def encode_png(picture: np.ndarray) -> bytes:
-    """Encode floats [h, w, 3] in [0, 1] as an 8-bit RGB PNG."""
-    values = np.rint(np.clip(np.nan_to_num(picture), 0, 1) * 255).astype(np.uint8)
-    height, width = values.shape[:2]
-    lines = np.concatenate([np.zeros((height, 1), np.uint8), values.reshape(height, -1)], axis=1)
-    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""))
-    return _PNG_MAGIC + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in parts
-    )
+def _beyond(actual: float, limit: float) -> str:
+    """Return ``actual`` with as many digits as show that it is above ``limit``."""
+    texts = (f"{actual:.{digits}g}" for digits in range(3, 18))
+    return next((text for text in texts if float(text) > limit), repr(actual))
 
 
 _STYLE = """
@@ -261,6 +282,7 @@ def page_of(kit: Path, pictures: Path, result: dict[str, Any]) -> str:
         "<!doctype html><html lang=en><meta charset=utf-8><title>Viewer kit</title>",
         f"<style>{_STYLE}</style><h1>Viewer kit: {result['verdict']}</h1>",
         f"<p>{counts['passed']} cases passed, {counts['failed']} failed.</p>",
+        *(f"<p class=fault>{html.escape(note)}.</p>" for note in _notes(result)),
     ]
     for fault in result["faults"]:
         cases = ", ".join(fault["cases"])
@@ -290,12 +312,33 @@ def _frame_html(kit: Path, pictures: Path, frame: dict[str, Any]) -> str:
             f"largest difference {frame['max']:.4f}, mean {frame['mean']:.5f}, "
             f"pixels beyond the tolerance {100 * frame['share']:.2f} %"
         )
+        if frame["exceeded"]:
+            words = f"{html.escape(_reason(frame))} ({words})"
     figures = "".join(
         f'<figure><img alt="{label}" src="data:image/png;base64,'
         f'{base64.b64encode(encode_png(image)).decode()}"><figcaption>{label}</figcaption></figure>'
         for label, image in images
     )
-    return f"<div class=frame>{figures}</div><p><small>{frame['picture']}: {words}</small></p>"
+    return f"<div class=frame>{figures}</div><p><small>{html.escape(frame['picture'])}: {words}</small></p>"
+
+
+def _reason(frame: dict[str, Any]) -> str:
+    return "; ".join(entry["message"] for entry in frame["exceeded"])
+
+
+def _notes(result: dict[str, Any]) -> list[str]:
+    """Return what holds for the pictures as a whole: how many are missing, and no known fault."""
+    counts = result["pictures"]
+    words = {"missing": "are missing", "unreadable": "cannot be read"}
+    notes = [
+        f"{counts[cause]} of {counts['total']} pictures {verb}"
+        for cause, verb in words.items()
+        if counts[cause]
+    ]
+    frames = (frame for case in result["cases"] for frame in case["frames"])
+    if not result["faults"] and any(map(_differs, frames)):
+        notes.append("no known fault explains these failures")
+    return notes
 
 
 def summary_of(result: dict[str, Any]) -> str:
@@ -304,10 +347,10 @@ def summary_of(result: dict[str, Any]) -> str:
     for case in result["cases"]:
         for frame in case["frames"]:
             if frame["verdict"] == "failed":
-                numbers = f"{100 * frame.get('share', 1):.1f} % of the pixels differ"
-                problem = frame.get("problem", f"{frame['picture']}: {numbers}")
+                problem = frame.get("problem") or f"{frame['picture']}: {_reason(frame)}"
                 lines.append(f"failed: {case['name']}: {problem}")
                 break
+    lines += _notes(result)
     for fault in result["faults"]:
         lines += [f"suspected: {fault['title']}", f"  {fault['hint']}"]
     counts = result["counts"]
@@ -329,17 +372,25 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         result = check_viewer(options.kit, options.pictures)
-        if options.html:
-            options.html.write_text(page_of(options.kit, options.pictures, result), "utf-8")
-        if options.json:
-            options.json.write_text(
-                json.dumps(result, indent=2, ensure_ascii=False) + "\n", "utf-8"
-            )
-    except (KitUnreadable, OSError) as error:
-        sys.stderr.write(f"check_viewer: {error}\n")
-        return 2
+    except KitUnreadable as error:
+        hint = f"\n  hint: {error.hint}" if error.hint else ""
+        sys.stderr.write(f"check_viewer: {error}{hint}\n")
+        return 4
     sys.stdout.write(summary_of(result))
+    try:
+        if options.html:
+            _write(options.html, page_of(options.kit, options.pictures, result))
+        if options.json:
+            _write(options.json, json.dumps(result, indent=2, ensure_ascii=False) + "\n")
+    except OSError as error:
+        sys.stderr.write(f"check_viewer: {error.filename}: cannot be written: {error.strerror}\n")
+        return 2
     return 1 if result["verdict"] == "failed" else 0
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, "utf-8")
 
 
 if __name__ == "__main__":

@@ -51,6 +51,9 @@ class Fault:
     title: Annotated[str, Hint(text="What the viewer does.")]
     hint: Annotated[str, Hint(text="The repair.")]
     cases: tuple[CaseName, ...]
+    slight: Annotated[
+        tuple[CaseName, ...], Hint(text="Cases that the fault may leave within the tolerance.")
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +105,7 @@ class Index:
     tolerance: Tolerance
     faults: tuple[Fault, ...]
     cases: tuple[CaseEntry, ...]
+    tolerance_8_bits: Annotated[Tolerance | None, Hint(text="The tolerance of PNGs.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +114,25 @@ class Counts:
 
     passed: Annotated[int, Hint(minimum=0)]
     failed: Annotated[int, Hint(minimum=0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureCounts:
+    """The number of pictures of a kit, of those that are missing, and that cannot be read."""
+
+    total: Annotated[int, Hint(minimum=0)]
+    missing: Annotated[int, Hint(minimum=0)]
+    unreadable: Annotated[int, Hint(minimum=0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exceeded:
+    """A limit of the tolerance that a picture exceeds."""
+
+    limit: Literal["share", "mean"]
+    actual: Share
+    expected: Annotated[Share, Hint(text="The largest value with which a picture passes.")]
+    message: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +145,10 @@ class FrameResult:
     max: Annotated[Share | None, Hint(text="Largest difference of a channel.")] = None
     mean: Annotated[Share | None, Hint(text="Mean difference.")] = None
     share: Annotated[Share | None, Hint(text="Share of the pixels beyond the tolerance.")] = None
+    exceeded: Annotated[tuple[Exceeded, ...], Hint(text="The limits that are exceeded.")] = ()
+    cause: Annotated[
+        Literal["missing", "unreadable"] | None, Hint(text="The kind of a problem.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,6 +171,8 @@ class Result:
     tolerance: Tolerance
     faults: Annotated[tuple[Fault, ...], Hint(text="The suspected faults.")]
     cases: tuple[CaseResult, ...]
+    tolerance_8_bits: Annotated[Tolerance | None, Hint(text="The tolerance of PNGs.")] = None
+    pictures: PictureCounts | None = None
 
 
 def viewer_kit_schemas() -> dict[str, dict[str, object]]:

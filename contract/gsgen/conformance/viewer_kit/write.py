@@ -3,7 +3,7 @@
 __all__ = ["PICTURES_GROUP", "DrawFrames", "kit_cases", "picture_name", "write_kit"]
 
 import json
-import shutil
+import re
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.conformance.viewer_kit import check_viewer
+from gsgen.conformance.viewer_kit import check_viewer, picture_files
 from gsgen.conformance.viewer_kit.case import KitCase, KitFrame
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import FAULTS
@@ -27,6 +27,11 @@ PICTURES_GROUP: Final = "gsgen.kit_pictures"
 
 TOLERANCE: Final = {"pixel": 0.02, "share": 0.005, "mean": 0.001}
 """Largest difference of a channel, share of the pixels that may exceed it, and mean difference."""
+
+TOLERANCE_8_BITS: Final = {"pixel": 0.024, "share": 0.005, "mean": 0.0025}
+"""The tolerance of PNGs: a step of 1/255 more for a pixel, as rounding down takes up to it."""
+
+_IMPORT = re.compile(rf"from {re.escape(picture_files.__name__)} import .*\n")
 
 DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h w 3"]]]
 
@@ -49,10 +54,12 @@ def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
         draw: Draws the expected pictures; by default the function that the runtime registers.
 
     Raises:
-        ConfigInvalid: The folder holds files, or no renderer is installed.
+        ConfigInvalid: The folder holds files or is a file, or no renderer is installed.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        hint = "Name a folder that does not exist yet."
+    hint = "Name a folder that does not exist yet."
+    if folder.exists() and not folder.is_dir():
+        raise ConfigInvalid("is a file, expected a folder", where=str(folder), hint=hint)
+    if folder.exists() and any(folder.iterdir()):
         raise ConfigInvalid("the output folder is not empty", where=str(folder), hint=hint)
     draw_frames = draw or _registered_renderer()
     index_path = folder / "index.json"
@@ -65,8 +72,17 @@ def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
         for name, schema in viewer_kit_schemas().items():
             text = json.dumps(schema, indent=1, ensure_ascii=False)
             (draft.parent / name).write_text(text + "\n", "utf-8")
-        shutil.copyfile(check_viewer.__file__, draft.parent / "check_viewer.py")
+        (draft.parent / "check_viewer.py").write_text(_script(), "utf-8")
     return index_path
+
+
+def _script() -> str:
+    """Return the comparing script, with the module that it imports in the import's place."""
+    text = Path(check_viewer.__file__).read_text("utf-8")
+    module = Path(picture_files.__file__).read_text("utf-8")
+    script, count = _IMPORT.subn(lambda _: module, text)
+    assert count == 1, "check_viewer.py imports picture_files on one line"
+    return script
 
 
 def _registered_renderer() -> DrawFrames:
@@ -110,18 +126,22 @@ def _frame_entry(name: str, frame: KitFrame) -> dict[str, Any]:
     }
 
 
+def _spoiled_cases(fault: str) -> dict[str, list[str]]:
+    """Return the cases that a fault spoils, and those that it may spoil, if any."""
+    names = [case.name for case in kit_cases() if fault in case.faults]
+    slight = [case.name for case in kit_cases() if fault in case.slight]
+    certain = {"cases": [name for name in names if name not in slight]}
+    return {**certain, "slight": slight} if slight else certain
+
+
 def _index(cases: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "schema": check_viewer.INDEX_SCHEMA,
         "tool": {"name": "gsgen", "version": version("gsgen")},
         "tolerance": TOLERANCE,
+        "tolerance_8_bits": TOLERANCE_8_BITS,
         "faults": [
-            {
-                "id": fault,
-                "title": title,
-                "hint": hint,
-                "cases": [case["name"] for case in cases if fault in case["faults"]],
-            }
+            {"id": fault, "title": title, "hint": hint, **_spoiled_cases(fault)}
             for fault, (title, hint) in FAULTS.items()
         ],
         "cases": cases,
