@@ -177,8 +177,12 @@ def suspected_faults(
 
 
 def _explaining_pair(spoiled: set[frozenset[str]], failed: set[str]) -> set[frozenset[str]]:
-    """Return the two sets of cases whose union is ``failed``, if there is one such pair."""
-    pairs = [{one, other} for one, other in combinations(spoiled, 2) if one | other == failed]
+    """Return the two sets of cases whose union is ``failed``, if there is one such pair.
+
+    Sets of one case take no part: any two failures would be explained by two of them.
+    """
+    larger = [cases for cases in spoiled if len(cases) > 1]
+    pairs = [{one, other} for one, other in combinations(larger, 2) if one | other == failed]
     return pairs[0] if len(pairs) == 1 else set()
 
 
@@ -329,7 +333,8 @@ def _reason(frame: dict[str, Any]) -> str:
 def _notes(result: dict[str, Any]) -> list[str]:
     """Return what holds for the pictures as a whole: how many are missing, and no known fault."""
     counts = result["pictures"]
-    words = {"missing": "are missing", "unreadable": "cannot be read"}
+    be = "is" if counts["missing"] == 1 else "are"
+    words = {"missing": f"{be} missing", "unreadable": "cannot be read"}
     notes = [
         f"{counts[cause]} of {counts['total']} pictures {verb}"
         for cause, verb in words.items()
