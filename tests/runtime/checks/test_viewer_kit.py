@@ -7,6 +7,7 @@ import pytest
 
 from gsgen.conformance.viewer_kit.check_viewer import check_viewer, read_index
 from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.picture_files import encode_png
 from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
 from gsgen.runtime import Camera, Renderer, Scene
 from gsgen.runtime.gpu.device import Device
@@ -40,6 +41,10 @@ def _drawn_by(renderer: Renderer) -> Render:
 def _failed(kit: Path, viewer: Viewer, render: Render, folder: Path) -> dict[str, set[str]]:
     for case in kit_cases():
         viewer.draw(kit / "models" / f"{case.name}.onnx", case, render, folder)
+    return _judged(kit, folder)
+
+
+def _judged(kit: Path, folder: Path) -> dict[str, set[str]]:
     result = check_viewer(kit, folder)
     return {
         "cases": {case["name"] for case in result["cases"] if case["verdict"] == "failed"},
@@ -54,11 +59,17 @@ def test_our_renderer_passes_with_both_rasterisers(
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_wrong_viewer_fails_the_right_cases_and_its_fault_is_named(
+def test_a_wrong_viewer_fails_the_right_cases_and_its_fault_is_named_also_with_8_bits(
     fault: str, kit: Path, tiles: Render, tmp_path: Path
 ) -> None:
-    failed = _failed(kit, WRONG_VIEWERS[fault], tiles, tmp_path)
+    floats = _failed(kit, WRONG_VIEWERS[fault], tiles, tmp_path)
     (entry,) = (entry for entry in read_index(kit)["faults"] if entry["id"] == fault)
     assert entry["cases"]
-    assert failed["cases"] == set(entry["cases"])
-    assert fault in failed["faults"]
+    for path in tmp_path.glob("*.npy"):
+        rounded_down = np.floor(np.load(path).astype(np.float64) * 255) / 255
+        path.with_suffix(".png").write_bytes(encode_png(rounded_down))
+        path.unlink()
+    for failed in (floats, _judged(kit, tmp_path)):
+        # A case that a fault spoils slightly is near the tolerance, on whichever side.
+        assert failed["cases"] - set(entry.get("slight", [])) == set(entry["cases"])
+        assert fault in failed["faults"]

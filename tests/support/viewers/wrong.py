@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -14,9 +15,12 @@ from gsgen.conformance.viewer_kit.write import picture_name
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest import GeneratorManifest, Space
 from gsgen.contract.spec.manifest_io import loads
-from gsgen.runtime import Camera, Scene, SplatData
+from gsgen.runtime import Camera, Scene, SplatData, SplatSet
 from gsgen.runtime.checks.level import scene_of
 from gsgen.runtime.checks.viewer_kit import on_screen, runtime_camera
+from gsgen.runtime.oracle import projection
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.sdk.binding import FrameSession
 from gsgen.sdk.binding.camera_inputs import camera_values
 
@@ -47,6 +51,10 @@ class Viewer:
         """Return the camera that the viewer draws with."""
         return camera
 
+    def screen(self, rgba: np.ndarray, scene: Scene) -> np.ndarray:
+        """Return what the viewer's screen shows."""
+        return on_screen(rgba, scene)
+
     def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
         """Write the pictures of a case to ``folder``."""
         declared = loads(open_model(model).manifest_text or "")
@@ -64,7 +72,7 @@ class Viewer:
                 scene = scene_of(manifest, read)
                 rgba = render(scene, runtime_camera(self.camera(frame.camera)))
                 name = picture_name(case.name, number)
-                np.save(folder / f"{name}.npy", on_screen(rgba, scene).astype(np.float32))
+                np.save(folder / f"{name}.npy", self.screen(rgba, scene).astype(np.float32))
 
     def _camera_values(self, manifest: GeneratorManifest, frame: KitFrame) -> dict[str, Any]:
         known = camera_values(runtime_camera(frame.camera))
@@ -196,6 +204,24 @@ class _CentresLens(Viewer):
         return replace(camera, cx=camera.width / 2, cy=camera.height / 2, fy=camera.fx)
 
 
+class _CentresProjection(Viewer):
+    """Feeds a projection whose principal point is in the middle."""
+
+    def _camera_values(self, manifest: GeneratorManifest, frame: KitFrame) -> dict[str, Any]:
+        lens = frame.camera
+        centred = replace(lens, cx=lens.width / 2, cy=lens.height / 2)
+        return super()._camera_values(manifest, replace(frame, camera=centred))
+
+
+class _SwapsViewport(Viewer):
+    """Feeds the height before the width."""
+
+    def fed(self, manifest: GeneratorManifest, values: dict[str, Any]) -> dict[str, Any]:
+        names = {entry.name for entry in manifest.inputs if entry.role == "viewport"}
+        swapped = {name: np.asarray(values[name])[::-1] for name in names}
+        return {**values, **swapped}
+
+
 class _MirrorsBehind(Viewer):
     """Draws Gaussians behind the camera where their projection is."""
 
@@ -215,6 +241,63 @@ class _MirrorsBehind(Viewer):
             return render(Scene([replace(splat_set, data=moved)], scene.color_space), camera)
 
         super().draw(model, case, mirrored, folder)
+
+
+class _EncodesAlways(Viewer):
+    """Encodes linear colours and sRGB colours alike."""
+
+    def screen(self, rgba: np.ndarray, scene: Scene) -> np.ndarray:
+        return srgb_of_linear(np.clip(rgba[..., :3], 0, 1))
+
+
+class _DrawsThinly(Viewer):
+    """Adds next to nothing to the projected covariances."""
+
+    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+        def thin(scene: Scene, camera: Camera) -> np.ndarray:
+            return render(scene, replace(camera, dilation=1e-6))
+
+        super().draw(model, case, thin, folder)
+
+
+class _EditsSplats(Viewer):
+    """Draws with the float64 renderer, with another order or colour of the projected Gaussians."""
+
+    def __init__(self, edit: Callable[[projection.Splats, SplatSet, Camera], dict[str, Any]]):
+        self._edit = edit
+
+    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+        project = projection.drawn_splats
+
+        def edited(splat_set: SplatSet, camera: Camera, *rest: Any) -> projection.Splats:
+            splats = project(splat_set, camera, *rest)
+            return replace(splats, **self._edit(splats, splat_set, camera))
+
+        def drawn(scene: Scene, camera: Camera) -> np.ndarray:
+            with patch.object(projection, "drawn_splats", edited):
+                return np.asarray(oracle.render(scene, camera).rgba)
+
+        super().draw(model, case, drawn, folder)
+
+
+def _unsorted(splats: projection.Splats, _: SplatSet, __: Camera) -> dict[str, Any]:
+    return {"depth": np.arange(1.0, len(splats.depth) + 1)}
+
+
+def _by_distance(splats: projection.Splats, splat_set: SplatSet, camera: Camera) -> dict[str, Any]:
+    offsets = splat_set.data.rows[splats.index, :3].astype(np.float64) - camera.eye
+    return {"depth": np.linalg.norm(offsets, axis=1)}
+
+
+def _unclamped(splats: projection.Splats, splat_set: SplatSet, camera: Camera) -> dict[str, Any]:
+    return {"color": projection._colors(splat_set, camera)[splats.index]}
+
+
+def _without_offset(color: np.ndarray) -> np.ndarray:
+    constant = 0.5 / np.sqrt(np.pi)  # the harmonic of degree 0
+    shifted = color.copy()
+    shifted[:, :3] -= np.asarray(0.5 / constant, color.dtype)
+    return shifted
 
 
 def _as_float32(array: np.ndarray) -> np.ndarray:
@@ -282,6 +365,14 @@ WRONG_VIEWERS: dict[str, Viewer] = {
     "matrix-order": _ReadsManifest(_swapped),
     "matrix-order-ignored": _ReadsManifest(lambda manifest: _order(manifest, "column")),
     "intrinsics": _CentresLens(),
+    "projection-centre": _CentresProjection(),
+    "viewport-order": _SwapsViewport(),
+    "dilation": _DrawsThinly(),
+    "order": _EditsSplats(_unsorted),
+    "order-distance": _EditsSplats(_by_distance),
+    "encoded-twice": _EncodesAlways(),
+    "sh-offset": _ReadsRows("appearance", _without_offset),
+    "sh-clamp": _EditsSplats(_unclamped),
     "behind-camera": _MirrorsBehind(),
     "time-range": _ScalesTime(),
     "default": _ForgetsDefaults(),

@@ -7,8 +7,33 @@ from typing import Final
 
 FAULTS: Final[Mapping[str, tuple[str, str]]] = {
     "rows": (
-        "rows, the camera or the blending are read in another way, in every case",
-        "A row is x y z, opacity, xx xy xz yy yz zz; the camera has +x right, +y down, +z forward.",
+        "rows, the camera, the blending or the screen are read in another way, in every case",
+        "A row is x y z, opacity, xx xy xz yy yz zz; the camera has +x right, +y down, +z forward; "
+        "pixel centres are at halves; the background is black; sRGB colours are shown as they are.",
+    ),
+    "dilation": (
+        "the dilation of projected Gaussians is left out",
+        "Add 0.3 pixels² to both diagonal entries of the 2D covariance.",
+    ),
+    "order": (
+        "Gaussians are blended unsorted, or from back to front with the formula of front to back",
+        "Sort rows by depth in every frame, the nearest first, and blend them in that order.",
+    ),
+    "order-distance": (
+        "Gaussians are sorted by their distance from the camera",
+        "Sort by z in camera space.",
+    ),
+    "encoded-twice": (
+        "sRGB colours are encoded as sRGB once more",
+        "Encode only where color_space is linear; an sRGB texture or canvas encodes, too.",
+    ),
+    "sh-offset": (
+        "the offset of SH colours is left out",
+        "A colour is 0.5 plus the sum of its harmonics.",
+    ),
+    "sh-clamp": (
+        "negative SH colours are blended",
+        "Clamp each colour to at least 0 before blending.",
     ),
     "sh-order": (
         "SH coefficients are read channel by channel",
@@ -59,6 +84,11 @@ FAULTS: Final[Mapping[str, tuple[str, str]]] = {
         "the principal point and the two focal lengths of the camera are ignored",
         "A point is at (fx x/z + cx, fy y/z + cy).",
     ),
+    "projection-centre": (
+        "the principal point is left out of the matrix that is fed as projection",
+        "The matrix maps a point to where it is drawn: (fx x/z + cx, fy y/z + cy).",
+    ),
+    "viewport-order": ("viewport is fed as height and width", "The order is width, height."),
     "behind-camera": (
         "Gaussians behind the camera are drawn",
         "Do not draw a row whose centre is not in front of the near plane.",

@@ -9,11 +9,15 @@ from gsgen.conformance.fixtures.builders.fixture import Fixture
 from gsgen.conformance.fixtures.builders.moving import drifting, driven, looking
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.conformance.fixtures.valid import moving
-from gsgen.conformance.viewer_kit.case import KitCase, KitFrame, kit_camera, orbit_frame
+from gsgen.conformance.viewer_kit.case import EVERY_SH, KitCase, KitFrame, kit_camera, orbit_frame
 from gsgen.contract.spec.manifest import Input
 
 _SIDES = (KitFrame(camera=kit_camera()), KitFrame(camera=kit_camera((-1.6, -0.4, 2.2))))
-_MOVED = ("rows", "sh-stride", "stale-outputs")
+_SHIFTED = tuple(
+    KitFrame(camera=kit_camera(eye, cx=24.0, cy=30.0))
+    for eye in ((1.2, -1.0, -2.6), (-1.6, -0.4, 2.2))
+)
+_MOVED = (*EVERY_SH, "stale-outputs")
 
 
 def _projected() -> ModelSpec:
@@ -36,8 +40,9 @@ def _projected() -> ModelSpec:
 
 def _resized() -> ModelSpec:
     entry = Input(name="pixels", role="viewport", default=(1280.0, 720.0))
-    shift = "all = ReduceSum <keepdims = 1> (pixels) part = Mul (all, small) shift = Tanh (part)"
-    return driven("float[2] pixels", entry, shift).weighing(small=np.array([4e-3], np.float32))
+    shift = "parts = Mul (pixels, small) all = ReduceSum <keepdims = 1> (parts) shift = Tanh (all)"
+    small = np.array([6e-3, 1e-3], np.float32)  # unequal: the order of the two numbers is seen
+    return driven("float[2] pixels", entry, shift).weighing(small=small)
 
 
 def _eyed() -> ModelSpec:
@@ -57,10 +62,20 @@ def _coefficients() -> ModelSpec:
 
 
 def _moved(
-    name: str, tests: str, faults: tuple[str, ...], fixture: Fixture, *frames: KitFrame
+    name: str,
+    tests: str,
+    faults: tuple[str, ...],
+    fixture: Fixture,
+    *frames: KitFrame,
+    slight: tuple[str, ...] = (),
 ) -> KitCase:
     return KitCase(
-        name=name, tests=tests, faults=(*_MOVED, *faults), spec=fixture.draw, frames=frames
+        name=name,
+        tests=tests,
+        faults=(*_MOVED, *faults),
+        spec=fixture.draw,
+        frames=frames,
+        slight=slight,
     )
 
 
@@ -72,23 +87,26 @@ INPUT_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="view-column",
         tests="A view matrix that the tensor holds transposed, as the manifest declares.",
-        faults=(*_MOVED, "matrix-order", "role-view"),
+        faults=(*_MOVED, "matrix-order", "role-view", "order"),
         spec=lambda: looking(20),
         frames=_SIDES,
     ),
     KitCase(
         name="view-row",
         tests="A view matrix that the tensor holds as it is, as the manifest declares.",
-        faults=(*_MOVED, "matrix-order", "matrix-order-ignored", "role-view"),
+        faults=(*_MOVED, "matrix-order", "matrix-order-ignored", "role-view", "order"),
         spec=lambda: looking(20, order="row"),
         frames=_SIDES,
     ),
     KitCase(
         name="projection",
-        tests="A projection and a view matrix, whose names tell nothing.",
-        faults=(*_MOVED, "matrix-order", "role-projection", "role-view"),
+        tests="A projection with the principal point beside the middle, and a view matrix.",
+        faults=(
+            *(*_MOVED, "matrix-order", "role-projection", "role-view"),
+            *("intrinsics", "projection-centre"),
+        ),
         spec=_projected,
-        frames=_SIDES,
+        frames=_SHIFTED,
     ),
     KitCase(
         name="camera-position",
@@ -96,32 +114,35 @@ INPUT_CASES: tuple[KitCase, ...] = (
         faults=(*_MOVED, "role-camera_position"),
         spec=_eyed,
         frames=_SIDES,
+        slight=("dilation",),
     ),
     KitCase(
         name="viewport",
         tests="The size of the picture as an input.",
-        faults=("rows", "sh-stride", "role-viewport"),
+        faults=(*EVERY_SH, "role-viewport", "viewport-order"),
         spec=_resized,
         frames=(orbit_frame(),),
+        slight=("dilation",),
     ),
     KitCase(
         name="camera-lens",
         tests="A principal point beside the middle, and pixels that are not square.",
-        faults=("rows", "sh-stride", "intrinsics"),
+        faults=(*EVERY_SH, "intrinsics", "order"),
         spec=lambda: still(40),
         frames=(KitFrame(camera=kit_camera(fx=70.0, fy=48.0, cx=24.0, cy=30.0)),),
     ),
     KitCase(
         name="among-gaussians",
         tests="A camera among the Gaussians, of which some lie behind it.",
-        faults=("rows", "sh-stride", "behind-camera"),
+        faults=(*EVERY_SH, "behind-camera", "order"),
         spec=lambda: still(60),
         frames=(KitFrame(camera=kit_camera((0.1, 0.05, -0.3))),),
+        slight=("dilation",),
     ),
     KitCase(
         name="time-in-seconds",
         tests="Time from 2 to 10, forth and back.",
-        faults=(*_MOVED, "time-range", "role-time"),
+        faults=(*_MOVED, "time-range", "role-time", "order"),
         spec=lambda: drifting(12, span=(2.0, 10.0)),
         frames=tuple(orbit_frame(time=[time]) for time in (2.0, 10.0, 5.0, 2.0)),
     ),
@@ -147,6 +168,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
         moving.turned_back,
         orbit_frame(turn=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
         orbit_frame(turn=[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+        slight=("dilation",),
     ),
     KitCase(
         name="coefficients",
@@ -157,6 +179,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
             orbit_frame(betas=_random(5, 10), face=_random(6, 5)),
             orbit_frame(betas=_random(7, 10), face=_random(8, 5)),
         ),
+        slight=("dilation",),
     ),
     _moved(
         "appearance-id",
@@ -164,6 +187,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
         ("role-appearance_id",),
         moving.appearance_id,
         *(orbit_frame(look=[number]) for number in (3, 1)),
+        slight=("dilation",),
     ),
     _moved(
         "control",
@@ -175,7 +199,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="default",
         tests="A slider without a value, which has the default of the manifest.",
-        faults=("rows", "sh-stride", "default"),
+        faults=(*EVERY_SH, "default"),
         spec=moving.slider.draw,
         frames=(orbit_frame(),),
     ),

@@ -11,12 +11,20 @@ from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.conformance.fixtures.builders.scenes import Kind, pack, photographed, scene
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.conformance.fixtures.valid import still as valid
-from gsgen.conformance.viewer_kit.case import KitCase, KitFrame, kit_camera, orbit_frame
+from gsgen.conformance.viewer_kit.case import (
+    EVERY,
+    EVERY_SH,
+    KitCase,
+    KitFrame,
+    kit_camera,
+    orbit_frame,
+)
 from gsgen.contract.spec.manifest import AppearanceOutput, WeightedSum
 
 _ONE = (orbit_frame(),)
 _TURNED = (KitFrame(camera=kit_camera((2.0, -1.2, 3.0))), orbit_frame())
-_SH = ("rows", "sh-order", "sh-direction")
+_SH = (*EVERY, "sh-offset", "sh-order", "sh-direction")
+_SH_SORTED = (*_SH, "sh-clamp", "order")
 _SH_GAIN = 4.0  # colours that change enough with the direction to be seen
 
 
@@ -83,91 +91,92 @@ ROW_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="sh-degree-0",
         tests="One colour for each Gaussian, in three channels.",
-        faults=("rows", "sh-stride"),
+        faults=(*EVERY_SH, "order"),
         spec=lambda: _shown("surface", 0),
         frames=_ONE,
     ),
     KitCase(
         name="sh-degree-1",
         tests="Twelve channels of SH, seen from two sides.",
-        faults=(*_SH, "sh-stride"),
+        faults=(*_SH_SORTED, "sh-stride", "order-distance"),
         spec=lambda: _shown("surface", 1),
         frames=_TURNED,
     ),
     KitCase(
         name="sh-degree-2",
         tests="Twenty-seven channels of SH, seen from two sides.",
-        faults=(*_SH, "sh-stride"),
+        faults=(*_SH_SORTED, "sh-stride"),
         spec=lambda: _shown("hair", 2),
         frames=_TURNED,
     ),
     KitCase(
         name="sh-degree-3",
         tests="Forty-eight channels of SH, seen from two sides.",
-        faults=_SH,
+        faults=(*_SH_SORTED, "order-distance"),
         spec=lambda: _shown("surface", 3),
         frames=_TURNED,
     ),
     KitCase(
         name="sh-float16",
         tests="Rows and SH of degree 3 in float16.",
-        faults=(*_SH, "float16"),
+        faults=(*_SH_SORTED, "float16", "order-distance"),
         spec=lambda: _shown("avatar", 3, "float16"),
         frames=_TURNED,
     ),
     KitCase(
         name="rgb",
         tests="Raw RGB of three channels, without harmonics.",
-        faults=("rows",),
+        faults=(*EVERY, "order"),
         spec=lambda: _shown("cloud", None),
         frames=_ONE,
     ),
     KitCase(
         name="rgb-four-channels",
         tests="Raw RGB with a fourth channel that has no meaning.",
-        faults=("rows", "fourth-channel"),
+        faults=(*EVERY, "fourth-channel", "order", "order-distance"),
         spec=_four_channels,
         frames=_ONE,
     ),
     KitCase(
         name="rgb-float16",
         tests="Raw RGB in float16, padded to four channels.",
-        faults=("rows", "float16", "fourth-channel"),
+        faults=(*EVERY, "float16", "fourth-channel", "order"),
         spec=lambda: _shown("cloud", None, "float16"),
         frames=_ONE,
     ),
     KitCase(
         name="linear-color",
         tests="Colours in linear light, which the screen shows encoded as sRGB.",
-        faults=("rows", "color-space"),
+        faults=("rows", "dilation", "color-space", "order"),
         spec=_linear,
         frames=_ONE,
     ),
     KitCase(
         name="antialias-mip",
         tests="Gaussians thinner than a pixel, which antialiasing makes fainter.",
-        faults=("rows", "antialias", "sh-stride"),
+        faults=(*EVERY_SH, "antialias"),
         spec=_mip,
         frames=_ONE,
     ),
     KitCase(
         name="one-gaussian",
         tests="A capacity of one row.",
-        faults=("rows",),
+        faults=(*EVERY, "sh-offset"),
         spec=lambda: still(1),
         frames=(KitFrame(camera=kit_camera((0.6, -0.4, -1.2))),),
+        slight=("dilation",),
     ),
     KitCase(
         name="three-hundred",
         tests="Three hundred rows, which do not fill whole workgroups.",
-        faults=("rows", "sh-stride"),
+        faults=(*EVERY_SH, "order", "order-distance"),
         spec=lambda: still(300),
         frames=_ONE,
     ),
     KitCase(
         name="count-below-capacity",
         tests="Rows behind the count hold Gaussians that must not be drawn.",
-        faults=("rows", "count", "sh-stride"),
+        faults=(*EVERY_SH, "count"),
         spec=_stale_rows,
         frames=_ONE,
         breaks=("GV018",),
@@ -175,7 +184,7 @@ ROW_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="count-changes",
         tests="A count that differs from frame to frame and ends at 0, an empty picture.",
-        faults=("rows", "count", "stale-count", "stale-outputs", "role-time", "sh-stride"),
+        faults=(*EVERY_SH, "count", "stale-count", "stale-outputs", "role-time"),
         spec=_growing,
         frames=tuple(orbit_frame(time=[time]) for time in (0.5, 1.0, 0.25, 0.0)),
         breaks=("GV018",),
@@ -183,21 +192,22 @@ ROW_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="output-names",
         tests="The first output of the graph has the shape of rows, but the manifest names another.",
-        faults=("rows", "output-names", "sh-stride"),
+        faults=(*EVERY_SH, "output-names"),
         spec=_decoy,
         frames=_ONE,
     ),
     KitCase(
         name="external-data",
         tests="Colours in a file beside the model.",
-        faults=("rows", "external-data", "sh-stride"),
+        faults=(*EVERY_SH, "external-data"),
         spec=valid.weights_beside.draw,
         frames=_ONE,
+        slight=("dilation",),
     ),
     KitCase(
         name="weighted-sum",
         tests="Gaussians in cells, summed by weights instead of sorted.",
-        faults=("rows", "sh-order", "sh-direction", "sh-stride", "weighted-sum"),
+        faults=(*_SH, "sh-stride", "weighted-sum"),
         spec=_weighted,
         frames=_ONE,
     ),
