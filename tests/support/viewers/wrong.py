@@ -263,7 +263,9 @@ class _DrawsThinly(Viewer):
 class _EditsSplats(Viewer):
     """Draws with the float64 renderer, with another order or colour of the projected Gaussians."""
 
-    def __init__(self, edit: Callable[[projection.Splats, SplatSet, Camera], dict[str, Any]]):
+    def __init__(
+        self, edit: Callable[[projection.Splats, SplatSet, Camera], dict[str, Any]]
+    ) -> None:
         self._edit = edit
 
     def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
