@@ -60,10 +60,10 @@ def check(
     read.
     """
     from gsgen.conformance.viewer_kit import check_viewer as checking
-    from gsgen.contract.process.atomic_files import atomic_write, refuse_model
+    from gsgen.contract.process.atomic_files import atomic_write, require_page
 
     if html is not None:
-        refuse_model(html)
+        require_page(html)
     try:
         result = checking.check_viewer(kit, pictures)
     except checking.KitUnreadable as error:

@@ -103,7 +103,7 @@ def validate(
 
     files = expand_paths(paths)
     if output:
-        refuse_model(output, files)
+        refuse_model(output, [*files, *(path for path in (config, baseline) if path)])
         refuse_missing_folder(output)
     options = {
         "level": level,

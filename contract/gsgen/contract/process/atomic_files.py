@@ -2,6 +2,7 @@
 
 __all__ = [
     "MODEL_SUFFIX",
+    "PAGE_SUFFIXES",
     "atomic_write",
     "is_device",
     "refuse_device",
@@ -9,6 +10,7 @@ __all__ = [
     "refuse_itself",
     "refuse_missing_folder",
     "refuse_model",
+    "require_page",
 ]
 
 import os
@@ -21,6 +23,9 @@ from gsgen.contract.errors import ConfigInvalid
 
 MODEL_SUFFIX = ".onnx"
 """The suffix of model files."""
+
+PAGE_SUFFIXES = (".html", ".htm")
+"""The suffixes of HTML pages."""
 
 
 @contextmanager
@@ -65,10 +70,13 @@ def atomic_write(path: Path) -> Iterator[Path]:
                 raise _unwritten(target, error) from error
 
 
-def refuse_folder(path: Path) -> None:
-    """Raise if the output path is a folder; call this before any work is done."""
+def refuse_folder(path: Path, example: str = "model.onnx") -> None:
+    """Raise if the output path is a folder; call this before any work is done.
+
+    The hint names ``example`` in the folder, unless the folder's own name has a suffix.
+    """
     if path.is_dir():
-        name = path.name if path.suffix else "model.onnx"
+        name = path.name if path.suffix else example
         hint = f"Name a file in it, such as {path / name}."
         raise ConfigInvalid("is a folder, expected a file to write", where=str(path), hint=hint)
 
@@ -107,9 +115,16 @@ def refuse_device(path: Path) -> None:
 
 def refuse_itself(path: Path, sources: Iterable[Path], hint: str = "Name another file.") -> None:
     """Raise if the output would overwrite one of the input files."""
-    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+    if any(_is_same_file(path, source) for source in sources):
         message = "is also an input file, which would be overwritten"
         raise ConfigInvalid(message, where=str(path), hint=hint)
+
+
+def _is_same_file(path: Path, source: Path) -> bool:
+    try:
+        return path.samefile(source)
+    except (OSError, ValueError):  # one is absent, or a text that is not the name of a file
+        return False
 
 
 def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
@@ -122,6 +137,16 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
         hint = f"Name another file, such as {path.with_suffix('.txt')}."
         message = f"ends in {MODEL_SUFFIX}, but the output is not a model"
         raise ConfigInvalid(message, where=str(path), hint=hint)
+
+
+def require_page(path: Path, sources: Iterable[Path] = ()) -> None:
+    """Raise if a page's output path lacks the suffix of a page, or is a folder or an input file."""
+    refuse_folder(path, "page.html")
+    refuse_itself(path, sources)
+    if path.suffix.lower() not in PAGE_SUFFIXES:
+        actual = f"has the suffix {path.suffix}" if path.suffix else "has no suffix"
+        hint = f"Name a page, such as {path.with_suffix(PAGE_SUFFIXES[0])}."
+        raise ConfigInvalid(f"{actual}, expected .html or .htm", where=str(path), hint=hint)
 
 
 def _unwritten(path: Path, error: OSError) -> ConfigInvalid:

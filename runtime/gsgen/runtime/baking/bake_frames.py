@@ -116,11 +116,12 @@ def bake_source(
     max_degree: int = MAX_DEGREE,
     psnr: bool | None = None,
     progress: Progress = lambda text: None,
+    inputs: Sequence[Path] = (),
 ) -> BakeReport:
     """Write frames of an ONNX generator that is already open as plain splat files.
 
     The frames have the input values of ``tracks``, and what ``cameras`` see: one camera per frame,
-    one for all, or none to fit SH.
+    one for all, or none to fit SH. No frame overwrites the model or one of the files ``inputs``.
     """
     started = perf_counter()
     values = FrameValues(source, tracks)
@@ -134,8 +135,8 @@ def bake_source(
             hint="Degree 3 has 16 coefficients, and every fifth camera is held out.",
         )
     files = OutputFiles.of(output, frames, format)
-    for number in {0, frames - 1}:
-        refuse_itself(files.path(number), [Path(source.name)])
+    for number in range(frames):
+        refuse_itself(files.path(number), [Path(source.name), *inputs])
     codec = files.codec
     write = codec.frame_writer() if frames > 1 and codec.frame_writer else codec.write
     assert write is not None  # OutputFiles has checked it

@@ -105,6 +105,7 @@ def bake(
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.formats import FormatError
     from gsgen.runtime.baking.bake_frames import bake_source
+    from gsgen.runtime.commands.input_files import input_files
     from gsgen.runtime.sources.source import GeneratorSource
     from gsgen.sdk.commands.options import sizes_of
 
@@ -121,6 +122,7 @@ def bake(
                 max_degree=sh_degree,
                 psnr=psnr,
                 progress=progress,
+                inputs=input_files([model], camera=camera, poses=pose, inputs=inputs),
             )
         except FormatError as error:
             echo_error(error)

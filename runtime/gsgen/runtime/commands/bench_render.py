@@ -46,6 +46,7 @@ def bench_render(
     from gsgen.contract.commands.output import write_text
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.runtime.commands.input_files import input_files, scene_inputs
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.frame_cost import measure
     from gsgen.runtime.playback.frame_sequence import FULL_TURN, FrameSequence
@@ -53,9 +54,12 @@ def bench_render(
     from gsgen.runtime.renderer.renderer import Renderer
 
     if output is not None:
-        refuse_model(output, scenes)
+        refuse_model(output, input_files(scenes, camera=camera))
     symbols, width, height = options.split_image_size(size, width, height)
-    view = scene_viewpoint(list(read_scene_files(scenes).values()), camera, width, height)
+    files = list(read_scene_files(scenes).values())
+    if output is not None:
+        refuse_model(output, scene_inputs(files))
+    view = scene_viewpoint(files, camera, width, height)
     with open_scenes(scenes, provider=provider, size=symbols) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.

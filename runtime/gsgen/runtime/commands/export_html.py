@@ -35,12 +35,12 @@ def export_html(
 
     Exits 2 for wrong options, 4 if a model cannot be read.
     """
-    from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write, refuse_model
+    from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write, require_page
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.onnxruntime_web import ort_folder
     from gsgen.runtime.web.pages import ModelView, single_file_page
 
-    refuse_model(output)
+    require_page(output, models)
     color = None if background is None else color_of(background, "--background")
     view = ModelView(
         background=None if color is None else (color[0], color[1], color[2]),

@@ -110,13 +110,16 @@ def render(
 
     Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read.
     """
+    from gsgen.runtime.commands.input_files import input_files, refuse_inputs, scene_inputs
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
     symbols, width, height = options.split_image_size(size, width, height)
+    refuse_inputs(output, input_files(scenes, camera=camera, poses=pose, inputs=inputs, post=post))
     files = list(read_scene_files(scenes).values())
+    refuse_inputs(output, scene_inputs(files))
     view = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )

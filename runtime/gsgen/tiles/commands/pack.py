@@ -23,6 +23,7 @@ def pack(
     Equal folders give equal archives. Exits 0, 2 if the archive cannot be written, 4 if FOLDER
     has no tileset.json.
     """
+    from gsgen.contract.process.atomic_files import refuse_itself
     from gsgen.tiles.stores.archive_writing import write_archive
     from gsgen.tiles.stores.opening import INDEX
 
@@ -32,5 +33,7 @@ def pack(
             where=str(folder),
             hint="`gsgen tiles build SCENE -o FOLDER` builds one.",
         )
+    if output.is_file() and output.resolve().is_relative_to(folder.resolve()):
+        refuse_itself(output, (path for path in folder.rglob("*") if path.suffix != ".3tz"))
     count = write_archive(folder, output)
     typer.echo(f"{output}: {count:,} files, {output.stat().st_size / 1e6:,.1f} MB")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
-from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.atomic_files import atomic_write, refuse_itself
 from gsgen.contract.spec.units import MEBIBYTE
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def score(
             where="gsgen tiles score",
             hint="pip install 'gsgen[runtime]'",
         )
+    refuse_itself(output, [Path(tileset), scene])
     from PIL import Image
 
     from gsgen.contract.commands.progress import clear, progress

@@ -81,6 +81,7 @@ def simulate(
     Planner and predictor are those of the viewer. Equal arguments give equal results. Exits 0,
     2 for wrong options, or 4 if a file cannot be read.
     """
+    from gsgen.contract.process.atomic_files import refuse_itself
     from gsgen.tiles.loading import load_tileset
     from gsgen.tiles.prediction.predictors import predictor_maker
     from gsgen.tiles.prediction.prefetch import ViewSettings
@@ -93,6 +94,8 @@ def simulate(
     for name, value, most in (("--fov", fov, 180.0), ("--sse", sse, float("inf"))):
         if not 0 < value < most:
             raise ConfigInvalid(f"is {value}, expected above 0 and below {most:g}", where=name)
+    if plot is not None:
+        refuse_itself(plot, [Path(tileset), Path(predictor), path, network])
     make_predictor = predictor_maker(predictor)
     poses, trace = read_path(path), read_trace(network)
     store, index = open_store(tileset)

@@ -52,10 +52,13 @@ def fix(
     not a model.
     """
     from gsgen.contract.commands.output import show
+    from gsgen.contract.process.atomic_files import refuse_itself
     from gsgen.contract.reporters.text import render
     from gsgen.sdk.exporting.repair import RepairRequest, repair
 
     output = copy_of(output, dry_run=dry_run)
+    if output is not None and manifest is not None:
+        refuse_itself(output, [manifest])
     request = RepairRequest(
         sizes=sizes_of(size, "--size") | sizes_of(pin, "--pin"),
         manifest=_manifest(manifest) if manifest else None,

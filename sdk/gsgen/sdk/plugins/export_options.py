@@ -165,6 +165,8 @@ def with_common_options(
         request = _request(**{key: values.pop(key) for key in _COMMON})
         sources = [value for value in values.values() if isinstance(value, Path)]
         refuse_itself(request.output, sources)
+        if request.report is not None:
+            refuse_itself(request.report, sources)
         run(lambda: build(**values), request)
 
     merged = [

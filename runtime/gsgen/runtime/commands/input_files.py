@@ -1,0 +1,85 @@
+"""Lists the files that a drawing command reads, which its output must not overwrite."""
+
+__all__ = ["input_files", "refuse_inputs", "scene_inputs"]
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from gsgen.contract.process.atomic_files import refuse_itself
+
+if TYPE_CHECKING:
+    from gsgen.runtime.sources.scene_file import SceneFile
+
+_MOTION_SUFFIXES: Final = (".npy", ".npz", ".json")
+_NAMING_SUFFIXES: Final = (".gltf", ".json")  # files of text that name pictures beside them
+
+
+def input_files(
+    scenes: Iterable[Path],
+    *,
+    camera: str | None = None,
+    poses: Iterable[str] | None = None,
+    inputs: Iterable[str] | None = None,
+    post: Iterable[Path] | None = None,
+) -> list[Path]:
+    """Return the paths that the options of a drawing command name; some may not exist.
+
+    Args:
+        scenes: Splat files, meshes, generators, and scene files.
+        camera: The value of ``--camera``.
+        poses: Values of ``--pose``; of a folder, its motion files.
+        inputs: Values of ``--input``.
+        post: Post-process models.
+    """
+    from gsgen.runtime.playback.pose_tracks import named_file
+
+    paths = [*scenes, *(post or ()), *_camera_files(camera)]
+    for text in poses or ():
+        paths += _motion_files(named_file(text)[1])
+    paths += [Path(text.partition("=")[2]) for text in inputs or ()]
+    return paths
+
+
+def scene_inputs(files: "Iterable[SceneFile]") -> list[Path]:
+    """Return the paths that scene files name: models, meshes and cameras."""
+    paths: list[Path] = []
+    for file in files:
+        paths += [model.path for model in file.models] + [mesh.path for mesh in file.meshes]
+        paths += _camera_files(file.camera if isinstance(file.camera, str) else None)
+    return paths
+
+
+def refuse_inputs(output: Path, paths: Sequence[Path]) -> None:
+    """Raise if a picture, a video or a folder of frames would overwrite an input file.
+
+    Pictures that a mesh or a SOG file among ``paths`` names are inputs, too.
+    """
+    targets = sorted(output.glob("frame_*.png")) if output.is_dir() else [output]
+    for target in targets:
+        named = [target] if any(_names(path, target) for path in paths) else []
+        refuse_itself(target, [*paths, *named])
+
+
+def _camera_files(camera: str | None) -> list[Path]:
+    from gsgen.runtime.camera_files import split_pick
+
+    return [] if camera is None else [split_pick(camera)[0]]
+
+
+def _motion_files(path: Path) -> Iterator[Path]:
+    if not path.is_dir():
+        yield path
+        return
+    yield from (file for file in path.iterdir() if file.suffix.lower() in _MOTION_SUFFIXES)
+
+
+def _names(path: Path, picture: Path) -> bool:
+    """Return whether a mesh or SOG file, or an OBJ's materials, name a picture in its folder."""
+    suffix = path.suffix.lower()
+    if not picture.is_file() or not picture.resolve().is_relative_to(path.parent.resolve()):
+        return False
+    texts = [path] if suffix in _NAMING_SUFFIXES and path.is_file() else []
+    if suffix == ".obj":
+        texts = list(path.parent.glob("*.mtl"))
+    return any(picture.name.encode() in text.read_bytes() for text in texts)
