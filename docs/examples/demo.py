@@ -147,7 +147,7 @@ def prepare() -> tuple[Path, tuple[str, ...]]:
     """Write the scene and its cameras into ``OUT``; return the scene's path and export options."""
     if not CAPTURED.is_file():
         with step("making a scene of our own, a garden of 70,000 splats"):
-            write_samples(OUT)
+            write_samples(OUT, force=True)
         return OUT / "garden.ply", ()
     with np.load(CAPTURED) as scene:
         size = {"width": int(scene["width"]), "height": int(scene["height"]), "near": 0.01}

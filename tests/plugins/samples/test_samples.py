@@ -126,3 +126,23 @@ def test_cameras_stand_on_an_arc_around_the_scene(folder: Path) -> None:
     np.testing.assert_allclose(np.hypot(eyes[:, 0], eyes[:, 2]), 3.9, rtol=1e-5)
     np.testing.assert_allclose(eyes[:, 1], -1.75, rtol=1e-5)
     np.testing.assert_allclose(eyes[:, 0], -eyes[::-1, 0], atol=1e-5)
+
+
+def test_files_of_the_user_keep_their_bytes_unless_that_is_wished(tmp_path: Path) -> None:
+    own = {"garden.ply": b"my garden", "scene.json": b'{"models": ["mine.ply"]}'}
+    for name, content in own.items():
+        (tmp_path / name).write_bytes(content)
+    result = gsgen_here("samples", ".", cwd=tmp_path)
+    assert result.code == 2
+    assert "garden.ply, scene.json of other content would be overwritten" in result.err
+    assert "--force" in result.err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == own
+    assert gsgen_here("samples", ".", "--force", cwd=tmp_path).code == 0
+    assert not {path.read_bytes() for path in tmp_path.iterdir()} & set(own.values())
+
+
+def test_samples_that_are_there_are_no_error(folder: Path) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    result = gsgen_here("samples", folder)
+    assert result.code == 0, result.err
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

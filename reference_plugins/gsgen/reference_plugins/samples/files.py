@@ -4,11 +4,15 @@ __all__ = ["SAMPLES", "write_samples"]
 
 import json
 from collections.abc import Callable
+from filecmp import cmp
 from pathlib import Path
+from shutil import copyfile
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.samples.garden import garden
@@ -69,14 +73,37 @@ SAMPLES: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
 """Name → description and writer of each sample file."""
 
 
-def write_samples(folder: Path) -> list[Path]:
+def write_samples(folder: Path, *, force: bool = False) -> list[Path]:
     """Write every sample file into ``folder``, and return the paths of the files.
 
+    Args:
+        folder: The folder; a file of the same content stays as it is.
+        force: Replace files of the same name and other content.
+
     Raises:
-        ConfigInvalid: A file cannot be written there.
+        ConfigInvalid: A file cannot be written there, or one of other content would be overwritten.
     """
-    paths = [folder / name for name in SAMPLES]
-    for path, (_, write) in zip(paths, SAMPLES.values(), strict=True):
-        with atomic_write(path) as draft:
-            write(draft)
-    return paths
+    with TemporaryDirectory() as drafts:
+        for name, (_, write) in SAMPLES.items():
+            write(Path(drafts) / name)
+        if not force:
+            _refuse_other_content(folder, Path(drafts))
+        for name in SAMPLES:
+            with atomic_write(folder / name) as draft:
+                copyfile(Path(drafts) / name, draft)
+    return [folder / name for name in SAMPLES]
+
+
+def _refuse_other_content(folder: Path, drafts: Path) -> None:
+    """Raise if the folder has files with the names of samples but other bytes than ``drafts``."""
+    others = [
+        name
+        for name in SAMPLES
+        if (folder / name).is_file() and not cmp(folder / name, drafts / name, shallow=False)
+    ]
+    if others:
+        raise ConfigInvalid(
+            f"{', '.join(others)} of other content would be overwritten",
+            where=str(folder),
+            hint="Name another folder, or replace them with --force.",
+        )
