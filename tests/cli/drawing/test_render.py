@@ -426,3 +426,18 @@ def test_the_size_of_the_image_is_one_option(file: Path, tmp_path: Path) -> None
     twice = gsgen_here("render", file, "-o", tmp_path / "b.png", "--size", "64x48", "--width", "9")
     assert twice.code == 2
     assert "the size of the image is given twice" in twice.err
+
+
+@pytest.mark.parametrize("command", ["render", "view"])
+@pytest.mark.parametrize("size", ["640", "0x0", "x360"])
+def test_a_size_that_is_none_names_the_forms_that_the_scene_has(
+    command: str, size: str, file: Path, moving: Path
+) -> None:
+    output = ("-o", "a.png") if command == "render" else ()
+    still = gsgen_here(command, file, *output, "--size", size)
+    model = gsgen_here(command, moving, *output, "--size", size)
+    assert (still.code, model.code) == (2, 2)
+    picture = "expected WIDTHxHEIGHT, such as 640x360"
+    assert f"--size: {size!r} is not a size of a picture, {picture}\n" in still.err
+    both = "expected SYMBOL=SIZE, such as J=24, or WIDTHxHEIGHT, such as 640x360"
+    assert f"--size: the value is {size!r}, {both}" in model.err

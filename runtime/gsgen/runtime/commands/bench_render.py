@@ -55,7 +55,7 @@ def bench_render(
 
     if output is not None:
         refuse_model(output, input_files(scenes, camera=camera))
-    symbols, width, height = options.split_image_size(size, width, height)
+    symbols, width, height = options.split_image_size(size, width, height, scenes)
     files = list(read_scene_files(scenes).values())
     if output is not None:
         refuse_model(output, scene_inputs(files))

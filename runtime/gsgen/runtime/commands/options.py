@@ -163,24 +163,33 @@ Width = Annotated[
 ]
 
 
+_OPEN_SUFFIXES = (".onnx", ".json")  # of models, and scene files that may name one
 _IMAGE_SIZE = re.compile(r"([1-9]\d*)\s*[x×*,]\s*([1-9]\d*)", re.ASCII | re.IGNORECASE)
 
 
 def split_image_size(
-    entries: list[str] | None, width: int | None, height: int | None
+    entries: list[str] | None, width: int | None, height: int | None, paths: Sequence[Path] = ()
 ) -> tuple[list[str], int | None, int | None]:
     """Separate ``--size`` values into sizes of model dimensions and the size of the image.
+
+    Args:
+        entries: The values of ``--size``.
+        width: The value of ``--width``.
+        height: The value of ``--height``.
+        paths: The scenes; for splats and meshes, error messages expect a size in pixels alone.
 
     Returns:
         The values SYMBOL=SIZE; width and height in pixels, those of ``--width`` and ``--height``
         where ``--size`` names none.
 
     Raises:
-        ConfigInvalid: The size of the image is given twice.
+        ConfigInvalid: A value is of neither form, or the size of the image is given twice.
     """
     symbols: list[str] = []
     for entry in entries or ():
         match = _IMAGE_SIZE.fullmatch(entry.strip())
+        if match is None and "=" not in entry:
+            raise _invalid_size(entry, paths)
         if match is None:
             symbols.append(entry)
             continue
@@ -192,6 +201,14 @@ def split_image_size(
             )
         width, height = int(match[1]), int(match[2])
     return symbols, width, height
+
+
+def _invalid_size(entry: str, paths: Sequence[Path]) -> ConfigInvalid:
+    picture = "WIDTHxHEIGHT, such as 640x360"
+    message = f"{entry!r} is not a size of a picture, expected {picture}"
+    if any(path.suffix.lower() in _OPEN_SUFFIXES for path in paths):
+        message = f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24, or {picture}"
+    return ConfigInvalid(message, where="--size")
 
 
 def mode_of(name: str) -> "Mode":

@@ -116,7 +116,7 @@ def render(
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
-    symbols, width, height = options.split_image_size(size, width, height)
+    symbols, width, height = options.split_image_size(size, width, height, [*scenes, *(post or ())])
     refuse_inputs(output, input_files(scenes, camera=camera, poses=pose, inputs=inputs, post=post))
     files = list(read_scene_files(scenes).values())
     refuse_inputs(output, scene_inputs(files))

@@ -110,7 +110,7 @@ def view(
     if web:
         page = _page_view(background, fov, up, time, play=play)
         return _serve_page(scenes, page, ort, port, as_json=as_json)
-    symbols, width, height = options.split_image_size(size, width, height)
+    symbols, width, height = options.split_image_size(size, width, height, scenes)
     _require_display(scenes)
     files, color = _files_and_background(scenes, background)
     viewpoint = scene_viewpoint(
