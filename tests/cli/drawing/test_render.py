@@ -1,7 +1,9 @@
 """`gsgen render`, as a user runs it."""
 
 import json
+import sys
 from pathlib import Path
+from typing import Never
 
 import numpy as np
 import pytest
@@ -129,6 +131,10 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     [
         (("nowhere.onnx",), 4, "nowhere.onnx"),
         (("FILE", "-o", "a.xyz"), 2, "has the unknown suffix '.xyz'\n  Known: .png"),
+        (("FILE", "-o", "a.mov"), 2, "has the unknown suffix '.mov'"),
+        (("MODEL", "--time", "0:1:4"), 2, "--time: '0:1:4' is a range, expected one time"),
+        (("MODEL", "--time", "0:1:4"), 2, "--input time=0..1 --frames 4"),
+        (("MODEL", "--time", "noon"), 2, "--time: 'noon' is not a number, expected a time"),
         (("FILE", "--frames", "2"), 2, "is one picture, expected a video or a folder for 2"),
         (("FILE", "-o", "a.exr", "--frames", "2"), 2, "is one picture, expected a video or a"),
         (("FILE", "--time", "0.5"), 2, "--time: the time is 0.5, but no scene has a time"),
@@ -426,6 +432,37 @@ def test_the_size_of_the_image_is_one_option(file: Path, tmp_path: Path) -> None
     twice = gsgen_here("render", file, "-o", tmp_path / "b.png", "--size", "64x48", "--width", "9")
     assert twice.code == 2
     assert "the size of the image is given twice" in twice.err
+
+
+@pytest.mark.parametrize(
+    ("output", "missing"),
+    [("a.exr", "OpenEXR"), ("a.png", "png"), ("a.mov", "png"), ("dir.gif", "png")],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_anything_is_opened(
+    output: str, missing: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "dir.gif").mkdir()
+    monkeypatch.setitem(sys.modules, missing, None)
+    monkeypatch.setattr("gsgen.runtime.commands.opening.open_scenes", _not_called)
+    bits = ("--bits", "16") if output == "a.png" else ()
+    finished = gsgen_here("render", file, "-o", output, *bits, cwd=tmp_path)
+    assert finished.code == 2, finished.err
+    assert [path.name for path in tmp_path.iterdir()] == ["dir.gif"]
+
+
+def _not_called(*_: object, **__: object) -> Never:
+    raise AssertionError("the scenes were opened")
+
+
+def test_a_film_of_one_frame_is_noted(file: Path, moving: Path, tmp_path: Path) -> None:
+    film = ("-o", tmp_path / "film.gif", *SMALL)
+    note = "note: one frame; --frames 100 "
+    assert f"{note}makes a turntable\n" in gsgen_here("render", file, *film).err
+    assert f"{note}goes through the range" in gsgen_here("render", moving, *film).err
+    fixed = gsgen_here("render", file, *film, "--camera", FRONT, "--json")
+    assert f"{note}makes a turntable with `--camera orbit`" in fixed.err
+    assert json.loads(fixed.out)["frames"] == 1
+    assert note not in gsgen_here("render", file, *film, "--frames", "2").err
 
 
 @pytest.mark.parametrize("command", ["render", "view"])

@@ -25,6 +25,7 @@ __all__ = [
     "mode_of",
     "read_tracks",
     "split_image_size",
+    "time_value",
 ]
 
 import re
@@ -209,6 +210,28 @@ def _invalid_size(entry: str, paths: Sequence[Path]) -> ConfigInvalid:
     if any(path.suffix.lower() in _OPEN_SUFFIXES for path in paths):
         message = f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24, or {picture}"
     return ConfigInvalid(message, where="--size")
+
+
+def time_value(text: str) -> float:
+    """Parse the value of ``--time``, one number.
+
+    Raises:
+        ConfigInvalid: The text is a range, or not a number.
+    """
+    try:
+        return float(text)
+    except ValueError as error:
+        first, *others = re.split(r":|\.\.", text)
+        if not others:
+            message = f"{text!r} is not a number, expected a time, such as 0.5"
+            raise ConfigInvalid(message, where="--time") from error
+        count = others[1] if len(others) > 1 and others[1].isdecimal() else "100"
+        raise ConfigInvalid(
+            f"{text!r} is a range, expected one time, such as 0.5",
+            where="--time",
+            hint="Without --time, --frames N goes through the whole range of the model; a part of "
+            f"it is --input time={first}..{others[0]} --frames {count}.",
+        ) from error
 
 
 def mode_of(name: str) -> "Mode":

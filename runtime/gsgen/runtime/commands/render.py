@@ -37,7 +37,14 @@ Background = Annotated[
         "[default: black; transparent for .npy]"
     ),
 ]
-Time = Annotated[float | None, typer.Option(help="Time of generators. [default: the manifest's]")]
+Time = Annotated[
+    float | None,
+    typer.Option(
+        help="Time of generators. [default: the manifest's]",
+        parser=options.time_value,
+        metavar="FLOAT",
+    ),
+]
 Frames = Annotated[
     int | None,
     typer.Option(
@@ -112,12 +119,16 @@ def render(
     """
     from gsgen.runtime.commands.input_files import input_files, refuse_inputs, scene_inputs
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
+    from gsgen.runtime.media.output_formats import require_output_format
+    from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
     symbols, width, height = options.split_image_size(size, width, height, [*scenes, *(post or ())])
+    bit_count: Literal[8, 16] = 16 if bits == "16" else 8
     refuse_inputs(output, input_files(scenes, camera=camera, poses=pose, inputs=inputs, post=post))
+    require_output_format(output, frames=frames or 1, bits=bit_count)
     files = list(read_scene_files(scenes).values())
     refuse_inputs(output, scene_inputs(files))
     view = scene_viewpoint(
@@ -148,7 +159,9 @@ def render(
             post=models,
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
-        _write(sequence, output, bits=16 if bits == "16" else 8, as_json=as_json)
+        if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
+            typer.echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
+        _write(sequence, output, bits=bit_count, as_json=as_json)
 
 
 def _require_weighted_sums(sources: "list[Source]") -> None:

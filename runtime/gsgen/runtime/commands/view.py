@@ -36,7 +36,12 @@ Background = Annotated[
     ),
 ]
 Time = Annotated[
-    float | None, typer.Option(help="Fixed time of generators. [default: the time is played]")
+    float | None,
+    typer.Option(
+        help="Fixed time of generators. [default: the time is played]",
+        parser=options.time_value,
+        metavar="FLOAT",
+    ),
 ]
 Frames = Annotated[
     int | None,

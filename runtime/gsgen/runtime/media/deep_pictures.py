@@ -1,6 +1,14 @@
 """Writes pictures of more than 8 bits: OpenEXR files of floats, and PNG files of 16 bits."""
 
-__all__ = ["EXR_SUFFIX", "exr_channels", "picture16_of", "save_exr", "save_png16"]
+__all__ = [
+    "EXR_SUFFIX",
+    "exr_channels",
+    "exr_package",
+    "picture16_of",
+    "png_package",
+    "save_exr",
+    "save_png16",
+]
 
 from importlib import import_module
 from pathlib import Path
@@ -44,7 +52,7 @@ def save_exr(path: Path, frame: Frame, mode: Mode) -> None:
     Raises:
         SceneInvalid: The package OpenEXR is not installed.
     """
-    exr = _package("OpenEXR", "EXR files need OpenEXR")
+    exr = exr_package()
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     with atomic_write(path) as draft, exr.File(header, exr_channels(frame, mode)) as file:
         file.write(str(draft))
@@ -63,12 +71,22 @@ def save_png16(path: Path, picture: UInt16[np.ndarray, "h w *c"]) -> None:
     Raises:
         SceneInvalid: The package pypng is not installed.
     """
-    png = _package("png", "PNG files of 16 bits need pypng")
+    png = png_package()
     height, width, *channels = picture.shape
     kind = {(): "L;16", (3,): "RGB;16", (4,): "RGBA;16"}[tuple(channels)]
     rows = picture.reshape(height, -1)
     with atomic_write(path) as draft:
         png.from_array(rows, kind, {"width": width, "height": height}).save(str(draft))
+
+
+def exr_package() -> ModuleType:
+    """Return the package OpenEXR; raise if it is not installed."""
+    return _package("OpenEXR", "EXR files need OpenEXR")
+
+
+def png_package() -> ModuleType:
+    """Return the package pypng; raise if it is not installed."""
+    return _package("png", "PNG files of 16 bits need pypng")
 
 
 def _package(name: str, need: str) -> ModuleType:

@@ -5,7 +5,7 @@ with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file for
 sample entry: "AV1 Codec ISO Media File Format Binding", version 1.2.
 """
 
-__all__ = ["encode"]
+__all__ = ["encode", "require_encoder"]
 
 import io
 import struct
@@ -57,6 +57,17 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
     return b"".join([head, contents, _box(b"mdat", *samples)])
 
 
+def require_encoder() -> None:
+    """Raise if the installed pillow has no AV1 encoder."""
+    from PIL import features
+
+    if not features.check("avif"):
+        raise SceneInvalid(
+            "this pillow has no AV1 encoder, which .mp4 files need",
+            hint="Install a wheel of pillow 11.3 or newer, or write a .gif.",
+        )
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class _Group:
@@ -83,13 +94,7 @@ def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
 
 def _sequence(pictures: Sequence["Image"]) -> _Group:
     """Encode pictures as an AVIF sequence, and extract the AV1 samples from it."""
-    from PIL import features
-
-    if not features.check("avif"):
-        raise SceneInvalid(
-            "this pillow has no AV1 encoder, which .mp4 files need",
-            hint="Install a wheel of pillow 11.3 or newer, or write a .gif.",
-        )
+    require_encoder()
     if len(shapes := {picture.size for picture in pictures}) > 1:
         raise _differing_sizes(shapes)
     first, *remaining = pictures

@@ -11,6 +11,7 @@ __all__ = [
     "levels_of",
     "picture_of",
     "png_of",
+    "require_pillow",
     "save_array",
     "save_picture",
     "save_video",
@@ -176,6 +177,11 @@ def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)
     return picture
+
+
+def require_pillow() -> None:
+    """Raise if pillow, which writes image files, is not installed."""
+    _image()
 
 
 def _image() -> ModuleType:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.media import deep_pictures, pictures
+from gsgen.runtime.media.output_formats import require_output_format
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.input_tracks import Track
@@ -87,6 +88,14 @@ class FrameSequence(Playback):
         self.player = self.make_player(renderer, background, MODES[mode], post)
         self._last: Frame | None = None
 
+    @property
+    def motion(self) -> str:
+        """What several frames of these options show: an animation, a turntable or stills."""
+        if self._timeline.is_animated:
+            return "goes through the range of the animation"
+        turns = self._view.orbit is not None
+        return "makes a turntable" if turns else "makes a turntable with `--camera orbit`"
+
     def frame_request(self, number: int) -> FrameRequest:
         """Return the camera and the input values of frame ``number``, from 0."""
         turn = self._turn * number / self.frames
@@ -121,13 +130,7 @@ class FrameSequence(Playback):
                 video have different sizes.
         """
         suffix = path.suffix.lower()
-        is_folder = not suffix or path.is_dir()
-        if bits != 8 and not (is_folder or suffix == ".png"):
-            raise ConfigInvalid(
-                f"{bits} bits are written as .png alone, not as {suffix}",
-                where="--bits",
-                hint="Give a .png or a folder; an .exr has 32 bits.",
-            )
+        require_output_format(path, frames=self.frames, bits=bits)
         needs_one_size = suffix in (".npy", *pictures.VIDEO_SUFFIXES)
         if needs_one_size and len(self._view.sizes) > 1:
             raise _differing_sizes(path, self._view.sizes)
@@ -145,12 +148,10 @@ class FrameSequence(Playback):
         elif suffix == deep_pictures.EXR_SUFFIX and self.frames == 1:
             for frame in self._drawn(on_frame):
                 deep_pictures.save_exr(path, frame, self._mode)
-        elif is_folder:
+        else:
             save = pictures.save_picture if bits == 8 else deep_pictures.save_png16
             for number, picture in enumerate(self._pictures(on_frame, bits)):
                 save(path / f"frame_{number:04}.png", picture)
-        else:
-            raise _unusable_suffix(path, self.frames)
 
     def _drawn(self, on_frame: Callable[[int], None]) -> Iterator[Frame]:
         on_frame(1)
@@ -197,20 +198,4 @@ def _differing_sizes(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:
         f"needs frames of one size, but the cameras have {size_list}",
         where=str(path),
         hint="Give --width and --height, or a folder.",
-    )
-
-
-def _unusable_suffix(path: Path, frames: int) -> ConfigInvalid:
-    if path.suffix.lower() in (*pictures.IMAGE_SUFFIXES, deep_pictures.EXR_SUFFIX):
-        return ConfigInvalid(
-            f"is one picture, expected a video or a folder for {frames} frames",
-            where=str(path),
-            hint="Give a folder, an .mp4, a .gif or an .npy.",
-        )
-    images = (*pictures.IMAGE_SUFFIXES, deep_pictures.EXR_SUFFIX)
-    known = ", ".join((*images, *pictures.VIDEO_SUFFIXES, ".npy"))
-    return ConfigInvalid(
-        f"has the unknown suffix {path.suffix!r}",
-        where=str(path),
-        hint=f"Known: {known}, or a folder.",
     )
