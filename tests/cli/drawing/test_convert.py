@@ -232,6 +232,11 @@ def test_half_of_the_splats_are_left(source: Path, tmp_path: Path) -> None:
     assert ran.code == 0, ran.err
     assert 15 <= len(open_splats(tmp_path / "a.ply")) <= 25
     assert "nothing was lost by the format" in ran.out
+    left = len(open_splats(tmp_path / "a.ply"))
+    loss = f"--decimate merged {len(open_splats(source))} splats into {left}: detail is lost"
+    assert ran.out.rstrip().endswith(loss)
+    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%", "--json")
+    assert json.loads(ran.out)["notes"] == [loss]
 
 
 def test_a_fraction_of_the_splats_is_a_percentage(source: Path, tmp_path: Path) -> None:
@@ -248,3 +253,36 @@ def test_the_argument_that_was_left_out_is_named(tmp_path, words, missing):
     ran = gsgen_here("convert", *words, cwd=tmp_path)
     assert ran.code == 2
     assert f"Missing argument '{missing}'" in ran.err
+
+
+MESH = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("mesh.ply", MESH), ("wall.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")]
+)
+@pytest.mark.parametrize(
+    ("before", "after"), [(("convert",), ("out.spz",)), (("export", "html"), ("-o", "page.html"))]
+)
+def test_a_mesh_is_said_to_be_one(
+    tmp_path: Path, name: str, text: str, before: tuple[str, ...], after: tuple[str, ...]
+) -> None:
+    (tmp_path / name).write_text(text, "utf-8")
+    ran = gsgen_here(*before, name, *after, cwd=tmp_path)
+    assert ran.code == 4
+    assert f"gsgen: {name}: is a mesh, expected splats" in ran.err
+    assert f"`gsgen render {name} -o picture.png` draws it" in ran.err
+    assert ran.err.count("\n") == 2

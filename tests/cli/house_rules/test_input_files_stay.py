@@ -17,6 +17,7 @@ CAMERA = '[{"view": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]], "fx": 40, "fy": 4
 OVERWRITING = [
     ("export html src.ply -o src.ply", "src.ply"),
     ("export html drift.onnx src.ply -o ./src.ply", "src.ply"),
+    ("convert src.ply out.spz --histograms src.ply", "src.ply"),
     ("export static src.ply -o out.onnx --report src.ply", "src.ply"),
     ("render src.ply -o src.ply", "src.ply"),
     ("render d.png -o d.png", "d.png"),

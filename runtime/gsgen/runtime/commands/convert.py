@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.contract.commands.output import echo_error
-from gsgen.contract.errors import ConfigInvalid, ExitCode
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 from gsgen.contract.process.atomic_files import refuse_itself
 from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
 from gsgen.formats.editing.statistics import Statistics, statistics_text
@@ -35,6 +35,7 @@ from gsgen.runtime.commands.convert_edits import (
 from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:
+    from gsgen.formats import FormatError
     from gsgen.formats.conversion import Conversion
 
 Sources = Annotated[
@@ -117,6 +118,8 @@ def convert(
     if not force:
         hint = "Name another file, or replace it with --force."
         refuse_itself(target, [Path(source) for source in sources], hint)
+    for picture in histograms or ():
+        refuse_itself(picture, [*map(Path, sources), target])
     values = {
         "translate": translate,
         "rotate": rotate,
@@ -129,7 +132,8 @@ def convert(
         "histograms": histograms,
     }
     summaries: list[tuple[Statistics, ...]] = []
-    edits = edits_in_order(context, values, summaries)
+    merged: list[tuple[int, int]] = []
+    edits = edits_in_order(context, values, summaries, merged)
     run = partial(
         convert_file,
         sources,
@@ -143,9 +147,15 @@ def convert(
         write=_writer(codec, spz_version, spz_axes, encoding),
     )
     result, notes = _reported(run, sources)
-    document = _as_dict(result) | {"notes": notes}
+    document = _as_dict(result)
     document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
-    text = _as_text(result, edited=bool(edits))
+    losses = [
+        f"--decimate merged {before:,} splats into {after:,}: detail is lost"
+        for before, after in merged
+        if after < before
+    ]
+    document["notes"] = notes + losses
+    text = "\n".join([_as_text(result, edited=bool(edits)), *losses])
     text = "\n\n".join([*map(statistics_text, summaries), text])
     typer.echo(json.dumps(document, indent=2) if as_json else text)
 
@@ -169,8 +179,8 @@ def _reported(
         try:
             result = run(step=on_step)
         except FormatError as error:
-            echo_error(error)
             is_unreadable = is_reading and error.path in sources
+            echo_error(_mesh_error(error) if is_unreadable else error)
             code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
             raise typer.Exit(code) from error
     clear()
@@ -178,6 +188,19 @@ def _reported(
     for note in notes:
         typer.echo(f"note: {note}", err=True)
     return result, notes
+
+
+def _mesh_error(error: "FormatError") -> GsgenError:
+    """Return the error about a source that cannot be read; for a mesh, one that says so."""
+    from gsgen.runtime.sources.mesh_files import is_mesh
+
+    if error.path is None or not is_mesh(Path(error.path)):
+        return error
+    return ConfigInvalid(
+        "is a mesh, expected splats",
+        where=error.path,
+        hint=f"`gsgen render {error.path} -o picture.png` draws it.",
+    )
 
 
 def _writer(

@@ -59,6 +59,7 @@ def edits_in_order(
     context: typer.Context,
     values: Mapping[str, Sequence[Any] | None],
     summaries: list[tuple[Statistics, ...]],
+    merged: list[tuple[int, int]],
 ) -> list[Callable[[Splats], Splats]]:
     """Return the splat edits of a command line as functions, in the order typed.
 
@@ -66,6 +67,7 @@ def edits_in_order(
         context: Knows the order of the options.
         values: Name of an option → its values; options without a value are left out.
         summaries: Receives the statistics of the splats at each ``--statistics``.
+        merged: Receives the numbers of splats before and after each ``--decimate``.
 
     Raises:
         ConfigInvalid: A value has another form than its option.
@@ -80,7 +82,8 @@ def edits_in_order(
         elif name in OPTIONS:
             text = remaining[name].pop(0) if name in remaining else ""
             try:
-                edits.append(parse_edit(name, text))
+                edit = parse_edit(name, text)
+                edits.append(_counter(edit, merged) if name == "decimate" else edit)
             except ValueInvalid as error:
                 option = f"--{name.replace('_', '-')}"
                 raise ConfigInvalid(
@@ -95,6 +98,19 @@ def _observer(look: Callable[[Splats], None]) -> Callable[[Splats], Splats]:
         return splats
 
     return edit
+
+
+def _counter(
+    edit: Callable[[Splats], Splats], counts: list[tuple[int, int]]
+) -> Callable[[Splats], Splats]:
+    """Return an edit that also records the numbers of splats before and after it."""
+
+    def counted(splats: Splats) -> Splats:
+        result = edit(splats)
+        counts.append((len(splats), len(result)))
+        return result
+
+    return counted
 
 
 def _histogram_writer(path: Path) -> Callable[[Splats], None]:

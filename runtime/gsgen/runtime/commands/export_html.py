@@ -35,7 +35,10 @@ def export_html(
 
     Exits 2 for wrong options, 4 if a model cannot be read.
     """
+    from gsgen.contract.commands.output import echo_error
+    from gsgen.contract.errors import ExitCode
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write, require_page
+    from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.onnxruntime_web import ort_folder
     from gsgen.runtime.web.pages import ModelView, single_file_page
@@ -49,7 +52,11 @@ def export_html(
         time=time,
     )
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
-    page = single_file_page(models, view, ort_folder(ort) if has_generator else None)
+    try:
+        page = single_file_page(models, view, ort_folder(ort) if has_generator else None)
+    except SceneUnreadable as error:
+        echo_error(error)
+        raise typer.Exit(ExitCode.UNREADABLE) from error
     with atomic_write(output) as draft:
         draft.write_text(page, "utf-8")
     typer.echo(f"wrote {output}: {output.stat().st_size:,} bytes")

@@ -27,6 +27,7 @@ from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.formats import FormatError, Splats, open_splats, write_ply
 from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneUnreadable
+from gsgen.runtime.sources.mesh_files import is_mesh
 
 MARKUP_FILE: Final = "gsgen.runtime.web:client/element_markup.js"
 """Package and path of the written module with the HTML and CSS of the element."""
@@ -106,6 +107,13 @@ def model_bytes(path: Path) -> bytes:
     try:
         if path.suffix.lower() == MODEL_SUFFIX:
             return path.read_bytes()
+        if is_mesh(path):
+            hint = f"`gsgen render {path} -o picture.png` draws it."
+            raise SceneUnreadable(
+                "is a mesh, expected splats or a generator: pages draw no meshes",
+                where=str(path),
+                hint=hint,
+            )
         content = open_splats(path, drop_invalid=True)
         raw = path.read_bytes()
     except (OSError, FormatError) as error:
