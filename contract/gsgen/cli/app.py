@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.help_panels import arrange_options, panel_of, panel_order
+from gsgen.cli.output_hints import output_hint
 from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
@@ -141,6 +142,7 @@ class _Ordered(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse command-line arguments, and record parameter names in the order typed."""
+        typed = list(args)
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         try:
@@ -149,6 +151,8 @@ class _Ordered(TyperCommand):
             bounds = getattr(error.param, "type", None)
             if "not a valid" in error.message and isinstance(getattr(bounds, "name", None), str):
                 error.message += _number_hint(bounds)
+            if not error.message and getattr(error.param, "name", None) == "output":
+                error.message = output_hint(self.name or "", typed, values)
             error.param = self._missing_argument(error.param, values)
             raise
 

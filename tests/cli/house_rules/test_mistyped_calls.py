@@ -135,6 +135,24 @@ def test_nine_of_ten_messages_offer_a_way_on(answers: dict[str, Ran]) -> None:
     assert len(without) <= len(answers) // 10, without
 
 
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("render cloud.npz", "`gsgen render cloud.npz -o cloud.png`"),
+        ("render cloud.npz --fov 40", "`gsgen render cloud.npz --fov 40 -o cloud.png`"),
+        ("render cloud.npz film.mp4", "`gsgen render cloud.npz -o film.mp4`"),
+        ("render good.onnx cloud.npz", "`gsgen render good.onnx cloud.npz -o good.png`"),
+        ("bake good.onnx", "`gsgen bake good.onnx -o good.ply`"),
+        ("export cloud.npz -o page.html", "`gsgen export html cloud.npz -o page.html`"),
+        ("export good.onnx -o page.html", "`gsgen export html good.onnx -o page.html`"),
+    ],
+)
+def test_the_call_that_was_meant_is_printed(folder: Path, line: str, hint: str) -> None:
+    ran = gsgen_here(*shlex.split(line), cwd=folder)
+    assert ran.code == 2
+    assert hint in ran.err
+
+
 def test_no_mistyped_call_writes_a_file(folder: Path, answers: dict[str, Ran]) -> None:
     assert {path.name for path in folder.iterdir()} == {
         "good.onnx", "bad.onnx", "cloud.npz", "notes.txt", "tiles.json",

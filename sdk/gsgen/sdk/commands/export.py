@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract._extensions import escape_markup
 from gsgen.contract.errors import GsgenError, UnknownName
+from gsgen.contract.process.atomic_files import PAGE_SUFFIXES
 from gsgen.sdk.plugins.export_options import with_common_options
 from gsgen.sdk.plugins.factory import is_target
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
@@ -44,16 +45,19 @@ class _Targets(TyperGroup):
             wants_help = bool({"-h", "--help"} & set(args))
             return word, _command_for(word, wants_help=wants_help), args[1:]
         if word not in self.commands and not word.startswith("-"):
-            raise _unknown(word, list(self.commands))
+            raise _unknown(word, list(self.commands), args)
         return super().resolve_command(ctx, args)
 
 
-def _unknown(word: str, plugins: list[str]) -> UnknownName:
+def _unknown(word: str, plugins: list[str], typed: list[str]) -> UnknownName:
     from gsgen.formats.codecs import codec_of_suffix
 
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
-    if codec_of_suffix(path):
+    pages = [entry for entry in typed if Path(entry).suffix.lower() in PAGE_SUFFIXES]
+    if pages and path.suffix:
+        hint = f"`gsgen export html {word} -o {pages[0]}` writes a page."
+    elif codec_of_suffix(path):
         hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
     elif path.suffix == ".onnx":
         hint = f"It is already exported: gsgen validate {word}"
