@@ -163,6 +163,38 @@ def test_a_lost_device_is_opened_again(shown: Any) -> None:
     assert errors_of(shown) == []
 
 
+def test_a_frame_without_a_camera_or_a_model_is_left_out(page: Any, knot: Path) -> None:
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        settled(page)
+        # Frames that come while the element opens, and while it is removed.
+        page.evaluate(
+            f"""async () => {{
+              const element = {_ELEMENT};
+              element._orbit = null;
+              await element._draw(0);
+              element._placeCamera();
+              const focusing = element._focusAt(9, 9).catch(() => null);
+              element.remove();
+              await focusing;
+              window.removed = element;
+            }}"""
+        )
+        assert page.evaluate("removed.report.errors.length") == 0
+
+
+def test_a_device_that_is_lost_for_good_is_said_to_be(page: Any, knot: Path) -> None:
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        page.evaluate("navigator.gpu.requestAdapter = async () => null")
+        page.evaluate(f"{_ELEMENT}._renderer.device.destroy()")
+        wait(page, f"{_ELEMENT}.report.errors.length")
+        (error,) = errors_of(page)
+        assert error["message"] == "the graphics device was lost"
+
+
 def test_steady_frames_make_no_gpu_objects_and_wait_for_none(shown: Any) -> None:
     """Of 12 frames of a moving camera, only encoders, passes and command buffers are made."""
     result = steady_frames(shown, 12)

@@ -10,6 +10,7 @@ const WANTED_LIMITS = [
 ];
 const WANTED_FEATURES = /** @type {GPUFeatureName[]} */ (["shader-f16"]); // for generators; no kernel of the renderer needs it
 
+let hasWorked = false; // a device of this page
 /** Open a device with the adapter's own limits. @returns {Promise<GPUDevice>} */
 export async function openDevice() {
   if (!navigator.gpu) {
@@ -19,7 +20,7 @@ export async function openDevice() {
   }
   const adapter = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
   if (!adapter) {
-    throw new GsgenError("the browser found no graphics adapter", {
+    throw new GsgenError(hasWorked ? "the graphics device was lost" : "the browser found no graphics adapter", {
       hint: "Switch hardware acceleration on, or update the graphics driver.",
     });
   }
@@ -29,4 +30,4 @@ export async function openDevice() {
 }
 
 /** Return the page's device; after a loss the next call opens another one. */
-export const sharedDevice = once(openDevice, (device) => device.lost);
+export const sharedDevice = once(openDevice, (device) => (hasWorked = true) && device.lost);

@@ -156,7 +156,7 @@ export class GsgenModel extends HTMLElement {
     if (this._frameRequest || !this._model || !this._isVisible) return;
     this._frameRequest = requestAnimationFrame((now) => {
       this._frameRequest = 0;
-      this._draw(now).catch((error) => this._fail(error));
+      this._draw(now).catch((error) => this._model && this._fail(error));
     });
   }
 
@@ -215,6 +215,7 @@ export class GsgenModel extends HTMLElement {
       signal,
     );
     const [kernels, bytes] = await Promise.all([started, data]);
+    await kernels.presenting; // so that no frame comes between the model and its camera
     signal.throwIfAborted();
     const name = this.getAttribute("name") ?? source;
     const number = (attribute) => parseFloat(this.getAttribute(attribute) ?? "") || undefined;
@@ -324,15 +325,15 @@ export class GsgenModel extends HTMLElement {
 
   /** Turn to the surface at a place of the canvas, in CSS pixels. */
   async _focusAt(x, y) {
-    if (!this._renderer || !this._camera) return;
-    const { width, height } = this._camera;
+    const { _renderer: renderer, _camera: camera } = this;
+    if (!renderer || !camera) return;
     const { clientWidth, clientHeight } = this._view.canvas;
-    const [across, down] = [(x * width) / clientWidth, (y * height) / clientHeight];
-    await this._renderer.draw(this._camera, { outputs: ["depth"] });
-    const image = await this._renderer.readImage("depth");
-    const pixel = 4 * (Math.floor(down) * width + Math.floor(across));
+    const [across, down] = [(x * camera.width) / clientWidth, (y * camera.height) / clientHeight];
+    await renderer.draw(camera, { outputs: ["depth"] });
+    const image = await renderer.readImage("depth");
+    const pixel = 4 * (Math.floor(down) * camera.width + Math.floor(across));
     const median = image[pixel + 1];
-    if (median > 0) this._orbit.focus(unproject(this._camera, across, down, median));
+    if (median > 0) this._orbit?.focus(unproject(camera, across, down, median));
     this._moved();
   }
 
@@ -342,7 +343,7 @@ export class GsgenModel extends HTMLElement {
     const { canvas } = this._view;
     const scale = Math.min(devicePixelRatio, MOST_PIXELS_PER_CSS);
     const [width, height] = [this.clientWidth, this.clientHeight].map((x) => Math.round(x * scale));
-    if (!this._model || !width || !height) return;
+    if (!this._model || !this._orbit || !width || !height) return;
     if (this._isDrawing) {
       this._isMissed = true;
       return;
