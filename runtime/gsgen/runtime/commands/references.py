@@ -92,16 +92,15 @@ def references(
     if they cannot be or an option is wrong, 4 if MODEL cannot be read.
     """
     from gsgen.contract.commands.progress import clear, progress
-    from gsgen.contract.process.atomic_files import refuse_itself
     from gsgen.contract.rules.catalogue import installed_rules
     from gsgen.contract.validation.settings_from_options import make_settings
     from gsgen.runtime.checks.reference_recording import record_references
-    from gsgen.runtime.commands.input_files import input_files
+    from gsgen.runtime.commands.input_files import input_files, refuse_inputs
 
     if (source is None) != (cameras is None):
         hint = "Pictures need their cameras: --from FOLDER --cameras FILE."
         raise ConfigInvalid("are only used together", where="--from, --cameras", hint=hint)
-    refuse_itself(output, input_files([cameras] if cameras else [], camera=camera))
+    refuse_inputs(output, input_files([cameras] if cameras else [], camera=camera))
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     if source is not None and cameras is not None:
         chosen = {"probe": probe, "count": count, "psnr": psnr, "force": force}

@@ -120,7 +120,6 @@ def render(
     from gsgen.runtime.commands.input_files import input_files, refuse_inputs, scene_inputs
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.media.output_formats import require_output_format
-    from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
@@ -159,8 +158,6 @@ def render(
             post=models,
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
-        if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
-            typer.echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
         _write(sequence, output, bits=bit_count, as_json=as_json)
 
 
@@ -213,7 +210,10 @@ def _transparency_notes(
 def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_json: bool) -> None:
     """Draw all frames of a sequence into ``output``, and print a summary."""
     from gsgen.contract.commands.progress import clear, progress
+    from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
 
+    if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
+        typer.echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
     started = clock.perf_counter()
     sequence.write(
         output, lambda number: progress(f"frame {number} of {sequence.frames}"), bits=bits
