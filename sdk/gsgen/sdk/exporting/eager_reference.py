@@ -17,6 +17,7 @@ from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.exporting.source_checks import check_gaussians
 from gsgen.sdk.exporting.tracing.hazards import Watch, hint_of
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.model_runs import KEPT_BYTES
@@ -94,9 +95,17 @@ class EagerRuns:
             self._kept[index] = reference
 
 
-def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
-    """Run a torch generator once in eager mode, without gradients."""
-    return _reference(generator, probe, call_module(generator, _tensors(probe)))
+def run_eager(generator: GaussianGenerator, probe: Probe, *, checked: bool = True) -> Reference:
+    """Run a torch generator once in eager mode, without gradients.
+
+    Args:
+        generator: The module.
+        probe: The inputs.
+        checked: Whether to raise for values that are wrong in torch, such as NaN; not for inputs
+            that only explain a difference, and may lie outside of their range.
+    """
+    output = call_module(generator, _tensors(probe))
+    return _reference(generator, probe, output, checked=checked)
 
 
 def packed_outputs(reference: Reference, manifest: GeneratorManifest) -> dict[str, np.ndarray]:
@@ -145,46 +154,18 @@ def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
         raise GeneratorInvalid(message, where=where, hint=hint) from error
 
 
-def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Reference:
+def _reference(
+    generator: GaussianGenerator, probe: Probe, output: Any, *, checked: bool = True
+) -> Reference:
     if not isinstance(output, Gaussians):
         message = f"forward returned {type(output).__name__}, expected gsgen.sdk.Gaussians"
         raise GeneratorInvalid(message, where=type(generator).__name__)
     n = output.position.shape[0]
     count = n if output.count is None else int(np.clip(int(output.count.reshape(-1)[0]), 0, n))
-    if output.scale is not None and not probe.zeros:
-        _refuse_negative(_array(output.scale[:count]))
-    if output.cells is None and not probe.zeros:
-        _refuse_logits(_array(output.opacity[:count]).reshape(-1))
+    if checked and not probe.zeros:
+        check_gaussians(output, count, probe.label)
     cells = None if output.cells is None else _unpacked_cells(output.cells)
     return Reference(probe, _unpacked(output), count, cells)
-
-
-def _refuse_negative(scale: np.ndarray) -> None:
-    """Raise if most scales of Gaussians are negative, because they are probably logarithms.
-
-    Single negative scales are accepted: methods that add an offset to a scale
-    (Deformable-3D-Gaussians) have them, and draw their squares.
-    """
-    wrong = int((scale < 0).all(axis=1).sum())
-    if wrong > len(scale) / 2:
-        raise GeneratorInvalid(
-            f"the scale is negative in {wrong:,} of {len(scale):,} rows, down to {scale.min():g}; "
-            "expected standard deviations",
-            where="Gaussians.scale",
-            hint="3DGS stores logarithms: take torch.exp of them; or take abs, if signs have no meaning.",
-        )
-
-
-def _refuse_logits(opacity: np.ndarray) -> None:
-    """Raise if most opacities lie outside 0 to 1, because they are probably logits."""
-    wrong = int(((opacity < 0) | (opacity > 1)).sum())
-    if wrong > len(opacity) / 2:
-        raise GeneratorInvalid(
-            f"the opacity is outside 0 to 1 in {wrong:,} of {len(opacity):,} rows, from "
-            f"{opacity.min():g} to {opacity.max():g}; expected opacities",
-            where="Gaussians.opacity",
-            hint="3DGS stores logits: take torch.sigmoid of them.",
-        )
 
 
 def _unpacked(gaussians: Gaussians) -> layout.DecodedGaussians:
