@@ -9,7 +9,7 @@ import torch
 
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
-from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
+from gsgen.sdk import GaussianGenerator, Gaussians, PostProcess, export, export_post_process, inputs
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.plugins.factory import load_factory
 
@@ -50,6 +50,15 @@ class NamedInput(Cloud):
 
 class NamedInputs(Cloud):
     inputs = "time"  # type: ignore[assignment]
+
+
+class Sepia(PostProcess):
+    """A post-process model, which is no generator."""
+
+    inputs = (inputs.image(),)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return image
 
 
 @pytest.mark.parametrize(
@@ -98,6 +107,56 @@ def test_what_cannot_be_exported_is_refused(
     assert (refused.value.where, refused.value.message) == (where, what)
     assert hint in refused.value.hint
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("export_module", "module", "expected", "hint"),
+    [
+        (export, torch.nn.Linear(3, 3), "GaussianGenerator", "gsgen.sdk.wrap(module, inputs="),
+        (export, Sepia(), "GaussianGenerator", "gsgen.sdk.export_post_process"),
+        (export_post_process, Cloud(), "PostProcess", "gsgen.sdk.export."),
+        (export_post_process, torch.nn.Linear(3, 3), "PostProcess", "subclass of gsgen.sdk.Post"),
+    ],
+)
+def test_a_module_of_another_kind_is_refused_with_what_exports_it(
+    export_module: Any, module: torch.nn.Module, expected: str, hint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(GeneratorInvalid) as refused:
+        export_module(module, tmp_path / "model.onnx")
+    assert refused.value.where == type(module).__name__
+    assert refused.value.message == f"the object is a torch module, expected a {expected}"
+    assert hint in refused.value.hint
+
+
+class Swapped(Cloud):
+    inputs = (inputs.time(), inputs.camera_position())
+
+    def forward(self, camera_position: torch.Tensor, time: torch.Tensor) -> Gaussians:
+        return super().forward(camera_position @ torch.ones(3, 1) + time)
+
+
+class Renamed(Swapped):
+    def forward(self, eye: torch.Tensor, when: torch.Tensor) -> Gaussians:
+        return super().forward(eye, when)
+
+
+@pytest.mark.parametrize(
+    ("module", "hint"),
+    [
+        (
+            Swapped(),
+            "Inputs are passed in the declared order: time, camera_position. "
+            "forward takes them as camera_position, time.",
+        ),
+        (Renamed(), ""),  # other names say nothing about the order
+    ],
+)
+def test_inputs_of_forward_in_another_order_are_named_if_it_raises(
+    module: GaussianGenerator, hint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(GeneratorInvalid, match="forward raised RuntimeError") as refused:
+        export(module, tmp_path / "model.onnx")
+    assert refused.value.hint == hint
 
 
 def test_offsets_may_make_single_scales_negative(tmp_path: Path) -> None:

@@ -1,24 +1,35 @@
 """Checks a user's torch module before it is run, for mistakes that Python does not report."""
 
-__all__ = ["validate_module"]
+__all__ = ["WRAP_CALL", "input_order_hint", "validate_module"]
 
+import inspect
 from typing import Any
 
 from torch import nn
 
 from gsgen.contract.spec.manifest import Input
+from gsgen.sdk.authoring.generator import GaussianGenerator
+from gsgen.sdk.authoring.post_process import PostProcess
 from gsgen.sdk.errors import GeneratorInvalid
 
 _INPUTS_HINT = (
     "Make inputs with the functions of gsgen.sdk.authoring.inputs, such as inputs.time()."
 )
+# What makes a Gaussian generator of another torch module, for hints.
+WRAP_CALL = (
+    "gsgen.sdk.wrap(module, inputs=[inputs.time()], outputs={'position': 0, 'opacity': 1, …})"
+)
 
 
-def validate_module(module: Any) -> None:
+def validate_module(module: Any, kind: type[GaussianGenerator] | type[PostProcess]) -> None:
     """Raise if an object to export is not an initialised torch module with declared inputs.
 
-    Finds classes in place of instances, ``__init__`` without the parent's, and ``inputs`` that are
-    not a sequence of inputs.
+    Finds classes in place of instances, torch modules of another kind, ``__init__`` without the
+    parent's, and ``inputs`` that are not a sequence of inputs.
+
+    Args:
+        module: The object.
+        kind: What the export takes: Gaussian generators or post-process models.
     """
     if isinstance(module, type):
         name = module.__name__
@@ -29,10 +40,24 @@ def validate_module(module: Any) -> None:
     if not isinstance(module, nn.Module):
         hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
         raise GeneratorInvalid("the object is not a torch module", where=name, hint=hint)
+    if not isinstance(module, kind):
+        message = f"the object is a torch module, expected a {kind.__name__}"
+        raise GeneratorInvalid(message, where=name, hint=_kind_hint(module, kind))
     if "_modules" not in vars(module):
         hint = "Begin it with super().__init__()."
         raise GeneratorInvalid("__init__ does not call super().__init__()", where=name, hint=hint)
     _require_inputs(getattr(module, "inputs", ()), f"{name}.inputs")
+
+
+def _kind_hint(module: nn.Module, kind: type[nn.Module]) -> str:
+    """Return how a torch module of another kind can be exported."""
+    if isinstance(module, PostProcess):
+        return "Export it with gsgen.sdk.export_post_process."
+    if isinstance(module, GaussianGenerator):
+        return "Export it with gsgen.sdk.export."
+    if kind is GaussianGenerator:
+        return f"Export {WRAP_CALL}."
+    return "Call it from the forward of a subclass of gsgen.sdk.PostProcess."
 
 
 def _require_inputs(declared: Any, where: str) -> None:
@@ -48,3 +73,15 @@ def _require_inputs(declared: Any, where: str) -> None:
         if not isinstance(entry, Input):
             message = f"{entry!r} is not an input"
             raise GeneratorInvalid(message, where=f"{where}[{index}]", hint=_INPUTS_HINT)
+
+
+def input_order_hint(module: nn.Module) -> str:
+    """Return a hint if ``forward`` names the declared inputs in another order; else nothing."""
+    declared = [entry.name for entry in getattr(module, "inputs", ())]
+    parameters = list(inspect.signature(module.forward).parameters)
+    if parameters == declared or sorted(parameters) != sorted(declared):
+        return ""
+    return (
+        f"Inputs are passed in the declared order: {', '.join(declared)}. forward takes them as "
+        f"{', '.join(parameters)}."
+    )

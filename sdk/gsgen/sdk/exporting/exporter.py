@@ -188,7 +188,7 @@ def export(
     if not 0 <= vectors <= MOST_RECORDED:
         message = f"is {vectors}, expected from 0 to {MOST_RECORDED}"
         raise ConfigInvalid(message, where="vectors", hint="Give 0 to record no rows.")
-    validate_module(generator)
+    validate_module(generator, GaussianGenerator)
     generator = generator.eval().cpu()
     options = _Options(
         name=name or path.stem,

@@ -111,7 +111,7 @@ def export_post_process(
     """
     path = Path(path)
     refuse_folder(path)
-    validate_module(model)
+    validate_module(model, PostProcess)
     model = model.eval().cpu()
     # Step 1: eager reference.
     _check_inputs(model)

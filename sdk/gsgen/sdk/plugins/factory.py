@@ -195,19 +195,17 @@ def _checked(module: Any, target: str) -> Any:
     import torch
 
     from gsgen.sdk.authoring.generator import GaussianGenerator
-    from gsgen.sdk.authoring.module_checks import validate_module
+    from gsgen.sdk.authoring.module_checks import WRAP_CALL, validate_module
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.errors import GeneratorInvalid
 
     if isinstance(module, GaussianGenerator | PostProcess):
-        validate_module(module)
+        is_generator = isinstance(module, GaussianGenerator)
+        validate_module(module, GaussianGenerator if is_generator else PostProcess)
         return module
     hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
     if isinstance(module, torch.nn.Module):
-        hint = (
-            "Write a function that returns gsgen.sdk.wrap(module, inputs=[inputs.time()], outputs="
-            "{'position': 0, 'opacity': 1, …}), and export that."
-        )
+        hint = f"Write a function that returns {WRAP_CALL}, and export that."
     message = f"returns {name_of(type(module))}, expected a GaussianGenerator"
     raise GeneratorInvalid(message, where=target, hint=hint)
 
