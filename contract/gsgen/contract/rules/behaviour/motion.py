@@ -25,6 +25,12 @@ def _floats(run: ProbeRun) -> dict[str, np.ndarray]:
     return floats if all(np.isfinite(v).all() for v in floats.values()) else {}
 
 
+def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
+    """Return the row count that a run outputs; None if the manifest declares no count."""
+    declared = behaviour.subject.declared_count
+    return None if declared is None else run.outputs.get(declared.name)
+
+
 @rule(
     "GB004",
     "time-loops",
@@ -83,6 +89,8 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
         a, b = (_floats(run).get(declared.name) for run in (early, late))
         if a is None or b is None or a.shape != b.shape:
             continue
+        if not np.array_equal(_count(behaviour, early), _count(behaviour, late)):
+            continue  # rows behind a dropped one are those of other Gaussians
         drawn = np.minimum(a[:, OPACITY], b[:, OPACITY]) >= CULL_OPACITY
         paths = (a[drawn, POSITION].astype(np.float64), b[drawn, POSITION])
         far = float(np.linalg.norm(paths[0] - paths[1], axis=1).max(initial=0.0))

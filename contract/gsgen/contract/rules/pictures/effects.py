@@ -122,7 +122,7 @@ def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
     for entry, series in _all_series(behaviour):
         assert entry.range is not None
         span = entry.range[1] - entry.range[0]
-        if entry.role != "time" or entry.frames or span > 1:
+        if entry.role != "time" or entry.frames or span > 1 or not _is_aligned(series):
             continue
         pairs = [(b - a, _motion(x, y)) for (a, x), (b, y) in pairwise(series)]
         steps = [motion for gap, motion in pairs if _NEAR[0] * span < gap < _NEAR[1] * span]
@@ -149,6 +149,14 @@ def _all_series(behaviour: Behaviour) -> Iterator[tuple[Input, Series]]:
     for entry in generator.inputs if generator else ():
         if entry.role in _SERIES and entry.range is not None:
             yield entry, _series(behaviour, entry)
+
+
+def _is_aligned(series: Series) -> bool:
+    """Return whether all runs have the same row count, so that a row is the same Gaussian in each.
+
+    Where rows are dropped or added, those behind them move up or down in the output.
+    """
+    return len({outputs.count for _, outputs in series}) <= 1
 
 
 def _series(behaviour: Behaviour, entry: Input) -> Series:
