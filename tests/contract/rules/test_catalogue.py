@@ -23,6 +23,15 @@ def test_the_catalogue_goes_family_by_family_in_order_of_ids():
     assert order == sorted(order)
 
 
+@pytest.mark.parametrize(
+    ("id", "remedy"),
+    [("GB009", 'count_semantics = "upper-bound"'), ("TV103", "gsgen.sdk.math.camera_centre(view)")],
+)
+def test_a_hint_names_what_a_module_of_the_sdk_writes(id: str, remedy: str):
+    rule = next(rule for rule in builtin_rules() if rule.id == id)
+    assert remedy in rule.hint
+
+
 def test_every_rule_has_an_id_and_a_name_of_its_own():
     rules = builtin_rules()
     assert len({rule.id for rule in rules}) == len(rules)

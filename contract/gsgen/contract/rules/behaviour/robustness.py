@@ -189,7 +189,8 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
         do not stand first, and the count saves nothing.
 
     Hint:
-        Move live rows to the front, or declare the count's semantics as "upper-bound".
+        Move live rows to the front, or declare the count's semantics as "upper-bound": in the SDK,
+        by the class attribute count_semantics = "upper-bound".
     """
     subject = behaviour.subject
     declared, count = subject.declared_gaussians, subject.declared_count

@@ -106,7 +106,8 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
         inference fails.
 
     Hint:
-        Call them camera, proj and time; bake other inputs in before export.
+        Call them camera, proj and time; bake other inputs in before export. In place of the camera
+        position, take inputs.view() and compute gsgen.sdk.math.camera_centre(view).
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
         viewer_role = bound_role(entry.name)
