@@ -5,7 +5,7 @@ The names below need pytest (``pip install 'gsgen[conformance]'``) and are loade
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.conformance.pytest.generator import GeneratorConformance
@@ -14,3 +14,4 @@ if TYPE_CHECKING:
 __all__ = ["Check", "GeneratorConformance", "RuleWarning", "parametrize_with_rules"]
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

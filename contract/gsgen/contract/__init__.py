@@ -5,7 +5,7 @@ The names below are loaded on first use, so that ``import gsgen.contract`` is fa
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.contract.errors import GsgenError
@@ -45,3 +45,4 @@ __all__ = [
 ]
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

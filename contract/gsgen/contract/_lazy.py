@@ -1,6 +1,6 @@
 """Lazy imports: a package loads each public name on first use, which keeps start-up fast."""
 
-__all__ = ["lazy_getattr"]
+__all__ = ["lazy_dir", "lazy_getattr"]
 
 import sys
 from collections.abc import Callable
@@ -27,6 +27,11 @@ def lazy_getattr(package: str) -> Callable[[str], object]:
         return value
 
     return load
+
+
+def lazy_dir(package: str) -> Callable[[], list[str]]:
+    """Return a module ``__dir__`` that lists the public names of ``package``, loaded or not."""
+    return lambda: sorted(vars(sys.modules[package])["__all__"])
 
 
 @cache

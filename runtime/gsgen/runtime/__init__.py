@@ -10,7 +10,7 @@ The names below are loaded when first used.
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.bake_frames import bake
@@ -62,3 +62,4 @@ __all__ = [
 ]
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

@@ -9,7 +9,7 @@ A tileset is a tree of files of splats, coarse above and fine below. An invalid 
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.tiles.info import describe_tileset
@@ -20,3 +20,4 @@ if TYPE_CHECKING:
 __all__ = ["Frustum", "SessionOptions", "describe_tileset", "open_session", "open_tileset"]
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

@@ -5,7 +5,7 @@ The names below are loaded when first used, so that ``import gsgen.sdk`` does no
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.sdk import math
@@ -26,3 +26,4 @@ __all__ = [
 ]  # fmt: skip
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

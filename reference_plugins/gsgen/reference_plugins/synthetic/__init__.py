@@ -6,7 +6,7 @@ are imported on first use.
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.synthetic_anchors import (
@@ -41,3 +41,4 @@ __all__ = [
 ]  # fmt: skip
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.bake_frames import bake
@@ -11,3 +11,4 @@ if TYPE_CHECKING:
 __all__ = ["BakeReport", "BakedFrame", "bake"]
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)

@@ -5,7 +5,7 @@ Needs NumPy and ONNX Runtime, not torch. The names below are imported when first
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import lazy_getattr
+from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.camera_inputs import CameraLike, Pinhole
@@ -29,3 +29,4 @@ __all__ = [
 ]  # fmt: skip
 
 __getattr__ = lazy_getattr(__name__)
+__dir__ = lazy_dir(__name__)
