@@ -216,6 +216,8 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
         (["dots"], UnknownName, "dots:NAME"),
         (["dots.py"], UnknownName, "dots.py:NAME"),
         (["pack.scenes.Dots"], UnknownName, "Write pack.scenes:Dots"),
+        (["pack.scenes"], UnknownName, "pack.scenes:NAME"),
+        (["dots.Dots"], UnknownName, "Write dots:Dots"),
         (["sttic"], UnknownName, "Did you mean 'static'?"),
         (["scene.ply"], UnknownName, "gsgen export static scene.ply"),
         (["scene.glb"], UnknownName, "gsgen export static scene.glb"),

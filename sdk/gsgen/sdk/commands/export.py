@@ -54,6 +54,7 @@ def _unknown(word: str, plugins: list[str], typed: list[str]) -> UnknownName:
 
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
+    module, _, name = word.rpartition(".")
     pages = [entry for entry in typed if Path(entry).suffix.lower() in PAGE_SUFFIXES]
     if pages and path.suffix:
         hint = f"`gsgen export html {word} -o {pages[0]}` writes a page."
@@ -61,13 +62,18 @@ def _unknown(word: str, plugins: list[str], typed: list[str]) -> UnknownName:
         hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
     elif path.suffix == ".onnx":
         hint = f"It is already exported: gsgen validate {word}"
-    elif path.suffix == ".py" or path.with_suffix(".py").is_file():
+    elif path.suffix == ".py" or _is_module(word):
         hint = f"Name the callable that returns the generator: {word}:NAME"
-    elif "." in word and "Did you mean" not in error.hint:
-        hint = f"Write {word.rpartition('.')[0]}:{word.rpartition('.')[2]}"
+    elif _is_module(module) or (module and "Did you mean" not in error.hint):
+        hint = f"Write {module}:{name}"
     else:
         hint = f"{error.hint} A target of your own is written package.module:factory."
     return UnknownName(error.message, where=error.where, hint=hint)
+
+
+def _is_module(name: str) -> bool:
+    """Return whether a dotted name is that of a Python file under the current folder."""
+    return Path(f"{name.replace('.', '/')}.py").is_file()
 
 
 def _command_for(target: str, *, wants_help: bool) -> Any:
