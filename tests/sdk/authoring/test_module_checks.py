@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 
+from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import GaussianGenerator, Gaussians, PostProcess, export, export_post_process, inputs
@@ -157,6 +158,44 @@ def test_inputs_of_forward_in_another_order_are_named_if_it_raises(
     with pytest.raises(GeneratorInvalid, match="forward raised RuntimeError") as refused:
         export(module, tmp_path / "model.onnx")
     assert refused.value.hint == hint
+
+
+class Misnamed(Cloud):
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        return Gaussians(shs=torch.zeros(8, 1, 3))  # type: ignore[call-arg]
+
+
+class Unheard(Cloud):
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        return super().forward(self.tyme)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("module", "hint"),
+    [
+        (
+            Misnamed(),
+            "Did you mean 'sh'? Gaussians takes position, opacity, scale, rotation, covariance, "
+            "sh, rgb, count, cells.",
+        ),
+        (Unheard(), ""),  # names of torch's own would mislead
+    ],
+)
+def test_a_misspelled_name_in_forward_gets_the_known_ones(
+    module: GaussianGenerator, hint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(GeneratorInvalid, match="forward raised") as refused:
+        export(module, tmp_path / "model.onnx")
+    assert refused.value.hint == hint
+
+
+def test_a_misspelled_input_gets_the_known_name(tmp_path: Path) -> None:
+    (tmp_path / "misspelled.py").write_text(
+        "from gsgen.sdk import inputs\nDECLARED = (inputs.camera_pos(),)\n"
+    )
+    with pytest.raises(GsgenError, match="has no attribute 'camera_pos'") as refused:
+        load_factory("misspelled:Mine", tmp_path)
+    assert refused.value.hint == "Did you mean 'camera_position'?"
 
 
 def test_offsets_may_make_single_scales_negative(tmp_path: Path) -> None:

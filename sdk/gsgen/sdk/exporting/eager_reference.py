@@ -16,6 +16,7 @@ from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
+from gsgen.sdk.authoring.misspelled_names import misspelling_hint
 from gsgen.sdk.authoring.module_checks import input_order_hint
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.source_checks import check_gaussians
@@ -151,7 +152,8 @@ def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
         message = f"forward raised {type(error).__name__}: {error}"
         where = user_line_of(error) or type(module).__name__
         is_linalg = isinstance(error, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
-        hint = hint_of("linalg") if is_linalg else input_order_hint(module)
+        hint = hint_of("linalg") if is_linalg else ""
+        hint = hint or misspelling_hint(error) or input_order_hint(module)
         raise GeneratorInvalid(message, where=where, hint=hint) from error
 
 

@@ -228,7 +228,10 @@ def locate_errors(build: Callable[[], Any], name: str) -> Callable[[], Any]:
 
 def _raised(error: Exception, where: str) -> GsgenError:
     """Return an error for an exception in the user's code, with the line that raised it."""
+    from gsgen.sdk.authoring.misspelled_names import misspelling_hint
+
     reason = error.msg if isinstance(error, SyntaxError) else str(error)
     line = user_line_of(error)
     location = f"{where}, {line}" if line else where
-    return GsgenError(f"{type(error).__name__}: {reason}", where=location)
+    hint = misspelling_hint(error)
+    return GsgenError(f"{type(error).__name__}: {reason}", where=location, hint=hint)
