@@ -1,15 +1,21 @@
 """Findings of graphs and limits: the place that they name, and the last row that fits."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from onnx import AttributeProto, NodeProto
 
+from gsgen.conformance.fixtures.builders.arrays import i64
+from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting
 from gsgen.contract.rules.graph.graph import _node_location
 from gsgen.contract.rules.graph.replay import _copies
 from gsgen.contract.rules.interface.extensions import cost_plausible
 from gsgen.contract.rules.targets.limits import fits_dispatch
+from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 
 
 @pytest.mark.parametrize(
@@ -17,6 +23,30 @@ from gsgen.contract.spec.targets import load_target
 )
 def test_a_node_is_named_or_told_by_its_operator(name: str, location: str) -> None:
     assert _node_location(NodeProto(name=name, op_type="Mul")) == location
+
+
+@pytest.mark.parametrize(
+    ("index", "helper"),
+    [
+        ("best, places = TopK (time, one) index = Cast <to = 6> (places)", True),
+        (
+            "rest = Mod <fmod = 1> (time, time) places = Cast <to = 7> (rest) index = Cast <to = 6> (places)",
+            False,
+        ),
+    ],
+)
+def test_nodes_of_a_selection_of_rows_name_the_helper_that_makes_them(
+    index: str, helper: bool, tmp_path: Path
+) -> None:
+    shift = f"{index} moved_by = Cast <to = 1> (index) shift = Mul (speed, moved_by)"
+    model = drifting().reworded(SHIFT_NODE, shift).weighing(one=i64(1))
+    settings = Settings(target=load_target("visionary"), level=Level.STATIC)
+    model.write(tmp_path / "m.onnx")
+    report = validate(tmp_path / "m.onnx", settings)
+    expected = {f.rule: f.message for f in report.findings if f.rule in ("GG005", "GG006")}
+    assert expected.keys() == {"GG005", "GG006"}
+    for message in expected.values():
+        assert ("keep_rows selects rows by TopK, multiply opacity by the mask" in message) is helper
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,10 @@ from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
 _CAPTURE = "graph_capture"
+# TopK stands in no user's code: it is how the SDK selects rows.
+_SELECTION = (
+    "if gsgen.sdk.math.keep_rows selects rows by TopK, multiply opacity by the mask instead"
+)
 
 
 def _node_location(node: NodeProto) -> str:
@@ -38,6 +42,13 @@ def _outcomes_text(placement: Placement) -> str:
     }
     texts = [f"{text} in {' and '.join(runtimes)}" for text, runtimes in runtimes_by_text.items()]
     return f"{placement.dtype} {'; '.join(texts)}"
+
+
+def _expected(subject: InspectedModel, node: NodeProto, usual: str) -> str:
+    """Return what is expected of a node, with the remedy if the node selects rows by TopK."""
+    producers = (subject.graph.producers.get(name) for name in node.input)
+    selects = any(n is not None and n.op_type == "TopK" for n in (node, *producers))
+    return f"{usual}; {_SELECTION}" if selects else usual
 
 
 @rule(
@@ -94,7 +105,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(
             _node_location(placement.node),
             _outcomes_text(placement),
-            "int32, or a kernel for int64",
+            _expected(subject, placement.node, "int32, or a kernel for int64"),
         )
 
 
@@ -123,7 +134,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(
             _node_location(placement.node),
             _outcomes_text(placement),
-            "an operator that is captured",
+            _expected(subject, placement.node, "an operator that is captured"),
         )
 
 
