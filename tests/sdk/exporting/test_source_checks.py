@@ -64,7 +64,7 @@ def test_cells_are_checked_as_gaussians_are() -> None:
         check_gaussians(scene(cells=cells), 8, "time=0")
 
 
-def test_quaternions_of_zeros_are_no_rotations() -> None:
+def test_quaternions_of_zeros_are_refused() -> None:
     with pytest.raises(GeneratorInvalid) as caught:
         check_gaussians(scene(rotation=_NONE), 8, "time=0")
     assert caught.value.where == "Gaussians.rotation"

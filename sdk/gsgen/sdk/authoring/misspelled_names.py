@@ -16,7 +16,7 @@ _UNKNOWN_FIELD = re.compile(r"(\w+)\.__init__\(\) got an unexpected keyword argu
 def misspelling_hint(error: BaseException) -> str:
     """Return a hint with the known names, if an exception is about an unknown one; else nothing."""
     if isinstance(error, AttributeError) and isinstance(error.obj, ModuleType):
-        return _closest(error.name, dir(error.obj))
+        return _closest(error.name or "", dir(error.obj))
     unknown_field = _UNKNOWN_FIELD.match(str(error))
     if not isinstance(error, TypeError) or unknown_field is None:
         return ""

@@ -24,7 +24,7 @@ _NOT_FINITE = (
 
 
 def check_gaussians(gaussians: Gaussians, count: int, inputs: str) -> None:
-    """Raise if live rows that a torch module returned are NaN, logits, logarithms or no rotations.
+    """Raise if live rows that a torch module returned hold NaN, logits, logarithms or zero quaternions.
 
     Args:
         gaussians: The result of the module.
@@ -98,7 +98,7 @@ def _refuse_logits(opacity: Tensor) -> None:
 
 
 def _refuse_no_rotation(rotation: Tensor, inputs: str) -> None:
-    """Raise if most drawn Gaussians have a quaternion of zeros, because none was written there.
+    """Raise if most drawn Gaussians have a quaternion of zeros, which is no rotation.
 
     Single ones are accepted: a trained scene may hold a few, and they are drawn unrotated.
     """

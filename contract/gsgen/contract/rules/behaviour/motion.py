@@ -25,10 +25,10 @@ def _floats(run: ProbeRun) -> dict[str, np.ndarray]:
     return floats if all(np.isfinite(v).all() for v in floats.values()) else {}
 
 
-def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
-    """Return the row count that a run outputs; None if the manifest declares no count."""
-    declared = behaviour.subject.declared_count
-    return None if declared is None else run.outputs.get(declared.name)
+def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray:
+    """Return the row count that a run outputs; an empty array if the manifest declares none."""
+    declared, absent = behaviour.subject.declared_count, np.zeros(0)
+    return absent if declared is None else run.outputs.get(declared.name, absent)
 
 
 @rule(

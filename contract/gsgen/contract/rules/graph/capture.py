@@ -18,7 +18,7 @@ from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
 _CAPTURE = "graph_capture"
-# TopK stands in no user's code: it is how the SDK selects rows.
+# The operator is not in the user's code: the SDK selects rows with it.
 _SELECTION = (
     "if gsgen.sdk.math.keep_rows selects rows by TopK, multiply opacity by the mask instead"
 )
@@ -45,7 +45,7 @@ def _outcomes_text(placement: Placement) -> str:
 
 
 def _expected(subject: InspectedModel, node: NodeProto, usual: str) -> str:
-    """Return what is expected of a node, with the remedy if the node selects rows by TopK."""
+    """Return the expectation of a node, with the remedy if the node selects rows by TopK."""
     producers = (subject.graph.producers.get(name) for name in node.input)
     selects = any(n is not None and n.op_type == "TopK" for n in (node, *producers))
     return f"{usual}; {_SELECTION}" if selects else usual
