@@ -19,7 +19,7 @@ def output_hint(command: str, words: Sequence[str], values: Mapping[str, Any]) -
 
     Args:
         command: The name of the command, such as ``render``.
-        words: What was typed after it.
+        words: The words that follow it on the command line.
         values: The values of its options and arguments.
     """
     files = [str(value) for value in _flattened(values) if str(value) in words]

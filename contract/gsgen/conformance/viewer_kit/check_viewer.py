@@ -75,7 +75,7 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
 
 
 def _index_beside(kit: Path, pictures: Path) -> dict[str, Any]:
-    """Read the index of a kit; where there is none, hint at one in the folder of pictures."""
+    """Read the index of a kit; if it is missing, hint at an index in the folder of pictures."""
     if (kit / "index.json").exists():
         return read_index(kit)
     hint = "`gsgen viewer-kit write FOLDER` writes a kit"
@@ -153,7 +153,7 @@ def suspected_faults(
 
     A fault is ruled out if one of its cases passed, or if most of them are ``unknown``, because
     their pictures cannot be read. Of the others, those are suspected that explain 80 % of the
-    failed cases, except subsets of another; if there are none, the one pair that explains all.
+    failed cases, except subsets of another; if no fault does, the one pair that explains all.
     """
     spoiled: dict[str, frozenset[str]] = {}
     for fault in index["faults"]:

@@ -98,7 +98,7 @@ def _refuse_logits(opacity: Tensor) -> None:
 
 
 def _refuse_no_rotation(rotation: Tensor, inputs: str) -> None:
-    """Raise if most drawn Gaussians have a quaternion of zeros, which is no rotation.
+    """Raise if most drawn Gaussians have a quaternion of zeros.
 
     Single ones are accepted: a trained scene may hold a few, and they are drawn unrotated.
     """
