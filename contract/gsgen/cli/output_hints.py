@@ -10,7 +10,7 @@ from typing import Any, Final
 # Command → suffix of its usual output, and the suffixes of outputs typed without -o.
 _SUFFIXES: Final = {
     "render": (".png", (".png", ".jpg", ".jpeg", ".webp", ".exr", ".gif", ".mp4")),
-    "bake": (".ply", (".ply", ".spz", ".sog")),
+    "bake": (".ply", (".ply",)),
 }
 
 
