@@ -9,6 +9,7 @@ import typing
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -60,13 +61,8 @@ class Factory:
         """Call a user's factory function and return the torch generator that it builds."""
         if not _is_factory(self.make):
             return self.make
-        try:
-            module = self.make(**arguments)
-        except GsgenError:
-            raise
-        except Exception as error:  # the user's code may raise anything
-            raise _raised(error, self.target) from error
-        return _checked(module, self.target)
+        build = locate_errors(partial(self.make, **arguments), self.target)
+        return _checked(build(), self.target)
 
     def _needed(self) -> Iterator[str]:
         for name, parameter in self.parameters.items():
@@ -210,18 +206,18 @@ def _checked(module: Any, target: str) -> Any:
     raise GeneratorInvalid(message, where=target, hint=hint)
 
 
-def locate_errors(build: Callable[[], Any], name: str) -> Callable[[], Any]:
-    """Return a plugin's ``build`` whose errors name the plugin and the line of its code."""
+def locate_errors(build: Callable[[], Any], where: str) -> Callable[[], Any]:
+    """Return a user's or a plugin's ``build`` whose errors name ``where`` and the line of its code."""
 
     def located_build() -> Any:
         try:
             return build()
         except GsgenError:
             raise
-        except Exception as error:  # the plugin's code may raise anything
+        except Exception as error:  # that code may raise anything
             if isinstance(error, ModuleNotFoundError):
                 require_torch()
-            raise _raised(error, name) from error
+            raise _raised(error, where) from error
 
     return located_build
 
