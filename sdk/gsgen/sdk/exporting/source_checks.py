@@ -56,10 +56,10 @@ def _fields(gaussians: Gaussians, count: int) -> Iterator[tuple[str, Tensor]]:
 
 
 def _refuse_not_finite(where: str, values: Tensor, inputs: str) -> None:
-    is_finite = torch.isfinite(values)
-    if is_finite.all():
+    # The bounds need no copy of the values, and are NaN if a value is.
+    if not values.numel() or all(bound.isfinite() for bound in values.aminmax()):
         return
-    wrong = int((~is_finite).reshape(len(values), -1).any(dim=1).sum())
+    wrong = int((~torch.isfinite(values)).reshape(len(values), -1).any(dim=1).sum())
     has_nan, has_infinity = bool(values.isnan().any()), bool(values.isinf().any())
     kinds = " or ".join(["NaN"] * has_nan + ["infinity"] * has_infinity)
     raise GeneratorInvalid(
