@@ -25,13 +25,13 @@ __all__ = [
     "mode_of",
     "read_tracks",
     "split_image_size",
-    "time_value",
+    "time_option",
 ]
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -212,7 +212,12 @@ def _invalid_size(entry: str, paths: Sequence[Path]) -> ConfigInvalid:
     return ConfigInvalid(message, where="--size")
 
 
-def time_value(text: str) -> float:
+def time_option(help: str) -> Any:
+    """Return the option ``--time``, whose value is one number."""
+    return typer.Option(help=help, parser=_time_value, metavar="FLOAT")
+
+
+def _time_value(text: str) -> float:
     """Parse the value of ``--time``, one number.
 
     Raises:

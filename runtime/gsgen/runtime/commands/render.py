@@ -37,14 +37,7 @@ Background = Annotated[
         "[default: black; transparent for .npy]"
     ),
 ]
-Time = Annotated[
-    float | None,
-    typer.Option(
-        help="Time of generators. [default: the manifest's]",
-        parser=options.time_value,
-        metavar="FLOAT",
-    ),
-]
+Time = Annotated[float | None, options.time_option("Time of generators. [default: the manifest's]")]
 Frames = Annotated[
     int | None,
     typer.Option(

@@ -36,12 +36,7 @@ Background = Annotated[
     ),
 ]
 Time = Annotated[
-    float | None,
-    typer.Option(
-        help="Fixed time of generators. [default: the time is played]",
-        parser=options.time_value,
-        metavar="FLOAT",
-    ),
+    float | None, options.time_option("Fixed time of generators. [default: the time is played]")
 ]
 Frames = Annotated[
     int | None,
