@@ -56,9 +56,14 @@ def refuse_inputs(output: Path, paths: Sequence[Path]) -> None:
     Pictures that a mesh or a SOG file among ``paths`` names are inputs, too.
     """
     targets = sorted(output.glob("frame_*.png")) if output.is_dir() else [output]
+    pictures = {target for target in targets if target.is_file()}
+    naming = list(_naming_texts(paths)) if pictures else []
     for target in targets:
-        named = [target] if any(_names(path, target) for path in paths) else []
-        refuse_itself(target, [*paths, *named])
+        is_named = target in pictures and any(
+            target.resolve().is_relative_to(folder) and target.name.encode() in text
+            for folder, text in naming
+        )
+        refuse_itself(target, [*paths, target] if is_named else paths)
 
 
 def _camera_files(camera: str | None) -> list[Path]:
@@ -74,12 +79,11 @@ def _motion_files(path: Path) -> Iterator[Path]:
     yield from (file for file in path.iterdir() if file.suffix.lower() in _MOTION_SUFFIXES)
 
 
-def _names(path: Path, picture: Path) -> bool:
-    """Return whether a mesh or SOG file, or an OBJ's materials, name a picture in its folder."""
-    suffix = path.suffix.lower()
-    if not picture.is_file() or not picture.resolve().is_relative_to(path.parent.resolve()):
-        return False
-    texts = [path] if suffix in _NAMING_SUFFIXES and path.is_file() else []
-    if suffix == ".obj":
-        texts = list(path.parent.glob("*.mtl"))
-    return any(picture.name.encode() in text.read_bytes() for text in texts)
+def _naming_texts(paths: Iterable[Path]) -> Iterator[tuple[Path, bytes]]:
+    """Yield the folder and the text of each file that may name pictures: SOG, glTF and materials."""
+    for path in paths:
+        texts = [path] if path.suffix.lower() in _NAMING_SUFFIXES and path.is_file() else []
+        if path.suffix.lower() == ".obj":
+            texts = list(path.parent.glob("*.mtl"))
+        for text in texts:
+            yield path.parent.resolve(), text.read_bytes()
