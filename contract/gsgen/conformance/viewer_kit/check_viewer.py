@@ -125,15 +125,15 @@ def _require_index(index: dict[str, Any]) -> None:
         raise KitUnreadable("cases is empty, expected at least one")
 
 
-def _require_fields(place: str, entry: object, kind: str) -> None:
+def _require_fields(where: str, entry: object, kind: str) -> None:
     if not isinstance(entry, dict):
-        raise KitUnreadable(f"{place} is a {type(entry).__name__}, expected an object")
+        raise KitUnreadable(f"{where} is a {type(entry).__name__}, expected an object")
     for name, expected in _FIELDS[kind].items():
         if name not in entry:
-            raise KitUnreadable(f"{place}: {name} is missing")
+            raise KitUnreadable(f"{where}: {name} is missing")
         if not isinstance(entry[name], expected) or isinstance(entry[name], bool):
             words = {dict: "an object", list: "a list", str: "a text"}.get(expected, "a number")
-            raise KitUnreadable(f"{place}: {name} is {entry[name]!r}, expected {words}")
+            raise KitUnreadable(f"{where}: {name} is {entry[name]!r}, expected {words}")
 
 
 def read_expected(kit: Path, name: str) -> np.ndarray:
@@ -182,7 +182,7 @@ def _explaining_pair(spoiled: set[frozenset[str]], failed: set[str]) -> set[froz
     Sets of one case take no part: any two failures would be explained by two of them.
     """
     larger = [cases for cases in spoiled if len(cases) > 1]
-    pairs = [{one, other} for one, other in combinations(larger, 2) if one | other == failed]
+    pairs = [set(pair) for pair in combinations(larger, 2) if pair[0] | pair[1] == failed]
     return pairs[0] if len(pairs) == 1 else set()
 
 
