@@ -11,11 +11,13 @@ installed_major() {
     dpkg-query -W -f '${Version}' mesa-vulkan-drivers 2>/dev/null | sed 's/^[0-9]*://; s/\..*//'
 }
 
+# Without -q, grep reads to the end: where it stops at the first match, ldconfig may be killed by the
+# closed pipe, and `pipefail` then reads a driver that is there as missing.
 is_ready() {
     local major
     major=$(installed_major) || true
     [ -n "$major" ] && [ "$major" -ge "$WANTED" ] && ls /usr/share/vulkan/icd.d/lvp_icd*.json >/dev/null 2>&1 &&
-        ldconfig -p | grep -q libvulkan.so.1
+        ldconfig -p | grep libvulkan.so.1 >/dev/null
 }
 
 explain() {
