@@ -20,6 +20,17 @@ def test_degree_follows_from_the_number_of_coefficients(coefficients, degree):
     assert splats_of(2, coefficients).degree == degree
 
 
+def test_a_prompt_shows_a_line_of_facts_and_no_arrays():
+    position = np.float32([[-1, 0, 2], [1, 2.5, 3]])
+    splats = splats_of(2, 16, position=position)
+    assert repr(splats) == "<Splats: 2 splats, SH degree 3, box (-1, 0, 2) to (1, 2.5, 3), classic>"
+    assert repr(splats_of(0, 1)) == "<Splats: 0 splats, SH degree 0, box empty, classic>"
+    points = PointCloud(position, np.zeros((2, 3), np.float32))
+    assert repr(points) == "<PointCloud: 2 points, box (-1, 0, 2) to (1, 2.5, 3)>"
+    rows = PackedRows(np.zeros((1200, 10), np.float16), np.zeros((1200, 27), np.float16))
+    assert repr(rows) == "<PackedRows: 1,200 Gaussians, 27 channels of appearance, float16>"
+
+
 @pytest.mark.parametrize("coefficients", [0, 2, 15, 36])
 def test_splats_refuse_coefficients_of_no_degree(coefficients):
     with pytest.raises(ValueInvalid) as caught:

@@ -45,6 +45,7 @@ def test_a_frame_is_a_png_of_its_bytes() -> None:
     png = frame._repr_png_()
     assert png is not None
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(png))), frame.srgb8)
+    assert repr(frame) == f"<Frame: 48×32 pixels, rgba, {frame.visible:,} visible Gaussians>"
 
 
 def test_a_frame_without_colours_shows_nothing() -> None:

@@ -38,6 +38,14 @@ def camera(angle: float) -> Camera:
     return Camera(view, perspective(1.0, 4 / 3, 0.01, 100))
 
 
+def test_a_prompt_shows_the_names_of_a_frame_s_outputs(models):
+    with FrameSession(models["drift-float32"], provider="cpu") as session:
+        session.run({"time": 0})
+        frame = session.run({"time": 0.5}, copy=True)
+    assert repr(frame) == f"<Frame 1: outputs {', '.join(frame)}>"
+    assert "gaussians" in repr(frame)
+
+
 @BOTH
 @DTYPES
 def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):

@@ -99,6 +99,16 @@ class Frame:
             color = srgb_of_linear(color)
         return np.concatenate([color, alpha], axis=-1)
 
+    def __repr__(self) -> str:
+        images = [
+            name
+            for name in ("rgba", "depth", "median_depth", "ids", "normal")
+            if getattr(self, name) is not None
+        ]
+        height, width = self.alpha.shape
+        drawn = f"{self.visible:,} visible Gaussians"
+        return f"<Frame: {width}×{height} pixels, {', '.join([*images, drawn])}>"
+
     def _repr_png_(self) -> bytes | None:
         """Return the colours as a PNG, for notebooks; None without colours or without pillow."""
         if self.rgba is None or find_spec("PIL") is None:

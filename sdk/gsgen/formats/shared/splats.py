@@ -71,18 +71,26 @@ class Splats:
 
     def _repr_html_(self) -> str:
         """Return a picture and the main facts of the splats as HTML, for notebooks."""
-        low, high = ("0", "0") if not len(self) else map(_corner, _extent(self.position))
-        training = "antialiased" if self.antialiased else "classic"
         rows = [
             ("SH degree", str(self.degree)),
-            ("box", f"{low} to {high}"),
-            ("training", training),
+            ("box", _box(self.position)),
+            ("training", self._training),
         ]
         return summary_html(f"{len(self):,} splats", rows, preview_png(self))
 
+    def __repr__(self) -> str:
+        facts = f"SH degree {self.degree}, box {_box(self.position)}, {self._training}"
+        return f"<Splats: {len(self):,} splats, {facts}>"
 
-def _extent(position: Float32[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
-    return position.min(axis=0), position.max(axis=0)
+    @property
+    def _training(self) -> str:
+        return "antialiased" if self.antialiased else "classic"
+
+
+def _box(position: Float32[np.ndarray, "n 3"]) -> str:
+    if not len(position):
+        return "empty"
+    return f"{_corner(position.min(axis=0))} to {_corner(position.max(axis=0))}"
 
 
 def _corner(point: np.ndarray) -> str:
@@ -112,6 +120,9 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.position)
 
+    def __repr__(self) -> str:
+        return f"<PointCloud: {len(self):,} points, box {_box(self.position)}>"
+
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,6 +149,10 @@ class PackedRows:
 
     def __len__(self) -> int:
         return len(self.gaussians)
+
+    def __repr__(self) -> str:
+        channels = f"{self.appearance.shape[1]} channels of appearance"
+        return f"<PackedRows: {len(self):,} Gaussians, {channels}, {self.gaussians.dtype}>"
 
 
 def _require(

@@ -67,6 +67,9 @@ class Frame:
     def __iter__(self) -> Iterator[str]:
         return iter(self.session.outputs if self.copies is None else self.copies)
 
+    def __repr__(self) -> str:
+        return f"<Frame {self.number}: outputs {', '.join(self)}>"
+
     def handle(self, name: str) -> Any:
         """Return ONNX Runtime's ``OrtValue`` of an output, on the device, without copying.
 
