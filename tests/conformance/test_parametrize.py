@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from conformance.conftest import run_pytest, write
 
 
@@ -82,3 +84,24 @@ def test_mine(check):
     ran = run(folder, text.replace('2.0"', '2.0", "other*.onnx"'))
     assert ran.code == 2
     assert "matches no rule of any tested model" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ('["drift.onnx"], level="valeus"', "Did you mean 'values'?"),
+        ('["drift.onnx"], suites=["tiem"]', "Did you mean 'time'?"),
+        ('["missing.onnx"]', "missing.onnx"),
+    ],
+)
+def test_a_mistake_in_the_decorator_is_told_without_a_stack(
+    arguments: str, said: str, folder: Path
+) -> None:
+    write(folder, "drift")
+    ran = run(
+        folder, f"@parametrize_with_rules({arguments})\ndef test_mine(check):\n    check()\n"
+    )
+    assert ran.code == 2, ran.out
+    assert "test_mine.py::test_mine: gsgen: the model cannot be tested: " in ran.out
+    assert said in ran.out
+    assert "another exception" not in ran.out

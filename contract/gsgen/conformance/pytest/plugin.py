@@ -99,7 +99,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         from gsgen.conformance.pytest.testing import checks_for
 
         bench, folder = (ConformanceSession.of(metafunc.config), metafunc.definition.path.parent)
-        checks = checks_for(marker.args[0], bench, folder)
+        try:
+            checks = checks_for(marker.args[0], bench, folder)
+        except pytest.UsageError as error:  # stacks of pytest and gsgen do not show the mistake
+            message = f"{metafunc.definition.nodeid}: {error}"
+            raise pytest.fail.Exception(message, pytrace=False) from None
         metafunc.parametrize("check", checks, ids=[check.name for check in checks])
 
 
