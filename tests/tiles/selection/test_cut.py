@@ -236,6 +236,20 @@ def test_a_moved_frustum_is_that_of_the_camera_there(kind: str) -> None:
         np.testing.assert_allclose(abs(back @ quaternion), 1)
 
 
+@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
+def test_a_frustum_moved_to_many_poses_is_that_of_each(kind: str) -> None:
+    rng = np.random.default_rng(8)
+    frustum = Frustum.from_camera(random_camera(rng, kind))
+    positions, quaternions = rng.normal(size=(9, 3)), rng.normal(size=(9, 4))
+    moved = frustum.moved_often(positions, quaternions)
+    assert len(moved) == 9
+    for many, position, quaternion in zip(moved, positions, quaternions, strict=True):
+        one = frustum.moved(position, quaternion)
+        np.testing.assert_allclose(many.planes, one.planes, atol=1e-12)
+        np.testing.assert_array_equal(many.eye, position)
+        np.testing.assert_allclose(many.rotation @ many.rotation.T, np.eye(3), atol=1e-12)
+
+
 def test_many_frustums_at_once_see_what_each_sees() -> None:
     rng = np.random.default_rng(7)
     tree = TileTree.of_tileset(random_tileset(rng))

@@ -129,19 +129,24 @@ class HorizonPrefetch:
 
     def _probability(self, prediction: Prediction) -> Float64[np.ndarray, "k n"]:
         """Return the probability that each tile is seen at each predicted camera pose."""
-        frusta, weights = [], []
+        positions, quaternions, weights = [], [], []
         for position, quaternion, deviation in zip(
             prediction.position, prediction.quaternion, prediction.deviation, strict=True
         ):
-            frusta.append(self._frustum_at(position, quaternion))
+            positions.append(position)
+            quaternions.append(quaternion)
             weights.append(4 / 16)
             for sign in (1, -1):
                 for axis in range(_STATE):
                     offset = np.zeros(_STATE)
                     offset[axis] = sign * np.sqrt(_STATE) * deviation[axis]
-                    turned = quaternion_product(rotation_quaternion(offset[3:]), quaternion)
-                    frusta.append(self._frustum_at(position + offset[:3], turned))
+                    positions.append(position + offset[:3])
+                    quaternions.append(
+                        quaternion_product(rotation_quaternion(offset[3:]), quaternion)
+                    )
                     weights.append(1 / 16)
+        middle = self._frustum_at(positions[0], quaternions[0])
+        frusta = middle.moved_often(np.array(positions), np.array(quaternions))
         rows, seen = cut_tree_often(self._tree, frusta, self._max_error)
         points = 1 + 2 * _STATE
         shares = (seen * np.array(weights)[:, None]).reshape(-1, points, len(rows)).sum(axis=1)

@@ -115,13 +115,24 @@ class Frustum:
 
         Args:
             position: Camera centre in the root frame.
-            quaternion: Camera → root frame, (w, x, y, z), unit length.
+            quaternion: Camera → root frame, (w, x, y, z), of any length.
         """
-        turn = rotation_matrix(quaternion[None])[0].T
+        return self.moved_often(position[None], quaternion[None])[0]
+
+    def moved_often(
+        self, positions: Float64[np.ndarray, "k 3"], quaternions: Float64[np.ndarray, "k 4"]
+    ) -> "list[Frustum]":
+        """Return the view frusta of several poses of the same camera; see :meth:`moved`."""
+        turns = rotation_matrix(quaternions).transpose(0, 2, 1)
         distances = self.planes[:, 3] + self.planes[:, :3] @ self.eye
-        normals = self.planes[:, :3] @ self.rotation.T @ turn
-        planes = np.column_stack([normals, distances - normals @ position])
-        return replace(self, planes=planes, eye=np.asarray(position, np.float64), rotation=turn)
+        normals = self.planes[:, :3] @ self.rotation.T @ turns
+        offsets = distances - np.einsum("kpi,ki->kp", normals, positions)
+        planes = np.concatenate([normals, offsets[:, :, None]], axis=2)
+        eyes = np.asarray(positions, np.float64)
+        return [
+            replace(self, planes=own, eye=eye, rotation=turn)
+            for own, eye, turn in zip(planes, eyes, turns, strict=True)
+        ]
 
     def meets(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
