@@ -157,24 +157,35 @@ def _inflated(data: bytes, size: int) -> bytes:
 
 def _unfiltered(lines: np.ndarray, step: int) -> np.ndarray:
     """Undo the filters of PNG lines; the first byte of each line is its filter type."""
-    result = np.zeros((len(lines) + 1, lines.shape[1] - 1 + step), np.int32)  # a margin of zeros
-    for y in range(1, len(result)):
-        method, line, above = lines[y - 1, 0], lines[y - 1, 1:], result[y - 1]
-        current = result[y]
-        for i in range(len(line)):
-            left, up, corner = int(current[i]), int(above[i + step]), int(above[i])
-            guess = _predicted(int(method), left, up, corner)
-            current[i + step] = (int(line[i]) + guess) & 255
-    return result[1:, step:].astype(np.uint8)
+    result = np.empty((len(lines), lines.shape[1] - 1), np.uint8)
+    above = np.zeros(lines.shape[1] - 1, np.uint8)
+    for y, (method, line) in enumerate(zip(lines[:, 0].tolist(), lines[:, 1:], strict=True)):
+        if method == 0:
+            result[y] = line
+        elif method == 1:  # the difference from the pixel before; sums of uint8 are modulo 256
+            result[y] = np.cumsum(line.reshape(-1, step), axis=0, dtype=np.uint8).ravel()
+        elif method == 2:
+            result[y] = line + above
+        elif method in (3, 4):
+            result[y] = _unpredicted(method, line, above, step)
+        else:
+            raise PictureUnreadable(f"a PNG line has filter type {method}, expected 0 to 4")
+        above = result[y]
+    return result
 
 
-def _predicted(method: int, left: int, up: int, corner: int) -> int:
-    if method < 4:
-        return (0, left, up, (left + up) // 2)[method]
-    if method > 4:
-        raise PictureUnreadable(f"a PNG line has filter type {method}, expected 0 to 4")
-    estimate = left + up - corner
-    return min((left, up, corner), key=lambda value: abs(estimate - value))
+def _unpredicted(method: int, line: np.ndarray, above: np.ndarray, step: int) -> list[int]:
+    """Undo the filter 3 (mean) or 4 (Paeth) of a line, which needs each pixel for the next."""
+    current, upper = [0] * step, [0] * step + above.tolist()
+    for i, difference in enumerate(line.tolist()):
+        left, up, corner = current[i], upper[i + step], upper[i]
+        if method == 3:
+            guess = (left + up) // 2
+        else:
+            estimate = left + up - corner
+            guess = min((left, up, corner), key=lambda value: abs(estimate - value))
+        current.append((difference + guess) & 255)
+    return current[step:]
 
 
 def encode_png(picture: np.ndarray) -> bytes:
