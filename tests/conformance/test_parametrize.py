@@ -98,9 +98,7 @@ def test_a_mistake_in_the_decorator_is_told_without_a_stack(
     arguments: str, said: str, folder: Path
 ) -> None:
     write(folder, "drift")
-    ran = run(
-        folder, f"@parametrize_with_rules({arguments})\ndef test_mine(check):\n    check()\n"
-    )
+    ran = run(folder, f"@parametrize_with_rules({arguments})\ndef test_mine(check):\n    check()\n")
     assert ran.code == 2, ran.out
     assert "test_mine.py::test_mine: gsgen: the model cannot be tested: " in ran.out
     assert said in ran.out

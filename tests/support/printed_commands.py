@@ -8,8 +8,11 @@ forks of a process that was started in the same surroundings.
 import json
 import os
 import sys
+from functools import cache
 from pathlib import Path
 from unittest.mock import patch
+
+import typer.main
 
 from gsgen.cli.app import main
 from gsgen.contract.probing import sandbox
@@ -28,6 +31,9 @@ def run(words: list[str]) -> int:
 if __name__ == "__main__":
     if sys.platform == "linux":
         sandbox._run_child = run_forked
+    # What typer reads of each function's signature, for every command line anew.
+    read_signature = typer.main.get_params_from_function
+    typer.main.get_params_from_function = cache(read_signature)
     for line in json.loads(Path(sys.argv[1]).read_text("utf-8")):
         # As the interpreter decodes its arguments, which is not UTF-8 in every locale.
         code = run([os.fsdecode(word.encode()) for word in line])
