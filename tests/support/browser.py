@@ -26,6 +26,10 @@ GPU_FLAGS = (
     "--use-angle=swiftshader",
     "--use-vulkan=swiftshader",
     "--ignore-gpu-blocklist",
+    # The words of a page take less time on the processor than in SwiftShader, and WebAssembly runs
+    # for less time in tests than its optimising compiler does.
+    "--disable-gpu-rasterization",
+    "--js-flags=--liftoff-only",
     # Dawn then clears workgroup memory by a loop in each shader. With the extension SwiftShader
     # compiles a store of each word, which takes a page four CPU-seconds.
     "--disable-dawn-features=use_vulkan_zero_initialize_workgroup_memory_extension",
