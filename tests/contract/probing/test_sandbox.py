@@ -264,14 +264,17 @@ def test_a_child_ends_soon_after_a_parent_that_was_killed(folder):
     own.mkdir()
     environment = os.environ | {"TMPDIR": str(own)}
     parent = subprocess.Popen([sys.executable, "-c", _ENDLESSLY, path], env=environment)
-    while not list(own.iterdir()):
-        assert parent.poll() is None
-        time.sleep(0.02)
-    (where,) = own.iterdir()
-    until_it_runs(where)
-    assert running(where)
-    parent.kill()
-    parent.wait()
+    try:
+        # tempfile writes a file of another name before, to see whether it may.
+        while not list(own.glob("gsgen-*")):
+            assert parent.poll() is None
+            time.sleep(0.02)
+        (where,) = own.glob("gsgen-*")
+        until_it_runs(where)
+        assert running(where)
+    finally:
+        parent.kill()
+        parent.wait()
     deadline = time.monotonic() + 20
     while running(where):
         assert time.monotonic() < deadline, "the child outlives its parent"
