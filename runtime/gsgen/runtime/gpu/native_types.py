@@ -1,21 +1,41 @@
 """C types of wgpu's native library, parsed together instead of one by one.
 
-wgpu names the type of each structure that it allocates, as in ``ffi.new("WGPULimits *")``. cffi
-parses a name that is new to it behind declarations of all typedefs that it knows: 13 ms for each
-of the 40 types that a first picture needs. All pointers together take 80 ms.
+wgpu names the type of each structure, array and callback that it makes, as in
+``ffi.new("WGPULimits *")``. cffi parses a name that is new to it behind declarations of all typedefs
+that it knows: 13 ms for each of the 60 types that a first picture needs. All together take 80 ms.
 """
 
 __all__ = ["parse_native_types"]
 
+import re
 from functools import cache
 from typing import Any, Final
 
 _STRUCTURE: Final = "struct gsgen_native_types"
 
+# Types besides pointers to structures, as wgpu spells them. Each is a key of cffi's table, so spaces
+# count; one that a version of wgpu spells otherwise is parsed when it is needed.
+_PLAIN: Final = ("intptr_t", "uintptr_t", "uint8_t *", "uint32_t *", "WGPUChainedStruct * ")
+_ARRAYS: Final = (
+    *("char []", "char[]", "uint8_t []", "uint8_t[]", "uint32_t []"),
+    *("WGPUBindGroupEntry[]", "WGPUBindGroupLayout[]", "WGPUBindGroupLayoutEntry[]"),
+    *("WGPUColorTargetState[]", "WGPUCommandBuffer[]", "WGPUConstantEntry[]", "WGPUFeatureName[]"),
+    *("WGPURenderPassColorAttachment[]", "WGPUTextureFormat[]"),
+    *("WGPUVertexAttribute[]", "WGPUVertexBufferLayout[]"),
+)
+_CALLBACKS: Final = (
+    "void(WGPURequestAdapterStatus, WGPUAdapter, WGPUStringView, void *, void *)",
+    "void(WGPURequestDeviceStatus, WGPUDevice, WGPUStringView, void *, void *)",
+    "void(WGPUDevice const *, WGPUDeviceLostReason, WGPUStringView, void *, void *)",
+    "void(WGPUDevice const *, WGPUErrorType, WGPUStringView, void *, void *)",
+    "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)",
+    "void(WGPUQueueWorkDoneStatus, void *, void *)",
+)
+
 
 @cache
 def parse_native_types() -> int:
-    """Parse the pointers to all C types of wgpu's native library, once a process.
+    """Parse the C types that wgpu's native library and its Python module use, once a process.
 
     Returns:
         How many types cffi then finds without parsing: 0 with a version of wgpu or cffi that keeps
@@ -28,9 +48,21 @@ def parse_native_types() -> int:
     if not isinstance(parsed, dict):
         return 0
     names = ffi.list_types()[0]
-    fields = "".join(f"{name} *_{number};" for number, name in enumerate(names))
+    members = {f"{name} *": f"{name} *{{}}" for name in names}
+    members |= {text: f"{text}{{}}" for text in _PLAIN if _are_known(text, names)}
+    for text in filter(lambda text: _are_known(text, names), _ARRAYS):
+        members[text] = text.replace("[]", "(*{})[]")
+    for text in filter(lambda text: _are_known(text, names), _CALLBACKS):
+        members[text] = text.replace("void(", "void (*{})(")
+    fields = "".join(f"{member.format(f' _{k}')};" for k, member in enumerate(members.values()))
     ffi.cdef(f"{_STRUCTURE} {{{fields}}};")
-    for name, (_, field) in zip(names, ffi.typeof(_STRUCTURE).fields, strict=True):
+    for text, (_, field) in zip(members, ffi.typeof(_STRUCTURE).fields, strict=True):
         # cffi keeps a type beside whether its name was that of a function.
-        parsed.setdefault(f"{name} *", (field.type, False))
-    return len(names)
+        kind = field.type.item if text in _ARRAYS else field.type
+        parsed.setdefault(text, (kind, text in _CALLBACKS))
+    return len(members)
+
+
+def _are_known(text: str, names: list[str]) -> bool:
+    """Return whether the library declares all of its types that a text names."""
+    return set(re.findall(r"WGPU\w+", text)) <= set(names)
