@@ -19,6 +19,7 @@ import subprocess
 import sys
 import threading
 import traceback
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -38,9 +39,21 @@ _IMPORTED = (
     "torch.onnx._internal.exporter._core",
     "torch.export._trace",
     "onnxscript.function_libs.torch_lib.ops",
-    "gsgen.runtime",
-    "gsgen.sdk",
+    "rich.progress",
+    "gsgen.contract.tools.batch",
+    "gsgen.contract.validator",
     "gsgen.formats",
+    "gsgen.runtime.checks.viewer_kit",
+    "gsgen.runtime.playback.frame_sequence",
+    "gsgen.runtime.playback.playback",
+    "gsgen.runtime.playback.scene_camera",
+    "gsgen.sdk.binding.session",
+    "gsgen.sdk.exporting.exporter",
+    "gsgen.tiles.build.build",
+    "gsgen.tiles.scoring.score",
+    "gsgen.tiles.streaming.tiles_source",
+    "gsgen.tiles.validation.validate",
+    "gsgen.tiles.validation.rules",
 )
 _MOST_REQUEST_BYTES = 1 << 20
 
@@ -160,11 +173,35 @@ def _import_libraries() -> None:
     for name in _IMPORTED:
         import_module(name)
     from gsgen.contract._extensions import find_commands
+    from gsgen.runtime.gpu.native_types import parse_native_types
 
+    parse_native_types()
     for command in find_commands().values():
         command.load()
     _make_tables_of_operators()
+    _share_sandbox()
+    for finalizer in list(weakref.finalize._registry):  # type: ignore[attr-defined]
+        finalizer.atexit = False  # torch's, which free what ends with the process
     gc.freeze()
+
+
+@contextmanager
+def _tests_on_path() -> Iterator[None]:
+    """Find modules of the tests here; a reader's program finds none."""
+    tests = str(Path(__file__).parents[1])
+    sys.path.insert(0, tests)
+    yield
+    sys.path.remove(tests)
+
+
+def _share_sandbox() -> None:
+    """Let models of all programs run in forks of one process, too."""
+    from gsgen.contract.probing import sandbox
+
+    with _tests_on_path():
+        from support.forked_sandbox import run_forked, share_with_forks
+    sandbox._run_child = run_forked
+    share_with_forks()
 
 
 def _make_tables_of_operators() -> None:
@@ -173,11 +210,8 @@ def _make_tables_of_operators() -> None:
     from torch._export import utils
     from torch.onnx._internal.exporter import _constants, _registration
 
-    tests = str(Path(__file__).parents[1])
-    sys.path.insert(0, tests)
-    from support.reports.one_registry import share_operators
-
-    sys.path.remove(tests)  # a reader's program finds no tests
+    with _tests_on_path():
+        from support.reports.one_registry import share_operators
     share_operators(pytest.MonkeyPatch())
     _registration.ONNXRegistry.from_torchlib(opset_version=_constants.TORCHLIB_OPSET)
     utils._collect_all_valid_cia_ops()

@@ -4,7 +4,7 @@ To start Python and import ONNX Runtime takes a third of a second, a fork a hund
 does the same work under the same limits. Tests of the sandbox itself start real processes.
 """
 
-__all__ = ["run_forked"]
+__all__ = ["run_forked", "share_with_forks"]
 
 import atexit
 import json
@@ -12,9 +12,13 @@ import os
 import select
 import subprocess
 import sys
+import tempfile
 import threading
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +27,16 @@ from gsgen.contract.probing import sandbox
 _start_process = sandbox._run_child
 _lock = threading.Lock()
 _server: "subprocess.Popen[str] | None" = None
+_owner = 0  # the process that started the server; its forks use the same
+_lock_of_forks: Any = None
+_numbers = count()
+
+
+def share_with_forks() -> None:
+    """Start the server now, so that forks of this process use it, too, one at a time."""
+    global _lock_of_forks
+    _lock_of_forks = tempfile.TemporaryFile()  # noqa: SIM115 - for as long as the process
+    _running_server()
 
 
 def run_forked(folder: Path, seconds: float, worker: str) -> int | None:
@@ -35,24 +49,46 @@ def run_forked(folder: Path, seconds: float, worker: str) -> int | None:
         "worker": worker,
         "cwd": str(Path.cwd()),
         "environment": dict(os.environ),
+        "name": f"{os.getpid()}-{next(_numbers)}",
     }
-    with _lock:
+    with _lock, _alone_of_forks():
         server = _running_server()
         assert server.stdin is not None
         assert server.stdout is not None
         try:
             server.stdin.write(json.dumps(request) + "\n")
             server.stdin.flush()
-            status: int | None = json.loads(server.stdout.readline())
-        except BaseException:  # the answer of an interrupted job would be taken for the next one's
-            _end_server()
+            while True:
+                name, status = json.loads(server.stdout.readline())
+                if name == request["name"]:  # and no answer to a fork that was interrupted
+                    return None if status is None else int(status)
+        except BaseException:
+            if os.getpid() == _owner:
+                _end_server()
             raise
-        return status
+
+
+@contextmanager
+def _alone_of_forks() -> Iterator[None]:
+    """Keep other forks of the process that shares its server from asking it meanwhile."""
+    if _lock_of_forks is None:
+        yield
+        return
+    import fcntl
+
+    fcntl.lockf(_lock_of_forks, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        fcntl.lockf(_lock_of_forks, fcntl.LOCK_UN)
 
 
 def _running_server() -> "subprocess.Popen[str]":
-    global _server
+    global _server, _owner
+    if _server is not None and os.getpid() != _owner:
+        return _server
     if _server is None or _server.poll() is not None:
+        _owner = os.getpid()
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         _server = subprocess.Popen(
             [sys.executable, "-P", __file__],
@@ -68,7 +104,7 @@ def _running_server() -> "subprocess.Popen[str]":
 
 def _end_server() -> None:
     global _server
-    if _server is not None:
+    if _server is not None and os.getpid() == _owner:
         _server.communicate()  # closes its stdin, at which it ends
         _server = None
 
@@ -84,14 +120,14 @@ def _serve() -> None:
         if child == 0:
             _work(request, main)
         status = _wait(child, request["seconds"])
-        sys.stdout.write(json.dumps(status) + "\n")
+        sys.stdout.write(json.dumps([request["name"], status]) + "\n")
         sys.stdout.flush()
 
 
 def _wait(child: int, seconds: float) -> int | None:
     descriptor = os.pidfd_open(child)
     try:
-        # Nothing is asked before the answer: stdin is readable only at its end.
+        # stdin is readable at its end, or where a fork that waits for the answer was interrupted.
         ready, _, _ = select.select([descriptor, sys.stdin], [], [], seconds)
         if descriptor not in ready:
             os.killpg(child, 9)
