@@ -1,6 +1,7 @@
 """`gsgen repro`: one rule again, by one probe where that is enough."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.settings import Settings
 from support.commands import gsgen_here
+from support.reports.rules import crashing
 
 
 def test_a_probe_that_breaks_a_rule_shows_its_rows_and_exits_1(folder: Path) -> None:
@@ -26,6 +28,19 @@ def test_a_probe_that_breaks_a_rule_shows_its_rows_and_exits_1(folder: Path) -> 
     with np.load(dump) as arrays:
         (packed,) = [arrays[name] for name in arrays if arrays[name].shape[1:] == (10,)]
     assert packed[3, 3] == np.float32(5.02)
+
+
+def test_a_rule_that_crashes_is_no_wrong_option(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (model,) = write(folder, "drift")
+    registry = installed_rules()
+    crashed = replace(registry.find("GM001"), check=crashing)
+    monkeypatch.setitem(registry.rules, "GM001", crashed)
+    ran = gsgen_here("repro", model, "--rule", "GM001")
+    assert ran.code == 3, ran.out
+    assert "GM001 was not checked" in ran.err
+    assert "ZeroDivisionError" in ran.err
 
 
 def test_without_a_probe_all_are_judged(folder: Path) -> None:

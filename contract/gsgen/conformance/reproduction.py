@@ -1,6 +1,6 @@
 """Reproduces a broken rule: checks it on one set of inputs, returns the Gaussians that break it."""
 
-__all__ = ["NotJudged", "Reproduction", "Row", "reproduce"]
+__all__ = ["NotJudged", "Reproduction", "Row", "RuleCrashed", "reproduce"]
 
 import shlex
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from pathlib import Path
 from gsgen.conformance.evidence import suspects
 from gsgen.conformance.required_rules import needed_by
 from gsgen.conformance.rerun import ONE_PROBE, Replay, find_probes, plan_for, replay, save
-from gsgen.contract.errors import ConfigInvalid, GsgenError
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.finding import Finding
@@ -22,6 +22,12 @@ from gsgen.contract.validator import validate
 
 class NotJudged(GsgenError):
     """Raised if a rule cannot be checked, so that it is unknown whether the model breaks it."""
+
+
+class RuleCrashed(NotJudged):
+    """Raised if a rule raises an exception: a fault of the rule, not of the model."""
+
+    exit_code = ExitCode.INTERNAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +77,7 @@ def reproduce(
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
         NotJudged: The rule does not apply, or a rule that it needs does not hold.
+        RuleCrashed: The rule raised an exception.
         ConfigInvalid: The rule does not check single probes, or the probe does not exist.
     """
     if rule.scope != "report":  # such a rule depends on all findings
@@ -116,7 +123,8 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
         reason = "" if outcome.status in ("pass", "fail") else outcome.reason
     if reason:
         hint = f"`gsgen validate {shlex.quote(str(path))}` reports the reason."
-        raise NotJudged(reason, where=f"{rule.id} was not checked", hint=hint)
+        cause = RuleCrashed if outcome.status == "crashed" else NotJudged
+        raise cause(reason, where=f"{rule.id} was not checked", hint=hint)
     return report
 
 

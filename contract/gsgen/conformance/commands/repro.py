@@ -38,7 +38,8 @@ def repro(
 ) -> None:
     """Check one rule of MODEL again, with one probe (set of test inputs) if that is enough.
 
-    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be checked, 4 if MODEL is unreadable.
+    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be checked, 3 if it crashed, 4 if
+    MODEL is unreadable.
     """
     from gsgen.conformance.reproduction import reproduce
     from gsgen.contract.errors import ModelUnreadable
