@@ -9,6 +9,7 @@ arguments, folder, environment and standard streams.
 __all__ = ["program_folder"]
 
 import atexit
+import gc
 import io
 import json
 import os
@@ -55,21 +56,39 @@ _IMPORTED = (
     "gsgen.tiles.validation.validate",
     "gsgen.tiles.validation.rules",
 )
+# What a test of ours imports that runs pytest. Its plugins are left out: pytest rewrites them.
+_IMPORTED_FOR_PYTEST = (
+    "_pytest.config",
+    "_pytest.junitxml",
+    "_pytest.python",
+    "_pytest.terminal",
+    "numpy",
+    "onnx",
+    "gsgen.conformance.reproduction",
+    "gsgen.conformance.suite",
+    "gsgen.contract.validator",
+)
 _MOST_REQUEST_BYTES = 1 << 20
 
 
 @contextmanager
-def program_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder with `gsgen` and `python`, whose processes are forked until the exit."""
+def program_folder(folder: Path, module: str = "") -> Iterator[Path]:
+    """Yield a folder with `gsgen` and `python`, whose processes are forked until the exit.
+
+    With the module ``pytest``, `python -m pytest` is forked, and imports what pytest needs alone.
+    """
     socket_path = folder / "socket"
     for name in ("gsgen", "python"):
         program = folder / name
         real = Path(sys.executable).with_name("gsgen") if name == "gsgen" else sys.executable
-        call = f"serve_or_replace({str(real)!r}, {str(socket_path)!r}, {_surroundings()!r})"
+        words = (str(real), str(socket_path), _surroundings(), module)
+        call = f"serve_or_replace{words!r}"
         program.write_text(f"#!{sys.executable} -IS\n{_CLIENT.read_text('utf-8')}\n{call}\n")
         program.chmod(0o755)
     server = subprocess.Popen(
-        [sys.executable, "-P", __file__, str(socket_path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-P", __file__, str(socket_path), module],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert server.stdout is not None
@@ -144,6 +163,11 @@ def _run(program: str) -> int:
             from gsgen.cli import main
 
             main()
+        elif sys.argv[0] == "-m":
+            module = sys.argv[1]
+            del sys.argv[:1]
+            sys.path.insert(0, str(Path.cwd()))
+            runpy.run_module(module, run_name="__main__", alter_sys=True)
         else:
             script = Path(sys.argv[0]).resolve()
             sys.path.insert(0, str(script.parent))
@@ -168,8 +192,6 @@ def _end(code: int) -> None:
 
 
 def _import_libraries() -> None:
-    import gc
-
     for name in _IMPORTED:
         import_module(name)
     from gsgen.contract._extensions import find_commands
@@ -182,7 +204,15 @@ def _import_libraries() -> None:
     _share_sandbox()
     for finalizer in list(weakref.finalize._registry):  # type: ignore[attr-defined]
         finalizer.atexit = False  # torch's, which free what ends with the process
-    gc.freeze()
+
+
+def _import_for_pytest() -> None:
+    for name in _IMPORTED_FOR_PYTEST:
+        import_module(name)
+    from gsgen.contract.rules.catalogue import builtin_rules
+
+    builtin_rules()
+    _share_sandbox()
 
 
 @contextmanager
@@ -218,7 +248,8 @@ def _make_tables_of_operators() -> None:
 
 
 if __name__ == "__main__":
-    _import_libraries()
+    _import_for_pytest() if sys.argv[2] == "pytest" else _import_libraries()
+    gc.freeze()
     accepted = _serve(sys.argv[1])
     if accepted is not None:
         _client, _request, _descriptors = accepted

@@ -10,17 +10,21 @@ import socket
 import sys
 
 
-def serve_or_replace(real: str, socket_path: str, surroundings: dict[str, str]) -> None:
+def serve_or_replace(
+    real: str, socket_path: str, surroundings: dict[str, str], module: str
+) -> None:
     """Let the server run this program, or run the real one where a fork would differ from it.
 
     Args:
         real: The program that this one stands for.
         socket_path: Where the server listens.
         surroundings: The variables of Python that the server has.
+        module: What may follow `python -m`; empty for nothing.
     """
     program = os.path.basename(sys.argv[0])
     own = {name: value for name, value in os.environ.items() if name.startswith("PYTHON")}
     is_script = len(sys.argv) > 1 and sys.argv[1].endswith(".py")
+    is_script |= bool(module) and sys.argv[1:3] == ["-m", module]
     if own != surroundings or (program == "python" and not is_script):
         os.execv(real, [real, *sys.argv[1:]])
     request = {
