@@ -37,9 +37,7 @@ _IMPORTED = (
     "PIL.Image",
     "scipy.spatial",
     "wgpu.backends.auto",
-    "torch.onnx._internal.exporter._core",
-    "torch.export._trace",
-    "onnxscript.function_libs.torch_lib.ops",
+    "torch",
     "rich.progress",
     "gsgen.contract.tools.batch",
     "gsgen.contract.validator",
@@ -55,6 +53,11 @@ _IMPORTED = (
     "gsgen.tiles.streaming.tiles_source",
     "gsgen.tiles.validation.validate",
     "gsgen.tiles.validation.rules",
+)
+_IMPORTED_FOR_EXPORTS = (
+    "torch.onnx._internal.exporter._core",
+    "torch.export._trace",
+    "onnxscript.function_libs.torch_lib.ops",
 )
 # What a test of ours imports that runs pytest. Its plugins are left out: pytest rewrites them.
 _IMPORTED_FOR_PYTEST = (
@@ -75,7 +78,8 @@ _MOST_REQUEST_BYTES = 1 << 20
 def program_folder(folder: Path, module: str = "") -> Iterator[Path]:
     """Yield a folder with `gsgen` and `python`, whose processes are forked until the exit.
 
-    With the module ``pytest``, `python -m pytest` is forked, and imports what pytest needs alone.
+    With a module, `python -m` is forked with it, and not with scripts. Before ``pytest``, what it
+    needs is imported alone; before other modules, what `gsgen` needs but for torch's exporter.
     """
     socket_path = folder / "socket"
     for name in ("gsgen", "python"):
@@ -101,7 +105,8 @@ def program_folder(folder: Path, module: str = "") -> Iterator[Path]:
 
 def _surroundings() -> dict[str, str]:
     """Return the variables that change what Python imports; programs with others are not forked."""
-    return {name: value for name, value in os.environ.items() if name.startswith("PYTHON")}
+    names = [name for name in os.environ if name.startswith("PYTHON") and "IOENCODING" not in name]
+    return {name: os.environ[name] for name in names}
 
 
 def _serve(path: str) -> "tuple[socket.socket, dict[str, Any], list[int]] | None":
@@ -141,13 +146,14 @@ def _become(request: dict[str, Any], descriptors: list[int]) -> None:
     os.environ.update(request["environment"])
     os.chdir(request["folder"])
     sys.argv = request["arguments"]
+    encoding = os.environ.get("PYTHONIOENCODING", "utf-8")
     reader = io.BufferedReader(io.FileIO(0, closefd=False))
-    sys.stdin = sys.__stdin__ = io.TextIOWrapper(reader, encoding="utf-8")  # type: ignore[misc]
+    sys.stdin = sys.__stdin__ = io.TextIOWrapper(reader, encoding)  # type: ignore[misc]
     streams = [
         io.TextIOWrapper(
             io.BufferedWriter(io.FileIO(number, "w", closefd=False)),
-            encoding="utf-8",
-            errors=errors,
+            encoding,
+            errors,
             line_buffering=number == 2 or os.isatty(number),
         )
         for number, errors in ((1, "strict"), (2, "backslashreplace"))
@@ -191,8 +197,8 @@ def _end(code: int) -> None:
     os._exit(code)
 
 
-def _import_libraries() -> None:
-    for name in _IMPORTED:
+def _import_libraries(module: str) -> None:
+    for name in (*_IMPORTED, *(() if module else _IMPORTED_FOR_EXPORTS)):
         import_module(name)
     from gsgen.contract._extensions import find_commands
     from gsgen.runtime.gpu.native_types import parse_native_types
@@ -200,7 +206,8 @@ def _import_libraries() -> None:
     parse_native_types()
     for command in find_commands().values():
         command.load()
-    _make_tables_of_operators()
+    if not module:
+        _make_tables_of_operators()
     _share_sandbox()
     for finalizer in list(weakref.finalize._registry):  # type: ignore[attr-defined]
         finalizer.atexit = False  # torch's, which free what ends with the process
@@ -248,7 +255,7 @@ def _make_tables_of_operators() -> None:
 
 
 if __name__ == "__main__":
-    _import_for_pytest() if sys.argv[2] == "pytest" else _import_libraries()
+    _import_for_pytest() if sys.argv[2] == "pytest" else _import_libraries(sys.argv[2])
     gc.freeze()
     accepted = _serve(sys.argv[1])
     if accepted is not None:

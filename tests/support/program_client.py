@@ -22,10 +22,11 @@ def serve_or_replace(
         module: What may follow `python -m`; empty for nothing.
     """
     program = os.path.basename(sys.argv[0])
-    own = {name: value for name, value in os.environ.items() if name.startswith("PYTHON")}
-    is_script = len(sys.argv) > 1 and sys.argv[1].endswith(".py")
-    is_script |= bool(module) and sys.argv[1:3] == ["-m", module]
-    if own != surroundings or (program == "python" and not is_script):
+    names = [name for name in os.environ if name.startswith("PYTHON") and "IOENCODING" not in name]
+    own = {name: os.environ[name] for name in names}
+    is_script = len(sys.argv) > 1 and sys.argv[1].endswith(".py") and not module
+    is_module = bool(module) and sys.argv[1:3] == ["-m", module]
+    if own != surroundings or (program == "python" and not (is_script or is_module)):
         os.execv(real, [real, *sys.argv[1:]])
     request = {
         "program": program,

@@ -20,6 +20,7 @@ from gsgen.cli.text_streams import accept_any_text, transliterate
 from gsgen.conformance.fixtures import find
 from gsgen.contract._extensions import find_commands
 from support.commands import ROOT
+from support.forked_programs import program_folder
 
 # Names of files that no 8-bit encoding has whole.
 MODEL, BROKEN, CLOUD, ABSENT = "gut→é.onnx", "schlecht≤日.onnx", "wolke−σ.npz", "fehlt→日🌐.onnx"
@@ -137,8 +138,31 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+_MODULE = "support.printed_commands"
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Yield a Python that is forked from one which has imported the program, where there are forks.
+
+    It starts anew in locales that are not UTF-8, which it may not be forked with.
+    """
+    if sys.platform != "linux":
+        yield sys.executable
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT / "tests"))
+        with program_folder(tmp_path_factory.mktemp("programs"), _MODULE) as programs:
+            yield str(programs / "python")
+
+
 def printed(
-    folder: Path, calls: list[list[str]], encoding: str, sink: str, surroundings: dict[str, str]
+    python: str,
+    folder: Path,
+    calls: list[list[str]],
+    encoding: str,
+    sink: str,
+    surroundings: dict[str, str],
 ) -> list[tuple[int, str]]:
     """Run command lines, and return the exit code and the decoded output of each."""
     own = folder / f"{encoding}-{sink}-{len(surroundings)}"
@@ -155,7 +179,7 @@ def printed(
     } | {"PYTHONPATH": str(ROOT / "tests"), "TERM": "xterm-256color"}
     if "LC_ALL" not in surroundings:
         environment["PYTHONIOENCODING"] = encoding
-    command = [sys.executable, "-m", "support.printed_commands", str(own / "calls.json")]
+    command = [python, "-m", _MODULE, str(own / "calls.json")]
     raw = collect(command, folder, environment | surroundings, sink, own / "printed")
     *records, rest = raw.decode(encoding, "strict").split("\x1f")
     assert not rest.strip(), rest
@@ -198,9 +222,9 @@ def collect(
 
 
 @pytest.fixture(scope="module")
-def expected(folder: Path) -> list[tuple[int, str]]:
+def expected(python: str, folder: Path) -> list[tuple[int, str]]:
     encoding, sink, surroundings = RUNS["utf-8, pipe"]
-    return printed(folder, every_call(slow=True), encoding, sink, surroundings)
+    return printed(python, folder, every_call(slow=True), encoding, sink, surroundings)
 
 
 def test_no_command_crashes_where_everything_can_be_printed(
@@ -212,10 +236,12 @@ def test_no_command_crashes_where_everything_can_be_printed(
 
 
 @pytest.mark.parametrize("name", [name for name in RUNS if name != "utf-8, pipe"])
-def test_every_command_prints_in(name: str, folder: Path, expected: list[tuple[int, str]]) -> None:
+def test_every_command_prints_in(
+    name: str, python: str, folder: Path, expected: list[tuple[int, str]]
+) -> None:
     encoding, sink, surroundings = RUNS[name]
     calls = every_call(slow=name in COMPLETE)
-    outputs = printed(folder, calls, encoding, sink, surroundings)
+    outputs = printed(python, folder, calls, encoding, sink, surroundings)
     for call, (code, text), (expected_code, expected_text) in zip(
         calls, outputs, expected, strict=False
     ):
