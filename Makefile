@@ -41,11 +41,11 @@ demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
 	$(BIN)/python docs/examples/demo.py out/demo
 
-# Drivers are fetched while packages are installed and the style is checked. The types are checked
-# beside the tests, which leave parts of two cores idle.
+# Drivers are fetched while packages are installed. Style and types are checked beside the tests:
+# alone they leave a core idle.
 test:
-	@$(MAKE) --no-print-directory -j3 drivers style ort
-	@$(MAKE) --no-print-directory -j2 types suite
+	@$(MAKE) --no-print-directory -j3 drivers setup ort
+	@$(MAKE) --no-print-directory -j3 style types suite
 
 suite: setup
 	scripts/test.sh

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,14 @@ from support.models.endless import endless
 TASKS = Path("/proc/self/task")
 LONG = 100  # seconds that a test waits for what must happen within a few
 BUSY = 0.3  # processor seconds of a thread that is not the first: a frame is being computed
+
+
+@pytest.fixture(autouse=True)
+def _interruptible() -> Iterator[None]:
+    """Let commands hear of Ctrl-C where the tests themselves ignore it, as shells' `&` makes them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def interrupted(*words: str | Path) -> tuple[int, str]:
