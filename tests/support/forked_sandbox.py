@@ -63,8 +63,7 @@ def run_forked(folder: Path, seconds: float, worker: str) -> int | None:
                 if name == request["name"]:  # and no answer to a fork that was interrupted
                     return None if status is None else int(status)
         except BaseException:
-            if os.getpid() == _owner:
-                _end_server()
+            _end_server()
             raise
 
 
@@ -85,9 +84,8 @@ def _alone_of_forks() -> Iterator[None]:
 
 def _running_server() -> "subprocess.Popen[str]":
     global _server, _owner
-    if _server is not None and os.getpid() != _owner:
-        return _server
-    if _server is None or _server.poll() is not None:
+    # A fork cannot ask for the state of a process that is not its child.
+    if _server is None or (os.getpid() == _owner and _server.poll() is not None):
         _owner = os.getpid()
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         _server = subprocess.Popen(
