@@ -10,8 +10,6 @@ from gsgen.runtime.errors import MemoryFull
 from gsgen.runtime.gpu import device as devices
 from gsgen.runtime.gpu import spatial_order, splat_residency
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.renderer import renderer as renderers
-from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
@@ -38,15 +36,13 @@ KINDS: tuple[dict[str, object], ...] = (
 def eager(
     device: Device, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> Device:
-    """A device where few rows are arranged and few bytes mapped, and whose kernels are shared."""
+    """A device where few rows are arranged and few bytes mapped."""
     if request.param and not device.maps:
         pytest.skip("a card, whose memory is its own")
     monkeypatch.setattr(device, "maps", request.param)
     monkeypatch.setattr(devices, "MAPPED_FROM", 256)
     monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
     monkeypatch.setattr(spatial_order, "_SERVES", 3)
-    kernels = Kernels(device)
-    monkeypatch.setattr(renderers, "Kernels", lambda _: kernels)
     return device
 
 

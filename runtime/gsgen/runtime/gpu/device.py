@@ -12,7 +12,14 @@ from jaxtyping import Shaped, UInt8
 
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import CapacityExceeded, DeviceLost, DeviceUnavailable, MemoryFull
-from gsgen.runtime.gpu.handles import Buffer, Encoder, RawDevice, Texture
+from gsgen.runtime.gpu.handles import (
+    BindGroupLayout,
+    Buffer,
+    ComputePipeline,
+    Encoder,
+    RawDevice,
+    Texture,
+)
 from gsgen.runtime.gpu.native_types import parse_native_types
 from gsgen.runtime.gpu.sizes import at_least
 
@@ -58,6 +65,8 @@ class Device:
         maps: Whether this process can map the buffers that shaders read (host memory).
         wide: Whether shaders read and write 64 bits at a time.
         submitted: Index of the last submission, for :meth:`reading`.
+        pipelines: Compute pipelines and their bind group layouts by shader text, entry point and
+            types of bindings, which kernels share.
     """
 
     def __init__(self, raw: RawDevice) -> None:
@@ -76,6 +85,9 @@ class Device:
         )
         self.largest_texture = int(raw.limits["max-texture-dimension-2d"])
         self.submitted = 0
+        self.pipelines: dict[
+            tuple[str, str, tuple[str, ...]], tuple[ComputePipeline, list[BindGroupLayout]]
+        ] = {}
         self._on_mapped: object = None  # a callback, which must live as long as a mapping
         self._statuses: list[int] = []
         self._buffers: WeakSet[Buffer] = WeakSet()

@@ -4,6 +4,7 @@ __all__ = [
     "BindGroup",
     "BindGroupLayout",
     "Buffer",
+    "ComputePipeline",
     "Encoder",
     "PassTimestamps",
     "RawDevice",
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from wgpu import GPUBindGroupLayout as BindGroupLayout
     from wgpu import GPUBuffer as Buffer
     from wgpu import GPUCommandEncoder as Encoder
+    from wgpu import GPUComputePipeline as ComputePipeline
     from wgpu import GPUDevice as RawDevice
     from wgpu import GPURenderPassEncoder as RenderPass
     from wgpu import GPURenderPipeline as RenderPipeline
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from wgpu import GPUTexture as Texture
     from wgpu import GPUTextureView as TextureView
 else:
-    BindGroup = BindGroupLayout = Buffer = Encoder = object
+    BindGroup = BindGroupLayout = Buffer = ComputePipeline = Encoder = object
     RawDevice = RenderPass = RenderPipeline = ShaderModule = Texture = TextureView = object
 
 Resource: TypeAlias = Buffer | tuple[Buffer, int, int]

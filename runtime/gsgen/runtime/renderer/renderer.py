@@ -94,6 +94,7 @@ class Renderer:
     ) -> None:
         self._published, self._compact = published, compact
         self.device = device or Device.open()
+        self.device.require()
         with self.device.translate_errors():
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)

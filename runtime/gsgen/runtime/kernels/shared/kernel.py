@@ -35,6 +35,9 @@ _TYPES: Final = {"u": "uniform", "r": "read-only-storage", "w": "storage"}
 class Kernel:
     """A compute pipeline of one shader entry point, with its bind group layouts.
 
+    Kernels of a device with the same text, entry point and bindings share one pipeline: a second
+    renderer compiles nothing.
+
     Args:
         device: Device of the pipeline.
         name: Name of the shader file.
@@ -55,13 +58,17 @@ class Kernel:
         raw = device.raw
         self._raw = raw
         self.label = entry
-        module = create_shader_module(raw, name, source(name, WIDE=device.wide, **constants))
-        self.layouts = [_layout(raw, entry, kinds) for kinds in groups]
-        self.pipeline = raw.create_compute_pipeline(
-            label=entry,
-            layout=raw.create_pipeline_layout(label=entry, bind_group_layouts=self.layouts),
-            compute={"module": module, "entry_point": entry},
-        )
+        text = source(name, WIDE=device.wide, **constants)
+        key = text, entry, tuple(groups)
+        if key not in device.pipelines:
+            layouts = [_layout(raw, entry, kinds) for kinds in groups]
+            pipeline = raw.create_compute_pipeline(
+                label=entry,
+                layout=raw.create_pipeline_layout(label=entry, bind_group_layouts=layouts),
+                compute={"module": create_shader_module(raw, name, text), "entry_point": entry},
+            )
+            device.pipelines[key] = pipeline, layouts
+        self.pipeline, self.layouts = device.pipelines[key]
 
     def bind(self, *resources: Resource, group: int = 0) -> BindGroup:
         """Return a bind group of buffers, or of (buffer, offset, size), for the kernel."""
