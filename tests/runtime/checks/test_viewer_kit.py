@@ -1,5 +1,6 @@
 """The viewer kit: our renderer passes it, and each wrong viewer fails the right cases alone."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,18 @@ def drawn(request: pytest.FixtureRequest, device: Device) -> Render:
 
 @pytest.fixture(scope="module")
 def tiles(renderer: Renderer) -> Render:
-    return _drawn_by(renderer)
+    """Return a function that draws each scene once: most faults change few of them."""
+    draw = _drawn_by(renderer)
+    drawn: dict[bytes, np.ndarray] = {}
+
+    def draw_once(scene: Scene, camera: Camera) -> np.ndarray:
+        key = pickle.dumps((scene, camera))
+        if key not in drawn:
+            drawn[key] = draw(scene, camera)
+            drawn[key].flags.writeable = False
+        return drawn[key]
+
+    return draw_once
 
 
 def _drawn_by(renderer: Renderer) -> Render:

@@ -2,8 +2,10 @@
 
 __all__ = ["WRONG_VIEWERS", "Viewer"]
 
-from collections.abc import Callable, Mapping
+import pickle
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -26,6 +28,35 @@ from gsgen.sdk.binding.camera_inputs import camera_values
 
 Arrays = dict[str, np.ndarray]
 Render = Callable[[Scene, Camera], np.ndarray]
+
+_COMPUTED: dict[tuple[Path, bytes], list[Arrays]] = {}
+
+
+@cache
+def _declared(model: Path) -> GeneratorManifest:
+    """Return the manifest in a model."""
+    manifest = loads(open_model(model).manifest_text or "")
+    assert isinstance(manifest, GeneratorManifest)
+    return manifest
+
+
+def _computed(
+    model: Path, manifest: GeneratorManifest, feeds: Sequence[Mapping[str, Any]]
+) -> list[Arrays]:
+    """Return the outputs of a model for each frame; most viewers feed most models alike."""
+    key = model, pickle.dumps((manifest, feeds))
+    if key not in _COMPUTED:
+        with FrameSession(model, provider="cpu", manifest=manifest) as session:
+            runs = (session.run(values, copy=True) for values in feeds)
+            _COMPUTED[key] = [{name: _kept(run[name]) for name in run} for run in runs]
+    return _COMPUTED[key]
+
+
+def _kept(values: Any) -> np.ndarray:
+    """Return a copy that no viewer can write into."""
+    array = np.array(values)
+    array.flags.writeable = False
+    return array
 
 
 class Viewer:
@@ -57,22 +88,22 @@ class Viewer:
 
     def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
         """Write the pictures of a case to ``folder``."""
-        declared = loads(open_model(model).manifest_text or "")
-        assert isinstance(declared, GeneratorManifest)
+        declared = _declared(model)
         manifest = self.manifest(declared)
-        first: Arrays = {}
-        with FrameSession(model, provider="cpu", manifest=manifest) as session:
-            for number, frame in enumerate(case.frames):
-                feeds = self.values(declared, frame.values)
-                camera_inputs = self._camera_values(manifest, frame)
-                computed = session.run(self.fed(manifest, {**camera_inputs, **feeds}), copy=True)
-                outputs = {name: np.array(computed[name]) for name in computed}
-                first = first or outputs
-                read = self.outputs(declared, outputs, first)
-                scene = scene_of(manifest, read)
-                rgba = render(scene, runtime_camera(self.camera(frame.camera)))
-                name = picture_name(case.name, number)
-                np.save(folder / f"{name}.npy", self.screen(rgba, scene).astype(np.float32))
+        feeds = [self._feeds(declared, manifest, frame) for frame in case.frames]
+        computed = _computed(model, manifest, feeds)
+        for number, (frame, outputs) in enumerate(zip(case.frames, computed, strict=True)):
+            read = self.outputs(declared, outputs, computed[0])
+            scene = scene_of(manifest, read)
+            rgba = render(scene, runtime_camera(self.camera(frame.camera)))
+            name = picture_name(case.name, number)
+            np.save(folder / f"{name}.npy", self.screen(rgba, scene).astype(np.float32))
+
+    def _feeds(
+        self, declared: GeneratorManifest, manifest: GeneratorManifest, frame: KitFrame
+    ) -> dict[str, Any]:
+        values = self.values(declared, frame.values)
+        return self.fed(manifest, {**self._camera_values(manifest, frame), **values})
 
     def _camera_values(self, manifest: GeneratorManifest, frame: KitFrame) -> dict[str, Any]:
         known = camera_values(runtime_camera(frame.camera))
