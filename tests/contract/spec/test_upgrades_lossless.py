@@ -60,11 +60,16 @@ def objects(entry, definitions):
     return st.fixed_dictionaries(required, optional=members)
 
 
+@cache  # hypothesis looks through a new strategy for as long as it draws from it
+def documents(kind, version):
+    body = schema(kind, version)
+    return instances(body, body["$defs"])
+
+
 @st.composite
 def old_manifests(draw):
     version, kind = draw(st.sampled_from(VERSIONS)), draw(st.sampled_from(KINDS))
-    body = schema(kind, version)
-    document = draw(instances(body, body["$defs"]))
+    document = draw(documents(kind, version))
     return version, document | {"contract": f"1.{version[1]}", "kind": kind}
 
 

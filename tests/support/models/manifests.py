@@ -3,6 +3,7 @@
 import types
 import typing
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
@@ -20,9 +21,12 @@ JSON = st.recursive(
 )
 
 
+@cache
 def manifests():
     """Manifests of all three kinds, every field of them drawn."""
-    return st.sampled_from(KINDS).flatmap(lambda kind: _any(manifest_type(kind), Hint()))
+    # Made once: hypothesis looks through a new strategy for as long as it draws from it.
+    kinds = {kind: _any(manifest_type(kind), Hint()) for kind in KINDS}
+    return st.sampled_from(KINDS).flatmap(kinds.__getitem__)
 
 
 def _any(hint: Any, limits: Hint) -> st.SearchStrategy:
