@@ -15,6 +15,7 @@ import threading
 from collections import Counter
 from collections.abc import Generator, Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -22,6 +23,7 @@ import pytest
 
 from gsgen import cli, conformance, contract
 from gsgen.contract.probing import sandbox
+from support.forked_programs import program_folder
 from support.forked_sandbox import run_forked
 from support.reports.corpus_line import corpus_line
 
@@ -199,6 +201,19 @@ def _sandbox_children(request: pytest.FixtureRequest) -> Iterator[None]:
         return
     with patch.object(sandbox, "_run_child", run_forked):
         yield
+
+
+@pytest.fixture(scope="session")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder of `gsgen`, `python` and `pytest` on a reader's PATH.
+
+    Where there are forks, they are forked from one process which has imported their libraries.
+    """
+    if sys.platform != "linux":
+        yield Path(sys.executable).parent
+        return
+    with program_folder(tmp_path_factory.mktemp("programs")) as folder:
+        yield folder
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -25,10 +25,10 @@ def demo() -> ModuleType:
     return made
 
 
-def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
+def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path, programs: Path) -> None:
     demo = DOCS / "examples" / "demo.py"
     completed = subprocess.run(
-        [sys.executable, demo, tmp_path / "out", "static"],
+        [programs / "python", demo, tmp_path / "out", "static"],
         capture_output=True,
         text=True,
         cwd=tmp_path,

@@ -1,5 +1,4 @@
 import subprocess
-import sys
 
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.manifest import CONTRACT
@@ -10,8 +9,9 @@ from support.reports.pages import pages
 SCRIPT = ROOT / "scripts" / "write_docs.py"
 
 
-def test_generated_pages_are_current():
-    done = subprocess.run([sys.executable, str(SCRIPT), "--check"], capture_output=True, text=True)
+def test_generated_pages_are_current(programs):
+    command = [programs / "python", SCRIPT, "--check"]
+    done = subprocess.run(command, capture_output=True, text=True)
     advice = "run: .venv/bin/python scripts/write_docs.py"
     assert done.returncode == 0, f"{advice}\nnot current:\n{done.stdout}{done.stderr}"
 

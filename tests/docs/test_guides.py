@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -21,20 +20,9 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.contract.validation.rule import Scope
 from gsgen.contract.validation.settings import read_config
 from support.commands import ROOT
-from support.forked_programs import program_folder
 from support.reports.pages import DOCS, README, Block, blocks, name_of, pages
 
 _BINARIES = Path(sys.executable).parent
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The folder of `gsgen` and `python` on the reader's PATH."""
-    if sys.platform != "linux":
-        yield _BINARIES
-        return
-    with program_folder(tmp_path_factory.mktemp("programs")) as folder:
-        yield folder
 
 
 def run(block: Block, folder: Path, programs: Path) -> "subprocess.CompletedProcess[str]":

@@ -60,9 +60,14 @@ with open(sys.argv[1], "w") as record:
 """
 
 
-def gsgen(*words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None) -> Ran:
+def gsgen(
+    *words: str | Path,
+    cwd: Path | None = None,
+    env: dict[str, str] | None = None,
+    python: str | Path = sys.executable,
+) -> Ran:
     """Run the command line in a process of its own, as a user does."""
-    done = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env)
+    done = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env, python=python)
     return Ran(done.returncode, done.stdout, done.stderr)
 
 
@@ -79,10 +84,13 @@ def measured_gsgen(*words: str | Path) -> MeasuredRun:
 
 
 def _run_python(
-    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
+    *arguments: str,
+    cwd: Path | None = None,
+    env: dict[str, str] | None = None,
+    python: str | Path = sys.executable,
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, *arguments],
+        [python, *arguments],
         capture_output=True,
         text=True,
         cwd=cwd,

@@ -1,9 +1,9 @@
 """Programs that pages type, forked from a process that has imported the libraries they need.
 
 To start Python and import what `gsgen` draws or exports with takes from one second to seven; a
-fork takes a hundredth of one. :func:`program_folder` writes `gsgen` and `python` into a folder for
-the PATH. Each connects to the process, which forks and runs the program with the client's
-arguments, folder, environment and standard streams.
+fork takes a hundredth of one. :func:`program_folder` writes `gsgen`, `python` and `pytest` into a
+folder for the PATH. Each connects to the process, which forks and runs the program with the
+client's arguments, folder, environment and standard streams.
 """
 
 __all__ = ["program_folder"]
@@ -76,16 +76,18 @@ _MOST_REQUEST_BYTES = 1 << 20
 
 @contextmanager
 def program_folder(folder: Path, module: str = "") -> Iterator[Path]:
-    """Yield a folder with `gsgen` and `python`, whose processes are forked until the exit.
+    """Yield a folder with programs whose processes are forked until the exit.
 
-    With a module, `python -m` is forked with it, and not with scripts. Before ``pytest``, what it
-    needs is imported alone; before other modules, what `gsgen` needs but for torch's exporter.
+    `python` is forked with scripts, `-m gsgen.cli` and `-m pytest`; where a module is named, with
+    that one only. Before ``pytest``, what it needs is imported alone; before other modules, what
+    `gsgen` needs but for torch's exporter.
     """
     socket_path = folder / "socket"
-    for name in ("gsgen", "python"):
+    modules = (module,) if module else ("gsgen.cli", "pytest")
+    for name in ("gsgen", "python", "pytest"):
         program = folder / name
-        real = Path(sys.executable).with_name("gsgen") if name == "gsgen" else sys.executable
-        words = (str(real), str(socket_path), _surroundings(), module)
+        real = sys.executable if name == "python" else Path(sys.executable).with_name(name)
+        words = (str(real), str(socket_path), _surroundings(), modules)
         call = f"serve_or_replace{words!r}"
         program.write_text(f"#!{sys.executable} -IS\n{_CLIENT.read_text('utf-8')}\n{call}\n")
         program.chmod(0o755)
@@ -146,6 +148,8 @@ def _become(request: dict[str, Any], descriptors: list[int]) -> None:
     os.environ.update(request["environment"])
     os.chdir(request["folder"])
     sys.argv = request["arguments"]
+    sys.executable = request["python"]  # whose processes are forks, too
+    _find_packages(os.environ.get("PYTHONPATH", ""))
     encoding = os.environ.get("PYTHONIOENCODING", "utf-8")
     reader = io.BufferedReader(io.FileIO(0, closefd=False))
     sys.stdin = sys.__stdin__ = io.TextIOWrapper(reader, encoding)  # type: ignore[misc]
@@ -161,14 +165,35 @@ def _become(request: dict[str, Any], descriptors: list[int]) -> None:
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__ = streams  # type: ignore[misc]
 
 
+def _find_packages(python_path: str) -> None:
+    """Let a fork import what its PYTHONPATH has, and find what is registered there."""
+    folders = [folder for folder in python_path.split(os.pathsep) if folder]
+    added = [str(Path(folder).resolve()) for folder in folders]
+    added = [folder for folder in added if folder not in sys.path]
+    if not added:
+        return
+    sys.path[:0] = added
+    for module in [module for name, module in sys.modules.items() if name.startswith("gsgen.")]:
+        for function in vars(module).values():
+            if hasattr(function, "cache_clear"):
+                function.cache_clear()
+    sys.modules.pop("gsgen.sdk.commands.export", None)  # which lists plugins when it is imported
+
+
 def _run(program: str) -> int:
-    """Run `gsgen`, or a script as the interpreter would, and return the exit code."""
+    """Run `gsgen`, `pytest`, or a script as the interpreter would, and return the exit code."""
     try:
         if program == "gsgen":
             sys.modules["__main__"] = ModuleType("__main__")  # which spawned processes import
             from gsgen.cli import main
 
             main()
+        elif program == "pytest":
+            sys.modules["__main__"] = ModuleType("__main__")
+            sys.path.insert(0, str(Path(sys.argv[0]).parent))
+            import pytest
+
+            return int(pytest.console_main())
         elif sys.argv[0] == "-m":
             module = sys.argv[1]
             del sys.argv[:1]
@@ -209,6 +234,8 @@ def _import_libraries(module: str) -> None:
     if not module:
         _make_tables_of_operators()
     _share_sandbox()
+    # It is a plugin of pytest, too: unmarked, pytest would warn that it cannot rewrite it any more.
+    sys.modules["jaxtyping"].__doc__ = "PYTEST_DONT_REWRITE"
     for finalizer in list(weakref.finalize._registry):  # type: ignore[attr-defined]
         finalizer.atexit = False  # torch's, which free what ends with the process
 

@@ -84,7 +84,7 @@ def test_inspect_of_no_model_exits_4(tmp_path: Path) -> None:
 
 def test_doctor_finds_the_software_driver_that_tests_need() -> None:
     """A missing driver fails here, and is not skipped: `make drivers` installs it."""
-    ran = gsgen("doctor", "--json")
+    ran = gsgen_here("doctor", "--json")
     rooms = json.loads(ran.out)
     adapters = [c for c in rooms["runtime"] if c["name"] == "adapter" and c["state"] == "ok"]
     vulkan = [c["detail"] for c in adapters if "Vulkan" in c["detail"]]
@@ -93,7 +93,7 @@ def test_doctor_finds_the_software_driver_that_tests_need() -> None:
 
 
 def test_doctor_names_the_command_that_repairs(tmp_path: Path) -> None:
-    ran = gsgen(
+    ran = gsgen_here(
         "doctor", env={"VK_DRIVER_FILES": str(tmp_path / "none.json"), "WGPU_BACKEND": "Vulkan"}
     )
     assert "contract" in ran.out
