@@ -24,7 +24,7 @@ def _forked_pytest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     if sys.platform != "linux":
         yield
         return
-    with program_folder(tmp_path_factory.mktemp("programs"), "pytest") as programs:
+    with program_folder(tmp_path_factory.mktemp("programs"), for_pytest=True) as programs:
         _python = str(programs / "python")
         yield
     _python = sys.executable

@@ -1,4 +1,4 @@
-"""The demo: run whole, as ``make demo`` does, and its plugins one by one."""
+"""The demo: run whole, as ``make demo`` does but in forked programs, and its plugins one by one."""
 
 import os
 import subprocess

@@ -53,8 +53,6 @@ _IMPORTED = (
     "gsgen.tiles.streaming.tiles_source",
     "gsgen.tiles.validation.validate",
     "gsgen.tiles.validation.rules",
-)
-_IMPORTED_FOR_EXPORTS = (
     "torch.onnx._internal.exporter._core",
     "torch.export._trace",
     "onnxscript.function_libs.torch_lib.ops",
@@ -71,19 +69,19 @@ _IMPORTED_FOR_PYTEST = (
     "gsgen.conformance.suite",
     "gsgen.contract.validator",
 )
+_MODULES = ("gsgen.cli", "pytest", "support.printed_commands")
 _MOST_REQUEST_BYTES = 1 << 20
 
 
 @contextmanager
-def program_folder(folder: Path, module: str = "") -> Iterator[Path]:
+def program_folder(folder: Path, *, for_pytest: bool = False) -> Iterator[Path]:
     """Yield a folder with programs whose processes are forked until the exit.
 
-    `python` is forked with scripts, `-m gsgen.cli` and `-m pytest`; where a module is named, with
-    that one only. Before ``pytest``, what it needs is imported alone; before other modules, what
-    `gsgen` needs but for torch's exporter.
+    `python` is forked with scripts, and with `-m` and some modules; or, for fewer imports, with
+    `-m pytest` alone.
     """
     socket_path = folder / "socket"
-    modules = (module,) if module else ("gsgen.cli", "pytest")
+    modules = ("pytest",) if for_pytest else _MODULES
     for name in ("gsgen", "python", "pytest"):
         program = folder / name
         real = sys.executable if name == "python" else Path(sys.executable).with_name(name)
@@ -92,7 +90,7 @@ def program_folder(folder: Path, module: str = "") -> Iterator[Path]:
         program.write_text(f"#!{sys.executable} -IS\n{_CLIENT.read_text('utf-8')}\n{call}\n")
         program.chmod(0o755)
     server = subprocess.Popen(
-        [sys.executable, "-P", __file__, str(socket_path), module],
+        [sys.executable, "-P", __file__, str(socket_path), *(["pytest"] if for_pytest else [])],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -173,6 +171,8 @@ def _find_packages(python_path: str) -> None:
     if not added:
         return
     sys.path[:0] = added
+    if not any(True for folder in added for _ in Path(folder).glob("*.dist-info")):
+        return
     for module in [module for name, module in sys.modules.items() if name.startswith("gsgen.")]:
         for function in vars(module).values():
             if hasattr(function, "cache_clear"):
@@ -222,8 +222,8 @@ def _end(code: int) -> None:
     os._exit(code)
 
 
-def _import_libraries(module: str) -> None:
-    for name in (*_IMPORTED, *(() if module else _IMPORTED_FOR_EXPORTS)):
+def _import_libraries() -> None:
+    for name in _IMPORTED:
         import_module(name)
     from gsgen.contract._extensions import find_commands
     from gsgen.runtime.gpu.native_types import parse_native_types
@@ -231,8 +231,7 @@ def _import_libraries(module: str) -> None:
     parse_native_types()
     for command in find_commands().values():
         command.load()
-    if not module:
-        _make_tables_of_operators()
+    _make_tables_of_operators()
     _share_sandbox()
     # It is a plugin of pytest, too: unmarked, pytest would warn that it cannot rewrite it any more.
     sys.modules["jaxtyping"].__doc__ = "PYTEST_DONT_REWRITE"
@@ -282,7 +281,7 @@ def _make_tables_of_operators() -> None:
 
 
 if __name__ == "__main__":
-    _import_for_pytest() if sys.argv[2] == "pytest" else _import_libraries(sys.argv[2])
+    _import_for_pytest() if sys.argv[2:] == ["pytest"] else _import_libraries()
     gc.freeze()
     accepted = _serve(sys.argv[1])
     if accepted is not None:

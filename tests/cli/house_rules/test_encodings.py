@@ -20,7 +20,6 @@ from gsgen.cli.text_streams import accept_any_text, transliterate
 from gsgen.conformance.fixtures import find
 from gsgen.contract._extensions import find_commands
 from support.commands import ROOT
-from support.forked_programs import program_folder
 
 # Names of files that no 8-bit encoding has whole.
 MODEL, BROKEN, CLOUD, ABSENT = "gut→é.onnx", "schlecht≤日.onnx", "wolke−σ.npz", "fehlt→日🌐.onnx"
@@ -142,18 +141,12 @@ _MODULE = "support.printed_commands"
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Yield a Python that is forked from one which has imported the program, where there are forks.
+def python(programs: Path) -> str:
+    """A Python that is forked from one which has imported the program, where there are forks.
 
     It starts anew in locales that are not UTF-8, which it may not be forked with.
     """
-    if sys.platform != "linux":
-        yield sys.executable
-        return
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(ROOT / "tests"))
-        with program_folder(tmp_path_factory.mktemp("programs"), _MODULE) as programs:
-            yield str(programs / "python")
+    return str(programs / "python")
 
 
 def printed(
