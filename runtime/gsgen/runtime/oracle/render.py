@@ -71,20 +71,24 @@ def _blend(
     finished = np.zeros((height, width), bool)
     fragile, fragile_median = walls.fragile | veil.fragile, finished.copy()
     waiting = np.isfinite(veil.depth)
+    is_waiting = bool(waiting.any())
     close = _ties(splats.depth)
-    nearer_hit = finished.copy()
+    nearer_hit, nearer = finished.copy(), (slice(0), slice(0))
     visible = 0
-    for i in range(len(splats.depth)):
-        window = _window(splats, i, camera)
-        if window is None:
-            nearer_hit[:] = False
+    inverses, windows = np.linalg.inv(splats.covariance), _windows(splats, camera)
+    for i, (left, top, right, bottom) in enumerate(windows):
+        window = slice(top, bottom), slice(left, right)
+        if left >= right or top >= bottom:
+            nearer_hit[nearer] = False
             continue
-        unclamped, dx = _opacity(splats, i, window, camera)
+        unclamped, dx = _opacity(splats, i, inverses[i], window, camera)
         alpha = np.minimum(unclamped, MOST_ALPHA)
-        covered = np.zeros_like(waiting)
-        covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
-        _cover(covered, veil, color, normal, depth, through, median, fragile_median)
-        waiting &= ~covered
+        if is_waiting:
+            covered = np.zeros_like(waiting)
+            covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
+            _cover(covered, veil, color, normal, depth, through, median, fragile_median)
+            waiting &= ~covered
+            is_waiting = bool(waiting.any())
         before = through[window].copy()
         in_front = splats.depth[i] <= walls.depth[window]
         hit = (alpha >= CULL) & ~finished[window] & in_front
@@ -99,8 +103,8 @@ def _blend(
         fragile[window] |= ~finished[window] & (near_edge | near_stop)
         if close[i]:
             fragile[window] |= hit & nearer_hit[window]
-        nearer_hit[:] = False
-        nearer_hit[window] = hit
+        nearer_hit[nearer] = False
+        nearer_hit[window], nearer = hit, window
         finished[window] |= stop
         drawn = hit & ~stop
         amount = np.where(drawn, alpha * before, 0)
@@ -137,13 +141,13 @@ def _blend(
 
 
 def _opacity(
-    splats: Splats, i: int, window: tuple[slice, slice], camera: Camera
+    splats: Splats, i: int, inverse: np.ndarray, window: tuple[slice, slice], camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a Gaussian's opacities at the pixels of a window, and their horizontal offsets."""
     rows, columns = window
     dx = projection.across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
     dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
-    (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
+    (a, b), (_, c) = inverse
     return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx
 
 
@@ -196,15 +200,15 @@ def _ties(depth: np.ndarray) -> np.ndarray:
     return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
 
 
-def _window(splats: Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
-    """Return the rows and columns of pixels that a Gaussian may reach, or None."""
-    spread = 2 * np.log(splats.opacity[i] / CULL) * np.diagonal(splats.covariance[i])
+def _windows(splats: Splats, camera: Camera) -> list[list[int]]:
+    """Return the pixels that each Gaussian may reach: left, top, right, bottom."""
+    diagonals = np.diagonal(splats.covariance, axis1=1, axis2=2)
+    spread = 2 * np.log(splats.opacity / CULL)[:, None] * diagonals
     reach = np.sqrt(np.maximum(spread, 0)) + 0.01
     limits = np.array([camera.width, camera.height])
-    low = np.clip(np.floor(splats.mean[i] - reach - 0.5), 0, limits).astype(int)
-    high = np.clip(np.ceil(splats.mean[i] + reach + 0.5), 0, limits).astype(int)
-    if camera.kind == "panorama":  # the Gaussian may cross the seam
-        low[0], high[0] = 0, camera.width
-    if not (low < high).all():
-        return None
-    return slice(low[1], high[1]), slice(low[0], high[0])
+    low = np.clip(np.floor(splats.mean - reach - 0.5), 0, limits).astype(int)
+    high = np.clip(np.ceil(splats.mean + reach + 0.5), 0, limits).astype(int)
+    if camera.kind == "panorama":  # a Gaussian may cross the seam
+        low[:, 0], high[:, 0] = 0, camera.width
+    windows: list[list[int]] = np.concatenate([low, high], axis=1).tolist()
+    return windows
