@@ -64,12 +64,11 @@ class Renderer:
         rasteriser: "tiles" blends colours in compute shaders, tile by tile; "quads" lets the
             hardware blend one quad per splat, which cannot stop at finished pixels. "auto"
             measures once which is faster (:mod:`gsgen.runtime.renderer.rasteriser_choice`), and
-            with which tiles; it uses tiles on software drivers and for frames with other outputs than colours.
+            with which tiles; it uses tiles on software drivers and for other outputs than colours.
         compact: Whether SH and colours are float16, and covariances take 16 bytes: 128 instead of
             232 bytes per Gaussian of degree 3, 40 instead of 56 for RGB; pictures differ by less
             than 1e-3, or 4e-3 where a threshold is met.
-        page_rows: Most Gaussians of one dispatch and one binding; by default 262,144, and twice
-            as many on GPUs.
+        page_rows: Most Gaussians of a dispatch and binding: by default 262,144, on GPUs twice that.
         published: Whether weighted sums count backgrounds as the method's own renderer does
             (Liu et al. 2025): the background keeps its whole weight in the numerator. Such
             pictures compare with that renderer's, but cannot be composed with others.
