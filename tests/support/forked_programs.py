@@ -171,7 +171,7 @@ def _find_packages(python_path: str) -> None:
     if not added:
         return
     sys.path[:0] = added
-    if not any(True for folder in added for _ in Path(folder).glob("*.dist-info")):
+    if not any(list(Path(folder).glob("*.dist-info")) for folder in added):
         return
     for module in [module for name, module in sys.modules.items() if name.startswith("gsgen.")]:
         for function in vars(module).values():

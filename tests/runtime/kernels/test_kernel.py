@@ -7,8 +7,8 @@ from gsgen.runtime.scene.scene import Scene
 from support.rendering.splat_scenes import camera, single
 
 
-def tally(device: Device, threads: float = 64, bindings: tuple[str, ...] = ("urw", "u")) -> Kernel:
-    return Kernel(device, "tally_keys", "tally_keys", bindings, THREADS=threads)
+def tally(device: Device, threads: int = 64) -> Kernel:
+    return Kernel(device, "tally_keys", "tally_keys", ("urw", "u"), THREADS=threads)
 
 
 def test_kernels_with_the_same_text_share_a_pipeline(device: Device) -> None:
@@ -16,7 +16,7 @@ def test_kernels_with_the_same_text_share_a_pipeline(device: Device) -> None:
     assert tally(device, threads=32).pipeline is not tally(device).pipeline
 
 
-def test_a_second_renderer_compiles_nothing() -> None:
+def test_a_second_renderer_compiles_no_kernel() -> None:
     device = Device.open()
     scene = Scene([single()])
     Renderer(device, rasteriser="tiles").render(scene, camera())

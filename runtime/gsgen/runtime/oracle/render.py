@@ -71,24 +71,22 @@ def _blend(
     finished = np.zeros((height, width), bool)
     fragile, fragile_median = walls.fragile | veil.fragile, finished.copy()
     waiting = np.isfinite(veil.depth)
-    is_waiting = bool(waiting.any())
     close = _ties(splats.depth)
-    nearer_hit, nearer = finished.copy(), (slice(0), slice(0))
+    nearer_hit, nearer_window = finished.copy(), (slice(0), slice(0))
     visible = 0
     inverses, windows = np.linalg.inv(splats.covariance), _windows(splats, camera)
     for i, (left, top, right, bottom) in enumerate(windows):
         window = slice(top, bottom), slice(left, right)
         if left >= right or top >= bottom:
-            nearer_hit[nearer] = False
+            nearer_hit[nearer_window] = False
             continue
         unclamped, dx = _opacity(splats, i, inverses[i], window, camera)
         alpha = np.minimum(unclamped, MOST_ALPHA)
-        if is_waiting:
+        if waiting[window].any():
             covered = np.zeros_like(waiting)
             covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
             _cover(covered, veil, color, normal, depth, through, median, fragile_median)
             waiting &= ~covered
-            is_waiting = bool(waiting.any())
         before = through[window].copy()
         in_front = splats.depth[i] <= walls.depth[window]
         hit = (alpha >= CULL) & ~finished[window] & in_front
@@ -103,8 +101,8 @@ def _blend(
         fragile[window] |= ~finished[window] & (near_edge | near_stop)
         if close[i]:
             fragile[window] |= hit & nearer_hit[window]
-        nearer_hit[nearer] = False
-        nearer_hit[window], nearer = hit, window
+        nearer_hit[nearer_window] = False
+        nearer_hit[window], nearer_window = hit, window
         finished[window] |= stop
         drawn = hit & ~stop
         amount = np.where(drawn, alpha * before, 0)

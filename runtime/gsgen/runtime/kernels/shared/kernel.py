@@ -36,7 +36,7 @@ class Kernel:
     """A compute pipeline of one shader entry point, with its bind group layouts.
 
     Kernels of a device with the same text, entry point and bindings share one pipeline: a second
-    renderer compiles nothing.
+    renderer compiles none of them.
 
     Args:
         device: Device of the pipeline.
