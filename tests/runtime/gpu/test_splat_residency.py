@@ -1,5 +1,7 @@
 """Only what changed goes to the GPU: rows, appearance, or rows that were not live before."""
 
+from weakref import ref
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import SplatPool
 from support.rendering.splat_scenes import camera, cloud
 
 ROW, COLOR = 40, 16  # bytes; RGB in float32 is filled up to a word
@@ -90,3 +93,11 @@ def test_a_count_that_grows_shows_the_same_as_at_once(device: Device, renderer: 
         fresh = SplatData(data.rows, data.appearance, "sh", count=count)
         assert np.array_equal(shown.rgba, renderer.render(Scene([fresh]), camera()).rgba)
         assert (shown.visible > 0) == (count > 0)
+
+
+def test_memory_is_kept_no_longer_than_what_it_holds(device: Device) -> None:
+    held, data, pool = Residency(device), cloud(100, 1), SplatPool(100, 3)
+    buffers = [ref(pages[0].rows) for pages in (held.pages(data), held.pool_pages(pool))]
+    assert None not in [buffer() for buffer in buffers]
+    del data, pool
+    assert [buffer() for buffer in buffers] == [None, None]

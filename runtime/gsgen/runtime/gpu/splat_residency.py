@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, NamedTuple, final
-from weakref import WeakKeyDictionary
+from weakref import ReferenceType, WeakKeyDictionary, ref
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt32
@@ -84,20 +84,29 @@ class PageSlots:
     """Slots (row ranges for streamed tiles) in one page (GPU buffers) of the splat pool.
 
     Attributes:
-        pool: The pool.
+        pool_reference: Weak reference to the pool, whose memory is freed when no scene has it.
         first: Index of the page's first slot in the pool.
         count: Number of slots.
+        slot_rows: Number of rows in a slot.
         table: Buffer of the slot table.
         seen: Buffer of the slots that may be seen.
         dispatch: Buffer of the indirect dispatch that projects them.
     """
 
-    pool: SplatPool
+    pool_reference: ReferenceType[SplatPool]
     first: int
     count: int
+    slot_rows: int
     table: Buffer
     seen: Buffer
     dispatch: Buffer
+
+    @property
+    def pool(self) -> SplatPool:
+        """The splat pool (GPU memory for streamed tiles) of the page; a scene has to hold it."""
+        pool = self.pool_reference()
+        assert pool is not None
+        return pool
 
 
 @final
@@ -157,9 +166,10 @@ def allocate_pool_page(
         half=half,
         stride=words,
         slots=PageSlots(
-            pool=pool,
+            pool_reference=ref(pool),
             first=first,
             count=count,
+            slot_rows=pool.slot_rows,
             table=device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
             seen=device.storage("slots in view", 4 * PAGE_SLOTS, extra="UNIFORM"),
             dispatch=dispatch,

@@ -44,7 +44,7 @@ def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 def slot_rows(page: Page) -> int:
     """Return the number of rows in a slot of the page's splat pool; 0 for a page without a pool."""
-    return 0 if page.slots is None else page.slots.pool.slot_rows
+    return 0 if page.slots is None else page.slots.slot_rows
 
 
 def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
