@@ -20,6 +20,7 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
+from filelock import FileLock
 
 from gsgen import cli, conformance, contract
 from gsgen.contract.probing import sandbox
@@ -177,6 +178,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(
         key=lambda item: rank.get(item.path.name, rank.get(item.path.parent.name, len(rank)))
     )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+    """Collect in one worker after another: the first compiles the tests, and others load them."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or not hasattr(session.config, "cache"):
+        return (yield)
+    with FileLock(session.config.cache.mkdir("collection") / "lock"):
+        return (yield)
 
 
 def pytest_collection_finish() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from support.models.shared_traces import share_traces
 from support.reports.one_registry import share_operators
 
 Exported = Callable[..., Path]
@@ -15,6 +16,7 @@ Exported = Callable[..., Path]
 def _one_registry() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         share_operators(patch)
+        share_traces(patch)
         yield
 
 

@@ -1,9 +1,10 @@
-"""Right models that are exported share torch's table of operators."""
+"""Right models that are exported share torch's tables of operators, and equal ones their graph."""
 
 from collections.abc import Iterator
 
 import pytest
 
+from support.models.shared_traces import share_traces
 from support.reports.one_registry import share_operators
 
 
@@ -11,4 +12,5 @@ from support.reports.one_registry import share_operators
 def _one_registry() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         share_operators(patch)
+        share_traces(patch)
         yield

@@ -8,6 +8,7 @@ import torch
 
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
 from support.models.generators import Drift, Growing, Lit
+from support.models.shared_traces import share_traces
 from support.reports.one_registry import share_operators
 
 ROWS = 40
@@ -86,6 +87,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("baking")
     with pytest.MonkeyPatch.context() as patch:
         share_operators(patch)
+        share_traces(patch)
         for kind in (Drift, Growing, Lit, Harmonic, HalfSeen):
             torch.manual_seed(0)  # the weights of networks do not depend on other tests
             export(kind(), folder / f"{kind.__name__.lower()}.onnx")

@@ -1,15 +1,22 @@
-"""Exports of one generator in float32 and in float16 share its traced graph.
+"""Exports of equal generators share the traced graph.
 
-Torch takes most of an export's time for it, and both are rewritten from the same float32 graph.
+Torch takes most of an export's time for it. A test run exports some generators ten times: in float32
+and in float16, which are rewritten from the same float32 graph, and with other options of ours.
 """
 
 __all__ = ["share_traces"]
 
+import hashlib
+import io
+import pickle
+from collections import OrderedDict
 from collections.abc import Sequence
+from types import FunctionType
 from typing import Any
 
 import onnx_ir as ir
 import pytest
+import torch
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest
@@ -17,11 +24,14 @@ from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.exporting import exporter
 
+_MOST = 24
+# The graph of each content, and the classes and functions that stand for themselves in it.
+_traces: OrderedDict[Any, tuple[ir.Model, list[object]]] = OrderedDict()
+
 
 def share_traces(patch: pytest.MonkeyPatch) -> None:
-    """Let exports of the same generator object, at equal inputs and sizes, trace it once."""
+    """Let exports of generators of equal content, at equal inputs and sizes, trace one of them."""
     trace = exporter.trace_generator
-    traces: dict[Any, tuple[PackedGenerator, ir.Model]] = {}
 
     def trace_generator(
         packed: PackedGenerator,
@@ -30,18 +40,48 @@ def share_traces(patch: pytest.MonkeyPatch) -> None:
         opset: int,
         hazards: Sequence[Any] = (),
     ) -> ir.Model:
-        color = manifest.outputs.appearance
+        content = _Content.of(packed)
         values = tuple(
             (name, value.dtype.str, value.shape, value.tobytes())
             for name, value in example.inputs.items()
         )
+        color = manifest.outputs.appearance
         # A padded degree of harmonics makes another graph, and so does another storage.
         degree = color and color.degree
-        key = (id(packed.generator), packed.packed, tuple(output_names(manifest)), degree)
-        key = (*key, opset, values)
-        if key not in traces:
-            # The generator is stored, too, so that no other one gets its id.
-            traces[key] = packed, trace(packed, example, manifest, opset, hazards)
-        return traces[key][1].clone()
+        key = (content.digest, tuple(output_names(manifest)), degree, opset, values)
+        if key not in _traces:
+            _traces[key] = trace(packed, example, manifest, opset, hazards), content.kept
+            while len(_traces) > _MOST:
+                _traces.popitem(last=False)
+        _traces.move_to_end(key)
+        return _traces[key][0].clone()
 
     patch.setattr(exporter, "trace_generator", trace_generator)
+
+
+class _Content(pickle.Pickler):
+    """Reads all that a module holds: numbers by value, classes and functions by their identity."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file, protocol=5)
+        self.kept: list[object] = []  # so that no other class or function gets the identity
+        self.digest = b""
+
+    @classmethod
+    def of(cls, module: torch.nn.Module) -> "_Content":
+        file = io.BytesIO()
+        content = cls(file)
+        content.dump(module)
+        content.digest = hashlib.sha256(file.getvalue()).digest()
+        return content
+
+    def reducer_override(self, value: Any) -> Any:
+        """Reduce tensors to their numbers; torch's own reduction packs each into an archive."""
+        if isinstance(value, torch.Tensor):
+            numbers = value.detach().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
+            layout = (value.dtype, tuple(value.shape), value.stride(), value.requires_grad)
+            return str, (hashlib.sha256(numbers).hexdigest() + repr(layout),)
+        if isinstance(value, (type, FunctionType)) and value is not str:
+            self.kept.append(value)
+            return str, (f"{value} {id(value)}",)
+        return NotImplemented
