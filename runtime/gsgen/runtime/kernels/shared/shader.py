@@ -3,7 +3,7 @@
 __all__ = ["source"]
 
 import re
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
@@ -46,6 +46,7 @@ PANORAMA_CONSTANTS: dict[str, int | bool] = {"PANORAMA": True, "FIRST_COPY": 0, 
 """Constants of kernels that place splats in a panorama: each splat is drawn up to three times."""
 
 
+@lru_cache(maxsize=256, typed=True)  # a second renderer asks for the same fifty
 def source(name: str, **constants: int | float | bool) -> str:
     """Return the WGSL source of shader ``name`` with all files that it includes.
 
