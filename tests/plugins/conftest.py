@@ -12,11 +12,5 @@ from support.reports.one_registry import share_operators
 def _one_registry() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         share_operators(patch)
-        yield
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_trace() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
         share_traces(patch)
         yield

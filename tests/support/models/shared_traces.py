@@ -23,6 +23,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.exporting import exporter
+from gsgen.sdk.exporting.tracing.trace import trace_generator
 
 _MOST = 24
 # The graph of each content, and the classes and functions that stand for themselves in it.
@@ -31,49 +32,49 @@ _traces: OrderedDict[Any, tuple[ir.Model, list[object]]] = OrderedDict()
 
 def share_traces(patch: pytest.MonkeyPatch) -> None:
     """Let exports of generators of equal content, at equal inputs and sizes, trace one of them."""
-    trace = exporter.trace_generator
-
-    def trace_generator(
-        packed: PackedGenerator,
-        example: Probe,
-        manifest: GeneratorManifest,
-        opset: int,
-        hazards: Sequence[Any] = (),
-    ) -> ir.Model:
-        content = _Content.of(packed)
-        values = tuple(
-            (name, value.dtype.str, value.shape, value.tobytes())
-            for name, value in example.inputs.items()
-        )
-        color = manifest.outputs.appearance
-        # A padded degree of harmonics makes another graph, and so does another storage.
-        degree = color and color.degree
-        key = (content.digest, tuple(output_names(manifest)), degree, opset, values)
-        if key not in _traces:
-            _traces[key] = trace(packed, example, manifest, opset, hazards), content.kept
-            while len(_traces) > _MOST:
-                _traces.popitem(last=False)
-        _traces.move_to_end(key)
-        return _traces[key][0].clone()
-
-    patch.setattr(exporter, "trace_generator", trace_generator)
+    patch.setattr(exporter, "trace_generator", _shared_trace)
 
 
-class _Content(pickle.Pickler):
-    """Reads all that a module holds: numbers by value, classes and functions by their identity."""
+def _shared_trace(
+    packed: PackedGenerator,
+    example: Probe,
+    manifest: GeneratorManifest,
+    opset: int,
+    hazards: Sequence[Any] = (),
+) -> ir.Model:
+    """Return a copy of the traced graph of a generator of equal content, which is traced once."""
+    content = io.BytesIO()
+    reader = _ContentPickler(content, protocol=5)
+    reader.dump(packed)
+    values = tuple(
+        (name, value.dtype.str, value.shape, value.tobytes())
+        for name, value in example.inputs.items()
+    )
+    color = manifest.outputs.appearance
+    # A padded degree of harmonics makes another graph, and so does another storage.
+    degree = color and color.degree
+    digest = hashlib.sha256(content.getvalue()).digest()
+    key = (digest, tuple(output_names(manifest)), degree, opset, values)
+    if key not in _traces:
+        _traces[key] = trace_generator(packed, example, manifest, opset, hazards), reader.kept
+        if len(_traces) > _MOST:
+            _traces.popitem(last=False)
+    _traces.move_to_end(key)
+    return _traces[key][0].clone()
 
-    def __init__(self, file: io.BytesIO) -> None:
-        super().__init__(file, protocol=5)
-        self.kept: list[object] = []  # so that no other class or function gets the identity
-        self.digest = b""
 
-    @classmethod
-    def of(cls, module: torch.nn.Module) -> "_Content":
-        file = io.BytesIO()
-        content = cls(file)
-        content.dump(module)
-        content.digest = hashlib.sha256(file.getvalue()).digest()
-        return content
+class _ContentPickler(pickle.Pickler):
+    """Writes all that a module holds: numbers by value, classes and functions by their identity.
+
+    Nothing reads it again: equal modules are known by equal bytes.
+
+    Attributes:
+        kept: The classes and functions, so that no other one gets an identity.
+    """
+
+    def __init__(self, file: io.BytesIO, protocol: int) -> None:
+        super().__init__(file, protocol)
+        self.kept: list[object] = []
 
     def reducer_override(self, value: Any) -> Any:
         """Reduce tensors to their numbers; torch's own reduction packs each into an archive."""
@@ -83,5 +84,5 @@ class _Content(pickle.Pickler):
             return str, (hashlib.sha256(numbers).hexdigest() + repr(layout),)
         if isinstance(value, (type, FunctionType)) and value is not str:
             self.kept.append(value)
-            return str, (f"{value} {id(value)}",)
+            return str, (str(id(value)),)
         return NotImplemented
