@@ -390,6 +390,7 @@ def test_a_device_without_textures_of_floats_says_so(
         raise wgpu.GPUValidationError(f"Color state [0] is invalid\n  {why}")
 
     monkeypatch.setattr(type(device.raw), "create_render_pipeline", refuse)
+    monkeypatch.setattr(device, "render_pipelines", {})
     said = (
         (DeviceUnavailable, "cannot render to textures .* which meshes need")
         if known

@@ -2,31 +2,28 @@
 
 import base64
 import io
-import json
-import subprocess
-import tempfile
-import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from shutil import which
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from support.browser import playwright_of_process, serving
+
 CESIUM = Path(__file__).parents[3] / ".venv" / "cesium"
 PAGE = Path(__file__).with_name("cesium_page.html")
 _SECONDS = 180
-
-
-def require_viewer() -> None:
-    """Fail the test, with the script to run, where CesiumJS or chromium is missing."""
-    absent = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
-    absent += [] if which("chromium") else ["chromium on the PATH"]
-    if absent:
-        pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/cesium.sh as root")
+_WEBGL_FLAGS = (
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +31,8 @@ class Seen:
     """What the viewer told.
 
     Attributes:
-        loaded: Addresses of the contents that were loaded.
-        failed: Those that were not, and why.
+        loaded: The contents that were loaded, relative to the tileset's folder.
+        failed: Addresses of those that were not, and why.
         errors: Of the page and the renderer.
         tiles: How many tiles the tileset has.
         selected: How many are drawn.
@@ -52,55 +49,41 @@ class Seen:
     picture: np.ndarray
 
 
-class _Handler(SimpleHTTPRequestHandler):
-    def __init__(
-        self, *words: object, report: dict[str, object], done: threading.Event, **named: object
-    ) -> None:
-        self._report, self._done = report, done
-        super().__init__(*words, **named)  # type: ignore[arg-type]
+class Viewer:
+    """One page with CesiumJS, which shows one tileset after another."""
 
-    def do_POST(self) -> None:
-        size = int(self.headers["Content-Length"])
-        self._report.update(json.loads(self.rfile.read(size)))
-        self.send_response(204)
-        self.end_headers()
-        self._done.set()
+    def __init__(self, page: Any, folders: dict[str, Path]) -> None:
+        self._page = page
+        self._folders = folders  # those that the page's server has
 
-    def log_message(self, *words: object) -> None:
-        pass
+    def view(self, folder: Path) -> Seen:
+        """Load ``folder/tileset.json`` and look at it from the south-west, from above."""
+        name = f"set{len(self._folders)}"
+        self._folders[name] = folder
+        report = self._page.evaluate("(url) => view(url)", f"/{name}/tileset.json")
+        assert "picture" in report, report["errors"]
+        loaded = [url.partition(f"/{name}/")[2] for url in report.pop("loaded")]
+        data = base64.b64decode(report.pop("picture").partition(",")[2])
+        picture = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+        return Seen(loaded=loaded, picture=picture, **report)
 
 
-def view(folder: Path) -> Seen:
-    """Load ``folder/tileset.json`` and look at it from the south-west, from above."""
-    report: dict[str, object] = {}
-    done = threading.Event()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as work:
-        site, profile = Path(work) / "site", Path(work) / "profile"
-        site.mkdir()
-        (site / "cesium").symlink_to(CESIUM)
-        (site / "set").symlink_to(folder.resolve())
-        (site / "index.html").write_bytes(PAGE.read_bytes())
-        handler = partial(_Handler, directory=str(site), report=report, done=done)
-        with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-            thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-            thread.start()
-            command = [
-                "chromium", "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-                "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-                f"--user-data-dir={profile}",
-                f"http://127.0.0.1:{server.server_port}/index.html",
-            ]  # fmt: skip
-            browser = subprocess.Popen(
-                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            )
-            try:
-                assert done.wait(_SECONDS), "the page told nothing"
-            finally:
-                browser.terminate()
-                browser.wait(30)
-                server.shutdown()
-                thread.join()
-    assert "picture" in report, report["errors"]
-    data = base64.b64decode(str(report.pop("picture")).partition(",")[2])
-    picture = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
-    return Seen(picture=picture, **report)  # type: ignore[arg-type]
+@contextmanager
+def opened_viewer() -> Iterator[Viewer]:
+    """Open the page; fail with the script to run where CesiumJS or chromium is missing."""
+    chromium = which("chromium")
+    absent = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
+    absent += [] if chromium else ["chromium on the PATH"]
+    if absent:
+        pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/cesium.sh as root")
+    folders = {"cesium": CESIUM}
+    launcher = playwright_of_process().chromium
+    with serving(folders, {"/index.html": PAGE.read_bytes()}) as address:
+        browser = launcher.launch(executable_path=chromium, args=list(_WEBGL_FLAGS))
+        try:
+            page = browser.new_page(viewport={"width": 480, "height": 360})
+            page.set_default_timeout(1000 * _SECONDS)
+            page.goto(f"{address}/index.html")
+            yield Viewer(page, folders)
+        finally:
+            browser.close()

@@ -18,6 +18,7 @@ from gsgen.runtime.gpu.handles import (
     ComputePipeline,
     Encoder,
     RawDevice,
+    RenderPipeline,
     Texture,
 )
 from gsgen.runtime.gpu.native_types import parse_native_types
@@ -67,6 +68,8 @@ class Device:
         submitted: Index of the last submission, for :meth:`reading`.
         pipelines: Compute pipelines and their bind group layouts by shader text, entry point and
             types of bindings, which kernels share.
+        render_pipelines: Render pipelines and their bind group layouts by shader text and what
+            else makes them, which renderers share.
     """
 
     def __init__(self, raw: RawDevice) -> None:
@@ -88,6 +91,7 @@ class Device:
         self.pipelines: dict[
             tuple[str, str, tuple[str, ...]], tuple[ComputePipeline, list[BindGroupLayout]]
         ] = {}
+        self.render_pipelines: dict[tuple[str, str], tuple[RenderPipeline, BindGroupLayout]] = {}
         self._on_mapped: object = None  # a callback, which must live as long as a mapping
         self._statuses: list[int] = []
         self._buffers: WeakSet[Buffer] = WeakSet()

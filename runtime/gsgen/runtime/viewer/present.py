@@ -17,9 +17,9 @@ from gsgen.runtime.gpu.handles import (
     Buffer,
     RawDevice,
     RenderPass,
-    RenderPipeline,
     Texture,
 )
+from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.shader import source
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.renderer.bands import Drawn
@@ -50,6 +50,7 @@ SHOWING: Final = np.dtype(
 )
 """The bytes of ``struct Showing`` in present.wgsl."""
 
+_UNIFORM: Final = {"buffer": {"type": "uniform"}}
 _BLEND_OVER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 
 
@@ -87,18 +88,21 @@ class Present:
     """
 
     def __init__(self, device: Device, format: str) -> None:
-        self._device, raw = device, device.raw
-        self._layout, self._pipeline = _pipeline(
-            raw,
+        self._device = device
+        self._pipeline, self._layout = render_pipeline(
+            device,
             "present",
-            {"buffer": {"type": "read-only-storage"}},
-            format,
-            None,
-            **SHOWING_CONSTANTS,
+            source("present", **SHOWING_CONSTANTS),
+            [_UNIFORM, {"buffer": {"type": "read-only-storage"}}],
+            targets=[{"format": format}],
         )
-        blend = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
-        self._panel_layout, self._panels = _pipeline(
-            raw, "panel", {"texture": {"sample_type": "float"}}, format, blend
+        over = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
+        self._panels, self._panel_layout = render_pipeline(
+            device,
+            "panel",
+            source("panel"),
+            [_UNIFORM, {"texture": {"sample_type": "float"}}],
+            targets=[{"format": format, "blend": over}],
         )
         self._bindings: dict[Buffer, tuple[Buffer, BindGroup]] = {}
         self._panel_bindings: dict[Panel, tuple[Texture, BindGroup]] = {}
@@ -191,34 +195,6 @@ def _uniforms(view: View, band: Drawn, surface: tuple[int, int]) -> np.ndarray:
     uniforms["near"], uniforms["far"] = view.depths
     uniforms["is_linear"] = view.color_space == "linear"
     return uniforms
-
-
-def _pipeline(
-    raw: RawDevice,
-    name: str,
-    resource: dict[str, dict[str, str]],
-    format: str,
-    blend: dict[str, dict[str, str]] | None,
-    **constants: int,
-) -> tuple[BindGroupLayout, RenderPipeline]:
-    """Create the bind group layout and render pipeline of a WGSL shader with two bindings."""
-    layout = raw.create_bind_group_layout(
-        label=name,
-        entries=[
-            {"binding": 0, "visibility": "FRAGMENT", "buffer": {"type": "uniform"}},
-            {"binding": 1, "visibility": "FRAGMENT", **resource},
-        ],
-    )
-    module = raw.create_shader_module(label=name, code=source(name, **constants))
-    target: dict[str, object] = {"format": format} | ({"blend": blend} if blend else {})
-    pipeline = raw.create_render_pipeline(
-        label=name,
-        layout=raw.create_pipeline_layout(bind_group_layouts=[layout]),
-        vertex={"module": module, "entry_point": "corner_of", "buffers": []},
-        primitive={"topology": "triangle-list"},
-        fragment={"module": module, "entry_point": "color_at", "targets": [target]},
-    )
-    return layout, pipeline
 
 
 def _bind_group(raw: RawDevice, layout: BindGroupLayout, resources: Sequence[object]) -> BindGroup:

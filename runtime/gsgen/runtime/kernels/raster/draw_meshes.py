@@ -22,6 +22,7 @@ from gsgen.runtime.gpu.handles import (
 )
 from gsgen.runtime.gpu.mesh_residency import MeshBuffers
 from gsgen.runtime.kernels.raster.mesh_place import MESH_UNIFORM, TO_LINEAR, TO_SRGB, PlacedMesh
+from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE, source
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
@@ -112,21 +113,6 @@ def _cleared(texture: Texture, value: tuple[float, ...]) -> dict[str, object]:
     }
 
 
-def _pipeline(device: Device, **parts: object) -> RenderPipeline:
-    """Create a render pipeline, or raise if the device cannot render to 32-bit floats."""
-    import wgpu
-
-    try:
-        return device.raw.create_render_pipeline(**parts)
-    except wgpu.GPUValidationError as error:
-        if "not renderable" not in str(error):
-            raise
-        raise DeviceUnavailable(
-            f"{device.name} cannot render to textures of 32-bit floats, which meshes need",
-            hint="Draw on another device, see `gsgen doctor`, or without meshes.",
-        ) from error
-
-
 @final
 class DrawMeshes:
     """Draws meshes (``draw_meshes.wgsl``) and copies them to an image layer (``lay_meshes.wgsl``).
@@ -136,36 +122,34 @@ class DrawMeshes:
     """
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
+        import wgpu
+
         self._device = device
-        raw = device.raw
-        kinds = [{"buffer": {"type": "uniform"}}]
+        self._corners = _CORNERS_AROUND if panorama else _CORNERS
+        kinds: list[dict[str, object]] = [{"buffer": {"type": "uniform"}}]
         kinds += [{"buffer": {"type": "read-only-storage"}} for _ in range(5)]
         kinds += [{"texture": {"sample_type": "float"}}]
-        entries = [
-            {"binding": binding, "visibility": "VERTEX|FRAGMENT", **kind}
-            for binding, kind in enumerate(kinds)
-        ]
-        self._layout = raw.create_bind_group_layout(label="meshes", entries=entries)
-        self._corners = _CORNERS_AROUND if panorama else _CORNERS
-        code = source("draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners)
-        module = raw.create_shader_module(label="draw_meshes", code=code)
-        self._pipeline = _pipeline(
-            device,
-            label="meshes",
-            layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
-            vertex={"module": module, "entry_point": "corner_of", "buffers": []},
-            primitive={"topology": "triangle-list", "cull_mode": "none"},
-            depth_stencil={
-                "format": DEPTHS,
-                "depth_write_enabled": True,
-                "depth_compare": "greater",
-            },
-            fragment={
-                "module": module,
-                "entry_point": "seen_at",
-                "targets": [{"format": _FLOATS}, {"format": _FLOATS}],
-            },
-        )
+        try:
+            self._pipeline, self._layout = render_pipeline(
+                device,
+                "meshes",
+                source("draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners),
+                kinds,
+                fragment="seen_at",
+                targets=[{"format": _FLOATS}, {"format": _FLOATS}],
+                depth_stencil={
+                    "format": DEPTHS,
+                    "depth_write_enabled": True,
+                    "depth_compare": "greater",
+                },
+            )
+        except wgpu.GPUValidationError as error:
+            if "not renderable" not in str(error):
+                raise
+            raise DeviceUnavailable(
+                f"{device.name} cannot render to textures of 32-bit floats, which meshes need",
+                hint="Draw on another device, see `gsgen doctor`, or without meshes.",
+            ) from error
         outputs = {"lay_colors": ("urrw", "w"), "lay_normals": ("urrw",)}
         self._lay = {
             entry: Kernel(device, "lay_meshes", entry, groups) for entry, groups in outputs.items()

@@ -19,13 +19,13 @@ from gsgen.runtime.gpu.handles import (
     TextureView,
 )
 from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
+from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
 
 _ROW_BYTES: Final = 256  # rows of a copied texture are multiples of this
 _UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 _TESTED: Final = {"format": DEPTHS, "depth_write_enabled": False, "depth_compare": "greater-equal"}
-_VISIBILITY: Final = "VERTEX|FRAGMENT"
 
 
 @final
@@ -101,34 +101,22 @@ class DrawQuads:
         self, device: Device, *, tested: bool = False, panorama: bool = False, records: bool = False
     ) -> None:
         self._device = device
-        raw = self._raw = device.raw
-        kinds = ["uniform"] + ["read-only-storage"] * 5
-        entries = [
-            {"binding": binding, "visibility": _VISIBILITY, "buffer": {"type": kind}}
-            for binding, kind in enumerate(kinds)
-        ]
-        self._layout = raw.create_bind_group_layout(label="quads", entries=entries)
-        module = raw.create_shader_module(
-            label="draw_quads",
-            code=source(
-                "draw_quads",
-                TESTED=tested,
-                RECORDS=records,
-                **COUNT_CONSTANTS,
-                **(PANORAMA_CONSTANTS if panorama else {}),
-            ),
+        code = source(
+            "draw_quads",
+            TESTED=tested,
+            RECORDS=records,
+            **COUNT_CONSTANTS,
+            **(PANORAMA_CONSTANTS if panorama else {}),
         )
-        self._pipeline = raw.create_render_pipeline(
-            label="quads",
-            layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
-            vertex={"module": module, "entry_point": "corner_of", "buffers": []},
-            primitive={"topology": "triangle-strip"},
+        kinds = ["uniform"] + ["read-only-storage"] * 5
+        self._pipeline, self._layout = render_pipeline(
+            device,
+            "quads",
+            code,
+            [{"buffer": {"type": kind}} for kind in kinds],
+            topology="triangle-strip",
+            targets=[{"format": "rgba32float", "blend": {"color": _UNDER, "alpha": _UNDER}}],
             depth_stencil=_TESTED if tested else None,
-            fragment={
-                "module": module,
-                "entry_point": "color_at",
-                "targets": [{"format": "rgba32float", "blend": {"color": _UNDER, "alpha": _UNDER}}],
-            },
         )
 
     @staticmethod
@@ -154,7 +142,7 @@ class DrawQuads:
             meshes: Drawing of the meshes that hide splats, or None.
         """
         texture = meshes.color if meshes else self._texture(size)
-        bind = self._raw.create_bind_group(
+        bind = self._device.raw.create_bind_group(
             label="quads",
             layout=self._layout,
             entries=[
