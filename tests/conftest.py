@@ -26,6 +26,7 @@ from gsgen import cli, conformance, contract
 from gsgen.contract.probing import sandbox
 from support.forked_programs import program_folder
 from support.forked_sandbox import run_forked
+from support.reports import one_report
 from support.reports.corpus_line import corpus_line
 
 _ON = {name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")}
@@ -107,6 +108,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 def pytest_configure(config: pytest.Config) -> None:
     if "PYTEST_XDIST_WORKER" in os.environ:  # started, and measured already
+        config.pluginmanager.register(one_report)
         for name in _ON:
             os.environ.pop(name, None)
     if config.pluginmanager.is_blocked("logging"):  # which keeps messages out of stderr
