@@ -1,4 +1,5 @@
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -139,7 +140,9 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
     assert unreadable(empty, read) == (
         "the file is empty\nwrite it again: the program that wrote it may have failed"
     )
-    assert unreadable(tmp_path / "a\0b", read) == "the file cannot be read: embedded null byte"
+    # Python says it in other words since 3.13.
+    said = unreadable(tmp_path / "a\0b", read)
+    assert re.fullmatch(r"the file cannot be read: .*embedded null (byte|character.*)", said)
 
 
 @pytest.mark.parametrize("read", READERS)

@@ -289,9 +289,9 @@ class Renderer:
             with self.device.translate_errors():
                 yield
         except MemoryFull as error:
-            # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
-            self._plan, self._key, self._rows = None, None, None
-            self._shape, self._steady = None, None
+            # Free the plan and its rows, which Python 3.13 ties to the traceback of the cause.
+            self._plan = self._key = self._rows = self._shape = self._steady = None
+            error.with_traceback(None)
             self._readbacks.clear()
             self._pairs = min(FIRST_PAIRS, self._most_pairs)
             raise too_large(scene, camera, error, compact=self._compact) from error
