@@ -3,7 +3,7 @@
 import atexit
 import os
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -48,6 +48,17 @@ def require_chromium() -> str:
             pytest.fail(message)
         pytest.skip(message)
     return path
+
+
+@contextmanager
+def launched(path: str, flags: Sequence[str], **options: Any) -> Iterator[Any]:
+    """Start the chromium at ``path`` with flags and with Playwright's ``options``, and close it."""
+    launcher = playwright_of_process().chromium
+    browser = launcher.launch(executable_path=path, args=list(flags), **options)
+    try:
+        yield browser
+    finally:
+        browser.close()
 
 
 class Handler(SimpleHTTPRequestHandler):

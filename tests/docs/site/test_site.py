@@ -13,7 +13,7 @@ from urllib.parse import urldefrag, urlsplit
 
 import pytest
 
-from support.browser import playwright_of_process, require_chromium, serving
+from support.browser import launched, require_chromium, serving
 from support.commands import ROOT
 
 PHONE, DESKTOP = (390, 844), (1440, 900)
@@ -105,12 +105,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    path = require_chromium()
-    chromium = playwright_of_process().chromium.launch(
-        executable_path=path, args=["--no-sandbox", "--disable-gpu"]
-    )
-    yield chromium
-    chromium.close()
+    with launched(require_chromium(), ("--no-sandbox", "--disable-gpu")) as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")

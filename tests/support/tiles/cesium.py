@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from support.browser import playwright_of_process, serving
+from support.browser import launched, serving
 
 CESIUM = Path(__file__).parents[3] / ".venv" / "cesium"
 PAGE = Path(__file__).with_name("cesium_page.html")
@@ -74,16 +74,14 @@ def opened_viewer() -> Iterator[Viewer]:
     chromium = which("chromium")
     absent = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
     absent += [] if chromium else ["chromium on the PATH"]
-    if absent:
+    if chromium is None or absent:
         pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/cesium.sh as root")
     folders = {"cesium": CESIUM}
-    launcher = playwright_of_process().chromium
-    with serving(folders, {"/index.html": PAGE.read_bytes()}) as address:
-        browser = launcher.launch(executable_path=chromium, args=list(_WEBGL_FLAGS))
-        try:
-            page = browser.new_page(viewport={"width": 480, "height": 360})
-            page.set_default_timeout(1000 * _SECONDS)
-            page.goto(f"{address}/index.html")
-            yield Viewer(page, folders)
-        finally:
-            browser.close()
+    with (
+        serving(folders, {"/index.html": PAGE.read_bytes()}) as address,
+        launched(chromium, _WEBGL_FLAGS) as browser,
+    ):
+        page = browser.new_page(viewport={"width": 480, "height": 360})
+        page.set_default_timeout(1000 * _SECONDS)
+        page.goto(f"{address}/index.html")
+        yield Viewer(page, folders)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.runtime.web.serving import ModelServer
-from support.browser import GPU_FLAGS, playwright_of_process, require_chromium, serving
+from support.browser import GPU_FLAGS, launched, require_chromium, serving
 
 CLIENT = Path(str(files("gsgen.runtime.web").joinpath("client")))
 _SECONDS = 180
@@ -50,15 +50,9 @@ class WebSite:
 @contextmanager
 def chromium() -> Iterator[Any]:
     """Start chromium with WebGPU on SwiftShader."""
-    browser = playwright_of_process().chromium.launch(
-        executable_path=require_chromium(),
-        args=list(GPU_FLAGS),
-        ignore_default_args=["--enable-unsafe-swiftshader"],
-    )
-    try:
+    swiftshader = ["--enable-unsafe-swiftshader"]
+    with launched(require_chromium(), GPU_FLAGS, ignore_default_args=swiftshader) as browser:
         yield browser
-    finally:
-        browser.close()
 
 
 @contextmanager
