@@ -19,7 +19,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for
 from gsgen.runtime.kernels.tiles.list_tiles import runs_for
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.placed_pages import Placed
@@ -27,6 +27,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from references.sorting import sort_reference
 from support.measures import print_figure
 from support.rendering.room import room_parts
 

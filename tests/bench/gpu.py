@@ -48,7 +48,7 @@ from gsgen.runtime.kernels.shared.counts import Counts  # noqa: E402
 from gsgen.runtime.kernels.shared.kernel import run  # noqa: E402
 from gsgen.runtime.kernels.shared.shader import TILE  # noqa: E402
 from gsgen.runtime.kernels.sort.scan import Scan  # noqa: E402
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference  # noqa: E402
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for  # noqa: E402
 from gsgen.runtime.oracle import render as oracle  # noqa: E402
 from gsgen.runtime.renderer import rasteriser_choice  # noqa: E402
 from gsgen.runtime.renderer.frame_plan import Plan  # noqa: E402
@@ -58,6 +58,7 @@ from gsgen.runtime.renderer.renderer import Renderer  # noqa: E402
 from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402
 from gsgen.runtime.scene.splat_data import SplatData  # noqa: E402
+from references.sorting import sort_reference  # noqa: E402
 from support.measures import print_line  # noqa: E402
 from support.rendering import frame_traffic, splat_scenes  # noqa: E402
 from support.rendering.gsplat_timing import gsplat_milliseconds  # noqa: E402

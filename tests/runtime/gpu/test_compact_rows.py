@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec.geometry import covariance_upper, symmetric
-from gsgen.runtime.gpu.compact_rows import PACKED_BYTES, pack_rows, unpack_rows
+from gsgen.runtime.gpu.compact_rows import PACKED_BYTES, pack_rows
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from references.projection import unpack_rows
 from support.rendering.splat_scenes import camera, cloud, turned
 
 ALL = ("color", "depth", "normal")

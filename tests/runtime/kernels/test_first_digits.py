@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.first_digits import FirstDigits, first_digits_reference
+from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.renderer import Renderer
+from references.sorting import first_digits_reference
 from support.rendering.first_digits import CASES, counted, like_gpu
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer, import_reference
+from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.kernel import Step, run
 from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE
+from references.layers import import_reference
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (17, 5), (33, 40)])

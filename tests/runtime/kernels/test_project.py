@@ -6,18 +6,14 @@ import pytest
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project import project
-from gsgen.runtime.kernels.project.normals import normals_reference
-from gsgen.runtime.kernels.project.project import Projected, project_reference
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT, source
-from gsgen.runtime.kernels.tiles.bin_tiles import touched_reference
-from gsgen.runtime.kernels.tiles.blend_tiles import blend_reference
-from gsgen.runtime.kernels.tiles.list_tiles import window_tiles
-from gsgen.runtime.kernels.tiles.tile_ranges import ranges_reference
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
+from references.projection import Projected, normals_reference, project_reference
+from references.tiles import blend_reference, ranges_reference, touched_reference, window_tiles
 from support.rendering.splat_scenes import SCENES, camera, cloud
 
 NOTHING_BEHIND = np.zeros(3)

@@ -10,8 +10,9 @@ from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.kernels.sort.scan import Scan, scan_reference
-from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for, sort_reference
+from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for
+from references.sorting import scan_reference, sort_reference
 from support.rendering.sorting import GPU, KEYS, Bench, keys_of
 
 ROOM = 1 << 16

@@ -6,16 +6,21 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.kernels.project import project
-from gsgen.runtime.kernels.project.project import Projected, depth_reference, project_reference
-from gsgen.runtime.kernels.project.project_cells import box_reference, circle_reference
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT, CELL_REACH, SPLAT_REACH
-from gsgen.runtime.kernels.tiles.blend_wsr import blend_wsr_reference
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from references.projection import (
+    Projected,
+    box_reference,
+    circle_reference,
+    depth_reference,
+    project_reference,
+)
+from references.tiles import blend_wsr_reference
 from support.rendering.near_ties import DEPTH_LEFT, decoded
 from support.rendering.weighted_scenes import WEIGHTED
 

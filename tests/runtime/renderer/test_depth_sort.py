@@ -8,13 +8,12 @@ import pytest
 
 from gsgen.runtime.gpu import splat_residency
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
-from gsgen.runtime.kernels.project.project import depth_reference
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.kernels.sort.gather_keys import GatherKeys, gather_reference
-from gsgen.runtime.kernels.sort.order_ties import MOST_TIED, OrderTies, order_ties_reference
+from gsgen.runtime.kernels.sort.gather_keys import GatherKeys
+from gsgen.runtime.kernels.sort.order_ties import MOST_TIED, OrderTies
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
@@ -26,6 +25,8 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from references.projection import depth_reference
+from references.sorting import gather_reference, order_ties_reference
 from support.rendering.near_ties import DEPTH_LEFT, NEAR_TIES, decoded, plane, seen_through
 from support.rendering.sorting import GPU
 from support.rendering.splat_scenes import SCENES, camera, turned

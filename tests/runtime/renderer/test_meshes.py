@@ -8,17 +8,12 @@ import wgpu
 
 from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.project.project import (
-    Projected,
-    frame_uniform,
-    page_uniform,
-    project_reference,
-)
-from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, seen_reference
+from gsgen.runtime.kernels.project.project import frame_uniform, page_uniform
+from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh, mesh_rays, mesh_uniform
 from gsgen.runtime.kernels.shared.kernel import Step, run
 from gsgen.runtime.kernels.shared.shader import NOWHERE, source
-from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles, blend_reference
+from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
 from gsgen.runtime.oracle import meshes
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
@@ -27,6 +22,9 @@ from gsgen.runtime.scene.frame import NOTHING
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
+from references.layers import mesh_reference
+from references.projection import Projected, project_reference
+from references.tiles import blend_reference
 from support.rendering.mesh_scenes import MESH_SCENES, ball, moved, quad, wall
 from support.rendering.splat_scenes import camera, cloud, single, turned
 
@@ -149,7 +147,7 @@ def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
     best = np.full((*size[::-1], 8), NOWHERE)
     for placed in renderer.placed_meshes(scene):
         place = mesh_uniform(placed, seen_by)
-        made = seen_reference(placed.mesh.data, place, mesh_rays(seen_by))
+        made = mesh_reference(placed.mesh.data, place, mesh_rays(seen_by))
         best = np.where(made[..., 7:] < best[..., 7:], made, best)
     there = best[..., 7] < NOWHERE
     edge = oracle.render(scene, seen_by).fragile

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.kernels.project.project import frame_uniform, page_uniform, project_reference
+from gsgen.runtime.kernels.project.project import frame_uniform, page_uniform
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.renderer.renderer import Renderer
@@ -17,6 +17,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.sdk.binding.camera_inputs import camera_values
+from references.projection import project_reference
 from support.rendering.splat_scenes import SCENES, cloud
 
 WIDTH, HEIGHT = 128, 64

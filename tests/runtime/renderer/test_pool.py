@@ -10,7 +10,6 @@ from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import allocate_pool_page
 from gsgen.runtime.kernels.project import project
-from gsgen.runtime.kernels.project.cull_slots import seen_reference
 from gsgen.runtime.kernels.project.slots import slot_table
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer import renderer as renderers
@@ -20,6 +19,7 @@ from gsgen.runtime.scene.frame import NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool, pool_row_bytes
+from references.projection import visible_slots_reference
 from support.rendering.splat_scenes import camera, cloud, single, turned
 
 OUTPUTS: tuple[Output, ...] = ("color", "depth", "normal")
@@ -353,7 +353,7 @@ def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -
         assert len(set(listed)) == len(listed)
         seen = np.zeros(slots.count, bool)
         seen[listed] = True
-        differences += int(np.count_nonzero(seen != seen_reference(table, frame, uniform)))
+        differences += int(np.count_nonzero(seen != visible_slots_reference(table, frame, uniform)))
         total += len(listed)
         assert absent[slots.first : slots.first + slots.count][~seen].all()
     assert differences <= 1

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.sort.scan import Scan, scan_reference
-from gsgen.runtime.kernels.sort.sort import cut_for, sort_reference
+from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.sort.sort import cut_for
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
+from references.sorting import scan_reference, sort_reference
 from support.checkpoints.golden_case import golden_case
 from support.rendering.first_digits import miscounted
 from support.rendering.mesh_scenes import MESH_SCENES

@@ -8,7 +8,6 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.first_digits import first_digits_reference
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import KEY_BITS
 from gsgen.runtime.renderer.frame_plan import Plan
@@ -16,6 +15,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_pool import SplatPool
+from references.sorting import first_digits_reference
 from support.rendering.splat_scenes import SCENES, camera, cloud
 
 Case = tuple[Scene, Camera, int]

@@ -7,11 +7,11 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.first_digits import first_digits_reference
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
+from references.sorting import first_digits_reference
 
 GPU = SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=32)
 """How work is cut where there are many invocations."""

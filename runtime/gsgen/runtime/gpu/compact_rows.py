@@ -1,11 +1,11 @@
 """Packs a Gaussian into 32 bytes: float32 position and opacity, 16-bit Cholesky factor."""
 
-__all__ = ["PACKED_BYTES", "pack_rows", "unpack_rows"]
+__all__ = ["PACKED_BYTES", "pack_rows"]
 
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, UInt32
+from jaxtyping import Float, Float64, UInt32
 
 from gsgen.contract.spec import layout
 
@@ -60,17 +60,3 @@ def _over(
 ) -> Float64[np.ndarray, " n"]:
     quotient = np.zeros_like(number)
     return np.asarray(np.divide(number, side, where=side != 0, out=quotient))
-
-
-def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"]:
-    """Unpack Gaussians of 32 bytes each, as the shader ``page.wgsl`` does."""
-    rows = np.empty((len(packed), layout.ROW), np.float32)
-    rows[:, :4] = packed[:, :4].view(np.float32)
-    fixed = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / _FIXED_POINT_ONE
-    scale = packed[:, 7:].view(np.float32)
-    factor = np.zeros((len(packed), 3, 3), np.float32)
-    columns, lines = np.triu_indices(3)
-    factor[:, lines, columns] = fixed * scale
-    full = factor @ factor.transpose(0, 2, 1)
-    rows[:, layout.COVARIANCE] = full[:, columns, lines]
-    return rows

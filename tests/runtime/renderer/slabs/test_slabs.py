@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu import splat_residency
-from gsgen.runtime.kernels.project.place_splats import place_reference
-from gsgen.runtime.kernels.project.tally_keys import BINS, tally_reference
+from gsgen.runtime.kernels.project.tally_keys import BINS
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.renderer.slabs import KeyRange, Tally, slab_ranges
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from references.projection import place_reference, tally_reference
 from support.rendering.small_bindings import SMALL, assert_same_images
 from support.rendering.splat_scenes import SCENES, camera, cloud, turned
 from support.rendering.weighted_scenes import MIXED

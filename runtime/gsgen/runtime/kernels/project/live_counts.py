@@ -1,11 +1,8 @@
 """Counts the used rows of each GPU buffer of Gaussians, from a total that only the GPU knows."""
 
-__all__ = ["LiveCounts", "live_counts_reference"]
+__all__ = ["LiveCounts"]
 
 from typing import final
-
-import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -30,9 +27,3 @@ class LiveCounts:
             live: One word per page.
         """
         return Step(self.kernel, (self.kernel.bind(total, live),), (1, 1, 1))
-
-
-def live_counts_reference(total: int, pages: int) -> UInt32[np.ndarray, " n"]:
-    """Count the used rows of each buffer of Gaussians: the reference of ``live_counts.wgsl``."""
-    first = np.arange(pages) * PAGE_ROWS
-    return np.clip(total - first, 0, PAGE_ROWS).astype(np.uint32)

@@ -1,11 +1,8 @@
 """Normals of Gaussians: the shortest axis of each, turned towards the camera."""
 
-__all__ = ["NormalsKernel", "normals_reference"]
+__all__ = ["NormalsKernel"]
 
 from typing import final
-
-import numpy as np
-from jaxtyping import Float
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -49,16 +46,3 @@ class NormalsKernel:
             self.kernel.bind(page_uniform, page.rows, *further, group=1),
         )
         return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
-
-
-def normals_reference(
-    covariance: Float[np.ndarray, "n 3 3"], position: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Return the normals (shortest axes) of non-spherical Gaussians, in camera space.
-
-    This is the reference of ``normals.wgsl``; arguments are in camera space, too.
-    """
-    _, vectors = np.linalg.eigh(covariance)
-    thinnest = vectors[:, :, 0]
-    is_averted = np.einsum("nd,nd->n", thinnest, position) > 0
-    return np.where(is_averted[:, None], -thinnest, thinnest)

@@ -1,11 +1,8 @@
 """Gives the Gaussians of a depth range consecutive indices, in the order of their rows."""
 
-__all__ = ["PAGE_BYTES", "PLACE_BLOCK", "PlaceSplats", "place_reference"]
+__all__ = ["PAGE_BYTES", "PLACE_BLOCK", "PlaceSplats"]
 
 from typing import Final, final
-
-import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -13,7 +10,6 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import ABSENT
 
 _ROWS: Final = 16  # of an invocation
 PLACE_BLOCK: Final = THREADS * _ROWS
@@ -74,14 +70,3 @@ class PlaceSplats:
             )
             for kernel in self._kernels
         ]
-
-
-def place_reference(
-    keys: UInt32[np.ndarray, " n"], low: int, high: int, before: int
-) -> UInt32[np.ndarray, " n"]:
-    """Return consecutive indices of a depth slab's Gaussians; 2³² − 1 marks all others.
-
-    The reference of ``place_splats.wgsl``: the first index is ``before``.
-    """
-    is_in_slab = (keys >= low) & (keys < high)
-    return np.where(is_in_slab, before + np.cumsum(is_in_slab) - 1, ABSENT).astype(np.uint32)

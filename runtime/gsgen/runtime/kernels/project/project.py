@@ -5,32 +5,26 @@ __all__ = [
     "NO_HARMONICS",
     "PAGE",
     "ProjectKernel",
-    "depth_reference",
     "frame_uniform",
     "page_uniform",
     "page_uniforms",
 ]
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, Literal, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt32
+from jaxtyping import Float, Shaped
 
-from gsgen.contract.spec import layout
-from gsgen.contract.spec.geometry import symmetric
-from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, POLE, TILE
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, TILE
 from gsgen.runtime.scene.camera import DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
-from gsgen.runtime.scene.splat_data import SplatData
 
 NO_HARMONICS: Final = 0xFF
 """The SH degree that stands for RGB colours in the uniforms of pages (GPU buffers)."""
@@ -292,127 +286,3 @@ class ProjectKernel:
         if slots is not None and not others:
             return Step(self.kernel, binds, (slots.dispatch, 0))
         return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Projected:
-    """Splats projected into the image: centres, inverse covariances, depths, colours; float64.
-
-    Attributes:
-        drawn: Mask of drawn Gaussians; the other fields are undefined for the rest.
-        mean: Pixels, relative to the frame's origin.
-        conic: Inverse 2D covariance: xx, xy, yy.
-        strength: Logarithm of the opacity over CULL_OPACITY.
-        depth: Along the camera's +z; in a panorama from the camera.
-        color: Red, green, blue.
-    """
-
-    drawn: Bool[np.ndarray, " n"]
-    mean: Float[np.ndarray, "n 2"]
-    conic: Float[np.ndarray, "n 3"]
-    strength: Float[np.ndarray, " n"]
-    depth: Float[np.ndarray, " n"]
-    color: Float[np.ndarray, "n 3"]
-
-
-def project_reference(
-    data: SplatData, frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
-) -> Projected:
-    """Project Gaussians in float64: the reference of ``project.wgsl``."""
-    rows = data.rows.astype(np.float64)
-    linear, linear_rest, to_sh = (
-        np.asarray(page[name], np.float64)[:, :3].T
-        for name in ("linear", "linear_rest", "local_to_sh")
-    )
-    linear = linear + linear_rest
-    offset = rows[:, :3] - np.float64(page["eye"]) - np.float64(page["eye_rest"])
-    with np.errstate(all="ignore"):
-        position = offset @ linear.T
-        flat = bool(np.any(page["forward"]))
-        depth, slope, jacobian = (
-            _unrolled(position, linear)
-            if frame["period"]
-            else _straight(position, linear, frame, flat=flat)
-        )
-        jacobian = frame["focal"][:, None] * jacobian
-        covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
-        dilated = covariance + (DILATION + frame["extra_dilation"]) * np.eye(2)
-        opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
-        if data.cells is not None and page["per_cell"]:
-            cell = (page["first_row"] + np.arange(len(rows))) // page["per_cell"]
-            visibility = data.cells[cell, layout.VISIBILITY].astype(np.float64)
-            opacity = opacity * visibility * (1 - depth * page["inverse_range"])
-        opacity = np.minimum(opacity, 1)
-        if page["mip"]:
-            share = np.linalg.det(covariance) / np.linalg.det(dilated)
-            opacity = opacity * np.sqrt(np.maximum(share, 0))
-        color = data.appearance[:, :3].astype(np.float64)
-        if page["degree"] != NO_HARMONICS:
-            toward = (np.tile(page["forward"], (len(position), 1)) if flat else offset) @ to_sh.T
-            weights = basis(
-                toward / np.linalg.norm(toward, axis=1, keepdims=True), int(page["degree"])
-            )
-            sh = data.appearance.reshape(len(rows), -1, 3)[:, : weights.shape[1]]
-            color = 0.5 + np.einsum("nk,nkc->nc", weights, sh.astype(np.float64))
-        drawn = (depth > frame["near"]) & (opacity >= layout.CULL_OPACITY)
-        drawn &= np.isfinite(rows).all(axis=1) & np.isfinite(color).all(axis=1)
-        drawn &= (rows[:, :3] >= page["clip_low"]).all(axis=1)
-        drawn &= (rows[:, :3] <= page["clip_high"]).all(axis=1)
-        drawn &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
-        drawn &= np.arange(len(rows)) < page["count"]
-        strength = np.log(opacity / layout.CULL_OPACITY)
-        conic = np.full((len(rows), 3), np.nan)
-        conic[drawn] = np.linalg.inv(dilated[drawn])[:, [0, 0, 1], [0, 1, 1]]
-        mean = frame["focal"] * slope + frame["center"]
-        if frame["period"]:
-            middle = frame["size"][0] / 2 - frame["origin"][0]
-            turns = np.round((mean[:, 0] - middle) / frame["period"])
-            mean[:, 0] -= turns * frame["period"]
-    return Projected(
-        drawn=drawn,
-        mean=mean,
-        conic=conic,
-        strength=strength,
-        depth=depth,
-        color=np.maximum(color, 0),
-    )
-
-
-def depth_reference(
-    depth: Float[np.ndarray, " n"],
-) -> tuple[UInt32[np.ndarray, " n"], UInt32[np.ndarray, " n"]]:
-    """Return keys that sort depths (float32 and rounding error), as ``exact_depth.wgsl`` must."""
-    high = depth.astype(np.float32)
-    low = (depth - high.astype(np.float64)).astype(np.float32)
-    bits = low.view(np.uint32)
-    ordered = np.where(low < 0, ~bits, bits ^ np.uint32(0x80000000))
-    return high.view(np.uint32), np.where(low == 0, np.uint32(0x80000000), ordered)
-
-
-def _straight(
-    position: np.ndarray, linear: np.ndarray, frame: Shaped[np.ndarray, ""], *, flat: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Project points to a plane (pinhole, orthographic): depths, slopes and Jacobians."""
-    divisor = np.ones((len(position), 1)) if flat else position[:, 2:]
-    slope = position[:, :2] / divisor
-    bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
-    moved = (linear[:2] - bent[:, :, None] * linear[2]) / divisor[:, :, None]
-    return position[:, 2], slope, moved
-
-
-def _unrolled(
-    position: np.ndarray, linear: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Project points to a panorama: distances, longitudes and latitudes, and Jacobians."""
-    distance, level = (np.linalg.norm(position, axis=1), np.hypot(position[:, 0], position[:, 2]))
-    angles = np.stack(
-        [np.arctan2(position[:, 0], position[:, 2]), np.arctan2(position[:, 1], level)], 1
-    )
-    sin, cos = np.sin(angles[:, 0]), np.cos(angles[:, 0])
-    zero = np.zeros(len(position))
-    width = np.maximum(level / distance, POLE)
-    high = position[:, 1] / distance
-    across = np.stack([cos / width, zero, -sin / width], 1)
-    down = np.stack([-sin * high, level / distance, -cos * high], 1)
-    return distance, angles, np.stack([across, down], 1) @ linear / distance[:, None, None]

@@ -1,11 +1,8 @@
 """Projects cells (groups of Gaussians) for weighted-sum rendering: depth, circle, tile count."""
 
-__all__ = ["ProjectCells", "SlabCells", "box_reference", "circle_reference"]
+__all__ = ["ProjectCells", "SlabCells"]
 
 from typing import final
-
-import numpy as np
-from jaxtyping import Bool, Float
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -13,7 +10,7 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, PANORAMA_CONSTANTS, TILE
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS
 
 
 @final
@@ -112,33 +109,3 @@ def _by_row(
     page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
     binds = (kernel.bind(*resources), kernel.bind(page_uniform, cells, group=1))
     return Step(kernel, binds, (-(-page.capacity // THREADS), 1, 1))
-
-
-def circle_reference(
-    covariance: Float[np.ndarray, "n 2 2"], reach: float
-) -> Float[np.ndarray, " n"]:
-    """Return a circle's radius in pixels for each 2D covariance: reference of ``circle.wgsl``.
-
-    Args:
-        covariance: 2D covariances in pixels², with the dilation.
-        reach: Radius in standard deviations.
-    """
-    middle = np.trace(covariance, axis1=1, axis2=2) / 2
-    apart = np.sqrt(np.maximum(MIN_EIGENVALUE_GAP, middle**2 - np.linalg.det(covariance)))
-    return np.asarray(np.ceil(reach * np.sqrt(middle + apart)))
-
-
-def box_reference(
-    mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
-) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of image tiles that a circle touches: the reference of ``cell_box.wgsl``.
-
-    ``mean``, ``radius`` and the image ``size`` are in pixels; panoramas are not covered.
-    """
-    across, down = (np.arange(-(-side // TILE)) for side in size)
-    low = np.floor((mean - 0.5 - radius) / TILE)
-    high = np.floor((mean - 0.5 + radius + TILE - 1) / TILE)
-    columns, rows = (
-        (along >= low[axis]) & (along < high[axis]) for axis, along in enumerate((across, down))
-    )
-    return np.asarray(rows[:, None] & columns)

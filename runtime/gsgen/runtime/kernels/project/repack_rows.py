@@ -1,11 +1,8 @@
 """Copies Gaussians from a model's output buffers on the GPU into the renderer's buffers."""
 
-__all__ = ["RepackRows", "repack_reference"]
+__all__ = ["RepackRows"]
 
 from typing import final
-
-import numpy as np
-from jaxtyping import Float, UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -42,13 +39,3 @@ class RepackRows:
     def step(self, numbers: Buffer, words: Buffer, rows: int) -> Step:
         """Return the dispatch that copies rows of a model output into a renderer's buffer."""
         return Step(self.kernel, (self.kernel.bind(numbers, words),), (-(-rows // THREADS), 1, 1))
-
-
-def repack_reference(
-    rows: Float[np.ndarray, "n c"], words: int, *, half_target: bool
-) -> UInt32[np.ndarray, "n w"]:
-    """Copy rows into rows of whole 32-bit words: the NumPy reference of ``repack_rows.wgsl``."""
-    dtype = np.float16 if half_target else np.float32
-    target = np.zeros((len(rows), words * (2 if half_target else 1)), dtype)
-    target[:, : rows.shape[1]] = rows
-    return target.view(np.uint32)

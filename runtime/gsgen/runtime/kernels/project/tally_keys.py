@@ -1,11 +1,8 @@
 """Counts the depth sort keys of Gaussians by their leading bits."""
 
-__all__ = ["BINS", "TallyKeys", "tally_reference"]
+__all__ = ["BINS", "TallyKeys"]
 
 from typing import Final, final
-
-import numpy as np
-from jaxtyping import Int64, UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -42,11 +39,3 @@ class TallyKeys:
             self.kernel.bind((uniform, slot * PAGE.itemsize, PAGE.itemsize), group=1),
         )
         return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
-
-
-def tally_reference(
-    keys: UInt32[np.ndarray, " n"], low: int, high: int, shift: int
-) -> Int64[np.ndarray, " m"]:
-    """Count sort keys from ``low`` to before ``high``: the reference of ``tally_keys.wgsl``."""
-    counted = keys[(keys >= low) & (keys < high)]
-    return np.bincount((counted - np.uint32(low)) >> np.uint32(shift), minlength=BINS)

@@ -1,13 +1,13 @@
 """Draws opaque meshes with the hardware's rasteriser, as a layer among the splats."""
 
-__all__ = ["DrawMeshes", "MeshesStep", "seen_reference"]
+__all__ = ["DrawMeshes", "MeshesStep"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Float, Float32, Shaped, UInt32
+from jaxtyping import Float
 
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
@@ -21,13 +21,11 @@ from gsgen.runtime.gpu.handles import (
     TextureView,
 )
 from gsgen.runtime.gpu.mesh_residency import MeshBuffers
-from gsgen.runtime.kernels.raster.mesh_place import MESH_UNIFORM, TO_LINEAR, TO_SRGB, PlacedMesh
+from gsgen.runtime.kernels.raster.mesh_place import MESH_UNIFORM, PlacedMesh
 from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE, source
+from gsgen.runtime.kernels.shared.shader import TILE, source
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
-from gsgen.runtime.scene.frame import srgb_of_linear
-from gsgen.runtime.scene.mesh import MeshData
 
 AMBIENT: Final = 0.2
 """The share of a headlit colour on surfaces seen edge-on."""
@@ -237,98 +235,3 @@ class DrawMeshes:
             kernel = self._lay["lay_normals"]
             steps.append(Step(kernel, (kernel.bind(shape, *copies, layers.normals),), groups))
         return tuple(steps)
-
-
-def seen_reference(
-    data: MeshData, uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "h w 8"]:
-    """Draw a mesh in float64, as ``draw_meshes.wgsl`` does: RGB, coverage 1, normal, depth.
-
-    ``uniform`` is the result of :func:`mesh_uniform`, ``rays`` that of :func:`mesh_rays`.
-    """
-    width, height = (int(side) for side in uniform["size"])
-    ray = _direction_reference(uniform, rays)
-    linear = np.asarray(uniform["linear"], np.float64)[:, :3].T
-    offset = data.vertices - np.float64(uniform["eye"]) - np.float64(uniform["eye_rest"])
-    corners = offset @ linear.T
-    image = np.zeros((height, width, 8))
-    image[..., 7] = NOWHERE
-    for face in data.faces:
-        upright = np.cross(corners[face[1]] - corners[face[0]], corners[face[2]] - corners[face[0]])
-        size = np.linalg.norm(upright)
-        if not size > 0:
-            continue
-        offsets = np.stack([_beside_reference(corner, uniform, rays) for corner in corners[face]])
-        x, y, z = np.moveaxis(offsets, -1, 0)
-        after, last = [1, 2, 0], [2, 0, 1]
-        areas = x[after] * y[last] - y[after] * x[last]
-        with np.errstate(all="ignore"):
-            weights = np.moveaxis(areas / areas.sum(axis=0), 0, -1)
-            depth = (weights * np.moveaxis(z, 0, -1)).sum(axis=-1)
-            inside = (weights >= 0).all(axis=-1) & (depth > uniform["near"])
-        nearer = inside & (depth < image[..., 7])
-        toward = ray[nearer] @ upright / size
-        facing = upright / size * np.where(toward > 0, -1, 1)[:, None]
-        color = _color_reference(data, face, weights[nearer], int(uniform["conversion"]))
-        if uniform["shaded"]:
-            slant = np.abs(toward) / np.linalg.norm(ray[nearer], axis=-1)
-            color = color * (AMBIENT + (1 - AMBIENT) * slant)[:, None]
-        ones = np.ones((len(color), 1))
-        image[nearer] = np.concatenate([color, ones, facing, depth[nearer][:, None]], -1)
-    return image
-
-
-def _beside_reference(
-    point: Float[np.ndarray, "3"], uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "h w 3"]:
-    """Return a point's offsets from each pixel's ray, right and down, and the point's depth."""
-    (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)
-    x, y, z = point
-    if uniform["period"]:
-        level = sine * x + cosine * z
-        right, below = cosine * x - sine * z, down_cosine * y - down_sine * level
-        offsets = np.broadcast_arrays(right, below, down_sine * y + down_cosine * level)
-    else:
-        scale = 1 if uniform["is_flat"] else z
-        offsets = np.broadcast_arrays(x - sine * scale, y - down_sine * scale, z)
-    return np.stack(offsets, -1)
-
-
-def _direction_reference(
-    uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "h w 3"]:
-    """Return each pixel's ray direction of depth 1, so that depth × direction is a point."""
-    (x, z), (y, level) = _angles(uniform, rays)
-    if uniform["period"]:
-        return np.stack(np.broadcast_arrays(x * level, y, z * level), -1)
-    slope = 0 if uniform["is_flat"] else 1
-    return np.stack(np.broadcast_arrays(slope * x, slope * y, 1.0), -1)
-
-
-def _angles(
-    uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
-) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
-    """Split ray directions into horizontal ones, by pixel column, and vertical ones, by row."""
-    width, angles = int(uniform["size"][0]), rays.T.astype(np.float64)
-    return angles[:, None, :width], angles[:, width:, None]
-
-
-def _color_reference(
-    data: MeshData, face: UInt32[np.ndarray, "3"], weights: np.ndarray, conversion: int
-) -> np.ndarray:
-    color = weights @ data.colors[face].astype(np.float64)
-    if data.texture is not None and data.uv is not None:
-        size = np.array(data.texture.shape[1::-1])
-        inside = weights @ data.uv[face].astype(np.float64) % 1
-        texels = np.stack([inside[:, 0], 1 - inside[:, 1]], -1) * size - 0.5
-        low = np.floor(texels).astype(int)
-        sums = np.zeros_like(color)
-        for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            share = np.prod(1 - np.abs(texels - low - step), axis=-1)
-            column, row = ((low + step) % size).T
-            sums += share[:, None] * data.texture[row, column, :3] / 255
-        color = color * sums
-    if conversion == TO_LINEAR:
-        curved = ((color + 0.055) / 1.055) ** 2.4
-        return np.asarray(np.where(color <= 0.04045, color / 12.92, curved))
-    return srgb_of_linear(color) if conversion == TO_SRGB else color

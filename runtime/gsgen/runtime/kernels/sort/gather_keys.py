@@ -1,11 +1,8 @@
 """Gathers a second sort key of each splat, in sorted order, for the next sort."""
 
-__all__ = ["GatherKeys", "gather_reference"]
+__all__ = ["GatherKeys"]
 
 from typing import final
-
-import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -32,10 +29,3 @@ class GatherKeys:
         """Return the dispatch that writes the second sort key of each visible splat, in order."""
         bind = self.kernel.bind(counts, keys, order, keys_out)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.SORT_VISIBLE_GROUPS))
-
-
-def gather_reference(
-    keys: UInt32[np.ndarray, " m"], order: UInt32[np.ndarray, " n"]
-) -> UInt32[np.ndarray, " n"]:
-    """Gather the splats' second sort keys in sorted order: reference of ``gather_keys.wgsl``."""
-    return np.asarray(keys[order])

@@ -1,11 +1,8 @@
 """Sorts splats of equal float32 depth by the depth's rounding error, then by splat set."""
 
-__all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
+__all__ = ["MOST_TIED", "OrderTies"]
 
 from typing import Final, final
-
-import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -68,13 +65,3 @@ class OrderTies:
         groups = at_least(-(-capacity // self._block), 1)
         lines = -(-groups // MOST_GROUPS)
         return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))
-
-
-def order_ties_reference(
-    keys: UInt32[np.ndarray, " n"],
-    lows: UInt32[np.ndarray, " m"],
-    origins: UInt32[np.ndarray, " m"],
-    order: UInt32[np.ndarray, " n"],
-) -> UInt32[np.ndarray, " n"]:
-    """Sort splats by float32 depth, its rounding error and splat set, like ``order_ties.wgsl``."""
-    return order[np.lexsort((origins[order], lows[order], keys))]

@@ -1,12 +1,11 @@
 """Scan: replaces numbers on the GPU by the sums of all before them (prefix sums)."""
 
-__all__ = ["MANY", "Scan", "scan_reference"]
+__all__ = ["MANY", "Scan"]
 
 from functools import cache
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -100,9 +99,3 @@ class Scan:
             Step(scan, (scan.bind(uniform, counts, sums),), (1, 1, 1)),
             Step(spread, (spread.bind(*resources),), (blocks, 1, 1)),
         ]
-
-
-def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
-    """Return exclusive prefix sums, which saturate at 2³¹ − 1: the reference of ``scan.wgsl``."""
-    before = np.cumsum(numbers, dtype=np.uint64) - numbers
-    return np.asarray(np.minimum(before, MANY), np.uint32)

@@ -1,12 +1,11 @@
 """A stable radix sort of 32-bit keys with values on the GPU."""
 
-__all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for", "sort_reference"]
+__all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for"]
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -14,7 +13,7 @@ from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import ABSENT, LARGE_TILE, TILE
+from gsgen.runtime.kernels.shared.shader import LARGE_TILE, TILE
 from gsgen.runtime.kernels.sort.scan import MANY, Scan
 
 KEY_BITS: Final = 32
@@ -180,10 +179,3 @@ class RadixSort:
                 )
             recorded.append(scatter)
         return recorded, passes % 2
-
-
-def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """Return the indices of the drawn Gaussians, sorted by key: the reference of the GPU sorts."""
-    present = np.flatnonzero(keys != ABSENT)
-    order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
-    return present[order].astype(np.uint32)

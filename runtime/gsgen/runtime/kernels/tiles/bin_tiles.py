@@ -1,11 +1,8 @@
 """Lists the image tiles that each splat touches, nearest splat first (binning)."""
 
-__all__ = ["WALK_THREADS", "BinTiles", "touched_reference"]
+__all__ = ["WALK_THREADS", "BinTiles"]
 
 from typing import Final, final
-
-import numpy as np
-from jaxtyping import Bool, Float
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -80,32 +77,3 @@ class BinTiles:
             Step(self._measure, (self._measure.bind(*resources),), dispatch),
             Step(self._emit, (self._emit.bind(*emitted),), dispatch),
         )
-
-
-def touched_reference(
-    mean: Float[np.ndarray, "2"],
-    conic: Float[np.ndarray, "3"],
-    strength: float,
-    size: tuple[int, int],
-    period: float = 0.0,
-    tile: int = TILE,
-) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of image tiles that have a pixel which a splat reaches.
-
-    Args:
-        mean: Centre of the splat, in pixels.
-        conic: Inverse 2D covariance: xx, xy, yy.
-        strength: Logarithm of the opacity over CULL_OPACITY.
-        size: Width and height of the image, in pixels.
-        period: Pixels of a full turn of a panorama; 0 for other images.
-        tile: Edge of a tile, in pixels.
-    """
-    across, down = (-(-side // tile) for side in size)
-    dx = np.arange(size[0]) + 0.5 - mean[0]
-    if period:
-        dx = dx - period * np.round(dx / period)
-    dy = np.arange(size[1])[:, None] + 0.5 - mean[1]
-    power = 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) + conic[1] * dx * dy
-    reached = np.zeros((down * tile, across * tile), bool)
-    reached[: size[1], : size[0]] = power <= strength
-    return np.asarray(reached.reshape(down, tile, across, tile).any(axis=(1, 3)))

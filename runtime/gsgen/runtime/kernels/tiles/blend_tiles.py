@@ -1,33 +1,15 @@
 """Blends the splats of each image tile, front to back."""
 
-__all__ = [
-    "LEAST_DILATION",
-    "BlendTiles",
-    "Layers",
-    "allocate_layers",
-    "blend_reference",
-    "workgroup_shape",
-]
+__all__ = ["LEAST_DILATION", "BlendTiles", "Layers", "allocate_layers", "workgroup_shape"]
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-import numpy as np
-from jaxtyping import Float
-
-from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.kernels.project.project import Projected
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import (
-    MAX_ALPHA,
-    MIN_TRANSMITTANCE,
-    NOWHERE,
-    PANORAMA_CONSTANTS,
-    TILE,
-)
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, TILE
 from gsgen.runtime.kernels.shared.subgroups import lanes
 
 LEAST_DILATION: Final = 0.25
@@ -190,48 +172,3 @@ class BlendTiles:
         if layers is not None:
             binds.append(self.kernel.bind(*layers, group=1))
         return Step(self.kernel, tuple(binds), (*tiles, 1))
-
-
-def blend_reference(
-    splats: Projected,
-    origin: Float[np.ndarray, "2"],
-    size: tuple[int, int],
-    layers: Sequence[tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]] = (),
-) -> Float[np.ndarray, "h w 4"]:
-    """Blend sorted splats in float64: the reference of ``blend_tiles.wgsl``.
-
-    Args:
-        splats: Drawn splats, nearest first.
-        origin: Origin of the means, in pixels of the image.
-        size: Width and height of the image, in pixels.
-        layers: Colours and depths of each layer, see :class:`Layers`.
-    """
-    width, height = size
-    x = np.arange(width) + 0.5 - origin[0]
-    y = np.arange(height)[:, None] + 0.5 - origin[1]
-    through, live = np.ones((height, width)), np.ones((height, width), bool)
-    color = np.zeros((height, width, 3))
-    waiting = [depth < NOWHERE for _, depth in layers]
-
-    def meet(reach: float) -> None:
-        nonlocal through, color
-        for number, (layer_color, depth) in enumerate(layers):
-            met = waiting[number] & (depth < reach)
-            waiting[number] = waiting[number] & ~met
-            color = color + np.where(met, through, 0)[..., None] * layer_color[..., :3]
-            through = np.where(met, through * (1 - layer_color[..., 3]), through)
-
-    for mean, conic, strength, splat_color, far in zip(
-        splats.mean, splats.conic, splats.strength, splats.color, splats.depth, strict=True
-    ):
-        meet(float(far))
-        dx, dy = x - mean[0], y - mean[1]
-        above = strength - 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) - conic[1] * dx * dy
-        alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA)
-        after = through * (1 - alpha)
-        live &= ~((above >= 0) & (after <= MIN_TRANSMITTANCE))
-        drawn = live & (above >= 0)
-        color += np.where(drawn, alpha * through, 0)[..., None] * splat_color
-        through = np.where(drawn, after, through)
-    meet(np.inf)
-    return np.concatenate([color, 1 - through[..., None]], axis=-1)

@@ -1,19 +1,12 @@
 """Blends cells (groups of Gaussians) in each image tile front to back, by weighted sums."""
 
-__all__ = ["PLANES", "BlendWsr", "blend_wsr_reference"]
+__all__ = ["PLANES", "BlendWsr"]
 
-from collections.abc import Sequence
 from typing import Final, final
 
-import numpy as np
-from jaxtyping import Bool, Float
-
-from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.kernels.project.project import Projected
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import FINISHED, MAX_ALPHA, TILE
 from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
 PLANES: Final = {False: 4, True: 6}
@@ -76,44 +69,3 @@ class BlendWsr:
             depths = self._no_depths
         binds = (self.kernel.bind(*resources), self.kernel.bind(depths, group=1))
         return Step(self.kernel, binds, (*tiles, 1))
-
-
-def blend_wsr_reference(
-    splats: Projected,
-    radius: Float[np.ndarray, " n"],
-    cells: Sequence[tuple[slice, Bool[np.ndarray, "rows columns"]]],
-    factors: tuple[float, float],
-    origin: Float[np.ndarray, "2"],
-    size: tuple[int, int],
-) -> Float[np.ndarray, "h w 4"]:
-    """Blend one splat set without background in float64: the reference of ``blend_wsr.wgsl``.
-
-    Args:
-        splats: The Gaussians of the set, drawn or not.
-        radius: Radius of the circle that bounds each Gaussian, in pixels.
-        cells: The Gaussians and the tiles of each cell, nearest first.
-        factors: Divisor of the opacity, and the weight of the background.
-        origin: Origin of the means, in pixels of the image.
-        size: Width and height of the image, in pixels.
-    """
-    (divisor, behind), (width, height) = factors, size
-    x = np.arange(width) + 0.5 - origin[0]
-    y = np.arange(height)[:, None] + 0.5 - origin[1]
-    through, total = np.ones((height, width)), np.zeros((height, width))
-    color = np.zeros((height, width, 3))
-    for members, tiles in cells:
-        inside = np.kron(tiles, np.ones((TILE, TILE), bool))[:height, :width]
-        entered = np.where(inside & (through >= FINISHED), through, 0)
-        for i in np.flatnonzero(splats.drawn[members]) + members.start:
-            dx, dy = x - splats.mean[i, 0], y - splats.mean[i, 1]
-            xx, xy, yy = splats.conic[i]
-            above = splats.strength[i] - 0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
-            alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA) / divisor
-            hit = (entered > 0) & (above >= 0) & (dx**2 + dy**2 <= radius[i] ** 2)
-            alpha = np.where(hit, alpha, 0)
-            through *= np.maximum(1 - alpha, 0)
-            total += alpha * entered
-            color += (alpha * entered)[..., None] * splats.color[i]
-    backdrop = np.where(through < FINISHED, 0, behind * through)
-    scale = np.where(total > 0, total + backdrop, 1)
-    return np.concatenate([color, total[..., None]], axis=-1) / scale[..., None]

@@ -1,6 +1,6 @@
 """Lists the splats that touch each image tile, nearest first, on software drivers."""
 
-__all__ = ["ListTiles", "runs_for", "window_tiles"]
+__all__ = ["ListTiles", "runs_for"]
 
 from typing import Final, final
 
@@ -75,15 +75,3 @@ class ListTiles:
             Step(self._begin, (self._begin.bind(*ranged),), by_tile),
             Step(self._list, (self._list.bind(*walked),), runs),
         )
-
-
-def window_tiles(word: int, across: int) -> list[int]:
-    """Return the image tiles that a packed word encodes, in order: as ``tile_window.wgsl`` does.
-
-    Args:
-        word: The word, which is not ABSENT.
-        across: Number of tiles in a row of the image.
-    """
-    first, touched = word >> _WINDOW_BITS, word & ((1 << _WINDOW_BITS) - 1)
-    bits = [bit for bit in range(_WINDOW_BITS) if touched >> bit & 1]
-    return [first + bit // _WINDOW_WIDTH * across + bit % _WINDOW_WIDTH for bit in bits]

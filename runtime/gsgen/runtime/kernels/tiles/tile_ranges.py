@@ -1,11 +1,8 @@
 """Finds the range of each tile in the sorted list of splat-tile pairs."""
 
-__all__ = ["RANGE_BLOCK", "TileRanges", "ranges_reference"]
+__all__ = ["RANGE_BLOCK", "TileRanges"]
 
 from typing import Final, final
-
-import numpy as np
-from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -37,11 +34,3 @@ class TileRanges:
         """
         bind = self.kernel.bind(counts, tiles, ranges)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.WALK_PAIRS_GROUPS))
-
-
-def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.ndarray, "t 2"]:
-    """Return the range of splat-tile pairs of each tile: the reference of ``tile_ranges.wgsl``."""
-    tile_ids = np.arange(count)
-    ends = [np.searchsorted(tiles, tile_ids, side) for side in ("left", "right")]
-    bounds = np.stack(ends, axis=1)
-    return np.where(bounds[:, :1] < bounds[:, 1:], bounds, 0).astype(np.uint32)
