@@ -7,11 +7,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-# Some containers forbid Python to write bytecode: each of a thousand processes of the tests would
-# compile the project anew.
+# Some containers forbid Python to write bytecode: each process would compile the project anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours suite clean
+.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
 
 setup: $(READY)
 
@@ -41,14 +40,32 @@ demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
 	$(BIN)/python docs/examples/demo.py out/demo
 
-# Drivers are fetched while packages are installed. Style and types are checked beside the tests:
-# alone they leave a core idle.
-test:
-	@$(MAKE) --no-print-directory -j3 drivers setup ort
-	@$(MAKE) --no-print-directory -j3 style types suite
+# A file's tests stay in one worker: they share the models that they export. Each worker computes in
+# one thread: those of several workers would wait for each other.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
 
-suite: setup
-	scripts/test.sh
+# The checks, and the tests of every room that take little time.
+test: tools check
+	$(PYTEST) -m "not slow and not nightly"
+
+# The other tests: more exports, pages, damaged files and long films.
+test-all: tools
+	$(PYTEST) -m slow
+
+# Tests that take too long for each change.
+test-nightly: tools
+	$(PYTEST) -m nightly
+
+# The share of the contract's lines that its own tests run; those of a process that they start count.
+coverage: tools
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -q tests/cli tests/conformance tests/contract
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report --include='contract/*' --fail-under=90
+
+# What tests need besides packages. Drivers are fetched while packages are installed.
+tools:
+	@$(MAKE) --no-print-directory -j3 drivers setup ort
 
 # ONNX Runtime Web, which computes generators in a page: fetched once, into the user's cache.
 ort: setup

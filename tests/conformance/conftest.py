@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,22 +11,6 @@ from xml.etree import ElementTree
 import pytest
 
 from gsgen.conformance.fixtures import find
-from support.forked_programs import program_folder
-
-_python = sys.executable
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _forked_pytest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Fork pytest from a process that has imported what it needs, where there are forks."""
-    global _python
-    if sys.platform != "linux":
-        yield
-        return
-    with program_folder(tmp_path_factory.mktemp("programs"), for_pytest=True) as programs:
-        _python = str(programs / "python")
-        yield
-    _python = sys.executable
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +48,7 @@ def run_pytest(folder: Path, *words: str | Path) -> Tested:
     """Run pytest in ``folder`` with nothing but our plugin, unless more are named."""
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST")}
     clean |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200"}
-    command = [_python, "-m", "pytest", "-p", "gsgen.conformance.pytest.plugin"]
+    command = [sys.executable, "-m", "pytest", "-p", "gsgen.conformance.pytest.plugin"]
     command += ["-p", "no:cacheprovider", "--junitxml=junit.xml", "-rA"]
     command += [f"--basetemp={folder / '.tmp'}", *map(str, words)]
     done = subprocess.run(

@@ -119,7 +119,7 @@ def test_every_path_on_the_page_exists() -> None:
 
 def test_every_make_target_and_entry_point_group_exists() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
-    for target in re.findall(r"`make (\w+)`", TEXT):
+    for target in re.findall(r"`make ([\w-]+)`", TEXT):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
     project = (ROOT / "pyproject.toml").read_text("utf-8")
     groups = re.findall(r"entry point `([\w.]+)`", TEXT)

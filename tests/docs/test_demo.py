@@ -1,4 +1,4 @@
-"""The demo: run whole, as ``make demo`` does but in forked programs, and its plugins one by one."""
+"""The demo: run whole, as ``make demo`` does, and its plugins one by one."""
 
 import os
 import subprocess
@@ -25,10 +25,10 @@ def demo() -> ModuleType:
     return made
 
 
-def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path, programs: Path) -> None:
+def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
     demo = DOCS / "examples" / "demo.py"
     completed = subprocess.run(
-        [programs / "python", demo, tmp_path / "out", "static"],
+        [sys.executable, demo, tmp_path / "out", "static"],
         capture_output=True,
         text=True,
         cwd=tmp_path,

@@ -35,7 +35,7 @@ def test_the_family_has_fewer_than_a_hundred_lines() -> None:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory, programs: Path) -> Run:
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Runs what the guide types, where its files lie and its package is installed aside."""
     folder, site = tmp_path_factory.mktemp("guide"), tmp_path_factory.mktemp("site")
     for name, text in FILES.items():
@@ -50,7 +50,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, programs: Path) -> Run:
         text=True,
     )
     assert installed.returncode == 0, installed.stderr
-    path = os.pathsep.join([str(programs), str(Path(sys.executable).parent), os.environ["PATH"]])
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = os.environ | {"PATH": path, "PYTHONPATH": str(site)}
 
     def typed(command: str) -> "subprocess.CompletedProcess[str]":

@@ -1,8 +1,4 @@
-"""Every marked code block is run as a reader would run it, page by page.
-
-The programs are forks of one process that has imported their libraries; but README's are started
-as a reader starts them.
-"""
+"""Every marked code block is run as a reader would run it, page by page."""
 
 import os
 import re
@@ -20,12 +16,12 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.contract.validation.rule import Scope
 from gsgen.contract.validation.settings import read_config
 from support.commands import ROOT
-from support.reports.pages import DOCS, README, Block, blocks, name_of, pages
+from support.reports.pages import DOCS, Block, blocks, name_of, pages
 
 _BINARIES = Path(sys.executable).parent
 
 
-def run(block: Block, folder: Path, programs: Path) -> "subprocess.CompletedProcess[str]":
+def run(block: Block, folder: Path) -> "subprocess.CompletedProcess[str]":
     if block.mark.endswith(".json"):  # a file that later blocks read
         (folder / block.mark).write_text(block.text, "utf-8")
         return subprocess.CompletedProcess([], 0, "", "")
@@ -33,8 +29,8 @@ def run(block: Block, folder: Path, programs: Path) -> "subprocess.CompletedProc
         command = ["bash", "-e", "-c", block.text]
     else:
         (folder / block.mark).write_text(block.text, "utf-8")
-        command = [str(programs / "python"), block.mark]
-    path = os.pathsep.join([str(programs), str(_BINARIES), os.environ["PATH"]])
+        command = [sys.executable, block.mark]
+    path = os.pathsep.join([str(_BINARIES), os.environ["PATH"]])
     return subprocess.run(
         command,
         cwd=folder,
@@ -57,10 +53,10 @@ _RUN = [page for page in pages() if any(is_run(block) for block in blocks(page))
 
 
 @pytest.mark.parametrize("page", _RUN, ids=name_of)
-def test_every_block_runs(page, tmp_path, programs):
+def test_every_block_runs(page, tmp_path):
     for block in blocks(page):
         if is_run(block):
-            done = run(block, tmp_path, _BINARIES if page == README else programs)
+            done = run(block, tmp_path)
             assert done.returncode == 0, f"{block.mark}:\n{done.stdout}{done.stderr}"
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -147,11 +148,6 @@ def models(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def python(programs: Path) -> str:
-    return str(programs / "python")
-
-
 @pytest.mark.skipif(os.name == "nt", reason="steps run in bash")
 class TestAction:
     def test_it_installs_its_own_version(self, tmp_path: Path) -> None:
@@ -164,8 +160,8 @@ class TestAction:
         named = {"python": str(python), "requirement": "gsgen==0.1.0"}
         assert run_step("Install gsgen", named, tmp_path).stdout.endswith("|gsgen==0.1.0|")
 
-    def test_findings_are_annotated_and_summarised(self, models: Path, python: str) -> None:
-        inputs = {"models": "a good one.onnx\nopacity_*.onnx\n", "python": python}
+    def test_findings_are_annotated_and_summarised(self, models: Path) -> None:
+        inputs = {"models": "a good one.onnx\nopacity_*.onnx\n", "python": sys.executable}
         ran = run_step("Validate", inputs, models)
         assert ran.returncode == 1, ran.stderr
         assert "::error" in ran.stdout
@@ -175,14 +171,14 @@ class TestAction:
         assert "a good one.onnx" in page
         assert "GV003" in page
 
-    def test_options_reach_the_validator(self, models: Path, python: str) -> None:
+    def test_options_reach_the_validator(self, models: Path) -> None:
         inputs = {
             "models": "opacity_is_logits.onnx",
             "options": "--ignore=GV003\n--quiet\n",
             "format": "json",
             "output": "report.json",
             "level": "values",
-            "python": python,
+            "python": sys.executable,
         }
         ran = run_step("Validate", inputs, models)
         assert (ran.returncode, ran.stdout) == (0, ""), ran.stderr
@@ -190,29 +186,29 @@ class TestAction:
 
     @pytest.mark.parametrize(("named", "code"), [({}, 0), ({"fail-on": "warning"}, 1)])
     def test_inputs_that_are_not_set_leave_the_project_s_file_its_say(
-        self, models: Path, python: str, named: dict[str, str], code: int
+        self, models: Path, named: dict[str, str], code: int
     ) -> None:
         text = '[validate]\ntarget = "webgpu"\nlevel = "values"\n[severity]\nGV003 = "warning"\n'
         (models / "gsgen.toml").write_text(text, "utf-8")
-        inputs = {"models": "opacity_is_logits.onnx", "format": "json", "python": python}
+        inputs = {"models": "opacity_is_logits.onnx", "format": "json", "python": sys.executable}
         ran = run_step("Validate", inputs | named, models)
         assert ran.returncode == code, ran.stderr
         report = json.loads(ran.stdout)
         assert (report["target"], report["level"]) == ("webgpu@1.0", "values")
 
-    def test_names_of_models_are_trimmed(self, models: Path, python: str) -> None:
-        inputs = {"models": "  a good one.onnx \r\n\r\n", "python": python}
+    def test_names_of_models_are_trimmed(self, models: Path) -> None:
+        inputs = {"models": "  a good one.onnx \r\n\r\n", "python": sys.executable}
         assert run_step("Validate", inputs, models).returncode == 0
 
-    def test_a_wrong_option_is_annotated(self, models: Path, python: str) -> None:
-        inputs = {"models": "*.onnx", "target": "webgpus", "python": python}
+    def test_a_wrong_option_is_annotated(self, models: Path) -> None:
+        inputs = {"models": "*.onnx", "target": "webgpus", "python": sys.executable}
         ran = run_step("Validate", inputs, models)
         assert ran.returncode == 2
         assert "::error title=gsgen::" in ran.stdout
         assert "webgpus" in ran.stderr
 
-    def test_a_missing_model_fails_the_step(self, models: Path, python: str) -> None:
-        ran = run_step("Validate", {"models": "none.onnx", "python": python}, models)
+    def test_a_missing_model_fails_the_step(self, models: Path) -> None:
+        ran = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
         assert ran.returncode == 4
         assert (models / "output").read_text("utf-8") == "exit-code=4\n"
 

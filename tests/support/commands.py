@@ -60,14 +60,9 @@ with open(sys.argv[1], "w") as record:
 """
 
 
-def gsgen(
-    *words: str | Path,
-    cwd: Path | None = None,
-    env: dict[str, str] | None = None,
-    python: str | Path = sys.executable,
-) -> Ran:
+def gsgen(*words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None) -> Ran:
     """Run the command line in a process of its own, as a user does."""
-    done = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env, python=python)
+    done = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env)
     return Ran(done.returncode, done.stdout, done.stderr)
 
 
@@ -84,13 +79,10 @@ def measured_gsgen(*words: str | Path) -> MeasuredRun:
 
 
 def _run_python(
-    *arguments: str,
-    cwd: Path | None = None,
-    env: dict[str, str] | None = None,
-    python: str | Path = sys.executable,
+    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [python, *arguments],
+        [sys.executable, *arguments],
         capture_output=True,
         text=True,
         cwd=cwd,

@@ -1,22 +1,16 @@
 """Runs many command lines in one process, whose stdout and stderr are as their creator chose.
 
 Reads a JSON list of command lines from the file that its argument names. After the output of each
-it writes a record separator, the exit code, and a unit separator, all of them ASCII. Models run in
-forks of a process that was started in the same surroundings.
+it writes a record separator, the exit code, and a unit separator, all of them ASCII.
 """
 
 import json
 import os
 import sys
-from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
-import typer.main
-
 from gsgen.cli.app import main
-from gsgen.contract.probing import sandbox
-from support.forked_sandbox import run_forked
 
 
 def run(words: list[str]) -> int:
@@ -29,11 +23,6 @@ def run(words: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    if sys.platform == "linux":
-        sandbox._run_child = run_forked
-    # What typer reads of each function's signature, for every command line anew.
-    read_signature = typer.main.get_params_from_function
-    typer.main.get_params_from_function = cache(read_signature)
     for line in json.loads(Path(sys.argv[1]).read_text("utf-8")):
         # As the interpreter decodes its arguments, which is not UTF-8 in every locale.
         code = run([os.fsdecode(word.encode()) for word in line])

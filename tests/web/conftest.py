@@ -12,17 +12,7 @@ from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, wri
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES, cached_ort
 from gsgen.sdk import export
-from support.models.shared_traces import share_traces
-from support.reports.one_registry import share_operators
 from support.web import pages
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _one_registry() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        share_operators(patch)
-        share_traces(patch)
-        yield
 
 
 @pytest.fixture(scope="session")

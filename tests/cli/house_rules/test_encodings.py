@@ -140,22 +140,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 _MODULE = "support.printed_commands"
 
 
-@pytest.fixture(scope="module")
-def python(programs: Path) -> str:
-    """A Python that is forked from one which has imported the program, where there are forks.
-
-    It starts anew in locales that are not UTF-8, which it may not be forked with.
-    """
-    return str(programs / "python")
-
-
 def printed(
-    python: str,
-    folder: Path,
-    calls: list[list[str]],
-    encoding: str,
-    sink: str,
-    surroundings: dict[str, str],
+    folder: Path, calls: list[list[str]], encoding: str, sink: str, surroundings: dict[str, str]
 ) -> list[tuple[int, str]]:
     """Run command lines, and return the exit code and the decoded output of each."""
     own = folder / f"{encoding}-{sink}-{len(surroundings)}"
@@ -172,7 +158,7 @@ def printed(
     } | {"PYTHONPATH": str(ROOT / "tests"), "TERM": "xterm-256color"}
     if "LC_ALL" not in surroundings:
         environment["PYTHONIOENCODING"] = encoding
-    command = [python, "-m", _MODULE, str(own / "calls.json")]
+    command = [sys.executable, "-m", _MODULE, str(own / "calls.json")]
     raw = collect(command, folder, environment | surroundings, sink, own / "printed")
     *records, rest = raw.decode(encoding, "strict").split("\x1f")
     assert not rest.strip(), rest
@@ -215,9 +201,9 @@ def collect(
 
 
 @pytest.fixture(scope="module")
-def expected(python: str, folder: Path) -> list[tuple[int, str]]:
+def expected(folder: Path) -> list[tuple[int, str]]:
     encoding, sink, surroundings = RUNS["utf-8, pipe"]
-    return printed(python, folder, every_call(slow=True), encoding, sink, surroundings)
+    return printed(folder, every_call(slow=True), encoding, sink, surroundings)
 
 
 def test_no_command_crashes_where_everything_can_be_printed(
@@ -229,12 +215,10 @@ def test_no_command_crashes_where_everything_can_be_printed(
 
 
 @pytest.mark.parametrize("name", [name for name in RUNS if name != "utf-8, pipe"])
-def test_every_command_prints_in(
-    name: str, python: str, folder: Path, expected: list[tuple[int, str]]
-) -> None:
+def test_every_command_prints_in(name: str, folder: Path, expected: list[tuple[int, str]]) -> None:
     encoding, sink, surroundings = RUNS[name]
     calls = every_call(slow=name in COMPLETE)
-    outputs = printed(python, folder, calls, encoding, sink, surroundings)
+    outputs = printed(folder, calls, encoding, sink, surroundings)
     for call, (code, text), (expected_code, expected_text) in zip(
         calls, outputs, expected, strict=False
     ):

@@ -1,7 +1,6 @@
 """Files that nobody should have made: a clear message, exit code 4 or 1, 20 s of a core, 2 GB."""
 
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 from onnx import ModelProto, TensorProto
 
 from support.commands import MeasuredRun, gsgen_here, measured_gsgen
-from support.measured_forks import measuring_forks
 
 SECONDS = 20
 BYTES = 2 << 30
@@ -132,24 +130,14 @@ Judge = Callable[[str], tuple[Path, MeasuredRun]]
 
 
 @pytest.fixture(scope="module")
-def measured() -> Iterator[Callable[..., MeasuredRun]]:
-    """Runs `gsgen` in a process of its own, which is forked where there are forks."""
-    if sys.platform != "linux":
-        yield measured_gsgen
-        return
-    with measuring_forks() as run:
-        yield lambda *words: MeasuredRun(*run(*words))
-
-
-@pytest.fixture(scope="module")
-def judge(tmp_path_factory: pytest.TempPathFactory, measured: Callable[..., MeasuredRun]) -> Judge:
+def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
     """Validate a file once, however many tests ask for it."""
 
     @cache
     def run(name: str) -> tuple[Path, MeasuredRun]:
         path = tmp_path_factory.mktemp("hostile") / "model.onnx"
         path.write_bytes(FILES[name]())
-        return path, measured("validate", path, "--timeout", "4")
+        return path, measured_gsgen("validate", path, "--timeout", "4")
 
     return run
 

@@ -1,6 +1,5 @@
 """Generators with known Gaussians, exported once."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,8 +7,6 @@ import torch
 
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
 from support.models.generators import Drift, Growing, Lit
-from support.models.shared_traces import share_traces
-from support.reports.one_registry import share_operators
 
 ROWS = 40
 
@@ -82,13 +79,10 @@ class HalfSeen(GaussianGenerator):
 
 
 @pytest.fixture(scope="session")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with drift, growing, lit, harmonic and halfseen."""
     folder = tmp_path_factory.mktemp("baking")
-    with pytest.MonkeyPatch.context() as patch:
-        share_operators(patch)
-        share_traces(patch)
-        for kind in (Drift, Growing, Lit, Harmonic, HalfSeen):
-            torch.manual_seed(0)  # the weights of networks do not depend on other tests
-            export(kind(), folder / f"{kind.__name__.lower()}.onnx")
-        yield folder
+    for kind in (Drift, Growing, Lit, Harmonic, HalfSeen):
+        torch.manual_seed(0)  # the weights of networks do not depend on other tests
+        export(kind(), folder / f"{kind.__name__.lower()}.onnx")
+    return folder

@@ -110,7 +110,7 @@ def error_of(*words: str) -> GsgenError:
     return ran.exception
 
 
-def test_a_factory_is_exported_with_typed_arguments(folder: Path, programs: Path) -> None:
+def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     """As a user does it: another process, options in front of the target."""
     ran = gsgen(
         *("export", "-o", "out/dots.onnx", "dots:Dots", "--arg", "n=12", "--arg"),
@@ -119,7 +119,6 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path, programs: Path
         *("--level", "live"),
         cwd=folder,
         env={"VK_DRIVER_FILES": "/nonexistent"},
-        python=programs / "python",
     )
     assert ran.code == 0, ran.err
     assert "out/dots.onnx: 16 rows, float16" in ran.out

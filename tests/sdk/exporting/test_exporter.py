@@ -24,8 +24,6 @@ from gsgen.sdk import (
     export,
     inputs,
 )
-from gsgen.sdk.exporting import exporter
-from gsgen.sdk.exporting.tracing.trace import trace_generator
 from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.rewrite import graph_stats
 from support.models.generators import Drift, Growing, Lit, Skinned
@@ -280,11 +278,8 @@ def test_generators_are_abstract() -> None:
         GaussianGenerator()  # type: ignore[abstract]
 
 
-def test_exporting_twice_gives_the_same_bytes(
-    tmp_path: Path, exported: Exported, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_exporting_twice_gives_the_same_bytes(tmp_path: Path, exported: Exported) -> None:
     path = exported(Drift)
-    monkeypatch.setattr(exporter, "trace_generator", trace_generator)  # which tests share
     again = export(Drift(), tmp_path / path.name, capacity=256).path
     assert again.read_bytes() == path.read_bytes()
     assert list(tmp_path.iterdir()) == [again]

@@ -15,11 +15,9 @@ from gsgen.sdk.plugins.plugin_template import write_plugin_package
 from support.commands import ROOT, gsgen
 
 
-def run(
-    *words: str | Path, cwd: Path, python: str | Path = sys.executable, **env: str
-) -> "subprocess.CompletedProcess[str]":
+def run(*words: str | Path, cwd: Path, **env: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
-        [str(python), *map(str, words)],
+        [sys.executable, *map(str, words)],
         cwd=cwd,
         env=os.environ | env,
         capture_output=True,
@@ -40,7 +38,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_package_installs_exports_and_passes_its_own_tests(
-    package: Path, tmp_path: Path, programs: Path
+    package: Path, tmp_path: Path
 ) -> None:
     pip = ("-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation")
     done = run(*pip, "--no-compile", "--target", tmp_path, package, cwd=tmp_path)
@@ -49,7 +47,6 @@ def test_the_package_installs_exports_and_passes_its_own_tests(
         *("-m", "pytest", "-q", "-W", "error::pytest.PytestWarning"),
         *("-p", "no:cacheprovider", "-p", "no:randomly"),
         cwd=package,
-        python=programs / "python",
         PYTHONPATH=str(tmp_path),
     )
     assert done.returncode == 0, done.stdout + done.stderr
