@@ -80,8 +80,8 @@ Measure = Callable[[Device, Kernels], Timings]
 def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> Rasteriser:
     """Return the faster rasteriser of a device, measured on the first call.
 
-    Timings are cached in the process and, by adapter and driver, in ``rasterisers.json`` under
-    ``$XDG_CACHE_HOME/gsgen`` (``~/.cache/gsgen``). With the environment variable
+    Timings are cached in the process and, by adapter and driver, in ``rasterisers.json`` in
+    the user's cache folder (``~/.cache/gsgen`` on Linux). With the environment variable
     ``GSGEN_NO_CACHE`` set, no file is read or written.
 
     Args:
@@ -227,8 +227,9 @@ def _file() -> Path | None:
     """Return the path of the cached rasteriser timings, or None if GSGEN_NO_CACHE is set."""
     if os.environ.get("GSGEN_NO_CACHE"):
         return None
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "gsgen" / "rasterisers.json"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("gsgen", appauthor=False) / "rasterisers.json"
 
 
 def _read() -> dict[str, Timings]:

@@ -3,13 +3,14 @@
 __all__ = ["ORT_FILES", "ORT_VERSION", "cached_ort", "ort_folder"]
 
 import hashlib
-import os
 import subprocess
 import tarfile
 import tempfile
 from pathlib import Path
 from shutil import which
 from typing import Final
+
+from platformdirs import user_cache_path
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 
@@ -28,8 +29,7 @@ ORT_FILES: Final = (*_BUILDS, *_BUILDS.values())
 
 def cached_ort() -> Path:
     """Return the cache folder of the user for the downloaded files of ONNX Runtime Web."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "gsgen" / f"{_PACKAGE}-{ORT_VERSION}"
+    return user_cache_path("gsgen", appauthor=False) / f"{_PACKAGE}-{ORT_VERSION}"
 
 
 def ort_folder(user_folder: Path | None) -> Path:

@@ -13,13 +13,14 @@ from pathlib import Path
 from threading import Lock
 from typing import BinaryIO, Final, final
 
+from platformdirs import user_cache_path
+
 _NAMED_BY_DIGEST: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
 
 
 def default_cache_folder() -> Path:
     """Return the folder of cached tiles, ``gsgen/tiles`` in the user's cache folder."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "gsgen" / "tiles"
+    return user_cache_path("gsgen", appauthor=False) / "tiles"
 
 
 @final
