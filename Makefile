@@ -138,7 +138,7 @@ hero: setup drivers
 
 # What the browser takes from Python: frame plans from the renderer, rules from the contract.
 web: setup
-	$(BIN)/python scripts/write_plans.py
+	PYTHONPATH=tools $(BIN)/python -m web_client.write
 
 docs: setup
 	$(INSTALL) --group docs

@@ -18,6 +18,8 @@ from support.commands import ROOT
 from support.web.packages import package
 
 ACME = Path(__file__).parent / "acme"
+_DOTTED = re.compile(r"\bgsgen(?:\.\w+)+")
+_FROM = re.compile(r"from (gsgen[.\w]*) import (?:(\w[^\n(]*)|\(([^)]*)\))")
 Acme = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -84,7 +86,32 @@ def test_the_wheel_holds_every_room_and_its_data(wheel: Path) -> None:
     ):
         assert part in names
     assert "gsgen/__init__.py" not in names  # it would hide the other portions
-    assert not [name for name in names if name.startswith(("contract/", "sdk/", "tests/"))]
+    assert not [
+        name for name in names if name.startswith(("contract/", "sdk/", "tests/", "tools/"))
+    ]
+
+
+def test_each_module_of_the_wheel_is_reached(wheel: Path) -> None:
+    """A module that only tests or builds import belongs to `tests` or `tools`.
+
+    Another module, an entry point or the documentation names it.
+    """
+    with zipfile.ZipFile(wheel) as archive:
+        texts = {
+            name: archive.read(name).decode("utf-8")
+            for name in archive.namelist()
+            if name.endswith((".py", "entry_points.txt"))
+        }
+    documentation = "".join(path.read_text("utf-8") for path in ROOT.glob("docs/**/*.md"))
+    reached = set(_DOTTED.findall(documentation))
+    for name, text in texts.items():
+        reached |= set(_DOTTED.findall(text)) - {name.removesuffix(".py").replace("/", ".")}
+        for room, single, several in _FROM.findall(text):
+            reached |= {f"{room}.{stem}" for stem in re.findall(r"\w+", single or several)}
+    names = {name.removesuffix(".py").replace("/", ".") for name in texts if name.endswith(".py")}
+    names = {name for name in names if not name.endswith(("__init__", "__main__", "pytest_gsgen"))}
+    by_name = {name for name in names if name.startswith("gsgen.contract.reporters.")}
+    assert sorted(names - reached - by_name) == []
 
 
 def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.targets import load_target
-from gsgen.runtime.web.rule_module import NOT_IN_PAGES, page_rules
 from support.commands import ROOT
 from support.web.pages import WebSite
+from web_client.rule_module import NOT_IN_PAGES, page_rules
 
 _RULES = page_rules()
 _MOST_BYTES = 1 << 20

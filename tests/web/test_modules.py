@@ -11,12 +11,11 @@ import pytest
 from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
-from gsgen.runtime.web.formulas import evaluate
-from gsgen.runtime.web.plans import written_plans
-from gsgen.runtime.web.rule_module import RULES_FILE
+from gsgen.runtime.web.pages import client_file
 from support.rendering.splat_scenes import cloud, turned
 from support.web.pages import CLIENT, WebSite, unpacked
 from support.web.scenes import camera_of, set_of
+from web_client.formulas import evaluate
 
 
 def test_every_shader_module_compiles_without_a_message(site: WebSite) -> None:
@@ -60,7 +59,7 @@ def test_formulas_have_the_values_of_python(site: WebSite) -> None:
         "set_cells",
         "slots",
     )
-    document = json.loads(written_plans())
+    document = json.loads(client_file("plans.json"))
     formulas = [
         formula
         for table in ("buffers", "binds", "steps", "plans")
@@ -151,7 +150,7 @@ def same_fields(actual: np.ndarray, expected: np.ndarray, dtype: np.dtype[np.voi
 
 def test_no_kernel_is_written_in_javascript() -> None:
     """Stages, kernels, buffers and workgroup sizes stand in plans.json alone."""
-    document = json.loads(written_plans())
+    document = json.loads(client_file("plans.json"))
     names = {stage for plan in document["plans"] for stage in plan["stages"]}
     names |= {row["label"] for row in document["modules"]}
     names |= {row["entry"] for row in document["pipelines"]}
@@ -169,7 +168,7 @@ def test_no_kernel_is_written_in_javascript() -> None:
         "scan",
         "sort",
     }
-    paths = [path for path in CLIENT.rglob("*.js") if path.name not in RULES_FILE]
+    paths = [path for path in CLIENT.rglob("*.js") if path.name != "contract_rules.js"]
     texts = {path.name: path.read_text("utf-8") for path in paths}
     assert "host.js" in texts
     for file, text in texts.items():

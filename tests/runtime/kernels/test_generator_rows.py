@@ -5,10 +5,9 @@ import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
-from gsgen.runtime.kernels.project.live_counts import LiveCounts
-from gsgen.runtime.kernels.project.repack_rows import RepackRows
 from gsgen.runtime.kernels.shared.kernel import Step, run
 from references.projection import live_counts_reference, repack_reference
+from web_client.browser_kernels import LiveCounts, RepackRows
 
 
 def submit(device: Device, step: Step) -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.kernel import Step, run
 from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE
 from references.layers import import_reference
+from web_client.browser_kernels import PICTURE, ImportLayer
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (17, 5), (33, 40)])

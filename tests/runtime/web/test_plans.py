@@ -15,11 +15,12 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
-from gsgen.runtime.web import pages, plans, rule_module
-from gsgen.runtime.web.formulas import Formula, evaluate
-from gsgen.runtime.web.plan_tables import PlanTables
-from gsgen.runtime.web.plans import LAYERS
-from gsgen.runtime.web.recording import (
+from gsgen.runtime.web.pages import client_file
+from support.web.plan_executor import choose
+from web_client.formulas import Formula, evaluate
+from web_client.plan_tables import PlanTables
+from web_client.plans import LAYERS, pool_kinds
+from web_client.recording import (
     APPEARANCES,
     Appearance,
     Shape,
@@ -27,33 +28,25 @@ from gsgen.runtime.web.recording import (
     recorded_pages,
     recorded_pool_pages,
 )
-from gsgen.runtime.web.recording_device import RecordingDevice
-from support.web.plan_executor import choose
+from web_client.recording_device import RecordingDevice
+from web_client.write import WRITTEN
 
 
 @pytest.fixture(scope="module")
 def document() -> dict[str, Any]:
-    return dict(json.loads(plans.written_plans()))
+    return dict(json.loads(client_file("plans.json")))
 
 
-def test_the_written_plans_are_current() -> None:
-    assert plans.written_plans() == plans.plans_text(), "run `make web`"
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_committed_file_is_what_the_tool_writes(name: str) -> None:
+    assert client_file(name).decode() == WRITTEN[name](), "run `make web`"
 
 
-def test_the_written_rules_are_current() -> None:
-    assert rule_module.written_rules() == rule_module.rules_text(), "run `make web`"
-
-
-def test_the_written_markup_is_current() -> None:
-    assert pages.client_file("element_markup.js").decode() == pages.markup_text(), "run `make web`"
-
-
-def test_the_written_rules_are_small() -> None:
-    assert len(gzip.compress(rule_module.written_rules().encode())) <= 40_000
-
-
-def test_the_written_plans_are_small() -> None:
-    assert len(gzip.compress(plans.written_plans().encode())) <= 120_000
+@pytest.mark.parametrize(
+    ("name", "limit"), [("contract_rules.js", 40_000), ("plans.json", 120_000)]
+)
+def test_the_written_file_is_small(name: str, limit: int) -> None:
+    assert len(gzip.compress(client_file(name))) <= limit
 
 
 Pools = Sequence[tuple[Appearance, int]]
@@ -302,7 +295,7 @@ def pool_document(slot_rows: int, outputs: list[Any], **shape: Any) -> dict[str,
         tables.add(
             record(Shape(outputs=tuple(outputs), size=(side, side), slot_rows=slot_rows, **shape))
         )
-    pools = plans.pool_kinds(tables, slot_rows)
+    pools = pool_kinds(tables, slot_rows)
     return dict(json.loads(json.dumps({"plans": tables.plans, "pools": pools, **tables.tables})))
 
 

@@ -16,7 +16,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, PooledSet, SplatPool
-from gsgen.runtime.web import plans
+from gsgen.runtime.web.pages import client_file
 from support.rendering.splat_scenes import camera, cloud, turned
 from support.web.plan_executor import PlanExecutor, choose
 
@@ -26,7 +26,7 @@ TURNED = turned(0.3, (1, 2, 3), 1.2)
 
 @pytest.fixture(scope="module")
 def document() -> dict[str, Any]:
-    return dict(json.loads(plans.written_plans()))
+    return dict(json.loads(client_file("plans.json")))
 
 
 @pytest.fixture(scope="module")

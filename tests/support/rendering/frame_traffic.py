@@ -27,8 +27,8 @@ from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.web.recording import APPEARANCES, recorded_pages
-from gsgen.runtime.web.recording_device import RecordingDevice
+from web_client.recording import APPEARANCES, recorded_pages
+from web_client.recording_device import RecordingDevice
 
 SECTOR = 32
 ROW = 40

@@ -9,8 +9,8 @@ import numpy as np
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page
-from gsgen.runtime.web.formulas import evaluate
-from gsgen.runtime.web.recording import page_kind
+from web_client.formulas import evaluate
+from web_client.recording import page_kind
 
 TYPES = {"u": "uniform", "r": "read-only-storage", "w": "storage"}
 

@@ -1,1 +1,1 @@
-"""How does a browser draw what Python draws: recorded GPU plans, and the web page's modules?"""
+"""How does a web page draw what Python draws? The browser client, pages, and their server."""

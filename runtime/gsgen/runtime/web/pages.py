@@ -1,11 +1,9 @@
 """Web pages that show models: one that a server delivers, and one in a single HTML file."""
 
 __all__ = [
-    "MARKUP_FILE",
     "ModelView",
     "client_file",
     "client_names",
-    "markup_text",
     "model_bytes",
     "served_page",
     "single_file_page",
@@ -28,9 +26,6 @@ from gsgen.formats import FormatError, Splats, open_splats, write_ply
 from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
-
-MARKUP_FILE: Final = "gsgen.runtime.web:client/element_markup.js"
-"""Package and path of the written module with the HTML and CSS of the element."""
 
 _CLIENT: Final = files("gsgen.runtime.web").joinpath("client")
 _PREFIX: Final = "gsgen/"
@@ -90,12 +85,6 @@ def client_names() -> tuple[str, ...]:
 def client_file(name: str) -> bytes:
     """Return the bytes of a file of the browser client; see :func:`client_names`."""
     return _CLIENT.joinpath(name).read_bytes()
-
-
-def markup_text() -> str:
-    """Return the text of ``element_markup.js``, the ES module with the HTML and CSS of the element."""
-    markup = client_file("element.html").decode("utf-8")
-    return f"// Written by `make web` from element.html.\nexport const MARKUP = {json.dumps(markup)};\n"
 
 
 def model_bytes(path: Path) -> bytes:

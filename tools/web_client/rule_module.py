@@ -1,6 +1,6 @@
 """The browser's rules: an ES module that is translated from the contract's Python functions."""
 
-__all__ = ["NOT_IN_PAGES", "RULES_FILE", "page_rules", "rules_text", "written_rules"]
+__all__ = ["NOT_IN_PAGES", "page_rules", "rules_text"]
 
 import ast
 import builtins
@@ -24,11 +24,8 @@ from gsgen.contract.spec import manifest_io
 from gsgen.contract.spec.schema_check import schema_faults
 from gsgen.contract.spec.targets import Target, load_target
 from gsgen.contract.validation.rule import Rule
-from gsgen.runtime.web.javascript import FunctionTranslator, Untranslatable, literal
-from gsgen.runtime.web.onnx_messages import message_fields
-
-RULES_FILE: Final = "gsgen.runtime.web:client/contract_rules.js"
-"""Package and path of the written module."""
+from web_client.javascript import FunctionTranslator, Untranslatable, literal
+from web_client.onnx_messages import message_fields
 
 _INFERENCE: Final = "needs the shapes that ONNX infers"
 _FOLDER: Final = "reads files beside the model"
@@ -62,12 +59,6 @@ _OVERRIDES: Final = {
     "re.search": "py.search",
     "builtins.dict.fromkeys": "py.fromkeys",
 }
-
-
-def written_rules() -> str:
-    """Return the text of the installed ``contract_rules.js``: validation rules as an ES module."""
-    package, _, path = RULES_FILE.partition(":")
-    return files(package).joinpath(path).read_text("utf-8")
 
 
 # Pages have no library that checks schemas.

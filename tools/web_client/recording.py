@@ -28,8 +28,8 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, SplatPool
-from gsgen.runtime.web.formulas import Formula, Tree, tree_of
-from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
+from web_client.formulas import Formula, Tree, tree_of
+from web_client.recording_device import RecordedBuffer, RecordingDevice
 
 
 @final

@@ -1,10 +1,9 @@
 """The document ``plans.json``: GPU buffers, dispatches and uniforms for the browser client."""
 
-__all__ = ["PLANS_FILE", "SHAPES", "plans_document", "plans_text", "pool_kinds", "written_plans"]
+__all__ = ["SHAPES", "plans_document", "plans_text", "pool_kinds"]
 
 import json
 from collections.abc import Mapping
-from importlib.resources import files
 from itertools import product
 from typing import Any, Final
 
@@ -13,11 +12,8 @@ import numpy as np
 from gsgen.contract.spec.layout import ROW
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
-from gsgen.runtime.kernels.project.live_counts import LiveCounts
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
-from gsgen.runtime.kernels.project.repack_rows import RepackRows
 from gsgen.runtime.kernels.project.slots import SLOT
-from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
@@ -27,13 +23,11 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
-from gsgen.runtime.web.formulas import Formula
-from gsgen.runtime.web.plan_tables import PlanTables, module_row
-from gsgen.runtime.web.recording import APPEARANCES, Shape, page_kind, record, recorded_pool_pages
-from gsgen.runtime.web.recording_device import RecordedModule, RecordingDevice
-
-PLANS_FILE: Final = "gsgen.runtime.web:client/plans.json"
-"""Package and path of the written document."""
+from web_client.browser_kernels import PICTURE, ImportLayer, LiveCounts, RepackRows
+from web_client.formulas import Formula
+from web_client.plan_tables import PlanTables, module_row
+from web_client.recording import APPEARANCES, Shape, page_kind, record, recorded_pool_pages
+from web_client.recording_device import RecordedModule, RecordingDevice
 
 _OUTPUTS: Final[tuple[tuple[Output, ...], ...]] = (
     ("color",),
@@ -184,9 +178,3 @@ def plans_text() -> str:
         else:
             lines.append(f'"{key}":{json.dumps(value, separators=(",", ":"))}')
     return "{\n" + ",\n".join(lines) + "}\n"
-
-
-def written_plans() -> str:
-    """Return the text of the installed ``plans.json``: recorded GPU work for the browser client."""
-    package, _, path = PLANS_FILE.partition(":")
-    return files(package).joinpath(path).read_text("utf-8")

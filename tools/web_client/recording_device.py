@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from gsgen.runtime.web.formulas import UNLIMITED
+from web_client.formulas import UNLIMITED
 
 _KINDS = {"uniform": "u", "read-only-storage": "r", "storage": "w"}
 

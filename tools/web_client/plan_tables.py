@@ -11,9 +11,9 @@ import numpy as np
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.kernel import Step
-from gsgen.runtime.web.formulas import Formula, Tree, replaced, tree_of
-from gsgen.runtime.web.recording import RecordedPlan, page_kind
-from gsgen.runtime.web.recording_device import (
+from web_client.formulas import Formula, Tree, replaced, tree_of
+from web_client.recording import RecordedPlan, page_kind
+from web_client.recording_device import (
     RecordedBind,
     RecordedBuffer,
     RecordedModule,

@@ -1,0 +1,81 @@
+"""Kernels that only the browser's frame plans have; their shaders are in the runtime."""
+
+__all__ = ["PICTURE", "ImportLayer", "LiveCounts", "RepackRows"]
+
+from typing import Final, final
+
+import numpy as np
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+
+PICTURE: Final = np.dtype(
+    {
+        "names": ["size", "color_row", "depth_row", "first", "empty", "slope", "offset"],
+        "formats": ["2u4", "u4", "u4", "u4", "f4", "f4", "f4"],
+        "offsets": [0, 8, 12, 16, 20, 24, 28],
+        "itemsize": 32,
+    }
+)
+"""The bytes of ``struct Picture`` in import_layer.wgsl."""
+
+
+@final
+class ImportLayer:
+    """The kernel ``import_layer.wgsl``, which copies another renderer's picture and depths."""
+
+    def __init__(self, device: Device) -> None:
+        self.kernel = Kernel(device, "import_layer", "import_layer", ("urrw", "w"))
+
+
+@final
+class LiveCounts:
+    """The kernel ``live_counts.wgsl``: counts the used rows of each of up to 64 GPU buffers."""
+
+    def __init__(self, device: Device) -> None:
+        self.kernel = Kernel(
+            device, "live_counts", "divide", ("rw",), THREADS=THREADS, PAGE_ROWS=PAGE_ROWS
+        )
+
+    def step(self, total: Buffer, live: Buffer) -> Step:
+        """Return the dispatch that counts the used rows of each page (GPU buffers of Gaussians).
+
+        Args:
+            total: The number of live rows, as int32.
+            live: One word per page.
+        """
+        return Step(self.kernel, (self.kernel.bind(total, live),), (1, 1, 1))
+
+
+@final
+class RepackRows:
+    """The kernel ``repack_rows.wgsl``, which copies model outputs into the renderer's buffers.
+
+    Args:
+        device: Device of the kernel.
+        columns: Numbers of a source row.
+        words: 32-bit words of a target row.
+        half_source: Whether source numbers are float16.
+        half_target: Whether target numbers are; only for a source that is.
+    """
+
+    def __init__(
+        self, device: Device, columns: int, words: int, *, half_source: bool, half_target: bool
+    ) -> None:
+        self.kernel = Kernel(
+            device,
+            "repack_rows",
+            "repack",
+            ("rw",),
+            THREADS=THREADS,
+            COLUMNS=columns,
+            WORDS=words,
+            HALF_SOURCE=half_source,
+            HALF_TARGET=half_target,
+        )
+
+    def step(self, numbers: Buffer, words: Buffer, rows: int) -> Step:
+        """Return the dispatch that copies rows of a model output into a renderer's buffer."""
+        return Step(self.kernel, (self.kernel.bind(numbers, words),), (-(-rows // THREADS), 1, 1))
