@@ -28,7 +28,7 @@ from support.commands import ROOT
 METRES = np.array([1 / 4.3e6, 1 / 6.4e6, 1.0])  # as longitude, latitude and height, at 47° north
 GOOD = {
     "uri": "n/a.onnx",
-    "contract": "1.1",
+    "contract": "1.0",
     "sha256": "0" * 64,
     "inputs": ["view", "time"],
     "splats_max": 100,
@@ -45,13 +45,12 @@ def changed(**changes: Any) -> dict[str, Any]:
     ("entry", "valid"),
     [
         (GOOD, True),
-        (changed(contract="1.0"), True),
         (changed(inputs=["view"], time_range=...), True),
         (changed(splats_max=0), False),
         (changed(splats_max=2.5), False),
         (changed(splats_max="9"), False),
         (changed(contract="2.0"), False),
-        (changed(contract=1.1), False),
+        (changed(contract=1.0), False),
         (changed(sha256="0" * 63), False),
         (changed(sha256="G" * 64), False),
         (changed(inputs=[]), False),

@@ -10,7 +10,6 @@ import re
 import textwrap
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
-from importlib.resources import files
 from types import FunctionType, ModuleType
 from typing import Final, get_args, get_type_hints
 
@@ -21,6 +20,7 @@ from gsgen.contract.model.manifest_inference import infer_manifest
 from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec import manifest_io
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.schema_check import schema_faults
 from gsgen.contract.spec.targets import Target, load_target
 from gsgen.contract.validation.rule import Rule
@@ -69,7 +69,7 @@ _PRELUDE: Final = """\
 
 import * as py from "./python.js";
 
-const publishedSchema = (kind, version) => SCHEMAS.get(`${kind}-${version.join(".")}.schema.json`);
+const publishedSchema = (kind) => SCHEMAS.get(kind);
 const denseWeight = ({ dims, values: { name, data_type } }) => ({ name, data_type, dims });
 const noFacts = () => ({ tensors: new Map(), conflicts: [], checker: "", inference: "" });
 """
@@ -123,7 +123,8 @@ def rules_text() -> str:
         "parseManifest": module.reference(manifest_io.parse, ""),
         "readGraph": module.reference(read_graph, ""),
     }
-    schemas = json.dumps(json.dumps(_schemas(), ensure_ascii=False), ensure_ascii=False)
+    by_kind = {kind: manifest_io.schemas()[manifest_io.schema_name(kind)] for kind in KINDS}
+    schemas = json.dumps(json.dumps(by_kind, ensure_ascii=False), ensure_ascii=False)
     module.add_methods()
     return "\n".join(
         [
@@ -152,12 +153,6 @@ def _target(module: "_Module", target: Target) -> str:
     texts = [module.constant(words if value == target.severities else value) for value in values]
     name = module.reference(Target, "")
     return f"[{literal(target.name)}, new {name}({', '.join(texts)})]"
-
-
-def _schemas() -> dict[str, object]:
-    folder = files("gsgen.contract").joinpath("schemas")
-    names = sorted(file.name for file in folder.iterdir() if not file.name.startswith("report"))
-    return {name: json.loads(folder.joinpath(name).read_text("utf-8")) for name in names}
 
 
 class _Module:

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.contract.spec.fields.roles import ROLES
+from gsgen.contract.spec.upgrades import CONTRACT
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.json_values import JsonDict, JsonObject
 from gsgen.tiles.uris import resolve_uri
 
 EXTENSION: Final = "GSGEN_neural_tile"
-CONTRACTS: Final = ("1.0", "1.1", "1.2")
 MAX_SPLATS: Final = 1 << 24
 
 _DIGEST = re.compile(r"^[0-9a-f]{64}$")
@@ -29,7 +29,6 @@ class NeuralTile:
 
     Attributes:
         uri: The ONNX model, relative to the tileset's folder.
-        contract: Version of the contract that the model keeps.
         sha256: Digest of the model, in hexadecimal.
         inputs: Roles of the inputs that the viewer gives, such as ``view`` and ``time``.
         splats_max: The most splats that a run gives.
@@ -38,7 +37,6 @@ class NeuralTile:
     """
 
     uri: str
-    contract: str
     sha256: str
     inputs: tuple[str, ...]
     splats_max: int
@@ -57,9 +55,8 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
         TilesetInvalid: A member is missing or is not what the schema says.
     """
     members = JsonObject(extension.values, extension.location, Fault.NEURAL)
-    contract = members.text("contract")
-    if contract not in CONTRACTS:
-        members.refuse("contract", " or ".join(CONTRACTS))
+    if members.text("contract") != CONTRACT:
+        members.refuse("contract", CONTRACT)
     digest = members.text("sha256")
     if not _DIGEST.match(digest):
         members.refuse("sha256", "64 hexadecimal digits")
@@ -76,7 +73,6 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
         members.refuse("time_range", "a range where the inputs have a time, and none otherwise")
     return NeuralTile(
         uri=resolve_uri(base, members.text("uri"), members.at("uri")),
-        contract=contract,
         sha256=digest,
         inputs=inputs,
         splats_max=members.whole("splats_max", least=1, most=MAX_SPLATS),
@@ -101,7 +97,7 @@ def neural_schema() -> JsonDict:
                 "description": "The ONNX model, relative to this file.",
             },
             "contract": {
-                "enum": list(CONTRACTS),
+                "const": CONTRACT,
                 "description": "Version of the contract that the model keeps.",
             },
             "sha256": {

@@ -115,7 +115,7 @@ def post_process(
         result = graph.op("AveragePool", result, kernel_shape=[2, 2], strides=[2, 2])
     graph.output("enhanced", result, out_layout or layout)
     manifest = {
-        "contract": "1.1",
+        "contract": "1.0",
         "kind": "post-process",
         "name": "sharpen",
         "version": "1.0.0",
@@ -178,7 +178,7 @@ def trajectory(
     graph.output("future", future, [steps, state])
     graph.output("sigma", graph.op("Add", graph.constant(growth), zero), [steps, columns])
     manifest: dict[str, Any] = {
-        "contract": "1.1",
+        "contract": "1.0",
         "kind": "trajectory-predictor",
         "name": "straight-on",
         "version": "1.0.0",

@@ -40,7 +40,7 @@ def declare(
     if space == "sh":
         appearance["degree"] = degree  # type: ignore[assignment]
     return {
-        "contract": "1.1",
+        "contract": "1.0",
         "kind": "gaussian-generator",
         "name": name,
         "version": "1.0.0",

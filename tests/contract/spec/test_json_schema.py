@@ -1,4 +1,3 @@
-import hashlib
 import json
 import subprocess
 import sys
@@ -23,38 +22,9 @@ PUBLISHED = ROOT / "contract/gsgen/contract/schemas"
 WRITER = "scripts/write_schemas.py"
 
 
-# SHA-256 of the schemas of older versions: readers hold copies, so they never change.
-OLDER = {
-    "gaussian-generator-1.1.schema.json": (
-        "f790985342cce574b9f5890e4ca4e5eadbce59fefa59cb68ee52d827e6b50153"
-    ),
-    "post-process-1.1.schema.json": (
-        "c8c5cf48678f3b607419a809e12b155a97cb0c5d028d2778d4f9fb62f5a22097"
-    ),
-    "trajectory-predictor-1.1.schema.json": (
-        "aed7b779b13fbe929fa6b2094cbaabeadb951b56ef333bb24a02f9f16148e1ab"
-    ),
-    "gaussian-generator-1.0.schema.json": (
-        "0f53f7cfadc9577c6305cf42086de1e4f908b5571916df7c229d13dd0556819c"
-    ),
-    "post-process-1.0.schema.json": (
-        "365f7e939822901c598bd97a28aca52b21bac91d8e7e0b326afb3a5b40a326d9"
-    ),
-    "trajectory-predictor-1.0.schema.json": (
-        "31f4c93d2d3aae05063ec7e62a283f8f250b1df95279486c4228990b64f7da8f"
-    ),
-}
-
-
-@pytest.mark.parametrize("folder", [PUBLISHED, ROOT / "docs/spec/schemas"])
-def test_schemas_of_older_versions_stay_as_they_were_published(folder):
-    for name, digest in OLDER.items():
-        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-
-
 def test_the_published_schemas_are_those_of_the_dataclasses():
     documents = {**schemas(), REPORT_SCHEMA_FILE: report_schema()}
-    assert {file.name for file in PUBLISHED.iterdir()} == {*documents, *OLDER}
+    assert {file.name for file in PUBLISHED.iterdir()} == documents.keys()
     for name, document in documents.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         same = (PUBLISHED / name).read_bytes() == text.encode()
@@ -64,7 +34,7 @@ def test_the_published_schemas_are_those_of_the_dataclasses():
 def test_the_writer_writes_what_is_published(tmp_path):
     subprocess.run([sys.executable, ROOT / WRITER, tmp_path], check=True)
     written = {file.name for file in tmp_path.iterdir()}
-    assert written == {file.name for file in PUBLISHED.iterdir()} - OLDER.keys()
+    assert written == {file.name for file in PUBLISHED.iterdir()}
     for name in written:
         assert (tmp_path / name).read_bytes() == (PUBLISHED / name).read_bytes()
 

@@ -17,7 +17,7 @@ SCHEMAS = {
     if file.name.startswith(("gaussian", "post", "trajectory"))
 }
 DOCUMENT = {
-    "contract": "1.2",
+    "contract": "1.0",
     "kind": "gaussian-generator",
     "name": "a",
     "inputs": [{"name": "t", "role": "time", "range": [0, 1], "default": [0.5], "frames": 3.0}],
@@ -35,7 +35,7 @@ VALUES = st.one_of(
     st.booleans(),
     st.integers(-3, 70000),
     st.floats(-4, 4),
-    st.sampled_from(["", "zeros", "identity", "sh", "float16", "1.2", "a" * 64, "-y"]),
+    st.sampled_from(["", "zeros", "identity", "sh", "float16", "1.0", "a" * 64, "-y"]),
     st.lists(st.one_of(st.integers(-1, 4), st.floats(-1, 1), st.just("x")), max_size=4),
     st.dictionaries(st.sampled_from(["x-a", "name", "odd"]), st.integers(0, 2), max_size=2),
 )

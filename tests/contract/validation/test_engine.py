@@ -64,7 +64,7 @@ def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     ]
     assert set(checked_statuses) == {"pass", "not-applicable"}
     assert (report.path, report.size) == (str(good), good.stat().st_size)
-    assert (report.kind, report.name, report.contract) == ("gaussian-generator", "moving", "1.2")
+    assert (report.kind, report.name, report.contract) == ("gaussian-generator", "moving", "1.0")
     assert (report.capacity, report.level) == (8, Level.BEHAVIOUR)
     assert report.probes[:2] == ("all inputs zero", "time=0")
     assert len(report.probes) == 9

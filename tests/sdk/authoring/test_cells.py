@@ -43,7 +43,7 @@ def eager(time: float) -> Gaussians:
 
 def test_cells_are_declared_and_compared(made: Exported) -> None:
     manifest = made.manifest
-    assert (manifest.contract, manifest.blend) == ("1.2", "wsr")
+    assert (manifest.contract, manifest.blend) == ("1.0", "wsr")
     assert manifest.weighted_sum == WEIGHTS
     assert manifest.outputs.cells == CellsOutput("cells", EACH, "float32")
     assert made.report.findings == ()

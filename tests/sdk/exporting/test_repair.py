@@ -121,7 +121,7 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     ("words", "code", "said"),
     [
         (("--size", "N"), 2, "--size: the value is 'N', expected SYMBOL=SIZE"),
-        (("--pin", "N=-3"), 2, "--pin: the value is 'N=-3', expected SYMBOL=SIZE"),
+        (("--size", "N=-3"), 2, "--size: the value is 'N=-3', expected SYMBOL=SIZE"),
         (("--dry-run",), 1, "has no fault that gsgen can repair without guessing"),
         (("--manifest", "none.json"), 2, "none.json: the manifest cannot be read"),
         ((), 1, "has no fault that gsgen can repair without guessing"),
@@ -149,7 +149,7 @@ def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     assert made["after"]["subject"]["uri"] == str(source)
     assert sorted(tmp_path.iterdir()) == here
     fixed = tmp_path / "fixed.onnx"
-    ran = gsgen_here("fix", source, "-o", fixed, "--json", "--pin", "N=5")
+    ran = gsgen_here("fix", source, "-o", fixed, "--json", "--size", "N=5")
     assert json.loads(ran.out)["path"] == str(fixed)
     assert validate(fixed).findings == ()
 

@@ -380,11 +380,6 @@ def test_the_command_lists_its_passes() -> None:
             2,
             "--size: the value is 'N', expected SYMBOL=SIZE",
         ),
-        (
-            ["in.onnx", "-o", "out.onnx", "--freeze", "N"],
-            2,
-            "--freeze: the value is 'N', expected SYMBOL=SIZE",
-        ),
         (["in.onnx", "-o", "out.onnx", "--opset", "21"], 2, "above the model's"),
         (["gone.onnx", "-o", "out.onnx"], 4, "cannot be read"),
         ([], 2, "MODEL is missing"),

@@ -61,7 +61,7 @@ def write_neural_tileset(
                 "extensions": {
                     EXTENSION: {
                         "uri": f"t/{number}.onnx",
-                        "contract": "1.1",
+                        "contract": "1.0",
                         "sha256": hashlib.sha256(model).hexdigest(),
                         "inputs": list(roles),
                         "splats_max": splats_max,

@@ -69,8 +69,7 @@ from gsgen.contract.spec.fields.records import (
 )
 from gsgen.contract.spec.fields.scene import Bounds, Space, Tolerances, WeightedSum
 from gsgen.contract.spec.fields.values import ExtensionName, Fraction
-
-CONTRACT = "1.2"
+from gsgen.contract.spec.upgrades import CONTRACT
 
 
 @dataclass(frozen=True, slots=True)

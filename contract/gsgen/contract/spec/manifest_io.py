@@ -1,4 +1,4 @@
-"""Reads and writes manifests as JSON text: parse, check against the schema, upgrade."""
+"""Reads and writes manifests as JSON text: parse, upgrade, check against the schema."""
 
 __all__ = ["Complaint", "Parsed", "dumps", "loads", "parse", "schema_name", "schemas"]
 
@@ -15,7 +15,7 @@ from gsgen.contract.spec.fields.json_schema import from_json, schema_of, to_json
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.manifest import Manifest, manifest_type
 from gsgen.contract.spec.schema_check import accepts
-from gsgen.contract.spec.upgrades import CURRENT, Version, upgrade
+from gsgen.contract.spec.upgrades import CONTRACT, CURRENT, UPGRADES, Version, upgrade
 
 _MAX_BYTES = 4 << 20
 
@@ -54,13 +54,13 @@ class Parsed:
     newer: bool = False
 
 
-def schema_name(kind: str, version: Version = CURRENT) -> str:
+def schema_name(kind: str) -> str:
     """Return the file name of a published manifest schema."""
-    return f"{kind}-{version[0]}.{version[1]}.schema.json"
+    return f"{kind}-{CONTRACT}.schema.json"
 
 
 def schemas() -> dict[str, dict[str, object]]:
-    """Return the JSON Schemas of manifests of the current version, by file name."""
+    """Return the JSON Schemas of manifests, by file name."""
     documents: dict[str, dict[str, object]] = {}
     for kind in KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
@@ -75,8 +75,8 @@ def _required(body: dict[str, object]) -> list[object]:
 
 
 @cache
-def _published_schema(kind: str, version: Version) -> dict[str, Any]:
-    file = resources.files("gsgen.contract").joinpath("schemas", schema_name(kind, version))
+def _published_schema(kind: str) -> dict[str, Any]:
+    file = resources.files("gsgen.contract").joinpath("schemas", schema_name(kind))
     document: dict[str, Any] = json.loads(file.read_text("utf-8"))
     return document
 
@@ -118,11 +118,11 @@ def _parse_document(text: str) -> Parsed:
     if version is None:
         actual = _short(document.get("contract", "nothing"))
         return _failed("version", "contract", actual, 'a version such as "1.0"')
-    if version[0] > CURRENT[0] or version[0] < 1:
-        expected = f"major version 1 to {CURRENT[0]}"
-        return Parsed(
-            None, (Complaint("version", "contract", _dotted(version), expected),), version
+    if version[0] != CURRENT[0]:
+        complaint = Complaint(
+            "version", "contract", _dotted(version), f"major version {CURRENT[0]}"
         )
+        return Parsed(None, (complaint,), version)
     return _parse_body(document, version)
 
 
@@ -130,14 +130,15 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     kind = document.get("kind")
     if kind not in KINDS:
         return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
-    newer = version > CURRENT
-    errors = _errors(document, _published_schema(kind, min(version, CURRENT)))
+    newer = version > CURRENT and version not in UPGRADES
+    document = upgrade(document, version)
+    errors = _errors(document, _published_schema(kind))
     if newer:  # a newer minor may have fields that this reader does not know
         errors = [error for error in errors if error.validator != "additionalProperties"]
     complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))
     if complaints:
         return Parsed(None, complaints, version, newer)
-    manifest: Manifest = from_json(manifest_type(kind), upgrade(document, version))
+    manifest: Manifest = from_json(manifest_type(kind), document)
     return Parsed(manifest, (), version, newer)
 
 

@@ -1,59 +1,35 @@
-"""Upgrades manifests of older contract versions, by one function per minor version."""
+"""Upgrades manifests of other contract versions to the current one, by one function per version."""
 
-__all__ = [
-    "CURRENT",
-    "UPGRADES",
-    "Step",
-    "Version",
-    "upgrade",
-    "upgrade_1_0_to_1_1",
-    "upgrade_1_1_to_1_2",
-]
+__all__ = ["CONTRACT", "CURRENT", "UPGRADES", "Version", "upgrade"]
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 Version = tuple[int, int]
-Step = Callable[[dict[str, Any]], dict[str, Any]]
 
-CURRENT: Version = (1, 2)
+CURRENT: Version = (1, 0)
+CONTRACT = "1.0"
 
 
-def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
-    """Convert a manifest of contract 1.0 to 1.1, where weighted sums become blending by depth.
+def released(document: dict[str, Any]) -> dict[str, Any]:
+    """Convert a manifest of a development build to 1.0, which has all fields of such builds."""
+    return document | {"contract": "1.0"}
 
-    1.0 had no field that describes cells, so a reader could only blend by sorting. The upgraded
-    manifest says so: ``alpha``. Rule GM018 tells the user.
+
+# Development builds wrote the version 1.1, then 1.2. Rule GM018 tells the user.
+UPGRADES: dict[Version, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    (1, 1): released,
+    (1, 2): released,
+}
+
+
+def upgrade(document: dict[str, Any], version: Version) -> dict[str, Any]:
+    """Return a manifest document of ``version`` as one of the current contract version.
+
+    The document given is not changed. Where no upgrade starts at a version, it stays there.
     """
-    lifted = document | {"contract": "1.1"}
-    if lifted.get("kind") == "gaussian-generator" and lifted.get("blend") == "wsr":
-        lifted["blend"] = "alpha"
-    return lifted
-
-
-def upgrade_1_1_to_1_2(document: dict[str, Any]) -> dict[str, Any]:
-    """Convert a manifest of contract 1.1 to 1.2, which only adds fields."""
-    return document | {"contract": "1.2"}
-
-
-# From version → the function that lifts a manifest to the next one.
-UPGRADES: dict[Version, Step] = {(1, 0): upgrade_1_0_to_1_1, (1, 1): upgrade_1_1_to_1_2}
-
-
-def upgrade(
-    document: dict[str, Any], version: Version, steps: Mapping[Version, Step] = UPGRADES
-) -> dict[str, Any]:
-    """Upgrade a manifest document version by version to the current contract version.
-
-    The document given is not changed. Where no step starts at a version, it stays there.
-    """
-    while version in steps:
-        document = steps[version](dict(document))
+    while version in UPGRADES:
+        document = UPGRADES[version](document)
         major, minor = document["contract"].split(".")
-        reached = (int(major), int(minor))
-        if reached <= version:
-            raise ValueError(
-                f"the manifest upgrade from {version} led to {reached}, expected a newer version"
-            )
-        version = reached
+        version = (int(major), int(minor))
     return document

@@ -87,7 +87,7 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
 
 
 def current_document(subject: InspectedModel) -> dict[str, Any]:
-    """Return the JSON of a model's manifest, upgraded to the newest contract version."""
+    """Return the JSON of a model's manifest, upgraded to the current contract version."""
     document: dict[str, Any] = json.loads(subject.file.manifest_text or "{}")
     version = subject.parsed.version if subject.parsed else None
     return upgrade(document, version) if version is not None else document

@@ -3,7 +3,6 @@
 __all__ = ["References", "record_references"]
 
 import hashlib
-import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,9 +17,9 @@ from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.layout import CULL_OPACITY
 from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage, Space
 from gsgen.contract.spec.severity import Level
-from gsgen.contract.spec.upgrades import upgrade
 from gsgen.contract.tools.recording import (
     RecordingRefused,
+    current_document,
     evenly_spaced,
     inspect_recordable,
     refuse_existing,
@@ -177,10 +176,6 @@ def _write(
     subject: InspectedModel, pictures: Sequence[_Picture], model: Path, folder: str, psnr: float
 ) -> tuple[ReferenceImage, ...]:
     """Write a copy of a model and its reference images; return their manifest entries."""
-    assert subject.parsed is not None
-    document = json.loads(subject.file.manifest_text or "{}")
-    if subject.parsed.version is not None:  # version 1.0 has no reference images
-        document = upgrade(document, subject.parsed.version)
     files = {
         f"{folder}/{number}.png": png_of(picture.frame.srgb8[..., :3])
         for number, picture in enumerate(pictures)
@@ -189,7 +184,7 @@ def _write(
         _declaration(path, file, picture, psnr)
         for (path, file), picture in zip(files.items(), pictures, strict=True)
     )
-    changed = document | {"reference_images": to_json(images)}
+    changed = current_document(subject) | {"reference_images": to_json(images)}
     with write_recorded_copy(subject.file, changed, model) as draft_folder:
         (draft_folder / folder).mkdir()
         for path, file in files.items():

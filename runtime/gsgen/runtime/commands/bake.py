@@ -110,7 +110,7 @@ def bake(
     from gsgen.sdk.commands.options import sizes_of
 
     tracks = _tracks(time, inputs)
-    with closing(GeneratorSource(model, provider, sizes_of(size, "--size"))) as source:
+    with closing(GeneratorSource(model, provider, sizes_of(size))) as source:
         try:
             report = bake_source(
                 source,

@@ -67,7 +67,7 @@ def open_scenes(
     from gsgen.runtime.sources.world_origins import beside_the_first
     from gsgen.sdk.commands.options import sizes_of
 
-    sizes = sizes_of(list(size) if size else None, "--size")
+    sizes = sizes_of(size)
     files = read_scene_files(scenes)
     model_paths = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:

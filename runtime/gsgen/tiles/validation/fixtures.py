@@ -324,7 +324,7 @@ def _neural() -> TilesetSketch:
     leaf["extensions"] = {
         NEURAL: {
             "uri": "n/leaf.onnx",
-            "contract": "1.1",
+            "contract": "1.0",
             "sha256": hashlib.sha256(model).hexdigest(),
             "inputs": ["time"],
             "splats_max": 4096,

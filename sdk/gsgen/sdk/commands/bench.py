@@ -61,7 +61,7 @@ def bench(
     if output is not None:
         refuse_model(output, models)
     _need_models(models)
-    sizes = sizes_of(size, "--size")
+    sizes = sizes_of(size)
     providers = [str(name) for name in provider or installed_providers()]
     jobs = [(model, provider_name) for model in models for provider_name in providers]
     results = _measure(jobs, frames=frames, sizes=sizes, capture=capture, seconds=timeout)

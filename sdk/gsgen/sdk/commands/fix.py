@@ -30,9 +30,6 @@ def fix(
         Path | None, typer.Option("-o", "--output", help="The repaired copy.")
     ] = None,
     size: Sizes = None,
-    pin: Annotated[
-        list[str] | None, typer.Option(hidden=True, help="Former name of --size.")
-    ] = None,
     manifest: Annotated[
         Path | None, typer.Option(help="JSON file with the manifest to embed.")
     ] = None,
@@ -60,7 +57,7 @@ def fix(
     if output is not None and manifest is not None:
         refuse_itself(output, [manifest])
     request = RepairRequest(
-        sizes=sizes_of(size, "--size") | sizes_of(pin, "--pin"),
+        sizes=sizes_of(size),
         manifest=_manifest(manifest) if manifest else None,
         rename=rename,
         channel_major=sh_order is not None,

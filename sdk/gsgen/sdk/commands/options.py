@@ -36,19 +36,16 @@ def copy_of(output: Path | None, *, dry_run: bool) -> Path | None:
     return output
 
 
-def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
-    """Parse options SYMBOL=SIZE into a dict from symbolic dimension to size.
-
-    ``option`` is the name of the option in errors.
-    """
-    return dict(_sized(entry, option) for entry in entries or ())
+def sizes_of(entries: Iterable[str] | None) -> dict[str, int]:
+    """Parse options ``--size SYMBOL=SIZE`` into a dict from symbolic dimension to size."""
+    return dict(map(_sized, entries or ()))
 
 
-def _sized(entry: str, option: str) -> tuple[str, int]:
+def _sized(entry: str) -> tuple[str, int]:
     symbol, sign, size = entry.partition("=")
     if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
         raise ConfigInvalid(
-            f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24", where=option
+            f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24", where="--size"
         )
     return symbol, int(size)
 

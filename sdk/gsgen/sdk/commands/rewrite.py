@@ -49,9 +49,6 @@ def rewrite(
         typer.Option(help="Operator set of the copy; the kernels decide by default.", min=7),
     ] = None,
     size: Sizes = None,
-    freeze: Annotated[
-        list[str] | None, typer.Option(hidden=True, help="Former name of --size.")
-    ] = None,
     dry_run: DryRun = False,
     listed: Annotated[
         bool, typer.Option("--list", help="List the passes in the order in which they run.")
@@ -72,7 +69,7 @@ def rewrite(
     if model is None:
         raise ConfigInvalid("MODEL is missing, expected an ONNX file", where="gsgen rewrite")
     output = copy_of(output, dry_run=dry_run)
-    sizes = sizes_of(size, "--size") | sizes_of(freeze, "--freeze")
+    sizes = sizes_of(size)
     with exit_at_error():
         result = rewrite_file(
             model,

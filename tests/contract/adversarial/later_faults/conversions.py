@@ -186,7 +186,7 @@ def _with_a_jpeg() -> Draft:
         "focal": [100, 100],
         "center": [50, 50],
     }
-    declared = {"contract": "1.2", "reference_images": [image]}
+    declared = {"reference_images": [image]}
     return Draft(draft.proto, draft.manifest | declared, {"front.jpg": content})
 
 

@@ -1,4 +1,4 @@
-"""Fields of contract 1.2 that are wrong, or do not fit the model."""
+"""Optional fields that are wrong, or do not fit the model."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,10 +15,9 @@ FAMILY = "manifest"
 Manifest = dict[str, Any]
 
 
-def _still(edit: Callable[[Manifest], Any], *, version: str = "1.2") -> Draft:
+def _still(edit: Callable[[Manifest], Any]) -> Draft:
     draft = static(scene("surface", seed=37))
     assert isinstance(draft.manifest, dict)
-    draft.manifest["contract"] = version
     edit(draft.manifest)
     return draft
 
@@ -43,7 +42,6 @@ def _driven(
     )
     low, high = source.position.min(0) - 0.2, source.position.max(0) + 0.2
     manifest = declare(source.count, low, high, inputs=[entry])
-    manifest["contract"] = "1.2"
     edit(manifest)
     return generator(graph, whole, graph.constant(sh_columns(source, 3)), manifest)
 
@@ -125,13 +123,6 @@ STILL: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         _set(operator_profile="webgpu"),
         Sentence("manifest.md", "`operator_profile` names a set of operators"),
         r"profile",
-    ),
-    (
-        "newer_field_under_an_older_version",
-        "Declares 1.1 and has a field of 1.2.",
-        _set(contract="1.1", cost=[{"device": "RTX 4090", "milliseconds": 3}]),
-        Sentence("manifest.md", "Any other unknown field is an error"),
-        r"cost|1\.2|version",
     ),
     (
         "external_data_of_another_file",

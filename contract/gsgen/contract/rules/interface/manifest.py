@@ -9,7 +9,7 @@ from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.spec.upgrades import CURRENT
+from gsgen.contract.spec.upgrades import CONTRACT, UPGRADES
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
@@ -68,7 +68,7 @@ def _looks_like_manifest(text: str) -> bool:
     kinds=KINDS,
 )
 def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest is a JSON document that follows the schema of its kind and version.
+    """The manifest is a JSON document that follows the schema of its kind.
 
     Why:
         A reader that cannot parse the manifest knows nothing of the model; one that parses half of
@@ -330,6 +330,26 @@ def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.parsed is not None and subject.parsed.newer and subject.parsed.version:
         major, minor = subject.parsed.version
-        yield Violation.at(
-            "manifest contract", f"{major}.{minor}", f"{CURRENT[0]}.{CURRENT[1]} or older"
-        )
+        yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT} or older")
+
+
+@rule(
+    "GM018",
+    "contract-version-released",
+    Severity.INFO,
+    over="model",
+    fixture="manifest_of_1_2",
+    kinds=KINDS,
+)
+def contract_version_released(subject: InspectedModel) -> Iterator[Violation]:
+    """The manifest declares a released contract version, not one of a development build.
+
+    Why:
+        Builds of gsgen before the first release wrote 1.1 and 1.2. Contract 1.0 has all their
+        fields, so such a manifest is read as 1.0; other readers may refuse it.
+
+    Hint:
+        Export the model again, or set "contract": "1.0".
+    """
+    if subject.parsed is not None and subject.parsed.version in UPGRADES:
+        yield Violation.at("manifest contract", subject.declared_version, CONTRACT)

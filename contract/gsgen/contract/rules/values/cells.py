@@ -1,6 +1,5 @@
 """Validation rules of cells (groups of Gaussians) for weighted blending: sizes and values."""
 
-import json
 from collections.abc import Iterator
 
 import numpy as np
@@ -56,31 +55,6 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
             for is_declared in (True, False)
         )
         yield Violation.at("manifest", f"{present} without {lacking}", "all three, or none")
-
-
-@rule(
-    "GM018",
-    "weighted-sum-has-cells",
-    Severity.WARNING,
-    over="model",
-    fixture="weighted_sum_of_1_0",
-    needs=MANIFEST_PARSED,
-)
-def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
-    """A manifest with `blend: wsr` (weighted-sum rendering) has contract version 1.1 or newer.
-
-    Why:
-        1.0 had the word and no way to say which rows form a cell, so no renderer can draw such a model
-        as it was meant. It is read as `alpha`: sorted, and the picture is another one.
-
-    Hint:
-        Export the model again for contract 1.1, with its cells, or set "blend": "alpha".
-    """
-    parsed = subject.parsed
-    if parsed is None or parsed.version != (1, 0) or subject.generator is None:
-        return
-    if json.loads(subject.file.manifest_text or "{}").get("blend") == "wsr":
-        yield Violation.at("manifest blend", "wsr in contract 1.0", "alpha, or contract 1.1")
 
 
 @rule(

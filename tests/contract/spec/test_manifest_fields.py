@@ -1,4 +1,4 @@
-"""The fields that version 1.2 adds, beyond what the schema and the rules' examples show."""
+"""Fields of the manifest, beyond what the schema and the rules' examples show."""
 
 import json
 from dataclasses import replace
