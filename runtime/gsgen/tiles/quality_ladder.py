@@ -1,13 +1,13 @@
 """Finds each tile's content files at several SPZ qualities, in files ``tileset-qN.json``."""
 
-__all__ = ["QualityLadder", "load_ladder"]
+__all__ = ["QualityLadder", "TileQualities", "load_ladder"]
 
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.errors import ContentMissing, TilesetInvalid
 from gsgen.tiles.loading import load_tileset
@@ -32,6 +32,37 @@ class QualityLadder:
     tiles: tuple[tuple[Tile, ...], ...]
     size: Float64[np.ndarray, "n q"]
     worth: Float64[np.ndarray, " q"]
+
+
+@final
+class TileQualities:
+    """The file quality of each tile in GPU memory, and the quality to request next.
+
+    Missing tiles are requested at the coarsest quality, all others at the finest.
+
+    Attributes:
+        ladder: The files.
+        held: Quality of each tile in GPU memory, an index of the ladder; −1 for other tiles.
+        coarsest_size: Bytes of each tile's coarsest file; 0 for tiles without a content.
+    """
+
+    def __init__(self, ladder: QualityLadder) -> None:
+        self.ladder = ladder
+        self.held: Int64[np.ndarray, " n"] = np.full(len(ladder.size), -1)
+        coarsest = ladder.size[:, -1]
+        self.coarsest_size = np.where(np.isfinite(coarsest), coarsest, 0).astype(np.int64)
+
+    def next_quality(self, tile: int) -> int:
+        """Return the quality at which a tile is requested next; called on threads."""
+        return 0 if self.held[tile] >= 0 else len(self.ladder.worth) - 1
+
+    def size(self, tile: int, quality: int) -> int:
+        """Return the number of bytes of a tile's content file at a quality."""
+        return int(self.ladder.size[tile, quality])
+
+    def are_finest(self, tiles: Bool[np.ndarray, " n"]) -> bool:
+        """Return whether all tiles of a mask that are in GPU memory have their finest file."""
+        return not bool((tiles & (self.held > 0)).any())
 
 
 def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | None:

@@ -42,8 +42,6 @@ CALLS = [
     ["tiles", "build", CLOUD, "-o", "{}/kacheln→", "--engine", "serial"],
     ["tiles", "info", "{}/kacheln→"],
     ["tiles", "pack", "{}/kacheln→", "-o", "{}/kacheln→.3tz"],
-    ["tiles", "plan", "{}/problem→.json"],
-    ["tiles", "replay", "{}/kacheln→", ABSENT],
     ["tiles", "serve", ABSENT],
     ["tiles", "simulate", "{}/kacheln→", "--path", ABSENT, "--network", ABSENT],
 ]
@@ -146,8 +144,6 @@ def printed(
     """Run command lines, and return the exit code and the decoded output of each."""
     own = folder / f"{encoding}-{sink}-{len(surroundings)}"
     own.mkdir()
-    problem = {"kind": "cut", "nodes": [], "budget_bytes": 1, "loaded": []}
-    (own / "problem→.json").write_text(json.dumps(problem), "utf-8")
     lines = [[word.replace("{}", own.name) for word in call] for call in calls]
     (own / "calls.json").write_text(json.dumps(lines), "utf-8")
     environment = {

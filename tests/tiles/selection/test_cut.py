@@ -8,8 +8,9 @@ import pytest
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.prediction.poses import matrix_quaternion
-from gsgen.tiles.selection.cut import cut_tree, cut_tree_often, request_order
+from gsgen.tiles.selection.cut import cut_tree, cut_tree_often
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.request_order import request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.tileset import Tile, Tileset
 from gsgen.tiles.volumes import Box, Region, Sphere, ecef

@@ -28,7 +28,6 @@ from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming import generator_opening
-from gsgen.tiles.streaming.events import read_events
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import SessionOptions, open_session
@@ -352,8 +351,7 @@ def test_budgets_hold_while_a_camera_passes_many_tiles(tmp_path: Path) -> None:
     assert sum(len(entry["opened"]) for entry in events) >= len(opened)
     assert sum(len(entry["closed"]) for entry in events) >= len(opened) - sessions
     assert steps // 8 <= sum(len(entry["ran"]) for entry in events) <= rate * clock.time + sessions
-    assert len(list(read_events(log))) == frames
-    assert gsgen_here("tiles", "replay", index, log).code == 0
+    assert sum("drawn" in json.loads(line) for line in log.read_text().splitlines()) == frames
 
 
 def _neural_events(log: Path) -> list[dict[str, list[int]]]:

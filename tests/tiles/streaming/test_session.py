@@ -21,11 +21,11 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.serving.server import serve_folder
-from gsgen.tiles.simulate.replay import ReplayLink
 from gsgen.tiles.stores import http_store
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming.clock import SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
+from gsgen.tiles.streaming.fetch import FetchLink
 from gsgen.tiles.streaming.session import SessionOptions, TilesetSession, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
 from support.tiles.builds import build
@@ -132,6 +132,21 @@ def test_a_complete_cut_is_the_wanted_tiles(town: Path) -> None:
     assert len(last.drawn) > 5
     assert session.metrics.hole_frames < 40
     assert lines == []
+    session.close()
+
+
+def test_the_root_arrives_before_any_other_tile_is_requested(town: Path) -> None:
+    session = open_session(town, OPTIONS)
+    pool, frame = Pool(session), session.frame(cameras(2)[0])
+    while not frame.arrivals:
+        pool.take(frame)
+        assert session.metrics.requests == 1
+        session.wait(0.05)
+        frame = session.frame(cameras(2)[0])
+    assert [arrival.tile for arrival in frame.arrivals] == [0]
+    pool.take(frame)
+    assert complete(session, cameras(2)[0], pool).drawn
+    assert session.metrics.requests > 5
     session.close()
 
 
@@ -256,7 +271,7 @@ def test_a_pool_is_no_larger_than_the_whole_tileset(town: Path) -> None:
     session.close()
     # Where the numbers of splats are estimates, tiles may need more than those.
     tree = replace(session.tree, is_counted=False)
-    link = ReplayLink(lambda tile, quality: pytest.fail(f"{tile} is not asked for"), 6)
+    link = FetchLink(pytest.fail, pytest.fail, pytest.fail, 6)
     unknown = TilesetSession(
         tree, link, SystemClock(), replace(OPTIONS, max_splats=10_000_000), sh_degree=1
     )

@@ -7,8 +7,6 @@ import typer
 from gsgen.tiles.commands.build import build
 from gsgen.tiles.commands.info import info
 from gsgen.tiles.commands.pack import pack
-from gsgen.tiles.commands.plan import plan
-from gsgen.tiles.commands.replay import replay
 from gsgen.tiles.commands.score import score
 from gsgen.tiles.commands.serve import serve
 from gsgen.tiles.commands.simulate import simulate
@@ -27,8 +25,6 @@ def _group() -> None:
 app.command("build")(build)
 app.command("info")(info)
 app.command("pack")(pack)
-app.command("plan")(plan)
-app.command("replay")(replay)
 app.command("score")(score)
 app.command("serve")(serve)
 app.command("simulate")(simulate)

@@ -1,6 +1,6 @@
 """Selects the tiles that a camera sees and needs, by their screen-space error."""
 
-__all__ = ["Cut", "cut_tree", "cut_tree_often", "request_order"]
+__all__ = ["Cut", "cut_tree", "cut_tree_often"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,12 +50,6 @@ def cut_tree(
         above = tree.parent[rows]
         seen[rows] &= seen[above] & refined[above]
     return Cut(seen=seen, wanted=seen & ~refined, error=error)
-
-
-def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
-    """Return the seen tiles in order of request: by tree depth, then by screen-space error."""
-    rows = np.flatnonzero(cut.seen)
-    return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
 
 
 def cut_tree_often(

@@ -9,7 +9,7 @@ The reactive client is normative. Frames are the rows of the path. At each frame
 3. A tile that is wanted now, and was not one frame ago, is an entry: a hit if it is loaded, else
    its delay runs until it is loaded, or to the end.
 4. A free connection asks for the seen tile that is not loaded with the least (level, −error,
-   index), in depth-first order.
+   index), in depth-first order; as long as the root is missing, for no other.
 """
 
 __all__ = ["POLICIES", "Simulation", "policy_named", "simulate"]

@@ -7,7 +7,6 @@ from functools import partial
 from typing import final
 
 import numpy as np
-from jaxtyping import Int64
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
 from gsgen.runtime.gpu.morton_order import along_curve
@@ -17,7 +16,7 @@ from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
 from gsgen.tiles.leaves import MAX_CONTENT, decode_tile_content
 from gsgen.tiles.neural import NeuralTile
 from gsgen.tiles.neural_model import MAX_MODEL
-from gsgen.tiles.quality_ladder import QualityLadder
+from gsgen.tiles.quality_ladder import TileQualities
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
@@ -35,8 +34,7 @@ class ContentReader:
         tileset: The tileset.
         tree: Its tiles.
         cache: Keeps files of a server; None to keep nothing.
-        ladder: Files at other qualities; None to read those of the tileset alone.
-        quality: Index of the quality of the ladder that each tile is read at.
+        qualities: Names the quality at which each tile is read; None for a single quality.
     """
 
     def __init__(
@@ -46,10 +44,9 @@ class ContentReader:
         tree: TileTree,
         cache: DiskCache | None,
         *,
-        ladder: QualityLadder | None = None,
-        quality: Int64[np.ndarray, " n"] | None = None,
+        qualities: TileQualities | None = None,
     ) -> None:
-        self._ladder, self._quality = ladder, quality
+        self._qualities = qualities
         self._fetched: dict[int, int] = {}  # tile → quality of the files that were read last
         self._store, self._tileset, self._tree = store, tileset, tree
         self._cache = cache if isinstance(store, HttpStore) else None
@@ -68,12 +65,18 @@ class ContentReader:
             TilesetInvalid: A file is missing, or cannot be read.
         """
         files: list[bytes] = []
-        if self._quality is not None:
-            self._fetched[tile] = int(self._quality[tile])
+        if self._qualities:
+            self._fetched[tile] = self._qualities.next_quality(tile)
         for content in self._entry(tile).contents:
             report = partial(_report_sum, on_bytes, sum(map(len, files)))
             files.append(self._file(content.uri, report))
         return files
+
+    def size(self, tile: int) -> int:
+        """Return the number of bytes of the files that are requested next for a tile."""
+        if self._qualities is None:
+            return int(self._tree.size[tile])
+        return self._qualities.size(tile, self._qualities.next_quality(tile))
 
     def read_model(self, neural: NeuralTile) -> bytes:
         """Return the bytes of the ONNX model that a neural tile declares.
@@ -141,9 +144,9 @@ class ContentReader:
 
     def _entry(self, tile: int) -> Tile:
         """Return a tile as listed in the tileset of the SPZ quality fetched last for it."""
-        if self._ladder is None:
+        if self._qualities is None:
             return self._tree.tiles[tile]
-        return self._ladder.tiles[self._fetched[tile]][tile]
+        return self._qualities.ladder.tiles[self._fetched[tile]][tile]
 
     def _decode_file(self, tile: Tile, content: Content, data: bytes) -> list[PlacedSplats]:
         try:

@@ -34,8 +34,6 @@ class StreamingMetrics:
         entries: Number of entries.
         bytes: Received, those of cancelled requests too.
         requests: Number of requests.
-        certificate: Most worth that the last choice of qualities lacks, as a share of the best;
-            None without a choice.
     """
 
     hit_rate: float
@@ -49,7 +47,6 @@ class StreamingMetrics:
     entries: int
     bytes: int
     requests: int
-    certificate: float | None = None
 
 
 @final

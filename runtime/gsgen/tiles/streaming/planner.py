@@ -2,20 +2,24 @@
 
 __all__ = ["Link", "RequestPlanner"]
 
-from dataclasses import dataclass
-from typing import Final, Protocol, final
+from collections.abc import Sequence
+from typing import Final, Literal, Protocol, final
 
 import numpy as np
 from jaxtyping import Bool, Int64
 
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import HORIZON, MOST_WASTE, PathPrefetch, Prefetch
-from gsgen.tiles.selection.cut import Cut, request_order
+from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.request_order import missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.metrics import MetricsRecorder
 
 CANCEL_BELOW: Final = 0.5
 """A request is cancelled only below this share of its bytes."""
+
+_Purpose = Literal["needed", "prefetched", "finer"]
+"""Why a tile was requested."""
 
 _MOST_UNSEEN: Final = 0.25  # of the bytes: those that may still be seen included
 _PATIENCE: Final = 2 * HORIZON  # seconds after which a prefetched tile counts as wasted
@@ -44,21 +48,13 @@ class Link(Protocol):
 
 
 @final
-@dataclass(slots=True, eq=False)
-class _InFlight:
-    """A tile request that has no answer yet."""
-
-    is_prefetch: bool
-
-
-@final
 class RequestPlanner:
     """Requests tiles over network connections, in the order in which the camera needs tiles.
 
-    Seen tiles come first, by level, screen-space error and index. Only while none of them is
-    missing, tiles of ``prefetch`` are asked for, as long as the expected waste stays in its bound:
-    the planner measures how many of the prefetched tiles are seen. When a seen tile is missing,
-    prefetches that are less than half done stop.
+    Seen tiles come first, in the order of :mod:`gsgen.tiles.selection.request_order`. Only while
+    none of them is missing, tiles of ``prefetch`` are requested, as long as the expected waste stays
+    in its bound (the planner measures how many of the prefetched tiles are seen), then finer files.
+    When a seen tile is missing, requests of both kinds that are less than half done are cancelled.
 
     Args:
         tree: The tiles.
@@ -74,7 +70,7 @@ class RequestPlanner:
         self._prefetch = prefetch
         self._is_bounded = not isinstance(prefetch, PathPrefetch)
         self._demand: Int64[np.ndarray, " m"] = np.zeros(0, np.int64)
-        self._in_flight: dict[int, _InFlight] = {}
+        self._in_flight: dict[int, _Purpose] = {}
         self._ledger = _PrefetchLedger(tree.size)
 
     @property
@@ -91,80 +87,82 @@ class RequestPlanner:
             loaded: Tiles that are there, or cannot be had.
         """
         self._demand = request_order(self._tree, cut)
-        if self._prefetch is None:
-            return
-        seen = cut.seen
-        self._ledger.frame(pose.time, seen & loaded)
-        wasted = self._recorder.unseen_bytes - self._ledger.pending_bytes
-        self._prefetch.observe(pose, wasted / max(self._recorder.bytes, 1))
-        for tile, entry in self._in_flight.items():
-            entry.is_prefetch = entry.is_prefetch and not seen[tile]
+        if self._prefetch:
+            self._ledger.frame(pose.time, cut.seen & loaded)
+            wasted = self._recorder.unseen_bytes - self._ledger.pending_bytes
+            self._prefetch.observe(pose, wasted / max(self._recorder.bytes, 1))
+        for tile in self._requested("prefetched"):
+            if cut.seen[tile]:
+                self._in_flight[tile] = "needed"
         if self.missing(loaded):
-            for tile in [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]:
+            for tile in self._requested("prefetched", "finer"):
                 if self._link.progress(tile) < CANCEL_BELOW:
                     self._recorder.cancel(self._link.cancel(tile))
                     del self._in_flight[tile]
 
-    def prioritise(self, tiles: Bool[np.ndarray, " n"]) -> None:
-        """Move the tiles of a mask to the front of the request queue; otherwise keep its order."""
-        self._demand = self._demand[np.argsort(~tiles[self._demand], kind="stable")]
-
     def arrive(self, tile: int, time: float) -> None:
         """Record that the contents of a tile arrived at ``time``."""
         self._recorder.arrive(tile, time)
-        entry = self._in_flight.pop(tile, None)
-        if entry is not None and entry.is_prefetch:
+        if self._in_flight.pop(tile, None) == "prefetched":
             self._ledger.arrive(tile, time)
 
     def fail(self, tile: int) -> None:
         """Record that a tile request ended with an error."""
         self._in_flight.pop(tile, None)
 
-    def fill(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Request tiles while network connections are free; return the requested tiles."""
-        requests: list[int] = []
+    def fill(self, loaded: Bool[np.ndarray, " n"], finer: Sequence[int] = ()) -> None:
+        """Request tiles while network connections are free.
+
+        Args:
+            loaded: Tiles that are there, or cannot be had.
+            finer: Loaded tiles that have a finer file, in order of request.
+        """
         while self._link.free > 0:
-            tile, is_prefetch = self._next(loaded)
+            tile, purpose = self._next(loaded, finer)
             if tile is None:
                 break
-            self.request(tile, is_prefetch=is_prefetch)
-            requests.append(tile)
-        return requests
-
-    def request(self, tile: int, *, is_prefetch: bool = False) -> None:
-        """Request a tile now, over a free network connection."""
-        self._in_flight[tile] = _InFlight(is_prefetch=is_prefetch)
-        self._recorder.request()
-        self._link.request(tile)
+            self._in_flight[tile] = purpose
+            self._recorder.request()
+            self._link.request(tile)
 
     def begin(self, tile: int) -> None:
         """Record that the network link has started the queued request of a needed tile."""
-        self._in_flight[tile] = _InFlight(is_prefetch=False)
+        self._in_flight[tile] = "needed"
         self._recorder.request()
 
     def missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the seen tiles that are neither loaded nor requested, the most urgent first."""
-        rows = self._demand[~loaded[self._demand]].tolist()
+        rows = missing_tiles(self._demand, loaded).tolist()
         return [tile for tile in rows if tile not in self._in_flight]
 
-    def _next(self, loaded: Bool[np.ndarray, " n"]) -> tuple[int | None, bool]:
+    def _requested(self, *purposes: _Purpose) -> list[int]:
+        """Return the tiles in flight that were requested for one of some purposes."""
+        return [tile for tile, purpose in self._in_flight.items() if purpose in purposes]
+
+    def _next(
+        self, loaded: Bool[np.ndarray, " n"], finer: Sequence[int]
+    ) -> tuple[int | None, _Purpose]:
+        # 1. Seen tiles; while one of them is missing or in flight, nothing else is requested.
         missing = self.missing(loaded)
         if missing:
-            return missing[0], False
-        if self._prefetch is None or not loaded[self._demand].all():
-            return None, False
-        for tile, trust in self._prefetch.candidates(loaded):
+            return missing[0], "needed"
+        if not loaded[self._demand].all():
+            return None, "needed"
+        # 2. The most urgent tile that will be seen, if its expected waste is within the bound.
+        candidates = self._prefetch.candidates(loaded) if self._prefetch else []
+        for tile, trust in candidates:
             if tile not in self._in_flight:
-                fits = self._may_waste(int(self._tree.size[tile]), trust)
-                return (tile, True) if fits else (None, False)
-        return None, False
+                if self._may_waste(int(self._tree.size[tile]), trust):
+                    return tile, "prefetched"
+                break
+        # 3. The finer file that shows most for its bytes.
+        return next((tile for tile in finer if tile not in self._in_flight), None), "finer"
 
     def _may_waste(self, size: int, trust: float) -> bool:
         """Return whether one more prefetch keeps the expected share of unused bytes low enough."""
         if not self._is_bounded:
             return True
-        in_flight = [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]
-        asked = int(self._tree.size[in_flight].sum()) + size
+        asked = int(self._tree.size[self._requested("prefetched")].sum()) + size
         received, unseen = self._recorder.bytes + asked, self._recorder.unseen_bytes + asked
         pending = self._ledger.pending_bytes + asked
         expected = unseen - pending * self._ledger.precision

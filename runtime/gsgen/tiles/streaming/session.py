@@ -4,7 +4,7 @@ __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, final
 
@@ -17,11 +17,11 @@ from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictors import predictor_maker
-from gsgen.tiles.prediction.prefetch import HORIZON, HorizonPrefetch
-from gsgen.tiles.quality_ladder import load_ladder
+from gsgen.tiles.prediction.prefetch import HorizonPrefetch
+from gsgen.tiles.quality_ladder import TileQualities, load_ladder
 from gsgen.tiles.selection.cut import Cut, cut_tree
 from gsgen.tiles.selection.frustum import Frustum
-from gsgen.tiles.selection.quality_choice import QualityChooser
+from gsgen.tiles.selection.request_order import finer_file_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -63,8 +63,6 @@ class SessionOptions:
         cache_folder: Of the disk cache; the user's where absent.
         allow_origins: Other origins that redirects may lead to.
         log: File of events as JSON lines; None for none.
-        live_qualities: Choose the quality of each file by the rate of the network, if the tileset
-            has several; the finest of them follow while nothing is missing.
         neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
             splats of these tiles.
         provider: Execution provider of ONNX Runtime for these generators.
@@ -83,7 +81,6 @@ class SessionOptions:
     cache_folder: Path | None = None
     allow_origins: tuple[str, ...] = ()
     log: Path | None = None
-    live_qualities: bool = False
     neural_sessions: int = 4
     provider: str = "cpu"
     runs_per_second: float = RUNS_PER_SECOND
@@ -140,13 +137,13 @@ def open_session(
         if options.cache_bytes:
             folder = options.cache_folder or default_cache_folder()
             cache = DiskCache(folder, options.cache_bytes)
-        ladder = load_ladder(store, index, tileset) if options.live_qualities else None
-        chooser = QualityChooser(tree, ladder, HORIZON) if ladder else None
-        reader = ContentReader(
-            store, tileset, tree, cache, ladder=ladder, quality=chooser.quality if chooser else None
-        )
+        ladder = load_ladder(store, index, tileset)
+        qualities = TileQualities(ladder) if ladder else None
+        if qualities:
+            tree = replace(tree, size=qualities.coarsest_size.copy())
+        reader = ContentReader(store, tileset, tree, cache, qualities=qualities)
         link: FetchLink[TileArrival] = FetchLink(
-            reader.fetch, reader.decode, lambda tile: int(tree.size[tile]), options.connections
+            reader.fetch, reader.decode, reader.size, options.connections
         )
         return TilesetSession(
             tree,
@@ -158,7 +155,7 @@ def open_session(
             store=store,
             up=tileset.up,
             read_model=reader.read_model,
-            chooser=chooser,
+            qualities=qualities,
         )
     except BaseException:
         store.close()
@@ -192,7 +189,7 @@ class TilesetSession:
         store: Closed with the session.
         up: Upward direction in the root frame; that of splat files if None.
         read_model: Reads the model of a neural tile; None to draw the splats of these tiles.
-        chooser: Chooses the quality of files; None for files of a single quality.
+        qualities: The files of tiles at several qualities; None for a single quality.
     """
 
     def __init__(
@@ -207,9 +204,9 @@ class TilesetSession:
         store: Store | None = None,
         up: Float64[np.ndarray, " 3"] | None = None,
         read_model: ModelReader | None = None,
-        chooser: QualityChooser | None = None,
+        qualities: TileQualities | None = None,
     ) -> None:
-        self._chooser = chooser
+        self._qualities = qualities
         self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
         self.upload_budget = options.upload_budget
@@ -223,7 +220,7 @@ class TilesetSession:
         )
         self._prefetch = prefetch
         self._planner = RequestPlanner(tree, link, self._recorder, prefetch)
-        self._log = EventLog(options.log, tree, asdict(options)) if options.log else None
+        self._log = EventLog(options.log) if options.log else None
         self.neural = self._neural_tiles(read_model)
         self._reserved = self._reserved_rows()
         self._slots: Int64[np.ndarray, " n"] = -(
@@ -237,7 +234,6 @@ class TilesetSession:
         self._pending: dict[int, TileArrival] = {}
         self._partial: TileArrival | None = None  # whose rows are not all uploaded
         self._retry_at: dict[int, float] = {}
-        self._received_bytes, self._was_busy = 0, False
         self._started: list[int] = []
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
@@ -273,8 +269,7 @@ class TilesetSession:
     @property
     def metrics(self) -> StreamingMetrics:
         """The streaming metrics of all frames so far."""
-        summary = self._recorder.summary()
-        return replace(summary, certificate=self._chooser.certificate if self._chooser else None)
+        return self._recorder.summary()
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
@@ -312,7 +307,7 @@ class TilesetSession:
             missing=missing,
             is_complete=missing == 0
             and self._fades.is_settled
-            and (self._chooser is None or self._chooser.is_finest(cut.wanted & there & ~dead)),
+            and (self._qualities is None or self._qualities.are_finest(cut.wanted & there & ~dead)),
         )
         if self._log:
             self._log.frame(time, frustum, self._started, received, frame)
@@ -346,8 +341,8 @@ class TilesetSession:
             self._planner.begin(tile)
         for result in results:
             if result.content is not None:
-                if self._chooser:
-                    size = self._chooser.size(result.tile, result.content.quality)
+                if self._qualities:
+                    size = self._qualities.size(result.tile, result.content.quality)
                     self.tree.size[result.tile] = size
                 self._planner.arrive(result.tile, time)
                 self._pending[result.tile] = result.content
@@ -433,9 +428,11 @@ class TilesetSession:
         self._residents.protect(tile)  # no other arrival of the frame displaces it
         for victim in victims:
             self._fades.drop(victim)
-        if self._chooser:
-            self._chooser.held[list(victims)] = -1
-            self._chooser.held[tile] = arrival.quality
+        if self._qualities:
+            for victim in victims:
+                self._qualities.held[victim] = -1
+                self.tree.size[victim] = self._qualities.coarsest_size[victim]
+            self._qualities.held[tile] = arrival.quality
         return victims
 
     def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
@@ -449,9 +446,7 @@ class TilesetSession:
         loaded |= self._slots > self.pool_slots
         pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
         self._planner.frame(pose, cut, loaded)
-        if self._chooser:
-            self._choose_qualities(self._chooser, time, cut, loaded)
-        self._planner.fill(loaded)
+        self._planner.fill(loaded, self._finer_files(time, cut))
         self._link.queue(self._queueable(loaded))
 
     def _queueable(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
@@ -466,34 +461,13 @@ class TilesetSession:
         uploads = np.cumsum(row_bytes * self.tree.splats[missing])
         return missing[: min(int(np.searchsorted(uploads, room, side="right")), _MOST_PENDING)]
 
-    def _choose_qualities(
-        self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]
-    ) -> None:
-        """Choose the file qualities of tiles to request; if none is missing, get a finer file."""
+    def _finer_files(self, time: float, cut: Cut) -> list[int]:
+        """Return the drawn tiles whose finest file is to be requested, in order of request."""
+        if self._qualities is None:
+            return []
         assert self._frustum is not None
-        in_flight = list(self._planner.in_flight)
-        there = chooser.held.copy()
-        there[in_flight] = chooser.quality[in_flight]
-        for tile, arrival in self._pending.items():
-            there[tile] = arrival.quality
-        received = self._recorder.bytes
-        chooser.observe(time, received - self._received_bytes, busy=self._was_busy)
-        self._received_bytes, self._was_busy = received, bool(in_flight)
-        first = chooser.choose(
-            time,
-            self._frustum.eye,
-            cut,
-            there,
-            dead=loaded & (there < 0),
-            max_splats=self.pool_slots * self.slot_rows,
-        )
-        self._planner.prioritise(first)
-        missing = ~loaded
-        missing[in_flight] = False
-        rows = np.flatnonzero(missing)
-        self.tree.size[rows] = chooser.sizes(rows)
-        if not in_flight and not self._pending and not (missing & cut.seen).any():
-            resident = cut.wanted & self._residents.resident & ~self._dead(time)
-            finer = chooser.upgrade(self._frustum.eye, resident)
-            if finer is not None:
-                self._planner.request(finer)
+        drawn = cut.wanted & self._residents.resident & ~self._dead(time)
+        drawn[[*self._pending, *([self._partial.tile] if self._partial else [])]] = False
+        ladder, held = self._qualities.ladder, self._qualities.held
+        order = finer_file_order(self.tree, ladder, held, drawn, self._frustum.eye)
+        return [int(tile) for tile in order]

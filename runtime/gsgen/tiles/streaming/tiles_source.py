@@ -100,8 +100,10 @@ class TilesSource(Source):
     def _report_missing(self, frame: SessionFrame) -> None:
         """Write a line to stderr if a frame is drawn without some tiles or model outputs."""
         line = ""
-        if not frame.is_complete:
+        if frame.missing:
             line = f"{frame.missing} tiles did not arrive within {self._wait:g} s; coarser ones are"
+        elif not frame.is_complete:
+            line = f"finer files did not arrive within {self._wait:g} s; coarser ones are"
         elif unsettled := self._unsettled_generators:
             line = (
                 f"{unsettled} generators did not finish within {self._wait:g} s; earlier splats are"
@@ -198,14 +200,12 @@ class TilesSource(Source):
         metrics = self._session.metrics
         missing = f", {self._last.missing} missing" if self._last.missing else ""
         used = self._pool.slots - self._pool.free_slots
-        rows: tuple[tuple[str, str], ...] = (
+        rows = (
             ("tiles", f"{len(self._last.drawn)} drawn{missing}"),
             ("pool", f"{100 * used / self._pool.slots:.0f} % of {len(self._pool):,} rows"),
             ("received", f"{format_mebibytes(metrics.bytes)} in {metrics.requests} requests"),
             ("hits", f"{100 * metrics.hit_rate:.0f} %, {metrics.hole_frames} frames with holes"),
         )
-        if metrics.certificate is not None:
-            rows += (("qualities", f"{metrics.certificate:.2%} below the best, or less"),)
         if self._neural is None:
             return rows
         neural = self._neural
@@ -252,7 +252,6 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         log=settings.log,
         neural_sessions=settings.neural_sessions,
         provider=settings.provider,
-        live_qualities=not settings.wait,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
     session = open_session(path, options)
