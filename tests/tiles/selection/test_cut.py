@@ -8,7 +8,7 @@ import pytest
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.prediction.poses import matrix_quaternion
-from gsgen.tiles.selection.cut import cut_tree, cut_tree_often
+from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import request_order
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -235,27 +235,3 @@ def test_a_moved_frustum_is_that_of_the_camera_there(kind: str) -> None:
         np.testing.assert_allclose(moved.rotation, there.rotation, atol=1e-9)
         back = matrix_quaternion(turn.T)
         np.testing.assert_allclose(abs(back @ quaternion), 1)
-
-
-@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
-def test_a_frustum_moved_to_many_poses_is_that_of_each(kind: str) -> None:
-    rng = np.random.default_rng(8)
-    frustum = Frustum.from_camera(random_camera(rng, kind))
-    positions, quaternions = rng.normal(size=(9, 3)), rng.normal(size=(9, 4))
-    moved = frustum.moved_often(positions, quaternions)
-    assert len(moved) == 9
-    for many, position, quaternion in zip(moved, positions, quaternions, strict=True):
-        one = frustum.moved(position, quaternion)
-        np.testing.assert_allclose(many.planes, one.planes, atol=1e-12)
-        np.testing.assert_array_equal(many.eye, position)
-        np.testing.assert_allclose(many.rotation @ many.rotation.T, np.eye(3), atol=1e-12)
-
-
-def test_many_frustums_at_once_see_what_each_sees() -> None:
-    rng = np.random.default_rng(7)
-    tree = TileTree.of_tileset(random_tileset(rng))
-    frusta = [Frustum.from_camera(random_camera(rng, "pinhole")) for _ in range(6)]
-    rows, seen = cut_tree_often(tree, frusta, 16.0)
-    for frustum, row in zip(frusta, seen, strict=True):
-        expected = np.flatnonzero(cut_tree(tree, frustum, 16.0).seen)
-        assert sorted(rows[row].tolist()) == expected.tolist()

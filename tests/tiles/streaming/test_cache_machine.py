@@ -55,18 +55,15 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
             self.there: set[int] = set()
             self.last_use: dict[int, float] = {}
             self.protected: set[int] = set()
-            self.expected: set[int] = set()
             self.time = 0.0
 
-        @rule(needed=needs, expected=st.sets(rows, max_size=20))
-        def frame(self, needed: set[int], expected: set[int]) -> None:
+        @rule(needed=needs)
+        def frame(self, needed: set[int]) -> None:
             """A camera needs resident tiles, or tiles that are to come."""
             events.append("frame")
             self.time += 1
-            marks = [np.isin(np.arange(len(tree)), sorted(group)) for group in (needed, expected)]
-            self.pool.frame(self.time, *marks)
+            self.pool.frame(self.time, np.isin(np.arange(len(tree)), sorted(needed)))
             self.protected = {0}.union(*({row, *tree.ancestors(row)} for row in needed))
-            self.expected = expected
             self.last_use.update(dict.fromkeys(self.protected, self.time))
 
         @rule(tile=rows)
@@ -76,12 +73,7 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
             self.time += 1
             free = sorted(
                 self.there - self.protected,
-                key=lambda row: (
-                    row in self.expected,
-                    self.last_use.get(row, -np.inf),
-                    -tree.level[row],
-                    -row,
-                ),
+                key=lambda row: (self.last_use.get(row, -np.inf), -tree.level[row], -row),
             )
             used, leaving = sum(self.slots[list(self.there)]), []
             if tile not in self.there:

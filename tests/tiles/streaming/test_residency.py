@@ -43,8 +43,7 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
         if event % 7 == 0:
             needed_rows = rng.permutation(sorted(there))[: rng.integers(0, 20)].tolist()
             needed = np.isin(np.arange(len(tree)), needed_rows)
-            expected = rng.uniform(size=len(tree)) < 0.2
-            pool.frame(float(event), needed, expected)
+            pool.frame(float(event), needed)
         tile = int(rng.integers(len(tree)))
         victims = pool.admit(tile, float(event))
         if victims is None:
@@ -73,10 +72,8 @@ def test_the_least_recently_used_and_finest_leave_first(tree: TileTree) -> None:
     pool.frame(3.0, nobody)
     new = int(tree.rows_of_level[2][0])
     assert pool.admit(new, 3.0) == (fine,)
-    expected = nobody.copy()
-    expected[coarse] = True
-    pool.frame(4.0, nobody, expected)
-    assert pool.admit(fine, 4.0) == (late,)
+    pool.frame(4.0, nobody)
+    assert pool.admit(fine, 4.0) == (coarse,)
     with_slots = ResidentTiles(tree, np.full(len(tree), 5), 4)
     assert with_slots.admit(coarse, 0.0) is None
 

@@ -16,7 +16,6 @@ from gsgen.contract.spec.fields.roles import STATE_SIZES
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.tiles.prediction.poses import Pose, interpolate, rotation_quaternion, rotation_vector
-from gsgen.tiles.prediction.predictor import Prediction
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -37,13 +36,12 @@ class TrajectoryModel:
     """
 
     def __init__(self, path: Path, manifest: TrajectoryManifest, session: "InferenceSession"):
-        future, doubt = manifest.outputs.future, manifest.outputs.uncertainty
+        future = manifest.outputs.future
         entry = next(entry for entry in manifest.inputs if entry.role == _HISTORY)
         self.name, self.steps = str(path), future.steps
         self.step_seconds, self.history = manifest.step_seconds, (entry.shape or (1,))[0]
         self._width = STATE_SIZES[future.representation]
-        self._upper = doubt.semantics == "covariance-upper"
-        self._input, self._outputs = entry.name, [future.name, doubt.name]
+        self._input, self._output = entry.name, future.name
         self._session = session
 
     @classmethod
@@ -93,35 +91,31 @@ class TrajectoryModel:
         """Return a new pose predictor for one camera path."""
         return OnnxPredictor(self)
 
-    def run(self, history: Float32[np.ndarray, "t s"]) -> Prediction:
-        """Run the trajectory model; row k is k + 1 time steps after the last known camera state.
+    def run(self, history: Float32[np.ndarray, "t s"]) -> Float64[np.ndarray, "k s"]:
+        """Return the predicted states; row k is k + 1 time steps after the last known state.
 
         Raises:
-            InputUnreadable: It fails, or its outputs are not finite states.
+            InputUnreadable: The model fails, or its outputs are not finite states.
         """
         try:
-            future, doubt = self._session.run(self._outputs, {self._input: history})
+            (future,) = self._session.run([self._output], {self._input: history})
         except Exception as error:  # ONNX Runtime raises types of its own, without a base
             raise InputUnreadable(
                 f"the model fails: {str(error).splitlines()[0]}", where=self.name
             ) from error
-        width = self._width * (self._width + 1) // 2 if self._upper else self._width
-        shapes = (self.steps, self._width), (self.steps, width)
+        shape = (self.steps, self._width)
         hint = f"Check it with: gsgen validate {self.name}"
-        if (future.shape, doubt.shape) != shapes:
+        if future.shape != shape:
             raise InputUnreadable(
-                f"outputs states {list(future.shape)} and uncertainty {list(doubt.shape)}, "
-                f"expected {list(shapes[0])} and {list(shapes[1])}",
+                f"outputs states {list(future.shape)}, expected {list(shape)}",
                 where=self.name,
                 hint=hint,
             )
-        if not (np.isfinite(future).all() and np.isfinite(doubt).all()):
+        if not np.isfinite(future).all():
             raise InputUnreadable(
-                "the model outputs predicted states or uncertainties that are not finite",
-                where=self.name,
-                hint=hint,
+                "the model outputs predicted states that are not finite", where=self.name, hint=hint
             )
-        return self._prediction(future.astype(np.float64), doubt.astype(np.float64))
+        return np.asarray(future, np.float64)
 
     def state(self, pose: Pose) -> Float64[np.ndarray, " s"]:
         """Convert a camera pose to a state vector of the trajectory model."""
@@ -129,23 +123,11 @@ class TrajectoryModel:
             return np.concatenate([pose.position, pose.quaternion])
         return np.concatenate([pose.position, rotation_vector(pose.quaternion)])
 
-    def _prediction(
-        self, future: Float64[np.ndarray, "k s"], doubt: Float64[np.ndarray, "k u"]
-    ) -> Prediction:
-        if self._upper:
-            rows = np.arange(self._width)
-            diagonal = rows * self._width - rows * (rows - 1) // 2
-            doubt = np.sqrt(np.maximum(doubt[:, diagonal], 0))
+    def pose(self, time: float, state: Float64[np.ndarray, " s"]) -> Pose:
+        """Convert a state vector of the trajectory model to a camera pose."""
         if self._width == 7:
-            lengths = np.linalg.norm(future[:, 3:], axis=1, keepdims=True)
-            quaternion = future[:, 3:] / np.maximum(lengths, 1e-12)
-            # A rotation by a small angle moves the vector part by half of it.
-            turn = 2 * doubt[:, 4:]
-        else:
-            quaternion = np.array([rotation_quaternion(vector) for vector in future[:, 3:]])
-            turn = doubt[:, 3:]
-        deviation = np.maximum(np.hstack([doubt[:, :3], turn]), 1e-6)
-        return Prediction(position=future[:, :3], quaternion=quaternion, deviation=deviation)
+            return Pose(time, state[:3], state[3:] / max(float(np.linalg.norm(state[3:])), 1e-12))
+        return Pose(time, state[:3], rotation_quaternion(state[3:]))
 
 
 @final
@@ -171,10 +153,10 @@ class OnnxPredictor:
         while len(self._poses) > 2 and self._poses[1].time < pose.time - span:
             self._poses.popleft()
 
-    def predict(self, ahead: Sequence[float]) -> Prediction | None:
+    def predict(self, ahead: Sequence[float]) -> list[Pose]:
         """Return predicted poses at times after the last frame, interpolated between time steps."""
         if not self._poses:
-            return None
+            return []
         model, last = self._model, self._poses[-1]
         poses = list(self._poses)
         times = last.time - model.step_seconds * np.arange(model.history - 1, -1, -1)
@@ -186,26 +168,10 @@ class OnnxPredictor:
             quaternion = pose.quaternion if pose.quaternion @ before >= 0 else -pose.quaternion
             before = quaternion
             states.append(model.state(Pose(pose.time, pose.position - last.position, quaternion)))
-        prediction = model.run(np.array(states[::-1], np.float32))
-        return _resample(prediction, last, model.step_seconds, ahead)
-
-
-def _resample(
-    prediction: Prediction, last: Pose, step_seconds: float, ahead: Sequence[float]
-) -> Prediction:
-    """Interpolate the model's predicted camera poses at times after the last known pose."""
-    offsets = prediction.position + last.position
-    poses = [last] + [
-        Pose(last.time + (index + 1) * step_seconds, position, quaternion)
-        for index, (position, quaternion) in enumerate(
-            zip(offsets, prediction.quaternion, strict=True)
-        )
-    ]
-    picked = [interpolate(poses, last.time + seconds) for seconds in ahead]
-    steps = np.arange(1, len(prediction.deviation) + 1) * step_seconds
-    columns = [np.interp(ahead, steps, column) for column in prediction.deviation.T]
-    return Prediction(
-        position=np.array([pose.position for pose in picked]),
-        quaternion=np.array([pose.quaternion for pose in picked]),
-        deviation=np.column_stack(columns),
-    )
+        future = model.run(np.array(states[::-1], np.float32))
+        future[:, :3] += last.position
+        predicted = [
+            model.pose(last.time + step * model.step_seconds, state)
+            for step, state in enumerate(future, 1)
+        ]
+        return [interpolate([last, *predicted], last.time + seconds) for seconds in ahead]

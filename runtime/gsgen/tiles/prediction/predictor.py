@@ -1,10 +1,9 @@
-"""Predictors of camera poses: where will the camera be, and how certain is that?"""
+"""Predictors of camera poses: where will the camera be?"""
 
-__all__ = ["ConstantVelocity", "Prediction", "Predictor"]
+__all__ = ["ConstantVelocity", "Predictor"]
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, Protocol, final
 
 import numpy as np
@@ -19,26 +18,6 @@ from gsgen.tiles.prediction.poses import (
 
 WINDOW: Final = 0.5
 """Seconds of the past from which constant velocity is taken."""
-
-_DRIFT: Final = 0.15  # standard deviation of a velocity, as a share of it
-_LEAST_DEVIATION: Final = 1e-6
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Prediction:
-    """Predicted camera poses, one per row, with their uncertainty.
-
-    Attributes:
-        position: Camera centres in the root frame, [k, 3].
-        quaternion: Camera → root frame, (w, x, y, z), unit length, [k, 4].
-        deviation: Standard deviations, [k, 6]: of the centre along the root frame's axes, then of
-            the rotation about them, in radians; all above 0.
-    """
-
-    position: Float64[np.ndarray, "k 3"]
-    quaternion: Float64[np.ndarray, "k 4"]
-    deviation: Float64[np.ndarray, "k 6"]
 
 
 class Predictor(Protocol):
@@ -56,8 +35,8 @@ class Predictor(Protocol):
         """Record the camera pose of a frame; times ascend."""
         ...
 
-    def predict(self, ahead: Sequence[float]) -> Prediction | None:
-        """Return predicted camera poses after the last frame; None if too few frames are known."""
+    def predict(self, ahead: Sequence[float]) -> list[Pose]:
+        """Return the predicted poses, in seconds after the last frame; none after too few frames."""
         ...
 
 
@@ -77,29 +56,20 @@ class ConstantVelocity:
         while len(self._poses) > 2 and self._poses[1].time < pose.time - WINDOW:
             self._poses.popleft()
 
-    def predict(self, ahead: Sequence[float]) -> Prediction | None:
+    def predict(self, ahead: Sequence[float]) -> list[Pose]:
         """Return the predicted camera poses, in seconds after the last frame."""
         if len(self._poses) < 2 or self._poses[-1].time <= self._poses[0].time:
-            return None
-        first, last = self._poses[0], self._poses[-1]
-        middle = self._poses[len(self._poses) // 2]
-        velocity, rate = _velocity(first, last)
-        change, rate_change = np.zeros(3), np.zeros(3)
-        if first.time < middle.time < last.time:
-            early, late = _velocity(first, middle), _velocity(middle, last)
-            half = (last.time - first.time) / 2
-            change, rate_change = (late[0] - early[0]) / half, (late[1] - early[1]) / half
-        times = np.array(ahead, np.float64)[:, None]
-        # What half of the acceleration that is seen would add, if it went on.
-        spread = _DRIFT * np.linalg.norm(velocity) * times + np.abs(change) * times**2 / 4
-        turn_spread = _DRIFT * np.linalg.norm(rate) * times + np.abs(rate_change) * times**2 / 4
-        return Prediction(
-            position=last.position + velocity * times,
-            quaternion=np.array(
-                [quaternion_product(rotation_quaternion(rate * t), last.quaternion) for t in ahead]
-            ),
-            deviation=np.maximum(np.hstack([spread, turn_spread]), _LEAST_DEVIATION),
-        )
+            return []
+        last = self._poses[-1]
+        velocity, rate = _velocity(self._poses[0], last)
+        return [
+            Pose(
+                last.time + seconds,
+                last.position + velocity * seconds,
+                quaternion_product(rotation_quaternion(rate * seconds), last.quaternion),
+            )
+            for seconds in ahead
+        ]
 
 
 def _velocity(

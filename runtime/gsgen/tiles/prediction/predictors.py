@@ -8,7 +8,7 @@ from typing import Final, final
 
 from gsgen.contract.errors import UnknownName
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.prediction.predictor import ConstantVelocity, Prediction, Predictor
+from gsgen.tiles.prediction.predictor import ConstantVelocity, Predictor
 
 
 @final
@@ -20,9 +20,9 @@ class _NoPredictor:
     def observe(self, pose: Pose) -> None:
         del pose
 
-    def predict(self, ahead: Sequence[float]) -> Prediction | None:
+    def predict(self, ahead: Sequence[float]) -> list[Pose]:
         del ahead
-        return None
+        return []
 
 
 NAMES: Final[dict[str, Callable[[], Predictor]]] = {

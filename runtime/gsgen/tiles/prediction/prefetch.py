@@ -9,10 +9,11 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from gsgen.tiles.prediction.poses import Pose, quaternion_product, rotation_quaternion
-from gsgen.tiles.prediction.predictor import Prediction, Predictor
-from gsgen.tiles.selection.cut import cut_tree, cut_tree_often
+from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.predictor import Predictor
+from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.request_order import request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 
 HORIZON: Final = 2.0
@@ -22,9 +23,7 @@ MOST_WASTE: Final = 0.15
 
 _SHARES: Final = (0.125, 0.25, 0.5, 1.0)  # of the horizon: the moments that are looked at
 _TRUST: Final = (1.0, 0.9, 0.75, 0.6)  # of the largest waste: later moments leave room for sooner
-_LEAST_PROBABILITY: Final = 0.5
 _INTERVAL: Final = 0.1  # seconds between plans
-_STATE: Final = 6
 _LEAST_HORIZON: Final = 0.125
 
 
@@ -73,10 +72,6 @@ class Prefetch(Protocol):
 class HorizonPrefetch:
     """Prefetches the tiles that predicted camera poses see within a time horizon.
 
-    Sixteen sigma points stand for the uncertainty of each predicted pose: the pose itself four
-    times, and √6 standard deviations to both sides of it in each of the six dimensions
-    (Julier and Uhlmann 1997). The probability of a tile is the share of the points that see it.
-
     Args:
         tree: The tiles.
         predictor: Of the camera.
@@ -109,7 +104,7 @@ class HorizonPrefetch:
         self.horizon = shorter if waste > MOST_WASTE else longer
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
-        """Return the tiles that are likely to be seen, the earliest and coarsest first."""
+        """Return the tiles that predicted poses see, the earliest first, in order of request."""
         if self._planned is None:
             self._planned = self._time
             self._order = self._plan()
@@ -117,42 +112,14 @@ class HorizonPrefetch:
 
     def _plan(self) -> list[tuple[int, float]]:
         reach = min(self.horizon, self._predictor.reach)
-        prediction = self._predictor.predict([reach * share for share in _SHARES])
-        if prediction is None:
-            return []
-        probability = self._probability(prediction)
-        likely = probability >= _LEAST_PROBABILITY
-        rows = np.flatnonzero(likely.any(axis=0))
-        first = likely.argmax(axis=0)[rows]
-        order = np.lexsort((rows, -probability[first, rows], self._tree.level[rows], first))
-        return [(int(rows[row]), _TRUST[first[row]]) for row in order]
-
-    def _probability(self, prediction: Prediction) -> Float64[np.ndarray, "k n"]:
-        """Return the probability that each tile is seen at each predicted camera pose."""
-        positions, quaternions, weights = [], [], []
-        for position, quaternion, deviation in zip(
-            prediction.position, prediction.quaternion, prediction.deviation, strict=True
-        ):
-            positions.append(position)
-            quaternions.append(quaternion)
-            weights.append(4 / 16)
-            for sign in (1, -1):
-                for axis in range(_STATE):
-                    offset = np.zeros(_STATE)
-                    offset[axis] = sign * np.sqrt(_STATE) * deviation[axis]
-                    positions.append(position + offset[:3])
-                    quaternions.append(
-                        quaternion_product(rotation_quaternion(offset[3:]), quaternion)
-                    )
-                    weights.append(1 / 16)
-        middle = self._frustum_at(positions[0], quaternions[0])
-        frusta = middle.moved_often(np.array(positions), np.array(quaternions))
-        rows, seen = cut_tree_often(self._tree, frusta, self._max_error)
-        points = 1 + 2 * _STATE
-        shares = (seen * np.array(weights)[:, None]).reshape(-1, points, len(rows)).sum(axis=1)
-        probability = np.zeros((len(shares), len(self._tree)))
-        probability[:, rows] = shares
-        return probability
+        trusts: dict[int, float] = {}  # in order of the first predicted pose that sees each tile
+        poses = self._predictor.predict([reach * share for share in _SHARES])
+        for pose, trust in zip(poses, _TRUST, strict=False):
+            frustum = self._frustum_at(pose.position, pose.quaternion)
+            cut = cut_tree(self._tree, frustum, self._max_error)
+            for tile in request_order(self._tree, cut).tolist():
+                trusts.setdefault(tile, trust)
+        return list(trusts.items())
 
 
 @final

@@ -1,6 +1,6 @@
 """View frustums and the boxes that intersect them: p-vertex culling in one matrix product."""
 
-__all__ = ["Frustum", "box_distances"]
+__all__ = ["Frustum"]
 
 import math
 from dataclasses import dataclass, replace
@@ -117,22 +117,11 @@ class Frustum:
             position: Camera centre in the root frame.
             quaternion: Camera → root frame, (w, x, y, z), of any length.
         """
-        return self.moved_often(position[None], quaternion[None])[0]
-
-    def moved_often(
-        self, positions: Float64[np.ndarray, "k 3"], quaternions: Float64[np.ndarray, "k 4"]
-    ) -> "list[Frustum]":
-        """Return the view frusta of several poses of the same camera; see :meth:`moved`."""
-        turns = rotation_matrix(quaternions).transpose(0, 2, 1)
+        turn = rotation_matrix(quaternion[None])[0].T
         distances = self.planes[:, 3] + self.planes[:, :3] @ self.eye
-        normals = self.planes[:, :3] @ self.rotation.T @ turns
-        offsets = distances - np.einsum("kpi,ki->kp", normals, positions)
-        planes = np.concatenate([normals, offsets[:, :, None]], axis=2)
-        eyes = np.asarray(positions, np.float64)
-        return [
-            replace(self, planes=own, eye=eye, rotation=turn)
-            for own, eye, turn in zip(planes, eyes, turns, strict=True)
-        ]
+        normals = self.planes[:, :3] @ self.rotation.T @ turn
+        planes = np.column_stack([normals, distances - normals @ position])
+        return replace(self, planes=planes, eye=np.asarray(position, np.float64), rotation=turn)
 
     def meets(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
@@ -157,11 +146,21 @@ class Frustum:
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Float64[np.ndarray, " n"]:
         """Return the distances from the camera to boxes; 0 if a box holds the camera."""
-        return np.asarray(box_distances(self.eye[None], center, half_axes)[0])
+        lengths = np.sqrt(np.square(half_axes).sum(axis=2))
+        units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
+        offset = self.eye - center
+        along = np.einsum("nij,nj->ni", units, offset)
+        squares = np.square(np.maximum(np.abs(along) - lengths, 0)).sum(axis=1)
+        # A flat box has no direction along an axis of length 0: what remains of the offset.
+        flat = (lengths == 0).any(axis=1)
+        if flat.any():
+            rest = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
+            squares += np.where(flat, np.maximum(rest, 0), 0)
+        return np.asarray(np.sqrt(squares))
 
     def screen_space_error(
-        self, error: Float64[np.ndarray, " n"], distance: Float64[np.ndarray, "*k n"]
-    ) -> Float64[np.ndarray, "*k n"]:
+        self, error: Float64[np.ndarray, " n"], distance: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
         """Return screen-space errors of tiles in pixels: geometric error × focal length / distance.
 
         A positive error is infinite at distance 0, within a box. Orthographic cameras ignore the
@@ -172,26 +171,6 @@ class Frustum:
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = error * self.focal / distance
         return np.where(error > 0, pixels, 0.0)
-
-
-def box_distances(
-    eyes: Float64[np.ndarray, "k 3"],
-    center: Float64[np.ndarray, "n 3"],
-    half_axes: Float64[np.ndarray, "n 3 3"],
-) -> Float64[np.ndarray, "k n"]:
-    """Return the distances from several points to boxes; 0 if a box holds the point."""
-    lengths = np.sqrt(np.square(half_axes).sum(axis=2))
-    units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
-    offset = eyes[:, None] - center
-    along = np.einsum("nij,knj->kni", units, offset)
-    beyond = np.maximum(np.abs(along) - lengths, 0)
-    squares = np.einsum("kni,kni->kn", beyond, beyond)
-    # A flat box has no direction along an axis of length 0: what remains of the offset.
-    flat = (lengths == 0).any(axis=1)
-    if flat.any():
-        rest = np.square(offset).sum(axis=2) - np.square(along).sum(axis=2)
-        squares += np.where(flat, np.maximum(rest, 0), 0)
-    return np.asarray(np.sqrt(squares))
 
 
 def _planes(

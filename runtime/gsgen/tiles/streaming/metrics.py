@@ -30,7 +30,6 @@ class StreamingMetrics:
         mean_delay_s: Mean time from an entry to its tile, over all entries; hits have 0.
         p95_delay_s: 95th percentile of the same.
         hole_frames: Frames with a wanted tile that had neither content nor a loaded ancestor.
-        stall_ms: Time that frames waited for the session.
         entries: Number of entries.
         bytes: Received, those of cancelled requests too.
         requests: Number of requests.
@@ -43,7 +42,6 @@ class StreamingMetrics:
     mean_delay_s: float
     p95_delay_s: float
     hole_frames: int
-    stall_ms: float
     entries: int
     bytes: int
     requests: int
@@ -71,7 +69,6 @@ class MetricsRecorder:
         self._time = 0.0
         self._wasted = 0
         self.bytes = self.requests = 0
-        self.stall_s = 0.0
 
     @property
     def unseen_bytes(self) -> int:
@@ -138,7 +135,6 @@ class MetricsRecorder:
             mean_delay_s=float(delays.mean()) if count else 0.0,
             p95_delay_s=float(np.percentile(delays, 95)) if count else 0.0,
             hole_frames=self._holes,
-            stall_ms=self.stall_s * 1e3,
             entries=count,
             bytes=self.bytes,
             requests=self.requests,

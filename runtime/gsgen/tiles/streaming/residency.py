@@ -14,8 +14,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 class ResidentTiles:
     """The streamed tiles in GPU memory (splat pool), whose Gaussians never exceed its capacity.
 
-    A tile leaves that is not needed: of those the ones without an expected use, the least
-    recently used, the finest first. The root, tiles that are needed and all tiles above them stay.
+    A tile leaves that is not needed: the least recently used, the finest first. The root, tiles that are needed and all tiles above them stay.
 
     Attributes:
         resident: Whether each tile is there.
@@ -33,24 +32,16 @@ class ResidentTiles:
         self.used_slots = 0
         self._last_use: Float64[np.ndarray, " n"] = np.full(len(tree), -np.inf)
         self._protected: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
-        self._expected: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
 
-    def frame(
-        self,
-        time: float,
-        needed: Bool[np.ndarray, " n"],
-        expected: Bool[np.ndarray, " n"] | None = None,
-    ) -> None:
+    def frame(self, time: float, needed: Bool[np.ndarray, " n"]) -> None:
         """Record the tiles that a frame needs, which are evicted from GPU memory last.
 
         Args:
             time: In seconds.
             needed: Tiles that are drawn, or will be as soon as they are there.
-            expected: Tiles that will probably be seen soon.
         """
         self._protected = self.with_ancestors(needed)
         self._last_use[self._protected] = time
-        self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return a mask of the given tiles, all their ancestors, and the root."""
@@ -91,9 +82,7 @@ class ResidentTiles:
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)
-        order = np.lexsort(
-            (-rows, -self._tree.level[rows], self._last_use[rows], self._expected[rows])
-        )
+        order = np.lexsort((-rows, -self._tree.level[rows], self._last_use[rows]))
         rows = rows[order]
         freed = np.cumsum(self._slots[rows])
         if not len(freed) or freed[-1] < lack:
