@@ -14,7 +14,7 @@ def test_passes_of_a_stage_are_added() -> None:
     ticks = np.array([100, 350, 400, 1400, 2000, 2005], np.uint64)
     read = MagicMock(return_value=ticks)
     device = cast(Any, SimpleNamespace(raw=MagicMock(), read=read))
-    with patch.object(gpu_timer, "_period", lambda _: 2.0):  # ns a tick
+    with patch.object(gpu_timer, "timestamp_period", lambda _: 2.0):  # ns a tick
         clock = gpu_timer.StageClock(device)
     for number, stage in enumerate(("sort", "blend", "sort")):
         writes = clock.around(stage)

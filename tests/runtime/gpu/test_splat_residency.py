@@ -1,5 +1,6 @@
 """Only what changed goes to the GPU: rows, appearance, or rows that were not live before."""
 
+from collections.abc import Iterable
 from weakref import ref
 
 import numpy as np
@@ -20,17 +21,18 @@ ROW, COLOR = 40, 16  # bytes; RGB in float32 is filled up to a word
 def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int, int]]:
     """Whatever is written to a buffer: its label, from which byte on, how many bytes."""
     seen: list[tuple[str, int, int]] = []
-    mapped, write = Device.mapped, Device.write
+    write_mapped, write = Device.write_mapped, Device.write
 
-    def filled(self: Device, buffer: object, offset: int, size: int) -> object:
-        seen.append((buffer.label, offset, size))
-        return mapped(self, buffer, offset, size)
+    def filled(self: Device, buffer: object, blocks: Iterable[np.ndarray], offset: int) -> None:
+        copied = list(blocks)
+        seen.append((buffer.label, offset, sum(block.nbytes for block in copied)))
+        write_mapped(self, buffer, copied, offset)
 
     def written(self: Device, buffer: object, data: np.ndarray, offset: int = 0) -> None:
         seen.append((buffer.label, offset, data.nbytes))
         write(self, buffer, data, offset)
 
-    monkeypatch.setattr(Device, "mapped", filled)  # of large buffers, if the device maps them
+    monkeypatch.setattr(Device, "write_mapped", filled)  # of large buffers, if the device maps them
     monkeypatch.setattr(Device, "write", written)
     return seen
 

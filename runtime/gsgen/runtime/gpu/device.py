@@ -1,14 +1,14 @@
 """The graphics device: it creates labelled buffers and textures, and translates wgpu's errors."""
 
-__all__ = ["MAPPED_FROM", "MOST_GROUPS", "Device"]
+__all__ = ["MAPPED_ALIGNMENT", "MAPPED_FROM", "MOST_GROUPS", "Device"]
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Final, Self, final
 from weakref import WeakSet
 
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Shaped
 
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import CapacityExceeded, DeviceLost, DeviceUnavailable, MemoryFull
@@ -21,7 +21,7 @@ from gsgen.runtime.gpu.handles import (
     RenderPipeline,
     Texture,
 )
-from gsgen.runtime.gpu.native_types import parse_native_types
+from gsgen.runtime.gpu.native import parse_native_types
 from gsgen.runtime.gpu.sizes import at_least
 
 STORAGE_BUFFERS: Final = 8
@@ -33,6 +33,9 @@ nothing."""
 
 MAPPED_FROM: Final = 1 << 20
 """Least size in bytes of buffers that are faster to map than to copy into."""
+
+MAPPED_ALIGNMENT: Final = 8
+"""Bytes of which every offset into a mapped buffer is a multiple."""
 
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
@@ -65,7 +68,6 @@ class Device:
         has_clock: Whether passes can write timestamps.
         maps: Whether this process can map the buffers that shaders read (host memory).
         wide: Whether shaders read and write 64 bits at a time.
-        submitted: Index of the last submission, for :meth:`reading`.
         pipelines: Compute pipelines and their bind group layouts by shader text, entry point and
             types of bindings, which kernels share.
         render_pipelines: Render pipelines and their bind group layouts by shader text and what
@@ -87,13 +89,10 @@ class Device:
             int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
         )
         self.largest_texture = int(raw.limits["max-texture-dimension-2d"])
-        self.submitted = 0
         self.pipelines: dict[
             tuple[str, str, tuple[str, ...]], tuple[ComputePipeline, list[BindGroupLayout]]
         ] = {}
         self.render_pipelines: dict[tuple[str, str], tuple[RenderPipeline, BindGroupLayout]] = {}
-        self._on_mapped: object = None  # a callback, which must live as long as a mapping
-        self._statuses: list[int] = []
         self._buffers: WeakSet[Buffer] = WeakSet()
         self._alive = self.uniform("alive", 16)
 
@@ -265,58 +264,13 @@ class Device:
             raise self._gone() from error
 
     def submit(self, encoder: Encoder) -> None:
-        """Submit the commands of an encoder to the GPU queue; ``submitted`` becomes their index.
+        """Submit the commands of an encoder to the GPU queue.
 
         Raises:
             DeviceLost: The device was lost; wgpu-native would end the process.
         """
-        from wgpu.backends.wgpu_native import ffi
-        from wgpu.backends.wgpu_native._api import libf  # raises the errors of a call
-
         self.require()
-        commands = encoder.finish()
-        handles = ffi.new("WGPUCommandBuffer[]", [commands._internal])
-        self.submitted = int(libf.wgpuQueueSubmitForIndex(self.raw.queue._internal, 1, handles))
-
-    @contextmanager
-    def reading(self, buffer: Buffer, submission: int) -> Iterator[UInt8[np.ndarray, " n"]]:
-        """Wait for a submission, but for none after it, and yield a buffer's bytes for reading.
-
-        wgpu-py would wait for all submitted work, and keep the queue closed to other work meanwhile.
-
-        Args:
-            buffer: A buffer of :meth:`readable`, which no later submission uses.
-            submission: A value of ``submitted``.
-
-        Raises:
-            DeviceLost: The device was lost.
-        """
-        from wgpu.backends.wgpu_native import ffi, lib
-        from wgpu.backends.wgpu_native._api import libf
-
-        self.require()
-        statuses = self._statuses
-        if self._on_mapped is None:
-            self._on_mapped = ffi.callback(
-                "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)",
-                lambda status, *_: statuses.append(status),
-            )
-        info = ffi.new("WGPUBufferMapCallbackInfo *")
-        info.mode, info.callback = lib.WGPUCallbackMode_AllowProcessEvents, self._on_mapped
-        device, handle = self.raw._internal, buffer._internal
-        statuses.clear()
-        libf.wgpuBufferMapAsync(handle, lib.WGPUMapMode_Read, 0, buffer.size, info[0])
-        try:
-            libf.wgpuDevicePoll(device, True, ffi.new("WGPUSubmissionIndex *", submission))
-            if not statuses:  # work was submitted without this object's knowledge
-                libf.wgpuDevicePoll(device, True, ffi.NULL)
-            if statuses != [lib.WGPUMapAsyncStatus_Success]:
-                raise RuntimeError(f"cannot map a buffer for reading: status {statuses}")
-            first = libf.wgpuBufferGetConstMappedRange(handle, 0, buffer.size)
-            yield np.frombuffer(ffi.buffer(first, buffer.size), np.uint8)
-        finally:
-            if statuses in ([], [lib.WGPUMapAsyncStatus_Success]):
-                libf.wgpuBufferUnmap(handle)  # or cancel the mapping, after an interrupt
+        self.raw.queue.submit([encoder.finish()])
 
     def require(self) -> None:
         """Raise if the graphics device was lost, since some calls would end the process.
@@ -331,23 +285,23 @@ class Device:
         message = f"the graphics device was lost: {self.name}"
         return DeviceLost(message, hint=_RETRY_HINT)
 
-    @contextmanager
-    def mapped(self, buffer: Buffer, offset: int, size: int) -> Iterator[UInt8[np.ndarray, " n"]]:
-        """Map a range of bytes of a GPU buffer, and yield the range for writing.
+    def write_mapped(
+        self, buffer: Buffer, blocks: Iterable[Shaped[np.ndarray, "..."]], offset: int
+    ) -> None:
+        """Copy arrays one after the other into a GPU buffer, through memory that it maps.
 
-        The buffer must satisfy :meth:`can_map`, and no submitted work may use it.
+        The buffer must satisfy :meth:`can_map`, and no submitted work may use it. ``offset`` and
+        the bytes of each array but the last are multiples of MAPPED_ALIGNMENT.
 
         Raises:
             DeviceLost: The device was lost.
         """
-        from wgpu.backends.wgpu_native import ffi, lib
-
         self.require()
         buffer.map_sync("WRITE")
         try:
-            first = lib.wgpuBufferGetMappedRange(buffer._internal, 0, buffer.size)
-            memory = np.frombuffer(ffi.buffer(first, buffer.size), np.uint8)
-            yield memory[offset : offset + size]
+            for block in blocks:
+                buffer.write_mapped(block, offset)
+                offset += block.nbytes
         finally:
             buffer.unmap()
 

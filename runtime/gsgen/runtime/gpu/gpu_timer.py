@@ -7,7 +7,8 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.handles import Encoder, PassTimestamps, RawDevice
+from gsgen.runtime.gpu.handles import Encoder, PassTimestamps
+from gsgen.runtime.gpu.native import timestamp_period
 
 _MOST: Final = 64  # stages of a frame; there are about ten
 _TICK: Final = 8  # bytes of a timestamp
@@ -31,7 +32,7 @@ class StageClock:
         self._resolved = raw.create_buffer(
             label="stage clock", size=2 * _MOST * _TICK, usage="QUERY_RESOLVE|COPY_SRC"
         )
-        self._period = _period(raw)
+        self._period = timestamp_period(raw)
         self._names: list[str] = []
 
     def begin(self) -> None:
@@ -62,10 +63,3 @@ class StageClock:
         for name, span in zip(self._names, spans, strict=True):
             seconds[name] += float(span) * _NANO
         return seconds
-
-
-def _period(raw: RawDevice) -> float:
-    """Return the nanoseconds per GPU timestamp tick, from wgpu-native: wgpu-py lacks it."""
-    from wgpu.backends.wgpu_native import lib
-
-    return float(lib.wgpuQueueGetTimestampPeriod(raw.queue._internal))

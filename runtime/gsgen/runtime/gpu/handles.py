@@ -7,6 +7,7 @@ __all__ = [
     "ComputePipeline",
     "Encoder",
     "PassTimestamps",
+    "Promise",
     "RawDevice",
     "RenderPass",
     "RenderPipeline",
@@ -25,13 +26,14 @@ if TYPE_CHECKING:
     from wgpu import GPUCommandEncoder as Encoder
     from wgpu import GPUComputePipeline as ComputePipeline
     from wgpu import GPUDevice as RawDevice
+    from wgpu import GPUPromise as Promise
     from wgpu import GPURenderPassEncoder as RenderPass
     from wgpu import GPURenderPipeline as RenderPipeline
     from wgpu import GPUShaderModule as ShaderModule
     from wgpu import GPUTexture as Texture
     from wgpu import GPUTextureView as TextureView
 else:
-    BindGroup = BindGroupLayout = Buffer = ComputePipeline = Encoder = object
+    BindGroup = BindGroupLayout = Buffer = ComputePipeline = Encoder = Promise = object
     RawDevice = RenderPass = RenderPipeline = ShaderModule = Texture = TextureView = object
 
 Resource: TypeAlias = Buffer | tuple[Buffer, int, int]

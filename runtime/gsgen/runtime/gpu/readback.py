@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.handles import Buffer, Encoder
+from gsgen.runtime.gpu.handles import Buffer, Encoder, Promise
+from gsgen.runtime.gpu.native import map_for_reading
 
 _ALIGNMENT = 256
 
@@ -25,28 +26,49 @@ class Staging:
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
         self._buffer = device.readable("staging", size)
-        self._submission: int | None = None
+        self._mapping: Promise | None = None
 
     def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
         """Encode the copy of the named source buffers, or of all, into the staging buffer."""
+        if self._mapping is not None:  # a frame that was never read, as after an interrupt
+            self._mapping.sync_wait()
+            self._unmap()
         for name in self._sources if names is None else names:
             source = self._sources[name]
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
     def begin(self) -> None:
-        """Note that the last submission fills the buffer; :meth:`read` waits for no later one."""
-        self._submission = self._device.submitted
+        """Map the buffer once the work that was submitted so far has ended.
+
+        :meth:`read` then waits for no later submission: wgpu waits for all work that it knows of
+        when a mapping begins.
+        """
+        self._mapping = map_for_reading(self._buffer)
 
     def read_words(self) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each source buffer as 32-bit words."""
         return self.read(dict.fromkeys(self._sources, np.uint32))
 
     def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
-        """Wait for the GPU, and return a copy of each named source buffer as an array."""
-        submission = self._device.submitted if self._submission is None else self._submission
-        self._submission = None
-        with self._device.reading(self._buffer, submission) as memory:
+        """Wait for the GPU, and return a copy of each named source buffer as an array.
+
+        Raises:
+            DeviceLost: The device was lost.
+        """
+        self._device.require()
+        if self._mapping is None:
+            self.begin()
+        assert self._mapping is not None
+        self._mapping.sync_wait()
+        try:
+            memory = np.frombuffer(self._buffer.read_mapped(copy=False), np.uint8)
             return {
                 name: memory[self._offsets[name] :][: self._sources[name].size].view(dtype).copy()
                 for name, dtype in dtypes.items()
             }
+        finally:
+            self._unmap()
+
+    def _unmap(self) -> None:
+        self._buffer.unmap()
+        self._mapping = None

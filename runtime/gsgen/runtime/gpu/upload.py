@@ -1,15 +1,15 @@
-"""Uploads rows of an array into a GPU buffer with as few copies as the device allows."""
+"""Uploads rows of an array into a GPU buffer, in blocks where the device maps its memory."""
 
 __all__ = ["Target", "upload"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 from jaxtyping import Shaped, UInt32
 
-from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.device import MAPPED_ALIGNMENT, Device
 from gsgen.runtime.gpu.handles import Buffer
 
 _BLOCK: Final = 1 << 13  # rows that are converted at a time, so that they stay in the cache
@@ -41,8 +41,9 @@ def upload(
 ) -> None:
     """Write rows of an array into a GPU buffer that no submitted work uses.
 
-    Into a mapped buffer, one copy reorders and writes the rows. Elsewhere wgpu copies them to
-    memory that it allocates for that, and from there to the device.
+    A buffer that this process can map is written block by block, so that a block is still in the
+    cache when it is copied. Elsewhere wgpu copies the rows to memory that it allocates for that,
+    and from there to the device.
 
     Args:
         device: Device of the buffer.
@@ -50,30 +51,23 @@ def upload(
         array: All rows.
         order: Indices of the rows to write, in order; all rows if None.
     """
-    start, make = target.first * target.size, target.make
-    count = len(array) if order is None else len(order)
-    if not device.can_map(target.buffer):
-        rows = array if order is None else array.take(order, axis=0)
-        device.write(target.buffer, rows if make is None else make(rows), start)
+    start = target.first * target.size
+    if device.can_map(target.buffer) and start % MAPPED_ALIGNMENT == 0:
+        device.write_mapped(target.buffer, _blocks(target, array, order, _BLOCK), start)
         return
-    with device.mapped(target.buffer, start, count * target.size) as memory:
-        if make is None:
-            destination = memory.view(array.dtype).reshape(count, -1)
-            _copy(array, order, destination)
-            return
-        for first in range(0, count, _BLOCK):
-            part = slice(first, first + _BLOCK)
-            rows = array[part] if order is None else array.take(order[part], axis=0)
-            destination = memory[first * target.size : (first + len(rows)) * target.size]
-            destination[:] = make(rows).reshape(-1).view(np.uint8)
+    for rows in _blocks(target, array, order, max(1, len(array))):
+        device.write(target.buffer, rows, start)
 
 
-def _copy(
+def _blocks(
+    target: Target,
     array: Shaped[np.ndarray, "n c"],
     order: UInt32[np.ndarray, " m"] | None,
-    destination: Shaped[np.ndarray, "m c"],
-) -> None:
-    if order is None:
-        np.copyto(destination, array)
-    else:  # only mode="clip" writes without a copy between; all indices are within the array
-        array.take(order, axis=0, out=destination, mode="clip")
+    length: int,
+) -> Iterator[Shaped[np.ndarray, "b d"]]:
+    """Yield the rows to write, ``length`` at a time, as the buffer stores them."""
+    count = len(array) if order is None else len(order)
+    for first in range(0, count, length):
+        part = slice(first, first + length)
+        rows = array[part] if order is None else array.take(order[part], axis=0)
+        yield np.ascontiguousarray(rows if target.make is None else target.make(rows))

@@ -16,7 +16,7 @@ from gsgen.runtime.gpu.handles import (
     RawDevice,
     Resource,
 )
-from gsgen.runtime.gpu.shader_modules import create_shader_module
+from gsgen.runtime.gpu.native import create_shader_module
 from gsgen.runtime.kernels.shared.shader import source
 
 Dispatch: TypeAlias = tuple[int, int, int] | tuple[Buffer, int]
