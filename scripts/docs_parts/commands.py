@@ -7,8 +7,8 @@ from typing import Any
 import typer
 
 from docs_parts.tables import code, table
-from gsgen.cli.app import build
-from gsgen.contract._extensions import find_commands
+from gsgen.cli.command_group import click_command
+from gsgen.cli.command_table import PANELS, Command, find_command
 from gsgen.sdk.plugins.plugin import Publication
 
 _OWNER = "gsgen"
@@ -19,19 +19,26 @@ def _ours(group: str) -> list[EntryPoint]:
     return sorted(points, key=lambda point: point.name)
 
 
+def _commands() -> list[Command]:
+    commands = [entry for panel in PANELS.values() for entry in panel]
+    return sorted(commands, key=lambda entry: entry.name)
+
+
 def _find(*words: str) -> Any:
     """Return the click command behind ``gsgen WORDS``."""
-    click_command: Any = typer.main.get_command(build([find_commands()[words[0]]]))
-    for word in words:
-        click_command = click_command.commands[word]
-    return click_command
+    entry = find_command(words[0])
+    assert entry is not None
+    result: Any = click_command(entry)
+    for word in words[1:]:
+        result = result.get_command(typer.Context(result), word)
+    return result
 
 
 def command(*words: str) -> str:
     """Return the arguments and options of a command as Markdown."""
-    click_command = _find(*words)
-    rows = [_row(parameter) for parameter in click_command.params if _shown(parameter)]
-    usage = f"```text\ngsgen {' '.join([*words, *_usage(click_command)])}\n```"
+    described = _find(*words)
+    rows = [_row(parameter) for parameter in described.params if _shown(parameter)]
+    usage = f"```text\ngsgen {' '.join([*words, *_usage(described)])}\n```"
     if not rows:
         return usage
     return f"{usage}\n\n{table(('argument or option', 'takes', 'meaning'), rows)}"
@@ -41,11 +48,11 @@ def _shown(parameter: Any) -> bool:
     return parameter.name != "help" and not getattr(parameter, "hidden", False)
 
 
-def _usage(click_command: Any) -> list[str]:
-    if hasattr(click_command, "commands"):
+def _usage(described: Any) -> list[str]:
+    if hasattr(described, "commands"):
         return ["COMMAND", "…"]
     words = ["[OPTIONS]"]
-    for parameter in click_command.params:
+    for parameter in described.params:
         if parameter.param_type_name == "argument":
             word = parameter.name.upper() + ("…" if parameter.nargs == -1 else "")
             words.append(word if parameter.required else f"[{word}]")
@@ -57,7 +64,7 @@ def _usage(click_command: Any) -> list[str]:
 def _row(parameter: Any) -> tuple[str, str, str]:
     is_argument = parameter.param_type_name == "argument"
     names = [*parameter.opts, *parameter.secondary_opts]
-    text = parameter.help or ""
+    text = (parameter.help or "").replace("\\[", "[")  # escaped for rich
     default = _default(parameter)
     if default:
         text += f" [{default}]"
@@ -97,21 +104,19 @@ def _takes(parameter: Any) -> str:
 def overview() -> str:
     """Return a table of gsgen's commands, each with the first sentence of its help."""
     rows = []
-    for point in _ours("gsgen.commands"):
-        click_command = _find(point.name)
-        text = (click_command.help or "").partition("\n\n")[0].replace("\n", " ")
-        rows.append((f"[`gsgen {point.name}`](#gsgen-{point.name})", text))
+    for entry in _commands():
+        rows.append((f"[`gsgen {entry.name}`](#gsgen-{entry.name})", entry.summary))
     return table(("command", "what it does"), rows)
 
 
 def besides(*described: str) -> str:
     """Return a section for each command that the page does not describe itself."""
     parts = []
-    for point in _ours("gsgen.commands"):
-        if point.name not in described:
-            parts.append(_section(point.name))
-            for name in getattr(_find(point.name), "commands", ()):
-                parts.append(_section(point.name, name))
+    for entry in _commands():
+        if entry.name not in described:
+            parts.append(_section(entry.name))
+            for name in getattr(_find(entry.name), "commands", ()):
+                parts.append(_section(entry.name, name))
     return "\n\n".join(parts)
 
 

@@ -9,11 +9,11 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from gsgen.cli.commands.exporting.export import app
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.validator import validate
 from gsgen.sdk import Gaussians, math
-from gsgen.sdk.commands.export import app
 from gsgen.sdk.exporting.tracing.hazards import _DESCRIPTIONS_AND_HINTS
 from support.reports.pages import DOCS
 

@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 import yaml
 
-from gsgen.contract._extensions import find_commands
+from gsgen.cli.command_table import PANELS
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.sdk.passes.registry import REWRITES
 from support.commands import ROOT, gsgen_here
@@ -36,7 +36,7 @@ def test_every_rule_is_listed_and_has_a_page():
 @pytest.mark.parametrize("page", [README, DOCS / "commands.md"], ids=name_of)
 def test_every_command_is_described(page):
     text, shown = page.read_text("utf-8"), gsgen_here("--help").out
-    for name in find_commands():
+    for name in (entry.name for panel in PANELS.values() for entry in panel):
         assert f" {name} " in shown
         assert f"`gsgen {name}" in text, f"{name_of(page)} does not describe {name}"
 

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from typer.models import OptionInfo
 
+from gsgen.cli.commands.exporting.plugin_function import plugin_function
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 from support.reports.pages import DOCS
 
@@ -83,8 +84,8 @@ def options_of(plugin: Plugin) -> list[str]:
         return spelled(plugin.build)
     example = plugin_of("stylise")
     assert example.build is not None
-    common = set(spelled(example.function)) - set(spelled(example.build))
-    return [option for option in spelled(plugin.function) if option not in common]
+    common = set(spelled(plugin_function(example))) - set(spelled(example.build))
+    return [option for option in spelled(plugin_function(plugin)) if option not in common]
 
 
 def spelled(function: Callable[..., object]) -> list[str]:

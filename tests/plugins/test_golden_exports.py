@@ -10,8 +10,7 @@ import onnx
 import pytest
 from typer.testing import CliRunner
 
-from gsgen.cli.app import build
-from gsgen.contract._extensions import find_commands
+from gsgen.cli.command_group import build
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
@@ -130,7 +129,7 @@ def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) 
     words = ["export", "octree-gs", "--checkpoint", str(run), "--appearance-id", "1"]
     words += ["-o", str(tmp_path / "tree.onnx"), "--target", "visionary"]
     words += ["--dtype", "float16", "--level", "static"]
-    ran = CliRunner().invoke(build([find_commands()["export"]]), words)
+    ran = CliRunner().invoke(build(), words)
     assert ran.exit_code == 0, ran.output
     for text in ("iteration 40000", "20 anchors × 5 Gaussians", "feature bank", "progressive"):
         assert text in ran.stderr
@@ -143,7 +142,7 @@ def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) 
     run = write_hexplane(tmp_path / "run", HexPlaneOptions(count=5, degree=2))
     words = ["export", "hexplane-4dgs", "--checkpoint", str(run), "--dtype", "float16"]
     words += ["-o", str(tmp_path / "out.onnx"), "--level", "static"]
-    ran = CliRunner().invoke(build([find_commands()["export"]]), words)
+    ran = CliRunner().invoke(build(), words)
     assert ran.exit_code == 0, ran.output
     assert "SH of degree 2 are written as degree 3: rows fill words" in ran.stderr
     (color,) = (o for o in onnx.load(tmp_path / "out.onnx").graph.output if "sh" in o.name)

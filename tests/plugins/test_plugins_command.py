@@ -6,19 +6,18 @@ from importlib.metadata import EntryPoint
 import pytest
 from typer.testing import CliRunner
 
-from gsgen.cli.app import build
-from gsgen.contract import _extensions
-from gsgen.contract._extensions import Command, find_commands
+from gsgen.cli.command_group import build
+from gsgen.cli.commands.exporting import plugins as command
+from gsgen.contract import _entry_points
+from gsgen.contract._entry_points import Extension
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.fields.roles import ROLES
-from gsgen.sdk.commands import plugins as command
 
 EXPECTED_NAMES = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}
 
 
 def listed(*words: str) -> list[dict]:
-    app = build([find_commands()["plugins"]])
-    ran = CliRunner().invoke(app, ["plugins", "--json", *words])
+    ran = CliRunner().invoke(build(), ["plugins", "--json", *words])
     assert ran.exit_code == 0, ran.output
     facts: list[dict] = json.loads(ran.output)
     return facts
@@ -45,16 +44,16 @@ def test_some_can_be_asked_for() -> None:
 def test_one_that_lacks_something_says_what(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    point = EntryPoint("ghost", "no.such.module:PLUGIN", "gsgen.generators")
-    monkeypatch.setattr(command, "find_plugins", lambda: {"ghost": Command("ghost", point)})
-    monkeypatch.setattr(_extensions, "_missing", lambda _: ("x",))
+    point = EntryPoint("ghost", "no.such.module:PLUGIN [sdk]", "gsgen.generators")
+    monkeypatch.setattr(command, "find_plugins", lambda: {"ghost": Extension("ghost", point)})
+    monkeypatch.setattr(_entry_points, "_requirements", lambda _: ("x; extra == 'sdk'",))
     command.plugins()
     assert "lacks x: pip install" in capsys.readouterr().out
 
 
 def test_listing_imports_no_torch() -> None:
     script = (
-        "import sys; from gsgen.sdk.commands.plugins import plugins; plugins(None, True); "
+        "import sys; from gsgen.cli.commands.exporting.plugins import plugins; plugins(None, True); "
         "sys.exit('torch' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)

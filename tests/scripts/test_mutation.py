@@ -140,7 +140,7 @@ def test_tests_whose_parameters_name_a_rule_are_near_to_it() -> None:
 
 
 def test_tests_that_run_a_command_are_near_to_it(suite: SuiteFiles) -> None:
-    path = Path("contract/gsgen/contract/commands/diff.py")
+    path = Path("reference_plugins/gsgen/cli/commands/checking/diff.py")
     mutant = Mutant(path, "operator", "", "    @@ -59 +59 @@")
     near = suite.nearest(mutant)
     assert near[0] == "tests/cli/validating/test_diff.py"

@@ -1,9 +1,95 @@
-"""Entry points of all installed Python packages, read once per process."""
+"""Code that installed Python packages register under gsgen's entry point groups.
 
-__all__ = ["registered_entry_points"]
+An extra that the code needs stands in square brackets: ``static = "acme.plugin:PLUGIN [sdk]"``.
+"""
 
+__all__ = ["Extension", "ExtensionUnusable", "find_extensions", "registered_entry_points"]
+
+import re
+from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import (
+    EntryPoint,
+    PackageNotFoundError,
+    distribution,
+    entry_points,
+    requires,
+)
+from typing import Any
+
+from gsgen.contract.errors import ExitCode, GsgenError
+
+_REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
+
+
+class ExtensionUnusable(GsgenError):
+    """Raised if a command or plugin cannot be loaded, or needs packages that are not installed.
+
+    Attributes:
+        summary: The reason in a few words, for a list of commands.
+    """
+
+    def __init__(self, message: str, summary: str, exit_code: ExitCode) -> None:
+        super().__init__(message)
+        self.summary = summary
+        self.exit_code = exit_code  # type: ignore[misc]  # of this error, not of its class
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """A command or plugin that can be loaded by its name; packages that it needs may be missing.
+
+    Attributes:
+        name: The word that users type for it.
+        point: The entry point of its code.
+    """
+
+    name: str
+    point: EntryPoint
+
+    @property
+    def owner(self) -> str:
+        """The name of the distribution that registers the extension."""
+        return self.point.dist.name if self.point.dist else "gsgen"
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The distributions that the extension requires but that are not installed."""
+        absent = []
+        for line in _requirements(self.owner) if self.point.extras else ():
+            match = _REQUIREMENT.match(line)
+            if match and match[2] in self.point.extras and not _installed(match[1]):
+                absent.append(match[1])
+        return tuple(absent)
+
+    @property
+    def remedy(self) -> str:
+        """The shell command that installs the missing distributions."""
+        return f"pip install '{self.owner}[{','.join(self.point.extras)}]'"
+
+    def load(self) -> Any:
+        """Import the extension, and return the object that it names.
+
+        Raises:
+            ExtensionUnusable: A distribution is missing, or the import fails.
+        """
+        if absent := self.missing:
+            verb = "is" if len(absent) == 1 else "are"
+            names, remedy = ", ".join(absent), self.remedy
+            raise ExtensionUnusable(
+                f"`{self.name}` needs {names}, which {verb} not installed: {remedy}",
+                f"Not installed: {remedy}",
+                ExitCode.USAGE,
+            )
+        try:
+            return self.point.load()
+        except Exception as error:  # a third party's code may fail in any way
+            reason = f"{type(error).__name__}: {error}"
+            raise ExtensionUnusable(
+                f"`{self.name}` ({self.point.value}) cannot be loaded: {reason}",
+                f"Broken: {reason}",
+                ExitCode.INTERNAL,
+            ) from error
 
 
 @cache
@@ -16,3 +102,22 @@ def registered_entry_points(group: str) -> list[EntryPoint]:
     """Return the installed entry points of ``group``, sorted by name."""
     points = [point for point in _all() if point.group == group]
     return sorted(points, key=lambda point: point.name)
+
+
+def find_extensions(group: str) -> dict[str, Extension]:
+    """Return the extensions that packages register under an entry point group, by name."""
+    return {point.name: Extension(point.name, point) for point in registered_entry_points(group)}
+
+
+@cache
+def _requirements(owner: str) -> tuple[str, ...]:
+    return tuple(requires(owner) or ())
+
+
+@cache
+def _installed(name: str) -> bool:
+    try:
+        distribution(name)
+    except PackageNotFoundError:
+        return False
+    return True

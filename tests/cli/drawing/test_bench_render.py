@@ -8,9 +8,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from gsgen.cli.commands.drawing.bench_render import bench_render
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.commands.bench_render import bench_render
 from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.camera_options import viewpoint

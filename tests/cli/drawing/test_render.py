@@ -11,11 +11,11 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
+from gsgen.cli.commands.drawing.render import render
 from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.moving import driven
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.spec.manifest import Input
-from gsgen.runtime.commands.render import render
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.media.pictures import array_of, picture_of
 from gsgen.runtime.oracle import render as oracle
@@ -443,7 +443,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_opened(
 ) -> None:
     (tmp_path / "dir.gif").mkdir()
     monkeypatch.setitem(sys.modules, missing, None)
-    monkeypatch.setattr("gsgen.runtime.commands.opening.open_scenes", _not_called)
+    monkeypatch.setattr("gsgen.cli.commands.drawing.opening.open_scenes", _not_called)
     bits = ("--bits", "16") if output == "a.png" else ()
     finished = gsgen_here("render", file, "-o", output, *bits, cwd=tmp_path)
     assert finished.code == 2, finished.err

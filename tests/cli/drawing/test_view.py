@@ -8,9 +8,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from gsgen.cli.commands.drawing.view import view
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import GsgenError
-from gsgen.runtime.commands.view import view
 from gsgen.runtime.viewer import surface_renderer, window
 from gsgen.runtime.viewer.overlay import HELP
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
@@ -30,7 +30,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Viewer, str, tuple[int
     """What windows would have been opened with."""
     result: list[tuple[Viewer, str, tuple[int, int]]] = []
     monkeypatch.setattr(window, "require_display", lambda: None)
-    monkeypatch.setattr(window, "open_window", lambda *words: result.append(words))
+    monkeypatch.setattr(window, "open_window", lambda *words, after_draw: result.append(words))
     return result
 
 

@@ -15,10 +15,9 @@ import pytest
 import typer.main
 from typer.core import TyperGroup
 
-from gsgen.cli.app import build
+from gsgen.cli.command_group import build
 from gsgen.cli.text_streams import accept_any_text, transliterate
 from gsgen.conformance.fixtures import find
-from gsgen.contract._extensions import find_commands
 from support.commands import ROOT
 
 # Names of files that no 8-bit encoding has whole.
@@ -92,7 +91,7 @@ COMPLETE = ("utf-8, pipe", "cp1252, pipe", "ascii, file")
 def command_paths() -> Iterator[list[str]]:
     """Yield the words of every command and every group, from the program's own table."""
     yield []
-    loaded = typer.main.get_command(build(list(find_commands().values())))
+    loaded = typer.main.get_command(build())
     assert isinstance(loaded, TyperGroup)
     context = typer.Context(loaded)
     for name in loaded.list_commands(context):

@@ -115,7 +115,7 @@ def test_a_crash_is_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr("gsgen.runtime.commands.options.read_tracks", broken)
+    monkeypatch.setattr("gsgen.cli.commands.drawing.options.read_tracks", broken)
     (tmp_path / "dots.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
         "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"

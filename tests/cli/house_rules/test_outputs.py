@@ -150,7 +150,7 @@ def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["a pipe", "a file"])
 def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(name: str, kind: str) -> None:
     code = (
-        "import sys; from pathlib import Path; from gsgen.contract.commands.output import "
+        "import sys; from pathlib import Path; from gsgen.cli.output import "
         "write_text; write_text(Path(sys.argv[1]), 'a report')"
     )
     words = [sys.executable, "-c", code, name]

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from gsgen.contract.commands.progress import clear, progress
-from gsgen.tiles.build.progress import BarProgress
+from gsgen.cli.commands.tiles.progress_bar import BarProgress
+from gsgen.cli.progress import clear, progress
 
 
 class Terminal(io.StringIO):

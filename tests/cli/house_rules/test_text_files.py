@@ -33,7 +33,7 @@ def _reads_or_writes_text(node: ast.Call, name: str) -> bool:
     if name in ("run", "Popen", "check_output", "check_call"):
         return any(word in keywords for word in ("text", "universal_newlines"))
     if name in POSITIONS:
-        # `write_text` of gsgen.contract.commands.output is a function that writes UTF-8.
+        # `write_text` of gsgen.cli.output is a function that writes UTF-8.
         return isinstance(node.func, ast.Attribute)
     if name in ("NamedTemporaryFile", "TemporaryFile", "fdopen", "open"):
         mode = keywords.get("mode") or next((a for a in node.args if _is_mode(a)), None)
@@ -95,4 +95,4 @@ def test_other_calls_are_right(code: str) -> None:
 
 
 def test_the_folders_hold_the_packages() -> None:
-    assert Path(ROOT / "contract/gsgen/cli/app.py") in FILES
+    assert Path(ROOT / "reference_plugins/gsgen/cli/app.py") in FILES

@@ -9,6 +9,8 @@ import onnxruntime
 import pytest
 import torch
 
+from gsgen.cli.commands.exporting.export_job import run_export
+from gsgen.cli.commands.exporting.export_options import ExportRequest
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
@@ -20,8 +22,6 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.safetensors import read_safetensors, write_safetensors
 from gsgen.reference_plugins.synthetic import write_denoiser
 from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post_process
-from gsgen.sdk.plugins.export_job import run_export
-from gsgen.sdk.plugins.export_options import ExportRequest
 from support.checkpoints.diffusion_oracle import unet
 from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured

@@ -9,9 +9,9 @@ import trimesh
 import typer
 from PIL import Image
 
+from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
-from gsgen.runtime.commands.opening import open_scenes, read_scene_files
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, Player

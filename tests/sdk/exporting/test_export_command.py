@@ -10,17 +10,18 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+from gsgen.cli.commands.exporting import export as export_command
+from gsgen.cli.commands.exporting.export import app
+from gsgen.cli.commands.exporting.export_options import ExportRequest, with_common_options
+from gsgen.cli.commands.exporting.export_report import Outcome, emit_report
+from gsgen.cli.commands.exporting.plugin_function import plugin_function
 from gsgen.conformance.fixtures import find
-from gsgen.contract._extensions import Command
+from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.validator import validate
 from gsgen.sdk import GeneratorInvalid, ParityFailed
-from gsgen.sdk.commands import export as export_command
-from gsgen.sdk.commands.export import app
 from gsgen.sdk.parity import FieldParity, Parity
-from gsgen.sdk.plugins.export_options import ExportRequest, with_common_options
-from gsgen.sdk.plugins.export_report import Outcome, emit_report
 from gsgen.sdk.plugins.factory import load_factory
 from gsgen.sdk.plugins.plugin import Plugin
 from support.commands import gsgen
@@ -269,7 +270,7 @@ def test_a_plugin_is_built_or_commands_by_itself() -> None:
     for both in ({}, {"command": print, "build": print}):
         with pytest.raises(TypeError, match="both or neither of command and build"):
             Plugin(**facts, **both)
-    assert Plugin(**facts, command=print).function is print
+    assert plugin_function(Plugin(**facts, command=print)) is print
 
 
 def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
@@ -313,15 +314,16 @@ def test_a_plugin_that_cannot_be_used_spoils_only_itself(
 ) -> None:
     values = {"absent": "no_such_module:PLUGIN", "clashing": f"{__name__}:CLASHING"}
     points = {
-        name: Command(name, EntryPoint(name, value, "gsgen.generators"))
+        name: Extension(name, EntryPoint(name, value, "gsgen.generators"))
         for name, value in values.items()
     }
     monkeypatch.setitem(sys.modules, __name__, sys.modules[clashing.__module__])
     monkeypatch.setattr(export_command, "find_plugins", lambda: points)
-    built = export_command._build()
-    assert "It clashes." in CliRunner().invoke(built, ["--help"]).output
-    ran = CliRunner().invoke(built, ["absent", "file", "-o", "m.onnx"])
-    assert (ran.exit_code, "No module named 'no_such_module'" in ran.output) == (3, True)
-    ran = CliRunner().invoke(built, ["clashing", "file", "-o", "m.onnx"])
+    assert "It clashes." in CliRunner().invoke(app, ["--help"]).output
+    ran = CliRunner().invoke(app, ["absent", "file", "-o", "m.onnx"])
+    assert isinstance(ran.exception, ExtensionUnusable)
+    assert ran.exception.exit_code == 3
+    assert "No module named 'no_such_module'" in str(ran.exception)
+    ran = CliRunner().invoke(app, ["clashing", "file", "-o", "m.onnx"])
     assert isinstance(ran.exception, GsgenError)
     assert "parameter 'dtype' has the name of an option of every export" in str(ran.exception)

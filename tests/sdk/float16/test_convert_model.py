@@ -12,9 +12,9 @@ import typer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsgen.cli.commands.exporting.float16 import float16
 from gsgen.contract.spec.manifest import Bounds, Tolerances
 from gsgen.contract.validator import validate
-from gsgen.sdk.commands.float16 import float16
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.convert_model import write_float16
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel

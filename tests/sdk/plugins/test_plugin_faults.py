@@ -6,6 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from gsgen.cli.commands.exporting.plugin_function import plugin_function
 from gsgen.contract.errors import GsgenError
 from gsgen.sdk import Plugin, inputs
 
@@ -18,7 +19,7 @@ def build(checkpoint: Path) -> object:
 def test_an_error_of_a_plugin_names_the_plugin_and_the_line(tmp_path: Path) -> None:
     plugin = Plugin(name="mine", summary="Mine.", reads="Reads.", inputs=("time",), build=build)
     app = typer.Typer()
-    app.command()(plugin.function)
+    app.command()(plugin_function(plugin))
     ended = CliRunner().invoke(app, ["checkpoint.pt", "-o", str(tmp_path / "mine.onnx")])
     assert isinstance(ended.exception, GsgenError)
     assert ended.exception.where.startswith("mine, test_plugin_faults.py:")
@@ -33,6 +34,6 @@ def test_an_error_of_our_own_plugin_stays_a_crash(
     monkeypatch.setattr(build, "__module__", "gsgen.reference_plugins.mine")
     plugin = Plugin(name="mine", summary="Mine.", reads="Reads.", inputs=("time",), build=build)
     app = typer.Typer()
-    app.command()(plugin.function)
+    app.command()(plugin_function(plugin))
     ended = CliRunner().invoke(app, ["checkpoint.pt", "-o", str(tmp_path / "mine.onnx")])
     assert isinstance(ended.exception, AttributeError)

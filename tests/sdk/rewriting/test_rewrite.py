@@ -11,9 +11,8 @@ import onnxruntime
 import pytest
 from typer.testing import CliRunner
 
-from gsgen.cli.app import build
+from gsgen.cli.command_group import build
 from gsgen.conformance.fixtures import find
-from gsgen.contract._extensions import find_commands
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable, UnknownName
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.manifest_io import parse
@@ -321,7 +320,7 @@ def test_every_pass_says_what_it_is() -> None:
 
 
 def gsgen(*words: str):
-    return CliRunner().invoke(build(list(find_commands().values())), ["rewrite", *words])
+    return CliRunner().invoke(build(), ["rewrite", *words])
 
 
 def test_the_command_reports_what_changed(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from gsgen.contract.commands.progress import clear, progress
 from gsgen.runtime.errors import DisplayUnavailable
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
@@ -90,7 +89,9 @@ def require_display() -> None:
         raise DisplayUnavailable(": ".join(["no window can be opened", *reasons[-1:]]))
 
 
-def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
+def open_window(
+    viewer: Viewer, title: str, size: tuple[int, int], after_draw: Callable[[], None] = lambda: None
+) -> None:
     """Show a viewer in a new window of ``size`` desktop pixels, until it is closed."""
     require_display()
     from rendercanvas.glfw import GlfwRenderCanvas, loop
@@ -98,8 +99,7 @@ def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
     scale = min(1.0, _MAX_SIZE[0] / size[0], _MAX_SIZE[1] / size[1])
     width, height = (max(1, round(side * scale)) for side in size)
     canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_MAX_FPS)
-    progress("uploading the scene and compiling shaders")
-    failure = attach(viewer, canvas, after_draw=clear)
+    failure = attach(viewer, canvas, after_draw)
     accept_drops(viewer, canvas)
     loop.run()
     if (error := failure()) is not None:

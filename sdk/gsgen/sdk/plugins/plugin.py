@@ -7,17 +7,24 @@ If it needs an extra, the entry point names the extra in square brackets.
 __all__ = ["Demo", "Plugin", "Publication", "find_plugins", "installed_plugins"]
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from gsgen.contract._extensions import Command, find_commands
-from gsgen.sdk.plugins.export_options import Build
+from gsgen.contract._entry_points import Extension, ExtensionUnusable, find_extensions
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from gsgen.sdk.authoring.generator import GaussianGenerator
+    from gsgen.sdk.authoring.post_process import PostProcess
+    from gsgen.sdk.exporting.constant_generator import ConstantSource
+
 _GROUP = "gsgen.generators"
+
+# Returns the module or scene to export; called with the options that its signature declares.
+Build = Callable[..., "GaussianGenerator | PostProcess | ConstantSource"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,35 +116,16 @@ class Plugin:
         """The summary of a plugin, followed by the method's name in parentheses."""
         return f"{self.summary.removesuffix('.')} ({self.title})." if self.title else self.summary
 
-    @property
-    def function(self) -> Callable[..., Any]:
-        """The typer function behind `gsgen export NAME`, with every option."""
-        if self.command is not None:
-            return self.command
-        assert self.build is not None
-        from gsgen.sdk.plugins.export_job import run_export
-        from gsgen.sdk.plugins.export_options import with_common_options
-        from gsgen.sdk.plugins.factory import locate_errors
 
-        # An exception of one of our own plugins is a fault of gsgen, and stays a crash.
-        is_ours = self.build.__module__.partition(".")[0] == "gsgen"
-
-        return with_common_options(
-            self.build,
-            lambda build, request: run_export(
-                build if is_ours else locate_errors(build, self.name), request, self.name
-            ),
-        )
-
-
-def find_plugins() -> dict[str, Command]:
+def find_plugins() -> dict[str, Extension]:
     """Return every registered plugin by name, even if its dependencies are missing."""
-    return find_commands(_GROUP)
+    return find_extensions(_GROUP)
 
 
 def installed_plugins() -> Iterator[Plugin]:
     """Yield every registered plugin whose dependencies are installed."""
-    for command in find_plugins().values():
-        plugin = command.load()
-        if isinstance(plugin, Plugin):
-            yield plugin
+    for extension in find_plugins().values():
+        with suppress(ExtensionUnusable):
+            plugin = extension.load()
+            if isinstance(plugin, Plugin):
+                yield plugin

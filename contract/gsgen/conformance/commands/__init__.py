@@ -1,1 +1,0 @@
-"""The commands `gsgen conformance`, `gsgen repro` and `gsgen viewer-kit`."""

@@ -1,1 +1,0 @@
-"""The contract package's commands: validate, inspect, diff, rules, explain, vectors, doctor."""

@@ -1,0 +1,105 @@
+"""Runs the `gsgen` program: answers --version and --help from data, else runs one command."""
+
+__all__ = ["main"]
+
+import atexit
+import errno
+import gc
+import os
+import sys
+from contextlib import suppress
+from typing import Never
+
+from gsgen.cli.text_streams import accept_any_text
+from gsgen.contract.errors import ExitCode, GsgenError
+from gsgen.contract.process.interrupts import ending_at_interrupts
+
+# Objects between two garbage collections: more than all imports of a command create.
+_COLLECT_AFTER = 500_000
+# Errors of a full or read-only disk.
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+
+
+def main() -> None:
+    """Run the `gsgen` command line on the process's arguments, and exit with its exit code."""
+    accept_any_text()
+    try:
+        with ending_at_interrupts() as interrupts:
+            _run()
+    except KeyboardInterrupt:
+        sys.exit(ExitCode.INTERRUPTED)
+    except SystemExit:
+        if interrupts.requested.is_set():  # a window's event loop closes it on Ctrl-C
+            sys.exit(ExitCode.INTERRUPTED)
+        raise
+
+
+def _run() -> None:
+    gc.set_threshold(_COLLECT_AFTER)  # imports create many objects and hardly any garbage
+    atexit.register(gc.freeze)  # so that the interpreter's last collection has nothing to visit
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
+    try:
+        try:
+            _dispatch(arguments)
+        finally:
+            sys.stdout.flush()  # a failed write must be reported before the interpreter exits
+    except GsgenError as error:
+        _fail(error)
+    except BrokenPipeError:  # the reader closed the pipe: `gsgen rules | head`
+        sys.stderr.close()
+        sys.exit(ExitCode.USAGE)
+    except OSError as error:
+        if error.errno not in _DISK_FULL:
+            _crash()
+        _fail_unwritten(error)
+    except Exception:  # a crash is neither a verdict nor a wrong option
+        _crash()
+
+
+def _dispatch(arguments: list[str]) -> None:
+    """Answer from data where no command runs; else run the command that the arguments name."""
+    if "_GSGEN_COMPLETE" not in os.environ:  # a shell does not ask for completions
+        if arguments[:1] == ["--version"]:
+            from importlib.metadata import version
+
+            print(f"gsgen {version('gsgen')}")
+            return
+        if not arguments or arguments[0] in ("-h", "--help"):
+            from gsgen.cli.root_help import print_help
+
+            print_help()
+            sys.exit(ExitCode.SUCCESS if arguments else ExitCode.USAGE)
+    from gsgen.cli.command_group import build
+
+    build()(arguments, prog_name="gsgen")
+
+
+def _fail_unwritten(error: OSError) -> Never:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError):
+            sys.stdout.close()  # else the interpreter flushes it again at exit
+    message = f"output, or a temporary file, cannot be written: {error.strerror}"
+    hint = "Make room where it goes; the environment variable TMPDIR names another folder."
+    _fail(GsgenError(message, where=str(error.filename or ""), hint=hint))
+
+
+def _crash() -> Never:
+    import traceback
+
+    from gsgen.cli.progress import clear
+
+    clear()
+    message = "gsgen: internal error: this is a fault of gsgen, not yours"
+    print(traceback.format_exc(), message, sep="\n", file=sys.stderr)
+    sys.exit(ExitCode.INTERNAL)
+
+
+def _fail(error: GsgenError) -> Never:
+    from gsgen.cli.output import echo_error
+
+    echo_error(error)
+    sys.exit(error.exit_code)

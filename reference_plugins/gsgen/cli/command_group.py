@@ -1,0 +1,136 @@
+"""The typer program behind `gsgen`: a group of commands that imports only the one that runs."""
+
+__all__ = ["ANY_WORDS", "build", "click_command", "refusing", "runnable"]
+
+import os
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from gsgen.cli.command_table import Command, find_command, panels
+from gsgen.cli.option_panels import arrange_options, escape_markup
+from gsgen.cli.options import OPTION_ORDER
+from gsgen.cli.output_hints import output_hint
+from gsgen.contract._entry_points import Extension, ExtensionUnusable
+from gsgen.contract.errors import UnknownName
+
+# A command that only reports why it cannot run accepts all arguments.
+ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
+
+
+def build() -> typer.Typer:
+    """Return the `gsgen` program as a typer app, whose commands are imported when they run."""
+    app = typer.Typer(
+        name="gsgen",
+        cls=_Commands,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    return app
+
+
+def _root() -> None:
+    pass
+
+
+class _Commands(TyperGroup):
+    """A click command group that loads a command when it is asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands, in the order of the help."""
+        return [command.name for commands in panels().values() for command in commands]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Import the command ``cmd_name``, and return it as a click command; None if unknown."""
+        command = find_command(cmd_name)
+        return None if command is None else click_command(command)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first argument names; raise if there is none."""
+        if not args[0].startswith("-") and find_command(args[0]) is None:
+            raise _unknown_command(args[0], self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
+
+
+def click_command(command: Command) -> Any:
+    """Import a command, and return it as a click command."""
+    app = typer.Typer(add_completion=False)
+    loaded, settings = runnable(command.code)
+    if isinstance(loaded, typer.Typer):
+        app.add_typer(loaded, name=command.name)
+    else:
+        app.command(command.name, cls=_Ordered, context_settings=settings)(loaded)
+    result = typer.main.get_group(app).commands[command.name]
+    arrange_options(result)
+    return result
+
+
+def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:
+    """Load an extension; return it with context settings, or a function that says what it lacks."""
+    try:
+        return extension.load(), {}
+    except ExtensionUnusable as error:
+        return refusing(error), ANY_WORDS
+
+
+def refusing(error: ExtensionUnusable) -> Callable[..., None]:
+    """Return a typer function that accepts any words, and raises an error."""
+
+    def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
+        raise error
+
+    refuse.__doc__ = escape_markup(error.summary)
+    return refuse
+
+
+class _Ordered(TyperCommand):
+    """A click command that records in which order the user typed its options."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse command-line arguments, and record parameter names in the order typed."""
+        typed = list(args)
+        values, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            bounds = getattr(error.param, "type", None)
+            if "not a valid" in error.message and isinstance(getattr(bounds, "name", None), str):
+                error.message += _number_hint(bounds)
+            if not error.message and getattr(error.param, "name", None) == "output":
+                error.message = output_hint(self.name or "", typed, values)
+            error.param = self._missing_argument(error.param, values)
+            raise
+
+    def _missing_argument(self, missing: Any, values: dict[str, Any]) -> Any:
+        """Return the parameter that the user left out, for the one that click misses.
+
+        A single value of ``SOURCE… TARGET`` is the last argument to click, and SOURCE to the user.
+        """
+        arguments = [item for item in self.params if item.param_type_name == "argument"]
+        if missing not in arguments[:-1] or values[missing.name or ""]:
+            return missing
+        last = arguments[-1]
+        return last if missing.nargs == -1 and values[last.name or ""] else missing
+
+
+def _number_hint(bounds: Any) -> str:
+    """Return the type and the range of a numeric command-line option; empty for others."""
+    noun = {"int": "a whole number", "float": "a number"}.get(bounds.name.split()[0])
+    if noun is None:
+        return ""
+    least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
+    above = "" if least is None else f" from {least:g}"
+    return f" Give {noun}{above}{'' if most is None else f' to {most:g}'}."
+
+
+def _unknown_command(name: str, commands: list[str]) -> UnknownName:
+    error = UnknownName.among("command", name, commands)
+    if os.path.exists(name):
+        is_checked = name.endswith((".onnx", ".json")) or os.path.isdir(name)
+        to_draw = f"To draw the file, type `gsgen render {name} -o picture.png`."
+        error.hint = f"To validate it, type `gsgen validate {name}`." if is_checked else to_draw
+    return error

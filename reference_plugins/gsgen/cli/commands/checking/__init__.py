@@ -1,0 +1,1 @@
+"""Commands that check and describe models, such as validate, rules and conformance."""

@@ -1,0 +1,74 @@
+"""The command `gsgen rules`, which lists the installed validation rules."""
+
+__all__ = ["rules"]
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.contract.errors import UnknownName
+
+if TYPE_CHECKING:
+    from gsgen.contract.validation.rule import Registry, Rule
+
+
+def rules(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[WORD]...",
+            help="Only rules whose id starts with WORD (GV), or whose name or text contains it.",
+            show_default="all",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    pages: Annotated[
+        Path | None,
+        typer.Option("--pages", help="Write one Markdown page per rule into this folder."),
+    ] = None,
+) -> None:
+    """List every validation rule: id, severity, level, name and statement.
+
+    Exits 2 if no rule matches a WORD.
+    """
+    from gsgen.cli.output import write_text
+    from gsgen.contract.reporters.rule_pages import index, page, to_dict
+    from gsgen.contract.rules.catalogue import installed_rules
+
+    registry = installed_rules()
+    selected = _selected(registry, words) if words else list(registry.rules.values())
+    if pages is not None:
+        for rule in registry.rules.values():
+            write_text(pages / f"{rule.id.replace('/', '-')}.md", page(rule, registry))
+        write_text(pages / "index.md", index(registry))
+        typer.echo(f"{len(registry.rules)} pages in {pages}")
+        return
+    if as_json:
+        document = [to_dict(rule) for rule in selected]
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        return
+    for rule in selected:
+        head = f"{rule.id}  {rule.severity.word:<7}  {rule.level.word:<9}  {rule.slug}"
+        typer.echo(f"{head}\n    {rule.statement}")
+
+
+def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
+    """Return the validation rules that match any of the search ``words``, in catalogue order."""
+    selected_ids: set[str] = set()
+    for word in words:
+        ids = [rule.id for rule in registry.rules.values() if _matches(word, rule)]
+        if not ids:
+            names = [rule.slug for rule in registry.rules.values()]
+            raise UnknownName.among("rule", word, names, "WORD")
+        selected_ids |= set(ids)
+    return [rule for rule in registry.rules.values() if rule.id in selected_ids]
+
+
+def _matches(word: str, rule: "Rule") -> bool:
+    needle = word.casefold()
+    return (
+        rule.id.casefold().startswith(needle)
+        or needle in f"{rule.slug} {rule.statement}".casefold()
+    )

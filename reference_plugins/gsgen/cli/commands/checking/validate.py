@@ -1,0 +1,204 @@
+"""The command `gsgen validate`, which checks models against the contract."""
+
+__all__ = ["validate"]
+
+import os
+from enum import StrEnum
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gsgen.cli.commands.checking.validate_options import (
+    BaselineFile,
+    Ignore,
+    Jobs,
+    Only,
+    Output,
+    Paths,
+    RequireRules,
+    SeverityOf,
+    Strict,
+    Times,
+)
+from gsgen.cli.options import AsJson, Config, FailOn, LevelName, Memory, TargetName, Timeout
+from gsgen.contract.errors import ExitCode, UnknownName
+
+if TYPE_CHECKING:
+    from gsgen.contract.validation.baseline import Baseline
+    from gsgen.contract.validation.report import Entry
+    from gsgen.contract.validation.rule import Registry
+    from gsgen.contract.validation.settings import Settings
+
+
+class Format(StrEnum):
+    """Output formats of a validation report: text, JSON, SARIF, JUnit, Markdown, GitHub."""
+
+    TEXT = "text"
+    JSON = "json"
+    SARIF = "sarif"
+    JUNIT = "junit"
+    MARKDOWN = "markdown"
+    MD = "md"
+    GITHUB = "github"
+    HTML = "html"
+
+
+# Format → the module in gsgen.contract.reporters, and its function.
+_REPORTERS = {
+    Format.JSON: ("json_report", "to_json"),
+    Format.SARIF: ("sarif", "to_sarif"),
+    Format.JUNIT: ("junit", "to_junit"),
+    Format.MARKDOWN: ("markdown", "to_markdown"),
+    Format.MD: ("markdown", "to_markdown"),
+    Format.GITHUB: ("github", "to_github"),
+    Format.HTML: ("html", "to_html"),
+}
+
+
+def validate(
+    paths: Paths,
+    level: LevelName = None,
+    target: TargetName = None,
+    format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
+    as_json: AsJson = False,
+    fail_on: FailOn = None,
+    ignore: Ignore = None,
+    only: Only = None,
+    require_rules: RequireRules = None,
+    severity: SeverityOf = None,
+    config: Config = None,
+    baseline: BaselineFile = None,
+    output: Output = None,
+    jobs: Jobs = 1,
+    strict: Strict = False,
+    times: Times = False,
+    timeout: Timeout = None,
+    memory: Memory = None,
+    verbose: Annotated[
+        bool, typer.Option("-v", "--verbose", help="List every rule, tolerance and probe.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("-q", "--quiet", help="Print one line per model: the verdict.")
+    ] = False,
+) -> None:
+    """Check whether the given ONNX models conform to the Gaussian Generator contract.
+
+    Exits 0 if all conform, 1 if one is invalid or a required rule was not checked, 2 for wrong
+    options, 3 if a rule crashed, 4 if a file is not an ONNX model.
+    """
+    from gsgen.cli.progress import progress
+    from gsgen.contract.process.atomic_files import refuse_missing_folder, refuse_model
+    from gsgen.contract.tools.batch import registry_for, validate_all
+    from gsgen.contract.tools.model_paths import expand_paths
+
+    files = expand_paths(paths)
+    if output:
+        refuse_model(output, [*files, *(path for path in (config, baseline) if path)])
+        refuse_missing_folder(output)
+    options = {
+        "level": level,
+        "target": target,
+        "fail_on": fail_on,
+        "ignore": ignore or (),
+        "severity": severity or (),
+        "only": only or (),
+        "require": require_rules or (),
+        "config": config,
+        "timeout": timeout,
+        "memory": memory,
+        "strict": strict,
+        "timings": times,
+    }
+    settings = _settings(registry_for(files), options)
+    known = _baseline(baseline) if baseline else None
+    entries = validate_all(files, settings, jobs=jobs, progress=progress)
+    if known:
+        entries = [_against(known, entry) for entry in entries]
+    if format is Format.HTML:
+        entries = [_drawn(entry, settings) for entry in entries]
+    _print(entries, Format.JSON if as_json else format, output, verbose=verbose, quiet=quiet)
+    raise typer.Exit(_exit_code(entries))
+
+
+def _settings(registry: "Registry", options: dict[str, Any]) -> "Settings":
+    """Return validation settings; rule names may be those of model rules or of tileset rules."""
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.validation.settings_from_options import make_settings
+
+    try:
+        return make_settings(registry, **options)
+    except UnknownName:
+        return make_settings(installed_rules(), **options)
+
+
+def _baseline(path: Path) -> "Baseline":
+    from gsgen.contract.validation.baseline import read_baseline
+
+    return read_baseline(path)
+
+
+def _against(known: "Baseline", entry: "Entry") -> "Entry":
+    from gsgen.contract.validation.report import Report
+
+    return known.apply(entry) if isinstance(entry, Report) else entry
+
+
+def _drawn(entry: "Entry", settings: "Settings") -> "Entry":
+    from gsgen.contract.tools.pictures import with_picture
+    from gsgen.contract.validation.report import Report
+
+    return with_picture(entry, settings) if isinstance(entry, Report) else entry
+
+
+def _print(
+    entries: "list[Entry]", format: Format, output: Path | None, *, verbose: bool, quiet: bool
+) -> None:
+    from gsgen.cli.output import show, write_text
+    from gsgen.cli.progress import clear
+    from gsgen.contract.validation.report import Unreadable
+
+    clear()
+    for entry in entries:
+        if isinstance(entry, Unreadable):
+            typer.echo(f"gsgen: {entry.error}", err=True)
+    if format is not Format.TEXT:
+        text = _rendered(entries, format)
+        write_text(output, text + "\n") if output else typer.echo(text)
+        if format is Format.GITHUB:
+            _summarise(entries)
+        return
+    from gsgen.contract.reporters.text import render_all
+
+    lines = render_all(entries, verbose=verbose, quiet=quiet)
+    if output:
+        write_text(output, "".join(line.text + "\n" for line in lines))
+    else:
+        show(lines)
+
+
+def _rendered(entries: "list[Entry]", format: Format) -> str:
+    """Return a validation report in a machine-readable format, such as JSON or SARIF."""
+    module, name = _REPORTERS[format]
+    reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
+    text: str = reporter(entries)
+    return text
+
+
+def _summarise(entries: "list[Entry]") -> None:
+    """Append the validation reports to the summary page of a GitHub Actions job."""
+    path = os.environ.get("GITHUB_STEP_SUMMARY")
+    if path:
+        from gsgen.cli.output import append_text
+
+        append_text(Path(path), _rendered(entries, Format.MARKDOWN) + "\n")
+
+
+def _exit_code(entries: "list[Entry]") -> ExitCode:
+    from gsgen.contract.validation.report import Report, exit_code
+
+    reports = [entry for entry in entries if isinstance(entry, Report)]
+    code = exit_code(reports)
+    unreadable = len(reports) < len(entries)
+    return ExitCode.UNREADABLE if unreadable and code != ExitCode.INTERNAL else code

@@ -1,0 +1,94 @@
+"""The command `gsgen vectors`, which records a model's outputs as test vectors."""
+
+__all__ = ["vectors"]
+
+import json
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.cli.options import Config, Memory, Timeout
+
+if TYPE_CHECKING:
+    from gsgen.contract.tools.test_vector_files import RecordedVectors
+
+
+def vectors(
+    model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for inputs and outputs, in the layout of ONNX's backend tests.",
+            show_default="MODEL-vectors",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Copy of MODEL with the digests in its manifest.",
+            show_default="model.onnx in that folder",
+        ),
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of vectors, evenly spread over the probes of `gsgen validate`.",
+            show_default="3, or all if there are fewer",
+            min=1,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the probe set.", min=0)] = 0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the vectors in the folder.")
+    ] = False,
+    config: Config = None,
+    timeout: Timeout = None,
+    memory: Memory = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Write test vectors of MODEL, and a copy of MODEL whose manifest lists them.
+
+    `gsgen validate` runs them again (rule GM012). Exits 0 if they were written, 2 if they cannot
+    be written or an option is wrong, 4 if MODEL is not an ONNX model.
+    """
+    from gsgen.cli.progress import clear, progress
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.tools.test_vector_files import record_vectors
+    from gsgen.contract.validation.settings_from_options import make_settings
+
+    settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
+    folder = into or model.with_name(f"{model.stem}-vectors")
+    try:
+        recorded = record_vectors(
+            model,
+            folder,
+            output,
+            count=count,
+            seed=seed,
+            settings=settings,
+            force=force,
+            progress=progress,
+        )
+    finally:
+        clear()
+    _print(recorded, as_json=as_json)
+
+
+def _print(recorded: "RecordedVectors", *, as_json: bool) -> None:
+    sets = [recorded.folder / f"test_data_set_{k}" for k in range(len(recorded.vectors))]
+    if as_json:
+        listed = [
+            {"folder": str(folder)} | asdict(vector)
+            for folder, vector in zip(sets, recorded.vectors, strict=True)
+        ]
+        typer.echo(json.dumps({"model": str(recorded.model), "vectors": listed}, indent=2))
+        return
+    for folder, vector in zip(sets, recorded.vectors, strict=True):
+        typer.echo(f"{folder}: {vector.inputs}")
+    typed = shlex.quote(str(recorded.model))
+    typer.echo(f"{recorded.model}: promises them; `gsgen validate {typed}` runs them again")

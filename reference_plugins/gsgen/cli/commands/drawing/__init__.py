@@ -1,0 +1,1 @@
+"""Commands that draw and convert: render, view, bake, convert, references, bench-render."""

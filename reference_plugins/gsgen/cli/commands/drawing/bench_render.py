@@ -1,0 +1,128 @@
+"""`gsgen bench-render`: measures time and memory of drawing a scene, stage by stage."""
+
+__all__ = ["bench_render"]
+
+import json
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.cli.commands.drawing import options
+
+if TYPE_CHECKING:
+    from gsgen.runtime.playback.frame_cost import FrameCost, Span
+
+_MEGABYTE = 1e6
+
+
+def bench_render(
+    scenes: options.Scenes,
+    camera: Annotated[
+        str | None,
+        typer.Option(help="Camera; see `gsgen render`. [default: a full turn around the scene]"),
+    ] = None,
+    width: options.Width = None,
+    height: options.Height = None,
+    frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 30,
+    compact: options.Compact = False,
+    rasteriser: options.RasteriserName = "auto",
+    size: options.ImageSizes = None,
+    provider: options.Provider = "cpu",
+    as_json: options.AsJson = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
+    ] = None,
+) -> None:
+    """Measure the time and the memory of a frame of SCENES, stage by stage.
+
+    Frames are played without being written: times go through their range while an orbit turns.
+    Wall and CPU time count from one frame to the next; on a software driver, CPU time includes
+    drawing. Stages use the device's timestamps where it has them.
+    Exits 0 if it was measured, 2 for wrong options, 4 if a scene cannot be read.
+    """
+    from gsgen.cli.commands.drawing.input_files import input_files, scene_inputs
+    from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files
+    from gsgen.cli.output import write_text
+    from gsgen.cli.progress import clear, progress
+    from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.runtime.playback.frame_cost import measure
+    from gsgen.runtime.playback.frame_sequence import FULL_TURN, FrameSequence
+    from gsgen.runtime.playback.scene_camera import scene_viewpoint
+    from gsgen.runtime.renderer.renderer import Renderer
+
+    if output is not None:
+        refuse_model(output, input_files(scenes, camera=camera))
+    symbols, width, height = options.split_image_size(size, width, height, scenes)
+    files = list(read_scene_files(scenes).values())
+    if output is not None:
+        refuse_model(output, scene_inputs(files))
+    view = scene_viewpoint(files, camera, width, height)
+    with open_scenes(scenes, provider=provider, size=symbols) as (sources, _):
+        renderer = Renderer(rasteriser=rasteriser, compact=compact)
+        # The orbit makes models that depend on the camera compute in every frame.
+        sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)
+        cost = measure(sequence, progress)
+    clear()
+    document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}
+    text = json.dumps(document, indent=2, ensure_ascii=False)
+    if output is not None:
+        write_text(output, text + "\n")
+    if as_json:
+        typer.echo(text)
+    else:
+        _show(cost)
+
+
+def _document(scenes: list[Path], cost: "FrameCost") -> dict[str, object]:
+    tools = {name: version(name) for name in ("gsgen", "onnxruntime", "wgpu")}
+    return {"tools": tools, "scenes": [str(path) for path in scenes]} | asdict(cost)
+
+
+def _show(cost: "FrameCost") -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 0, 0), pad_edge=False)
+    table.add_column("per frame", no_wrap=True)
+    for name in ("p50 ms", "p95 ms"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_row("wall", *_cells(cost.wall))
+    table.add_row("CPU, all threads", *_cells(cost.cpu))
+    table.add_row("encode and submit, CPU", *_cells(cost.submit))
+    for name, span in cost.inference.items():
+        table.add_row(f"inference, {Path(name).name}", *_cells(span))
+    clock_name = "by the device" if cost.clock == "timestamps" else "CPU"
+    for name, seconds in cost.stages.items():
+        table.add_row(f"{name}, {clock_name}", _milliseconds(seconds), "")
+    console = Console(highlight=False)
+    console.print(table)
+    for line in _lines(cost):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _cells(span: "Span") -> tuple[str, str]:
+    return _milliseconds(span.p50), _milliseconds(span.p95)
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{1000 * seconds:.3f}"
+
+
+def _lines(cost: "FrameCost") -> list[str]:
+    """Format the counts of drawn frames, the device and its memory as lines of text."""
+    width, height = cost.size
+    kind = " (a software driver)" if cost.software else ""
+    bytes_per_row = cost.rows_bytes / max(1, cost.capacity)
+    return [
+        f"{cost.frames} frames of {width}×{height} on {cost.device}{kind}",
+        f"{cost.gaussians:,} Gaussians, {cost.visible:,} visible, {cost.pairs:,} pairs of a "
+        "Gaussian and a tile",
+        f"{cost.frames_in_flight} frames in flight; the host waited {_milliseconds(cost.waited)} ms "
+        f"a frame; buffers grew {cost.growths}×, frames drawn again: {cost.redrawn}",
+        f"memory of the device: {cost.rows_bytes / _MEGABYTE:.1f} MB of Gaussians, {bytes_per_row:.0f} bytes "
+        f"each; {cost.plan_bytes / _MEGABYTE:.1f} MB for drawing",
+    ]

@@ -1,0 +1,272 @@
+"""`gsgen convert`: converts splats from one file format to another."""
+
+__all__ = ["convert"]
+
+import json
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gsgen.cli.commands.drawing.convert_edits import (
+    Decimate,
+    DropFloaters,
+    Histograms,
+    Morton,
+    Rotate,
+    Scale,
+    ShowStatistics,
+    Sphere,
+    Translate,
+    Where,
+    WithinBox,
+    edits_in_order,
+)
+from gsgen.cli.commands.drawing.options import AsJson
+from gsgen.cli.output import echo_error
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
+from gsgen.contract.process.atomic_files import refuse_itself
+from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
+from gsgen.formats.editing.statistics import Statistics, statistics_text
+from gsgen.formats.shared.files import FilePath
+
+if TYPE_CHECKING:
+    from gsgen.formats import FormatError
+    from gsgen.formats.conversion import Conversion
+
+Sources = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="SOURCE…",
+        help=f"{format_titles()}; recognised by its content. Several are merged. An address "
+        "(http, https) is downloaded.",
+        show_default=False,
+    ),
+]
+Target = Annotated[Path, typer.Argument(help="The file to write.", show_default=False)]
+Format = Annotated[
+    str | None, typer.Option(help=f"{writable_formats()}. [default: by TARGET's suffix]")
+]
+Degree = Annotated[int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)]
+DropInvalid = Annotated[
+    bool,
+    typer.Option(
+        "--drop-invalid",
+        help="Drop rows of a PLY that cannot be drawn (NaN, infinite), and print their number.",
+    ),
+]
+SpzVersion = Annotated[
+    int | None,
+    typer.Option(
+        help="Version of SPZ; few viewers read 4, which uses zstd. [default: 3]", min=1, max=4
+    ),
+]
+Encoding = Annotated[
+    Literal["ascii", "binary_little_endian", "binary_big_endian"] | None,
+    typer.Option(help="Encoding of PLY. [default: binary_little_endian]"),
+]
+SpzAxes = Annotated[
+    str | None,
+    typer.Option(
+        help="Axes of the SPZ files, such as RDF for splat-transform, which does not declare them. "
+        "[default: RUB, or as declared]"
+    ),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Allow TARGET to be SOURCE, which is replaced.")
+]
+
+
+def convert(
+    context: typer.Context,
+    sources: Sources,
+    target: Target,
+    *,
+    format: Format = None,
+    sh_degree: Degree = None,
+    drop_invalid: DropInvalid = False,
+    translate: Translate = None,
+    rotate: Rotate = None,
+    scale: Scale = None,
+    box: WithinBox = None,
+    sphere: Sphere = None,
+    where: Where = None,
+    drop_floaters: DropFloaters = None,
+    decimate: Decimate = None,
+    morton: Morton = False,
+    statistics: ShowStatistics = False,
+    histograms: Histograms = None,
+    spz_version: SpzVersion = None,
+    spz_axes: SpzAxes = None,
+    encoding: Encoding = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write the splats of SOURCE to TARGET in another format, and print the losses.
+
+    Exits 0 if TARGET was written, 1 if it cannot be, 2 for wrong options, 4 if SOURCE cannot be
+    read.
+    """
+    from gsgen.formats.conversion import convert as convert_file
+    from gsgen.runtime.baking.targets import writable_codec
+
+    codec = writable_codec(target, format, where=str(target))
+    if not force:
+        hint = "Name another file, or replace it with --force."
+        refuse_itself(target, [Path(source) for source in sources], hint)
+    for picture in histograms or ():
+        refuse_itself(picture, [*map(Path, sources), target])
+    values = {
+        "translate": translate,
+        "rotate": rotate,
+        "scale": scale,
+        "box": box,
+        "sphere": sphere,
+        "where": where,
+        "drop_floaters": drop_floaters,
+        "decimate": decimate,
+        "histograms": histograms,
+    }
+    summaries: list[tuple[Statistics, ...]] = []
+    merged: list[tuple[int, int]] = []
+    edits = edits_in_order(context, values, summaries, merged)
+    run = partial(
+        convert_file,
+        sources,
+        target,
+        codec,
+        sh_degree=sh_degree,
+        edits=edits,
+        drop_invalid=drop_invalid,
+        read=_reader(spz_axes, drop_invalid=drop_invalid),
+        read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
+        write=_writer(codec, spz_version, spz_axes, encoding),
+    )
+    result, notes = _reported(run, sources)
+    document = _as_dict(result)
+    document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
+    losses = [
+        f"--decimate merged {before:,} splats into {after:,}: detail is lost"
+        for before, after in merged
+        if after < before
+    ]
+    document["notes"] = notes + losses
+    text = "\n".join([_as_text(result, edited=bool(edits)), *losses])
+    text = "\n\n".join([*map(statistics_text, summaries), text])
+    typer.echo(json.dumps(document, indent=2) if as_json else text)
+
+
+def _reported(
+    run: "Callable[..., Conversion]", sources: list[str]
+) -> "tuple[Conversion, list[str]]":
+    """Run a splat conversion; return its result and warnings, or print the error and exit."""
+    from gsgen.cli.progress import clear, progress
+    from gsgen.formats import FormatError, FormatWarning
+
+    is_reading = True
+
+    def on_step(step: str) -> None:
+        nonlocal is_reading
+        is_reading = step.startswith("reading")
+        progress(step)
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", FormatWarning)
+        try:
+            result = run(step=on_step)
+        except FormatError as error:
+            is_unreadable = is_reading and error.path in sources
+            echo_error(_mesh_error(error) if is_unreadable else error)
+            code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
+            raise typer.Exit(code) from error
+    clear()
+    notes = list(dict.fromkeys(str(warning.message) for warning in caught))
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
+    return result, notes
+
+
+def _mesh_error(error: "FormatError") -> GsgenError:
+    """Return the error about a source that cannot be read; for a mesh, one that says so."""
+    from gsgen.runtime.sources.mesh_files import is_mesh
+
+    if error.path is None or not is_mesh(Path(error.path)):
+        return error
+    return ConfigInvalid(
+        "is a mesh, expected splats",
+        where=error.path,
+        hint=f"`gsgen render {error.path} -o picture.png` draws it.",
+    )
+
+
+def _writer(
+    codec: Codec, spz_version: int | None, spz_axes: str | None, encoding: str | None
+) -> "Callable[..., None] | None":
+    """Return a function that writes a splat file with these options; None if no option is given."""
+    options: dict[str, object] = {}
+    for option, name, keyword, value in (
+        ("--spz-version", "spz", "version", spz_version),
+        ("--encoding", "ply", "format", encoding),
+    ):
+        if value is None:
+            continue
+        if codec.name != name:
+            raise ConfigInvalid(
+                f"applies to {name} files, but the output format is {codec.name}",
+                where=option,
+                hint="Leave the option out.",
+            )
+        options[keyword] = value
+    if spz_axes is not None and codec.name == "spz":
+        options["axes"] = spz_axes
+    assert codec.write is not None
+    return partial(codec.write, **options) if options else None
+
+
+def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content] | None:
+    """Return a splat-file reader that assumes the given SPZ axes; None if no axes are given."""
+    if spz_axes is None:
+        return None
+    from gsgen.formats.open import open_splats
+    from gsgen.formats.spz.spz import read_spz
+
+    def read(path: FilePath) -> Content:
+        if str(path).lower().endswith(codec_named("spz").suffixes):
+            return read_spz(path, axes=spz_axes)
+        return open_splats(path, drop_invalid=drop_invalid)
+
+    return read
+
+
+def _as_dict(result: "Conversion") -> dict[str, object]:
+    document = asdict(result)
+    document["degree"] = result.degree and list(result.degree)
+    return document
+
+
+def _as_text(result: "Conversion", *, edited: bool) -> str:
+    before, after = (size / (1 << 20) for size in result.sizes)
+    kind = "points" if result.degree is None else "splats"
+    degree = f" of SH degree {result.degree[1]}" if result.degree else ""
+    not_compared = (
+        [] if result.compared else ["not compared: the splats take more memory than that may"]
+    )
+    sizes = f"{before:.2f} MiB → {after:.2f} MiB" if before else f"{after:.2f} MiB"
+    times = f", {before / after:.1f} times smaller" if before > 1.05 * after > 0 else ""
+    lines = [f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, {sizes}{times}"]
+    lines += [f"lost: {loss}" for loss in result.lost]
+    changed = [difference for difference in result.differences if difference.largest]
+    if changed:
+        lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
+    lines += [
+        f"  {difference.name:<10}{difference.largest:>12.3g}{difference.typical:>12.3g} {difference.unit}".rstrip()
+        for difference in changed
+    ]
+    lines += not_compared
+    if result.degree and not changed and not result.lost and result.compared:
+        lines.append("nothing was lost by the format" if edited else "nothing was lost")
+    return "\n".join(lines)

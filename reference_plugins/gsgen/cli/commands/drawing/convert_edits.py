@@ -1,0 +1,117 @@
+"""The options of `gsgen convert` that edit splats, in the order typed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gsgen.cli.options import OPTION_ORDER
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.formats.editing.edits import OPTIONS, parse_edit
+from gsgen.formats.editing.filters import QUANTITIES
+from gsgen.formats.editing.statistics import Statistics, summarise, write_histograms
+from gsgen.formats.shared.errors import ValueInvalid
+from gsgen.formats.shared.splats import Splats
+
+_EDITS = "Edits, in the order typed"
+
+
+def _edit(help: str, name: str) -> Any:
+    metavar = OPTIONS[name].metavar
+    return typer.Option(metavar=metavar, help=help, show_default=False, rich_help_panel=_EDITS)
+
+
+Translate = Annotated[list[str] | None, _edit("Move, in scene units.", "translate")]
+Rotate = Annotated[
+    list[str] | None, _edit("Turn about the axes x, y, z in this order, in degrees.", "rotate")
+]
+Scale = Annotated[list[str] | None, _edit("Scale about the origin.", "scale")]
+WithinBox = Annotated[list[str] | None, _edit("Keep what lies between two corners.", "box")]
+Sphere = Annotated[list[str] | None, _edit("Keep what lies in a sphere.", "sphere")]
+Where = Annotated[
+    list[str] | None,
+    _edit(
+        f"Keep what fulfils it, such as 'opacity>=0.1'; names: {', '.join(QUANTITIES)}.", "where"
+    ),
+]
+DropFloaters = Annotated[
+    list[str] | None,
+    _edit(
+        "Drop splats with fewer than COUNT others in the 27 cells of SIZE around.", "drop_floaters"
+    ),
+]
+Decimate = Annotated[list[str] | None, _edit("Merge until N splats, or N %, are left.", "decimate")]
+Morton = Annotated[bool, _edit("Order along Morton's curve.", "morton")]
+ShowStatistics = Annotated[
+    bool,
+    typer.Option(
+        "--statistics", help="Print the distribution of each quantity.", rich_help_panel=_EDITS
+    ),
+]
+Histograms = Annotated[
+    list[Path] | None,
+    typer.Option(help="Write a PNG picture of the distributions.", rich_help_panel=_EDITS),
+]
+
+
+def edits_in_order(
+    context: typer.Context,
+    values: Mapping[str, Sequence[Any] | None],
+    summaries: list[tuple[Statistics, ...]],
+    merged: list[tuple[int, int]],
+) -> list[Callable[[Splats], Splats]]:
+    """Return the splat edits of a command line as functions, in the order typed.
+
+    Args:
+        context: Knows the order of the options.
+        values: Name of an option → its values; options without a value are left out.
+        summaries: Receives the statistics of the splats at each ``--statistics``.
+        merged: Receives the numbers of splats before and after each ``--decimate``.
+
+    Raises:
+        ConfigInvalid: A value has another form than its option.
+    """
+    remaining = {name: list(entries or ()) for name, entries in values.items()}
+    edits: list[Callable[[Splats], Splats]] = []
+    for name in context.meta[OPTION_ORDER]:
+        if name == "statistics":
+            edits.append(_observer(lambda splats: summaries.append(summarise(splats))))
+        elif name == "histograms":
+            edits.append(_observer(_histogram_writer(remaining[name].pop(0))))
+        elif name in OPTIONS:
+            text = remaining[name].pop(0) if name in remaining else ""
+            try:
+                edit = parse_edit(name, text)
+                edits.append(_counter(edit, merged) if name == "decimate" else edit)
+            except ValueInvalid as error:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigInvalid(
+                    f"is {error.message}, expected {error.expected}", where=option
+                ) from error
+    return edits
+
+
+def _observer(look: Callable[[Splats], None]) -> Callable[[Splats], Splats]:
+    def edit(splats: Splats) -> Splats:
+        look(splats)
+        return splats
+
+    return edit
+
+
+def _counter(
+    edit: Callable[[Splats], Splats], counts: list[tuple[int, int]]
+) -> Callable[[Splats], Splats]:
+    """Return an edit that also records the numbers of splats before and after it."""
+
+    def counted(splats: Splats) -> Splats:
+        result = edit(splats)
+        counts.append((len(splats), len(result)))
+        return result
+
+    return counted
+
+
+def _histogram_writer(path: Path) -> Callable[[Splats], None]:
+    return lambda splats: write_histograms(path, splats)

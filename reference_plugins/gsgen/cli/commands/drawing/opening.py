@@ -1,0 +1,132 @@
+"""Opens the scenes and post-process models of a command, and prints their warnings."""
+
+__all__ = ["open_scenes", "read_scene_files"]
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from gsgen.cli.output import echo_error
+from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
+
+if TYPE_CHECKING:
+    from gsgen.runtime.playback.post_process import PostProcessor
+    from gsgen.runtime.sources.scene_file import SceneFile
+    from gsgen.runtime.sources.source import Source
+    from gsgen.runtime.sources.stream_settings import StreamSettings
+
+
+def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
+    """Read the scene files among the paths of a command's scenes.
+
+    Raises:
+        typer.Exit: A file cannot be read; the reason is printed.
+        GsgenError: A file is invalid.
+    """
+    from gsgen.runtime.errors import SceneUnreadable
+    from gsgen.runtime.sources.scene_file import is_scene_file, read_scene
+
+    try:
+        return {path: read_scene(path) for path in scenes if is_scene_file(path)}
+    except SceneUnreadable as error:
+        echo_error(error)
+        raise typer.Exit(ExitCode.UNREADABLE) from error
+
+
+@contextmanager
+def open_scenes(
+    scenes: Sequence[Path],
+    post: Sequence[Path] | None = None,
+    *,
+    provider: str = "cpu",
+    size: Sequence[str] | None = None,
+    streaming: "StreamSettings | None" = None,
+) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
+    """Open scenes and post-process models, print their warnings as notes, and close them.
+
+    Args:
+        scenes: Splat files, meshes, generators, and scene files.
+        post: Post-process models.
+        provider: Execution provider of ONNX Runtime.
+        streaming: How tilesets are streamed.
+        size: Values of ``--size``; each model gets the sizes of its own open dimensions.
+
+    Raises:
+        typer.Exit: A file cannot be read; the reason is printed.
+        GsgenError: A model is of another kind, or does not run.
+    """
+    from gsgen.cli.commands.exporting.model_options import sizes_of
+    from gsgen.cli.progress import clear, progress
+    from gsgen.runtime.errors import SceneUnreadable
+    from gsgen.runtime.playback.post_process import PostProcessor
+    from gsgen.runtime.sources.opening import open_source
+    from gsgen.runtime.sources.scene_file import open_scene
+    from gsgen.runtime.sources.world_origins import beside_the_first
+
+    sizes = sizes_of(size)
+    files = read_scene_files(scenes)
+    model_paths = [model.path for file in files.values() for model in file.models]
+    with ExitStack() as stack:
+        with _warnings_as_notes():
+            try:
+                sizes_by_path = _sizes_by_path([*scenes, *model_paths, *(post or ())], sizes or {})
+                sources: list[Source] = []
+                models: list[PostProcessor] = []
+                for path in scenes:
+                    progress(f"reading {path}")
+                    opened_sources = (
+                        open_scene(files[path], provider, sizes_by_path, streaming)
+                        if path in files
+                        else [open_source(path, provider, sizes_by_path.get(path), streaming)]
+                    )
+                    sources += opened_sources
+                    for source in opened_sources:
+                        stack.callback(source.close)
+                for path in post or ():
+                    models.append(PostProcessor(path, provider, sizes_by_path.get(path)))
+                    stack.callback(models[-1].close)
+            except (InputUnreadable, SceneUnreadable) as error:
+                echo_error(error)
+                raise typer.Exit(ExitCode.UNREADABLE) from error
+            finally:
+                clear()
+        yield beside_the_first(sources), models
+
+
+@contextmanager
+def _warnings_as_notes() -> Iterator[None]:
+    """Print warnings of a ``with`` block to standard error, as notes."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        typer.echo(f"note: {warning.message}", err=True)
+
+
+def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path, dict[str, int]]:
+    """Return the sizes that the user set for each model's symbolic dimensions, by model path.
+
+    Raises:
+        UnknownName: No model has such an open dimension.
+    """
+    if not sizes:
+        return {}
+    from gsgen.sdk.binding.model_facts import read_model_facts
+
+    models = [path for path in paths if path.suffix.lower() == ".onnx"]
+    opened = {
+        path: {name for name, _ in read_model_facts(path, None).open_dimensions()}
+        for path in models
+    }
+    known = set().union(*opened.values())
+    for name in sizes:
+        if name not in known:
+            raise UnknownName.among("open dimension", name, known, "--size")
+    return {
+        path: {name: size for name, size in sizes.items() if name in names}
+        for path, names in opened.items()
+    }

@@ -1,0 +1,235 @@
+"""`gsgen render`: draws splat files and ONNX generators into pictures and videos."""
+
+__all__ = ["render"]
+
+import json
+import time as clock
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gsgen.cli.commands.drawing import options
+from gsgen.cli.commands.drawing.streaming_options import with_streaming_options
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.sources.stream_settings import StreamSettings
+
+if TYPE_CHECKING:
+    from gsgen.runtime.media.pictures import Mode
+    from gsgen.runtime.playback.frame_sequence import FrameSequence
+    from gsgen.runtime.sources.scene_file import SceneFile
+    from gsgen.runtime.sources.source import Source
+
+Output = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--output",
+        help="A picture, an .exr or .npy of floats, an .mp4 (AV1), a .gif, or a folder of frames.",
+        show_default=False,
+    ),
+]
+Background = Annotated[
+    str | None,
+    typer.Option(
+        help="black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1. "
+        "[default: black; transparent for .npy]"
+    ),
+]
+Time = Annotated[float | None, options.time_option("Time of generators. [default: the manifest's]")]
+Frames = Annotated[
+    int | None,
+    typer.Option(
+        help="Number of frames. Time, or else a frame number, goes through its range; if nothing "
+        "moves, an orbit turns. [default: one per camera, pose or value]",
+        min=1,
+    ),
+]
+Turn = Annotated[
+    float | None,
+    typer.Option(help="Degrees that an orbit turns over all frames. [default: 360 or 0]"),
+]
+FramesPerSecond = Annotated[
+    float | None,
+    typer.Option(
+        help="Frames per second of a video. [default: the manifest's, or 25]", min=0.1, max=100
+    ),
+]
+Bits = Annotated[
+    Literal["8", "16"], typer.Option(help="Bits of each channel of PNG files; an .exr has 32.")
+]
+Wait = Annotated[
+    float, typer.Option(help="Most seconds that a frame waits for tiles of a tileset.", min=0.1)
+]
+WeightedSums = Annotated[
+    Literal["contract", "published"],
+    typer.Option(
+        help="Background of weighted sums: by the contract, or by the renderer that was published "
+        "with the method."
+    ),
+]
+
+
+@with_streaming_options
+def render(
+    scenes: options.Scenes,
+    output: Output,
+    *,
+    camera: options.RenderCamera = None,
+    width: options.Width = None,
+    height: options.Height = None,
+    fov: options.FieldOfView = None,
+    up: options.Axis = None,
+    orthographic: options.Orthographic = False,
+    panorama: options.Panorama = False,
+    mode: options.ModeOption = "color",
+    background: Background = None,
+    time: Time = None,
+    pose: options.Poses = None,
+    inputs: options.Inputs = None,
+    frames: Frames = None,
+    turn: Turn = None,
+    fps: FramesPerSecond = None,
+    sh_degree: options.ShDegree = None,
+    antialias: options.Antialias = None,
+    rasteriser: options.RasteriserName = "auto",
+    compact: options.Compact = False,
+    wsr: WeightedSums = "contract",
+    post: options.Post = None,
+    size: options.ImageSizes = None,
+    bits: Bits = "8",
+    provider: options.Provider = "cpu",
+    wait: Wait = 30.0,
+    as_json: options.AsJson = False,
+    streaming: StreamSettings = StreamSettings(),  # noqa: B008
+) -> None:
+    """Draw SCENES: splat files and meshes, and generators, which run for every frame.
+
+    A scene.json gives each file its place, and a camera; options take precedence over it.
+
+    Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read.
+    """
+    from gsgen.cli.commands.drawing.input_files import input_files, refuse_inputs, scene_inputs
+    from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files
+    from gsgen.runtime.media.output_formats import require_output_format
+    from gsgen.runtime.playback.frame_sequence import FrameSequence
+    from gsgen.runtime.playback.scene_camera import scene_viewpoint
+    from gsgen.runtime.renderer.renderer import Renderer
+
+    symbols, width, height = options.split_image_size(size, width, height, [*scenes, *(post or ())])
+    bit_count: Literal[8, 16] = 16 if bits == "16" else 8
+    refuse_inputs(output, input_files(scenes, camera=camera, poses=pose, inputs=inputs, post=post))
+    require_output_format(output, frames=frames or 1, bits=bit_count)
+    files = list(read_scene_files(scenes).values())
+    refuse_inputs(output, scene_inputs(files))
+    view = scene_viewpoint(
+        files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
+    )
+    color = _background(background, output, files)
+    for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
+        typer.echo(f"note: {note}", err=True)
+    with open_scenes(
+        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=wait)
+    ) as (sources, models):
+        tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
+        is_published = wsr == "published"
+        if is_published:
+            _require_weighted_sums(sources)
+        sequence = FrameSequence(
+            sources,
+            view,
+            options.mode_of(mode),
+            background=color,
+            sh_degree=sh_degree,
+            antialias=antialias,
+            time=time,
+            frames=frames,
+            turn=turn,
+            fps=fps or pose_fps,
+            tracks=tracks,
+            post=models,
+            renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
+        )
+        _write(sequence, output, bits=bit_count, as_json=as_json)
+
+
+def _require_weighted_sums(sources: "list[Source]") -> None:
+    """Raise if a scene's splats are not blended by weighted sums, as ``--wsr published`` needs."""
+    unsummed = next(
+        (source for source in sources if source.weighted is None or source.meshes), None
+    )
+    if unsummed is not None:
+        raise ConfigInvalid(
+            f"{unsummed.name} is not blended by weighted sums, which this option needs",
+            where="--wsr published",
+            hint="Leave that scene out, or draw with `--wsr contract`.",
+        )
+
+
+def _background(
+    text: str | None, output: Path, files: "list[SceneFile]"
+) -> tuple[float, float, float, float]:
+    from gsgen.runtime.playback.scene_camera import first_setting
+    from gsgen.runtime.scene.colors import color_of
+
+    scene_background = first_setting([file.background for file in files])
+    if text is None and scene_background is not None:
+        return scene_background
+    if text is None:
+        text = "transparent" if output.suffix.lower() == ".npy" else "black"
+    return color_of(text, "--background")
+
+
+def _transparency_notes(
+    output: Path, background: tuple[float, float, float, float], mode: "Mode"
+) -> list[str]:
+    """Return notes on formats that cannot store a transparent background."""
+    from gsgen.runtime.media.pictures import OPAQUE_SUFFIXES
+
+    suffix = output.suffix.lower()
+    if background[3] == 1 or mode != "color":
+        return []
+    if suffix in OPAQUE_SUFFIXES:
+        return [f"{suffix} has no transparency: the background is blended with black"]
+    if suffix == ".gif":
+        return [
+            "pixels of a .gif are opaque or absent: those covered by half or more are opaque; "
+            "a folder of pictures keeps the alpha"
+        ]
+    return []
+
+
+def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_json: bool) -> None:
+    """Draw all frames of a sequence into ``output``, and print a summary."""
+    from gsgen.cli.progress import clear, progress
+    from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
+
+    if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
+        typer.echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
+    started = clock.perf_counter()
+    sequence.write(
+        output, lambda number: progress(f"frame {number} of {sequence.frames}"), bits=bits
+    )
+    clear()
+    seconds = clock.perf_counter() - started
+    document = sequence.summary() | {"output": str(output), "seconds": round(seconds, 3)}
+    if as_json:
+        typer.echo(json.dumps(document, indent=2))
+        return
+    count = f"{sequence.frames} frames of " if sequence.frames > 1 else ""
+    triangles = f"{document['triangles']:,} triangles, " if document["triangles"] else ""
+    typer.echo(
+        f"{output}: {count}{document['width']}×{document['height']}, "
+        f"{document['visible']:,} of {document['gaussians']:,} Gaussians drawn, {triangles}"
+        f"{seconds:.2f} s on {document['device']}"
+    )
+    if document["gaussians"] and not document["visible"]:
+        typer.echo(
+            "note: no Gaussian is visible: all are behind the camera or transparent", err=True
+        )
+    elif not document["gaussians"] and not document["triangles"]:
+        moment = "with these inputs" if sequence.frames == 1 else "in the last frame"
+        typer.echo(
+            f"note: there are no Gaussians {moment}: --time and --input set others", err=True
+        )

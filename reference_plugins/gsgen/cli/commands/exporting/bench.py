@@ -1,0 +1,185 @@
+"""`gsgen bench`: measure the time and memory of a frame on each execution provider."""
+
+__all__ = ["bench"]
+
+import json
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.cli.commands.exporting.model_options import AsJson, Sizes, exit_at_error, sizes_of
+from gsgen.contract.errors import ExitCode
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.benchmark import BenchmarkResult
+
+_MILLION = 1e6
+
+
+class ProviderName(StrEnum):
+    """The execution providers that `gsgen bench` offers, as an enumeration for typer."""
+
+    CPU = "cpu"
+    WEBGPU = "webgpu"
+    CUDA = "cuda"
+
+
+def bench(
+    models: Annotated[list[Path], typer.Argument(help="ONNX files.", show_default=False)],
+    provider: Annotated[
+        list[ProviderName] | None,
+        typer.Option(help="Measure this provider only; repeatable. [default: all available ones]"),
+    ] = None,
+    frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 100,
+    size: Sizes = None,
+    capture: Annotated[
+        bool, typer.Option("--capture/--no-capture", help="Record a frame once and replay it.")
+    ] = True,
+    timeout: Annotated[
+        float, typer.Option(help="Time limit in seconds for one model on one provider.", min=1)
+    ] = 300,
+    as_json: AsJson = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
+    ] = None,
+) -> None:
+    """Measure the time and memory of a frame of each MODEL on each execution provider.
+
+    Prints the time of a frame (median and 95th percentile) from new inputs to outputs on the host,
+    the time of the first frame including loading, the bytes of inputs and outputs, the share of
+    time spent copying them, and millions of Gaussians per second.
+    Each provider runs in its own process; a crash of one is reported as its result.
+    Exits 0 if all were measured, 1 if one failed or crashed, or if a requested one is unavailable.
+    """
+    from gsgen.cli.output import write_text
+    from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.sdk.binding.providers.selection import installed_providers
+
+    if output is not None:
+        refuse_model(output, models)
+    _need_models(models)
+    sizes = sizes_of(size)
+    providers = [str(name) for name in provider or installed_providers()]
+    jobs = [(model, provider_name) for model in models for provider_name in providers]
+    results = _measure(jobs, frames=frames, sizes=sizes, capture=capture, seconds=timeout)
+    text = json.dumps(_document(results), indent=2, ensure_ascii=False)
+    if output is not None:
+        write_text(output, text + "\n")
+    if as_json:
+        typer.echo(text)
+    else:
+        _show(results)
+    failure_states = {"failed", "crashed"} | ({"unavailable"} if provider else set())
+    failed = any(result.state in failure_states for result in results)
+    raise typer.Exit(ExitCode.FAILURE if failed else ExitCode.SUCCESS)
+
+
+def _need_models(models: list[Path]) -> None:
+    """Exit with an error before measuring if one of the files is not a model."""
+    from gsgen.contract.model.model_file import open_model
+
+    with exit_at_error():
+        for model in models:
+            open_model(model)
+
+
+def _measure(
+    jobs: list[tuple[Path, str]],
+    *,
+    frames: int,
+    sizes: dict[str, int],
+    capture: bool,
+    seconds: float,
+) -> "list[BenchmarkResult]":
+    from gsgen.cli.progress import clear, progress
+    from gsgen.sdk.binding.benchmark import time_frames
+
+    results = []
+    try:
+        for number, (model, provider) in enumerate(jobs, 1):
+            progress(f"measuring {model.name} on {provider}, {number} of {len(jobs)}")
+            results.append(
+                time_frames(
+                    model, provider, frames=frames, sizes=sizes, capture=capture, seconds=seconds
+                )
+            )
+    finally:
+        clear()
+    return results
+
+
+def _document(results: "list[BenchmarkResult]") -> dict[str, object]:
+    tools = {name: version(name) for name in ("gsgen", "onnxruntime")}
+    return {
+        "tools": tools,
+        "results": [
+            {"model": result.model, "provider": result.provider, "state": result.state}
+            | ({"why": result.reason} if result.reason else {})
+            | dict(result.facts)
+            for result in results
+        ],
+    }
+
+
+def _show(results: "list[BenchmarkResult]") -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("model", min_width=8, overflow="fold")
+    table.add_column("provider", no_wrap=True)
+    for name in ("p50 ms", "p95 ms", "first ms", "in", "out", "copies", "M/s"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for result in results:
+        table.add_row(Path(result.model).name, result.provider, *_cells(result))
+    console = Console(highlight=False)
+    console.print(table)
+    for result in results:
+        for note in _notes(result):
+            line = f"{Path(result.model).name} on {result.provider}: {note}"
+            console.print(line, markup=False, soft_wrap=True)
+
+
+def _cells(result: "BenchmarkResult") -> list[str]:
+    if result.state != "measured":
+        return [result.state, *("–" for _ in range(6))]
+    facts = result.facts
+    rate = facts["gaussians_per_second"]
+    return [
+        f"{1000 * facts['p50_seconds']:.3f}",
+        f"{1000 * facts['p95_seconds']:.3f}",
+        f"{1000 * facts['first_frame_seconds']:.0f}",
+        _decimal_size(facts["bytes_in"]),
+        _decimal_size(facts["bytes_out"]),
+        f"{100 * facts['copy_share']:.0f} %",
+        "–" if rate is None else f"{rate / _MILLION:.3g}",
+    ]
+
+
+def _decimal_size(count: int) -> str:
+    size, units = float(count), ["B", "kB", "MB", "GB", "TB"]
+    while size >= 1000 and len(units) > 1:
+        size, units = size / 1000, units[1:]
+    return f"{size:.3g} {units[0]}"
+
+
+def _notes(result: "BenchmarkResult") -> list[str]:
+    """Return remarks about a benchmark result: device, graph capture, nodes that ran on the CPU."""
+    if result.state != "measured":
+        return [result.reason]
+    facts, notes = result.facts, []
+    if result.provider != "cpu":
+        capture = "captured and replayed" if facts["captured"] else "not captured"
+        notes.append(
+            f"{facts['device']}, {capture}" + (f": {facts['cause']}" * bool(facts["cause"]))
+        )
+    if facts["nodes_on_cpu"]:
+        operators = ", ".join(dict.fromkeys(facts["nodes_on_cpu"]))
+        notes.append(
+            f"{len(facts['nodes_on_cpu'])} of {facts['nodes']} nodes on the CPU ({operators})"
+        )
+    return notes

@@ -1,0 +1,157 @@
+"""`gsgen export`: write a torch module, or the checkpoint of a method, as an ONNX generator."""
+
+__all__ = ["app"]
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from gsgen.cli.command_group import ANY_WORDS, refusing, runnable
+from gsgen.cli.commands.exporting.export_html import export_html
+from gsgen.cli.commands.exporting.export_options import with_common_options
+from gsgen.cli.commands.exporting.plugin_function import plugin_function
+from gsgen.cli.option_panels import arrange_options, escape_markup
+from gsgen.contract._entry_points import Extension, ExtensionUnusable
+from gsgen.contract.errors import ExitCode, UnknownName
+from gsgen.contract.process.atomic_files import PAGE_SUFFIXES
+from gsgen.sdk.plugins.factory import is_target
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins
+
+_HELP = """Export a Gaussian Generator from your torch module, or from the files of a method.
+
+TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
+of the current folder can be imported), or one of the methods below.
+"""
+
+
+class _Targets(TyperGroup):
+    """The command group of `gsgen export`: all installed plugins, and any ``module:factory``."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the formats and of all plugins that packages register."""
+        return [*super().list_commands(ctx), *find_plugins()]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command that exports a format or a method, whose plugin is imported."""
+        plugin = find_plugins().get(cmd_name)
+        return super().get_command(ctx, cmd_name) if plugin is None else _plugin_command(plugin)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Move the argument TARGET before the options if options precede it on the command line."""
+        names = self.list_commands(ctx)
+        known = [word for word in args if word in names or is_target(word)]
+        if args and args[0].startswith("-") and known:
+            position = args.index(known[0])
+            args = [args[position], *args[:position], *args[position + 1 :]]
+        return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that exports a method or a ``module:factory``; raise if unknown."""
+        word, names = args[0], self.list_commands(ctx)
+        if word not in names and is_target(word):
+            wants_help = bool({"-h", "--help"} & set(args))
+            return word, _command_for(word, wants_help=wants_help), args[1:]
+        if word not in names and not word.startswith("-"):
+            raise _unknown(word, names, args)
+        return super().resolve_command(ctx, args)
+
+
+def _unknown(word: str, plugins: list[str], typed: list[str]) -> UnknownName:
+    from gsgen.formats.codecs import codec_of_suffix
+
+    error = UnknownName.among("target", word, plugins, "TARGET")
+    path = Path(word)
+    module, _, name = word.rpartition(".")
+    pages = [entry for entry in typed if Path(entry).suffix.lower() in PAGE_SUFFIXES]
+    if pages and path.suffix:
+        hint = f"`gsgen export html {word} -o {pages[0]}` writes a page."
+    elif codec_of_suffix(path):
+        hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
+    elif path.suffix == ".onnx":
+        hint = f"It is already exported: gsgen validate {word}"
+    elif path.suffix == ".py" or _is_module(word):
+        hint = f"Name the callable that returns the generator: {word}:NAME"
+    elif _is_module(module) or (module and "Did you mean" not in error.hint):
+        hint = f"Write {module}:{name}"
+    else:
+        hint = f"{error.hint} A target of your own is written package.module:factory."
+    return UnknownName(error.message, where=error.where, hint=hint)
+
+
+def _is_module(name: str) -> bool:
+    """Return whether a dotted name is that of a Python file under the current folder."""
+    return Path(f"{name.replace('.', '/')}.py").is_file()
+
+
+def _command_for(target: str, *, wants_help: bool) -> Any:
+    """Return the command that exports ``module:factory``, which is imported when it runs."""
+    single = typer.Typer(add_completion=False)
+    entry = typer.Option(
+        "--arg",
+        metavar="KEY=VALUE",
+        help="An argument of the factory, typed as it declares; repeatable.",
+    )
+
+    def build(arg: Annotated[list[str] | None, entry] = None) -> Any:
+        from gsgen.sdk.plugins.factory import load_factory
+
+        factory = load_factory(target)
+        return factory.build(factory.arguments(arg or []))
+
+    def run(module: Any, request: Any) -> None:
+        from gsgen.cli.commands.exporting.export_job import run_export
+
+        run_export(module, request, target)
+
+    function = with_common_options(build, run)
+    help = f"Export the result of {target}."
+    if wants_help:
+        help += f"\n\n{_described(target)}"
+    single.command(target, help=escape_markup(help))(function)
+    command: Any = typer.main.get_command(single)
+    return command
+
+
+def _described(target: str) -> str:
+    """Return a sentence about the arguments that a user's torch generator factory takes."""
+    from gsgen.sdk.plugins.factory import load_factory
+
+    parameters = load_factory(target).parameters.values()
+    if not parameters:
+        return "It takes no arguments."
+    return f"It takes --arg {', --arg '.join(str(parameter) for parameter in parameters)}."
+
+
+def _plugin_command(extension: Extension) -> Any:
+    """Import a plugin, and return the click command that exports its method, or reports why not."""
+    app = typer.Typer(add_completion=False)
+    loaded, settings = runnable(extension)
+    if isinstance(loaded, Plugin):
+        try:
+            function = plugin_function(loaded)
+        except TypeError as error:
+            message = f"plugin {loaded.name!r} cannot be used: {error}"
+            fault = ExtensionUnusable(message, loaded.headline, ExitCode.USAGE)
+            function, settings = refusing(fault), ANY_WORDS
+        help = f"{loaded.headline}\n\n{loaded.reads}"
+        app.command(extension.name, help=help, context_settings=settings)(function)
+    elif isinstance(loaded, typer.Typer):
+        app.add_typer(loaded, name=extension.name)
+    else:  # a typer function, or one that says why the plugin cannot be used
+        app.command(extension.name, context_settings=settings)(loaded)
+    command = typer.main.get_group(app).commands[extension.name]
+    arrange_options(command)
+    return command
+
+
+app = typer.Typer(
+    cls=_Targets, help=_HELP, no_args_is_help=True, subcommand_metavar="TARGET -o OUTPUT [OPTIONS]"
+)
+app.command("html")(export_html)
+
+
+@app.callback()
+def _root() -> None:
+    pass

@@ -1,0 +1,62 @@
+"""`gsgen export html`: writes an HTML page with models, which opens from disk."""
+
+__all__ = ["export_html"]
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gsgen.cli.commands.drawing import options
+
+
+def export_html(
+    models: Annotated[
+        list[Path], typer.Argument(help="Splat files and generators.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The page to write.", show_default=False)
+    ],
+    *,
+    background: Annotated[
+        str | None, typer.Option(help="black, white, #rrggbb or R,G,B from 0 to 1.")
+    ] = None,
+    fov: options.FieldOfView = None,
+    up: options.Axis = None,
+    time: Annotated[
+        float | None, typer.Option(help="Fixed time. [default: the time is played]")
+    ] = None,
+    ort: options.OrtFolder = None,
+) -> None:
+    """Write a page that shows MODELS in a browser, in one file that opens from disk.
+
+    Splat files other than SPZ become PLY in it. ONNX Runtime Web is in it where a model is a
+    generator: 36 MB.
+
+    Exits 2 for wrong options, 4 if a model cannot be read.
+    """
+    from gsgen.cli.output import echo_error
+    from gsgen.contract.errors import ExitCode
+    from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write, require_page
+    from gsgen.runtime.errors import SceneUnreadable
+    from gsgen.runtime.scene.colors import color_of
+    from gsgen.runtime.web.onnxruntime_web import ort_folder
+    from gsgen.runtime.web.pages import ModelView, single_file_page
+
+    require_page(output, models)
+    color = None if background is None else color_of(background, "--background")
+    view = ModelView(
+        background=None if color is None else (color[0], color[1], color[2]),
+        fov=fov,
+        up=up,
+        time=time,
+    )
+    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
+    try:
+        page = single_file_page(models, view, ort_folder(ort) if has_generator else None)
+    except SceneUnreadable as error:
+        echo_error(error)
+        raise typer.Exit(ExitCode.UNREADABLE) from error
+    with atomic_write(output) as draft:
+        draft.write_text(page, "utf-8")
+    typer.echo(f"wrote {output}: {output.stat().st_size:,} bytes")

@@ -1,0 +1,161 @@
+"""Runs `gsgen export`: builds the module or scene, exports it, and prints the result."""
+
+__all__ = ["run_export"]
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from gsgen.cli.progress import clear, progress
+from gsgen.contract.errors import ConfigInvalid, GsgenError
+
+if TYPE_CHECKING:
+    from gsgen.cli.commands.exporting.export_options import ExportRequest
+    from gsgen.sdk.exporting.pipeline import ExportResult
+
+
+def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
+    """Build a torch module or scene, export it, and print the validator's findings.
+
+    Exits with code 1 if no conforming model can be exported.
+    """
+    from gsgen.cli.commands.exporting.export_report import Outcome, emit_report
+    from gsgen.sdk.errors import (
+        ExportFailed,
+        ExportRejected,
+        GeneratorInvalid,
+        ParityFailed,
+        RewriteFailed,
+    )
+
+    faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
+    try:
+        result = _export(build, request)
+    except faults as error:
+        clear()
+        outcome = Outcome(
+            written=False,
+            report=error.report if isinstance(error, ExportRejected) else None,
+            parity=error.parity if isinstance(error, ParityFailed) else None,
+            error=error,
+        )
+        emit_report(replace(request, dtype=request.dtype or "float32"), source, outcome)
+        if not request.as_json:
+            _show_failure(error)
+        typer.echo(f"gsgen: {request.output} was not written", err=True)
+        raise typer.Exit(1) from error
+    clear()
+    for note in result.notes:
+        typer.echo(f"note: {note}", err=True)
+    outcome = Outcome(
+        written=True, report=result.report, parity=result.parity, changes=result.changes
+    )
+    emit_report(replace(request, dtype=result.dtype), source, outcome)
+    if not request.as_json:
+        _show(result)
+
+
+def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
+    """Check the options, build the torch module or scene, and export it by its kind."""
+    from gsgen.contract.spec.severity import Level
+    from gsgen.contract.spec.targets import load_target
+    from gsgen.contract.validation.settings import Settings
+    from gsgen.sdk.exporting.constant_generator import ConstantSource, export_constant
+
+    # Options are checked before a slow step begins.
+    request.refuse_splat_file()
+    settings = Settings(level=Level.parse(request.level, "--level"))
+    load_target(request.target)
+    progress("building the generator")
+    module = _built(build)
+    options: dict[str, Any] = {
+        "name": request.name,
+        "opset": request.opset,
+        "target": request.target,
+        "settings": settings,
+        "progress": progress,
+    }
+    # Case 1: a scene that does not change; torch may be absent.
+    if isinstance(module, ConstantSource):
+        _refuse_pictures(request)
+        return export_constant(
+            module, request.output, dtype=request.dtype, capacity=request.capacity, **options
+        )
+    from gsgen.sdk.authoring.post_process import PostProcess
+    from gsgen.sdk.exporting.exporter import export
+    from gsgen.sdk.exporting.post_process_exporter import export_post_process
+
+    options["rewrite"] = request.rewrite
+    # Case 2: a model from image to image.
+    if isinstance(module, PostProcess):
+        _refuse_pictures(request)
+        if request.capacity is not None:
+            message = "a post-process model returns an image, which has no Gaussians"
+            raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
+        dtype = request.dtype or "float32"
+        return export_post_process(module, request.output, dtype=dtype, **options)
+    # Case 3: a generator.
+    options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
+    options |= {"pictures": request.pictures, "vectors": request.vectors}
+    return export(module, request.output, **options)
+
+
+def _refuse_pictures(request: "ExportRequest") -> None:
+    """Raise if pictures of a torch module are requested for a scene that has no torch module."""
+    if request.pictures:
+        message = "only a generator in torch has an eager module to draw"
+        hint = "Leave it out; `gsgen references --from` takes pictures of the training code."
+        raise ConfigInvalid(message, where="--pictures", hint=hint)
+
+
+def _built(build: Callable[[], Any]) -> Any:
+    from gsgen.sdk.plugins.factory import require_torch
+
+    try:
+        return build()
+    except ModuleNotFoundError:
+        require_torch()
+        raise
+
+
+def _show_failure(error: GsgenError) -> None:
+    from gsgen.cli.output import show
+    from gsgen.contract.reporters.text import render
+    from gsgen.sdk.errors import ExportRejected
+
+    if isinstance(error, ExportRejected):
+        show(render(error.report))
+    else:
+        typer.echo(f"gsgen: {error}", err=True)
+
+
+def _show(result: "ExportResult") -> None:
+    from gsgen.cli.output import show
+    from gsgen.contract.reporters.text import render
+    from gsgen.contract.spec.units import format_bytes
+
+    report = result.report
+    if report.findings or any(not level.ran for level in report.levels):
+        show(render(report))
+    size = format_bytes(result.path.stat().st_size)
+    typer.echo(f"{result.path}: {result.contents}, {size}; {_verdict(result)}")
+    if result.changes:
+        rewrites = ", ".join(f"{change.rewrite} ({len(change.nodes)})" for change in result.changes)
+        typer.echo(f"rewritten: {rewrites}")
+    if result.parity is not None:
+        probes = "probe" if result.parity.probes == 1 else "probes"
+        typer.echo(
+            f"agrees with torch at {result.parity.probes} {probes}: {result.parity.describe()}"
+        )
+
+
+def _verdict(result: "ExportResult") -> str:
+    report = result.report
+    if report.verdict != "conforms":
+        return "does NOT conform; the packed Gaussians were passed through unchanged"
+    ran = [level.level.word for level in report.levels if level.ran]
+    skipped = [level.level.word for level in report.levels if not level.ran]
+    suffix = f", {' and '.join(skipped)} skipped" if skipped else ""
+    return f"conforms at level {ran[-1]}{suffix}"

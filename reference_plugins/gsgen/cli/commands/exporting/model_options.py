@@ -1,0 +1,76 @@
+"""Options and helper functions that several commands of the SDK share."""
+
+__all__ = [
+    "AsJson", "DryRun", "ModelFile", "Sizes", "copy_of", "echo_json", "exit_at_error", "first_names",
+    "sizes_of",
+]  # fmt: skip
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gsgen.cli.progress import clear
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing; list the changes.")]
+ModelFile = Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)]
+Sizes = Annotated[
+    list[str] | None,
+    typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
+]
+
+
+def copy_of(output: Path | None, *, dry_run: bool) -> Path | None:
+    """Return the path of the changed model that a command writes; None for a dry run."""
+    if dry_run:
+        return None
+    if output is None:
+        message = "is missing, expected the path of the copy"
+        hint = "Give -o OUT.onnx, or --dry-run to list the changes."
+        raise ConfigInvalid(message, where="--output", hint=hint)
+    return output
+
+
+def sizes_of(entries: Iterable[str] | None) -> dict[str, int]:
+    """Parse options ``--size SYMBOL=SIZE`` into a dict from symbolic dimension to size."""
+    return dict(map(_sized, entries or ()))
+
+
+def _sized(entry: str) -> tuple[str, int]:
+    symbol, sign, size = entry.partition("=")
+    if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
+        raise ConfigInvalid(
+            f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24", where="--size"
+        )
+    return symbol, int(size)
+
+
+@contextmanager
+def exit_at_error() -> Iterator[None]:
+    """Print an error about a model, and exit with the error's code; raise errors about options."""
+    try:
+        yield
+    except ConfigInvalid:
+        raise
+    except GsgenError as error:
+        clear()
+        typer.echo(f"gsgen: {error}", err=True)
+        code = ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
+        raise typer.Exit(code) from error
+    clear()
+
+
+def echo_json(document: object) -> None:
+    """Print a document as indented JSON."""
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def first_names(names: Sequence[str], most: int) -> str:
+    """Join the first names of a list, followed by the number of the remaining ones."""
+    remainder = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + remainder

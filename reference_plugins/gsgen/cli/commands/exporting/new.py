@@ -1,0 +1,35 @@
+"""`gsgen new`: create a plugin package from a template."""
+
+__all__ = ["new"]
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def new(
+    name: Annotated[
+        str, typer.Argument(help="Name of the package and of the plugin, such as my-method.")
+    ],
+    into: Annotated[
+        Path, typer.Option(help="Folder that will contain the package's folder.")
+    ] = Path(),
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the paths as JSON.")] = False,
+) -> None:
+    """Create a plugin package NAME: a method, its export command, and passing tests.
+
+    Exits 0 if it was created, 2 if the name is not valid or the folder exists.
+    """
+    from gsgen.cli.commands.exporting.model_options import echo_json
+    from gsgen.sdk.plugins.plugin_template import write_plugin_package
+
+    package = write_plugin_package(name, into)
+    if as_json:
+        files = [str(package.folder / file) for file in package.files]
+        echo_json({"folder": str(package.folder), "files": files})
+        return
+    for file in package.files:
+        typer.echo(package.folder / file)
+    typer.echo(f"\nNext:\n  cd {package.folder}\n  pip install -e '.[test]'\n  pytest")

@@ -1,0 +1,79 @@
+"""`gsgen plugins`: list the methods that `gsgen export` can read."""
+
+__all__ = ["plugins"]
+
+from typing import Annotated, Any
+
+import typer
+
+from gsgen.cli.commands.exporting.model_options import AsJson, echo_json
+from gsgen.contract._entry_points import Extension
+from gsgen.contract.errors import UnknownName
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins
+
+
+def plugins(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAMES]…", help="List these plugins only.", show_default="all"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the installed plugins: method, model inputs, and the files that each reads.
+
+    Exits 2 if no plugin has a given name.
+    """
+    extensions = find_plugins()
+    for name in names or ():
+        if name not in extensions:
+            raise UnknownName.among("plugin", name, extensions)
+    entries = [
+        _facts(extension) for name, extension in extensions.items() if not names or name in names
+    ]
+    if as_json:
+        echo_json(entries)
+        return
+    typer.echo("\n\n".join(_text(entry) for entry in entries))
+
+
+def _facts(extension: Extension) -> dict[str, Any]:
+    owner = extension.point.dist
+    facts: dict[str, Any] = {
+        "name": extension.name,
+        "package": f"{owner.name} {owner.version}" if owner is not None else None,
+        "usable": not extension.missing,
+        "missing": list(extension.missing),
+        "remedy": extension.remedy if extension.missing else None,
+        "title": None,
+        "summary": None,
+        "reads": None,
+        "inputs": [],
+        "publication": None,
+    }
+    try:
+        loaded = extension.point.load()
+    except Exception as error:  # a third party's code may fail in any way
+        reason = None if extension.missing else f"Broken: {type(error).__name__}: {error}"
+        return facts | {"summary": reason}
+    if not isinstance(loaded, Plugin):  # another kind of command
+        summary = (getattr(loaded, "__doc__", None) or "").strip().partition("\n")[0]
+        return facts | {"summary": summary or None}
+    return facts | {
+        "title": loaded.title or None,
+        "summary": loaded.headline,
+        "reads": loaded.reads,
+        "inputs": list(loaded.inputs),
+        "publication": loaded.publication.describe() or None,
+    }
+
+
+def _text(facts: dict[str, Any]) -> str:
+    lines = [f"{facts['name']}  ({facts['package'] or 'unknown package'})"]
+    if not facts["usable"]:
+        lines.append(f"  lacks {', '.join(facts['missing'])}: {facts['remedy']}")
+    lines += [f"  {facts[key]}" for key in ("summary", "reads") if facts[key]]
+    if facts["reads"]:
+        lines.append(f"  Inputs of the model: {', '.join(facts['inputs']) or 'none'}.")
+    if facts["publication"]:
+        lines.append(f"  Published: {facts['publication']}.")
+    return "\n".join(lines)

@@ -1,0 +1,182 @@
+"""The command `gsgen tiles build`, which builds a tileset from scenes of any size."""
+
+__all__ = ["build"]
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+
+if TYPE_CHECKING:
+    from gsgen.tiles.build.build import BuildReport
+    from gsgen.tiles.build.progress import Progress
+
+_QUALITIES = {1: (0,), 2: (0, 2), 3: (0, 2, 4)}
+
+
+_Scenes = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Files of splats: PLY is read in pieces, other formats as a whole.", show_default=False
+    ),
+]
+_Output = Annotated[
+    Path, typer.Option("-o", "--output", help="The folder to write.", show_default=False)
+]
+_Leaf = Annotated[int, typer.Option(help="Most splats of a leaf.", min=1, max=1 << 20)]
+_Engine = Annotated[
+    str, typer.Option(help="serial, processes, dask (this machine) or dask=ADDRESS.")
+]
+_Workers = Annotated[
+    int | None, typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024)
+]
+_QualityCount = Annotated[
+    int, typer.Option(help="How many qualities to write, each a tileset-qN.json.", min=1, max=3)
+]
+_Codec = Annotated[
+    Literal["spz", "khr"], typer.Option(help="SPZ version 2, or plain float32 attributes.")
+]
+_Implicit = Annotated[
+    bool, typer.Option("--implicit", help="Write an implicit octree, in subtrees.")
+]
+_Transform = Annotated[
+    Path | None,
+    typer.Option(help="JSON: 16 numbers, scene → world. [default: upright, y down → z up]"),
+]
+_Longitude = Annotated[float | None, typer.Option(help="Longitude of the origin, in degrees.")]
+_Latitude = Annotated[float | None, typer.Option(help="Latitude of the origin, in degrees.")]
+_Height = Annotated[float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")]
+_Neural = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--neural",
+        help="A generator that becomes a neural tile: its first frame is the content; repeatable.",
+        metavar="MODEL",
+    ),
+]
+_Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Start from the beginning; do not resume a stopped build.")
+]
+_AsJson = Annotated[
+    bool, typer.Option("--json", help="Print progress and result as lines of JSON.")
+]
+
+
+def build(
+    scenes: _Scenes,
+    output: _Output,
+    leaf: _Leaf = 65_536,
+    engine: _Engine = "processes",
+    workers: _Workers = None,
+    quality: _QualityCount = 1,
+    codec: _Codec = "spz",
+    *,
+    implicit: _Implicit = False,
+    transform: _Transform = None,
+    lon: _Longitude = None,
+    lat: _Latitude = None,
+    height: _Height = None,
+    neural: _Neural = None,
+    fresh: _Fresh = False,
+    as_json: _AsJson = False,
+) -> None:
+    """Build a tileset of SCENES: a tree of tiles, coarse above and fine below.
+
+    The same command resumes a build that was stopped.
+
+    Exits 0 if the tileset is there, 2 for wrong options, 4 if a scene cannot be read, 130 if it
+    was stopped.
+    """
+    from gsgen.cli.commands.tiles.progress_bar import BarProgress
+    from gsgen.tiles.build.build import build_tileset
+    from gsgen.tiles.build.engines.opening import open_engine
+    from gsgen.tiles.build.neural_tiles.generator import open_generator
+    from gsgen.tiles.build.parameters import BuildParameters
+    from gsgen.tiles.build.progress import JsonProgress
+
+    if implicit and quality > 1:
+        raise ConfigInvalid(
+            f"{quality} qualities with --implicit; expected 1",
+            where="--quality",
+            hint="An implicit tileset has one content file per tile.",
+        )
+    if implicit and neural:
+        raise ConfigInvalid(
+            "cannot be combined with --implicit",
+            where="--neural",
+            hint="An implicit tile cannot hold a generator.",
+        )
+    parameters = BuildParameters(
+        leaf=leaf,
+        codec=codec,
+        qualities=_QUALITIES[quality] if codec == "spz" else (0,),
+        implicit=implicit,
+        transform=_transform(transform, lon, lat, height),
+    )
+    generators = [open_generator(path) for path in neural or ()]
+    progress: Progress = JsonProgress(_print_line) if as_json else BarProgress()
+    try:
+        with open_engine(engine, workers) as running, progress:
+            report = build_tileset(
+                scenes,
+                output,
+                parameters,
+                engine=running,
+                progress=progress,
+                generators=generators,
+                fresh=fresh,
+            )
+    except KeyboardInterrupt:
+        message = f"stopped; the same command goes on where it was ({output})"
+        typer.echo(f"gsgen: {message}", err=True)
+        raise
+    typer.echo(_as_json(report) if as_json else _as_text(report))
+
+
+def _print_line(line: str) -> None:
+    typer.echo(line)
+    sys.stdout.flush()
+
+
+def _transform(
+    path: Path | None, lon: float | None, lat: float | None, height: float | None
+) -> tuple[float, ...]:
+    from gsgen.tiles.build.frame import globe_transform, read_transform, upright_transform
+
+    angles = {"--lon": lon, "--lat": lat}
+    missing = [name for name, value in angles.items() if value is None]
+    if path is not None:
+        if len(missing) < len(angles) or height is not None:
+            raise ConfigInvalid(
+                "cannot be combined with --lon, --lat or --height", where="--transform"
+            )
+        return read_transform(path)
+    if lon is not None and lat is not None:
+        return globe_transform(lon, lat, height or 0.0)
+    if len(missing) < len(angles) or height is not None:
+        problem = f"{' and '.join(missing)} missing"
+        raise ConfigInvalid(
+            problem, hint="Give both --lon and --lat to place the scene on the globe."
+        )
+    return upright_transform()
+
+
+def _as_json(report: "BuildReport") -> str:
+    from dataclasses import asdict
+
+    return json.dumps({"event": "done", **asdict(report)})
+
+
+def _as_text(report: "BuildReport") -> str:
+    size = f"{report.bytes / 1e6:,.1f} MB"
+    if report.up_to_date:
+        return f"{report.output}: up to date, {report.splats:,} splats, {size}"
+    per_splat = report.bytes / report.splats
+    return (
+        f"{report.output}: {report.splats:,} splats in {report.tiles:,} tiles, {size} "
+        f"({per_splat:.1f} bytes a splat)"
+    )

@@ -1,1 +1,0 @@
-"""The runtime's commands, such as `gsgen render`, one per module."""

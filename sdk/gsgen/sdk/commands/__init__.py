@@ -1,1 +1,0 @@
-"""The gsgen commands that come with the SDK, one module each."""
