@@ -88,10 +88,6 @@ style: setup
 bench: setup
 	$(BIN)/python -m pytest tests/bench -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
 
-# Forty modules as authors write them: exported with parity, and captured live, or refused.
-modules: setup drivers
-	PYTHONPATH=tests $(BIN)/python -m support.models.authored
-
 # All pixels of a million Gaussians beside the float64 oracle, and what is behind the worst: some
 # minutes, and ten times as long for SIZE=1280x720.
 SIZE ?= 640x360

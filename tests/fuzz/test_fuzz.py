@@ -151,7 +151,7 @@ def test_a_forked_child_gives_the_same_report_as_a_fresh_one(good, tmp_path):
 
 
 def test_a_worker_that_hangs_or_dies_is_replaced_and_told_of():
-    pool = Pool(seed=0, jobs=2, worker="support.fuzz_worker", limit=0.5)
+    pool = Pool(seed=0, jobs=2, worker="fuzz.misbehaving_worker", limit=0.5)
     told = {one["case"]: one for one in pool.judged(range(5), time.monotonic() + 60)}
     assert sorted(told) == [0, 1, 2, 3, 4]
     assert told[1]["failures"] == ["still busy after 0.5 s"]

@@ -9,9 +9,9 @@ import pytest
 
 from gsgen.sdk.binding import FrameSession
 from support.commands import gsgen_here
-from support.web.families import FAMILIES, export_family, family_frames, plugin_names
-from support.web.generators import assert_same_pictures, described_frames
 from support.web.pages import unpacked
+from web.families import FAMILIES, export_family, family_frames, plugin_names
+from web.generators import assert_same_pictures, described_frames
 
 _SCRIPT = (Path(__file__).parents[1] / "support/web/element_frames.js").read_text("utf-8")
 

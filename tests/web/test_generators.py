@@ -6,8 +6,8 @@ import pytest
 
 from gsgen.conformance.viewer_kit.case import KitCase
 from gsgen.conformance.viewer_kit.write import kit_cases
-from support.web.generators import assert_same_pictures, described_frames, drawn_frames
 from support.web.pages import WebSite
+from web.generators import assert_same_pictures, described_frames, drawn_frames
 
 _TOLERANCE = 1e-4  # SwiftShader's trigonometry; sums alone are good to 5e-6
 _NOT_SHOWN = {"external-data": "refuses the model"}

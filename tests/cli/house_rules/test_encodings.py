@@ -134,7 +134,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-_MODULE = "support.printed_commands"
+_MODULE = "cli.house_rules.printed_commands"
 
 
 def printed(

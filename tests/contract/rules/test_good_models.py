@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contract.rules.producers import ir_models, onnxscript_models, protos, torch_models
+from contract.rules.producers.good import Good
 from gsgen.conformance.fixtures.valid.avatars import posed
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from support.models.producers import ir_models, onnxscript_models, protos, torch_models
-from support.models.producers.good import Good
 
 MODELS = [
     model

@@ -10,7 +10,7 @@ from gsgen.reference_plugins.deformation.sc_gs import ScGs, node_weights
 from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import write_sc_gs
-from support.checkpoints.control_node_oracle import control_nodes
+from plugins.deformation.control_node_oracle import control_nodes
 from support.checkpoints.plugin_checks import assert_like, eager
 
 VARIANTS: tuple[dict[str, Any], ...] = (

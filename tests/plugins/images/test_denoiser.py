@@ -22,7 +22,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.safetensors import read_safetensors, write_safetensors
 from gsgen.reference_plugins.synthetic import write_denoiser
 from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post_process
-from support.checkpoints.diffusion_oracle import unet
+from plugins.images.diffusion_oracle import unet
 from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured
 

@@ -16,7 +16,7 @@ from gsgen.reference_plugins.synthetic import (
     write_hexplane,
     write_scaffold,
 )
-from support.checkpoints.method_runs import METHODS
+from plugins.loading.method_runs import METHODS
 
 MUTANTS = 60
 

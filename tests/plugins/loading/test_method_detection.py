@@ -10,7 +10,7 @@ from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.reference_plugins.synthetic import HexPlaneOptions, write_hexplane
 from gsgen.sdk.plugins.plugin import installed_plugins
-from support.checkpoints.method_runs import METHODS
+from plugins.loading.method_runs import METHODS
 
 # The files of these are like those of no other method.
 ALIKE = {name: both for name, both in METHODS.items() if name not in ("lhm", "rotor-4dgs")}

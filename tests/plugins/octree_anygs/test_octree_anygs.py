@@ -15,7 +15,7 @@ from gsgen.reference_plugins.octree_anygs.octree_anygs_plugin import build
 from gsgen.reference_plugins.static.static import StaticScene
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_anygs
 from gsgen.sdk import GaussianGenerator, export
-from support.checkpoints.anygs_oracle import expected_gaussians
+from plugins.octree_anygs.anygs_oracle import expected_gaussians
 from support.checkpoints.plugin_checks import assert_like, camera, eager, run
 from support.models.captured import assert_captured
 

@@ -16,8 +16,8 @@ from gsgen.reference_plugins.people.lhm_checkpoint import Face, read_lhm
 from gsgen.reference_plugins.people.r3_avatar import R3Avatar
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_lhm, write_r3
-from support.checkpoints import avatar_oracles as oracles
-from support.checkpoints.avatar_oracles import PoseInputs
+from plugins.people import avatar_oracles as oracles
+from plugins.people.avatar_oracles import PoseInputs
 from support.checkpoints.plugin_checks import assert_like, eager
 from support.checkpoints.plugin_oracles import ExpectedGaussians
 

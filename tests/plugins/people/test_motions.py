@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from gsgen.reference_plugins.bodies.motions import read_motion
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import write_motion
-from support.checkpoints.harmful import Harmful
+from plugins.people.harmful_pickles import Harmful
 
 
 @pytest.mark.parametrize("joints", [24, 55])

@@ -27,7 +27,7 @@ from gsgen.reference_plugins.synthetic import (
     write_lhm,
     write_r3,
 )
-from support.checkpoints.harmful import Harmful
+from plugins.people.harmful_pickles import Harmful
 
 
 def unpickled(path: Path, value: object) -> Path:

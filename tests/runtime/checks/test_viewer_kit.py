@@ -12,7 +12,7 @@ from gsgen.conformance.viewer_kit.picture_files import encode_png
 from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
 from gsgen.runtime import Camera, Renderer, Scene
 from gsgen.runtime.gpu.device import Device
-from support.viewers.wrong import WRONG_VIEWERS, Render, Viewer
+from runtime.checks.wrong_viewers import WRONG_VIEWERS, Render, Viewer
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.web.pages import client_file
-from support.web.plan_executor import choose
+from runtime.web.plan_executor import choose
 from web_client.formulas import Formula, evaluate
 from web_client.plan_tables import PlanTables
 from web_client.plans import LAYERS, pool_kinds

@@ -17,8 +17,8 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, PooledSet, SplatPool
 from gsgen.runtime.web.pages import client_file
+from runtime.web.plan_executor import PlanExecutor, choose
 from support.rendering.splat_scenes import camera, cloud, turned
-from support.web.plan_executor import PlanExecutor, choose
 
 BACKGROUND = np.array([0.1, 0.2, 0.3])
 TURNED = turned(0.3, (1, 2, 3), 1.2)

@@ -1,7 +1,4 @@
-"""Modules as authors of methods write them: exported with parity, or refused with a hint.
-
-``make modules`` also captures each of them live.
-"""
+"""Modules as authors of methods write them: exported with parity, or refused with a hint."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +12,8 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import export
 from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.rewrite import graph_stats
-from support.models.authored import MODULES, REFUSED, Cloud, Refusal
+from sdk.exporting.authored import MODULES, REFUSED, Cloud, Refusal
+from support.models.captured import CAPTURED
 
 EVERY_RELEASE = RewriteTarget.of(load_target("core"))
 NEWEST = replace(
@@ -43,6 +41,16 @@ def test_a_module_is_exported_with_parity_and_has_kernels_that_are_captured(
     assert graph_stats(result.path, NEWEST).uncaptured == ()
     note = NOTES.get(module.__name__)
     assert (len(result.notes) == 1 and note in result.notes[0]) if note else result.notes == ()
+
+
+@pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore:enable_nested_tensor is True:UserWarning")
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
+def test_an_authored_module_is_captured_live(module: type[Cloud], tmp_path: Path) -> None:
+    report = export(module(), tmp_path / "m.onnx", settings=Settings(level=Level.LIVE)).report
+    assert {rule: report.outcome(rule).status for rule in CAPTURED} == dict.fromkeys(
+        CAPTURED, "pass"
+    )
 
 
 @pytest.mark.parametrize("refusal", REFUSED, ids=lambda refusal: refusal.module.__name__)

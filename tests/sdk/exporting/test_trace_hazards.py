@@ -13,7 +13,7 @@ from gsgen.sdk.exporting.eager_reference import EagerRuns
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
 from gsgen.sdk.exporting.tracing.hazards import Watch
 from gsgen.sdk.parity import ModelOutput
-from support.models import hazards
+from sdk.exporting import hazards
 from support.models.generators import Drift, Growing, Lit, Skinned
 
 LINES = Path(hazards.__file__).read_text("utf-8").splitlines()

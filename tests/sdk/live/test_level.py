@@ -129,7 +129,7 @@ def behaving(monkeypatch):
     """Let the child be one that misbehaves in a given way."""
 
     def behave(how):
-        monkeypatch.setattr(live, "_WORKER", "support.live_worker")
+        monkeypatch.setattr(live, "_WORKER", "sdk.live.misbehaving_worker")
         monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
         monkeypatch.setenv("HOW_THE_WORKER_BEHAVES", how)
 

@@ -33,7 +33,7 @@ from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.volumes import Box
 from support.commands import gsgen_here
-from support.tiles.neural_scenes import SPACING, generated, transforms, write_neural_tileset
+from tiles.streaming.neural_scenes import SPACING, generated, transforms, write_neural_tileset
 
 HANGS_AFTER = 120.0  # seconds that no machine needs for a tile's run
 BOUNDS = Bounds((-1.9, -1.9, -1.9), (1.9, 1.9, 1.9))

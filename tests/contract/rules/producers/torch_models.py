@@ -15,6 +15,7 @@ import onnx
 import torch
 from onnx import ModelProto
 
+from contract.rules.producers.good import UP, Good, declared, scene
 from gsgen.contract.spec.manifest import (
     GeneratorManifest,
     ImageOutput,
@@ -26,7 +27,6 @@ from gsgen.contract.spec.manifest import (
 )
 from gsgen.sdk import export
 from support.models.generators import Bunches, Drift, Lit
-from support.models.producers.good import UP, Good, declared, scene
 
 _SDK = "torch.onnx, by gsgen.sdk"
 _PLAIN = "torch.onnx"

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from gsgen.sdk import Gaussians, inputs
-from support.models.authored.cloud import Cloud
+from sdk.exporting.authored.cloud import Cloud
 
 
 class InverseMatrix(Cloud):

@@ -10,16 +10,17 @@ from scipy.ndimage import label
 
 from gsgen.formats import Splats
 from gsgen.tiles.validation import sketches
-from support.tiles import cesium, first_draft
 from support.tiles.foreign_tiles import east_north_up, write
+from tiles.cesium import first_draft
+from tiles.cesium.viewer import Viewer, opened_viewer
 
 _EACH = 1500
 
 
 @pytest.fixture(scope="module")
-def viewer() -> Iterator[cesium.Viewer]:
+def viewer() -> Iterator[Viewer]:
     """One page for all tests: to load CesiumJS takes as long as to show a tileset."""
-    with cesium.opened_viewer() as viewer:
+    with opened_viewer() as viewer:
         yield viewer
 
 
@@ -46,7 +47,7 @@ def signpost(
 
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
 def test_every_tile_loads_and_the_scene_stands_upright(
-    kind: str, viewer: cesium.Viewer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, viewer: Viewer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sketches, "sample_splats", signpost)
     globe = east_north_up(2.2945, 48.8584, 35.0)
@@ -73,7 +74,7 @@ def test_every_tile_loads_and_the_scene_stands_upright(
     assert np.nonzero(towers)[0].mean() < np.nonzero(ground)[0].mean() - 3
 
 
-def test_a_missing_tile_is_seen_to_fail(viewer: cesium.Viewer, tmp_path: Path) -> None:
+def test_a_missing_tile_is_seen_to_fail(viewer: Viewer, tmp_path: Path) -> None:
     """The test above would notice a tile that does not load."""
     sketch = sketches.explicit_sketch(transform=east_north_up(2.2945, 48.8584, 35.0), record=False)
     sketch.write(tmp_path / "tileset.json")
@@ -83,7 +84,7 @@ def test_a_missing_tile_is_seen_to_fail(viewer: cesium.Viewer, tmp_path: Path) -
     assert [url for url in seen.failed if name in url]
 
 
-def test_the_first_draft_is_drawn_as_points(viewer: cesium.Viewer, tmp_path: Path) -> None:
+def test_the_first_draft_is_drawn_as_points(viewer: Viewer, tmp_path: Path) -> None:
     """GT007 is right: without the required extensions, five splats are five dots."""
     write(tmp_path, first_draft.five_splats())
     seen = viewer.view(tmp_path)

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, numpy_helper
 
+from contract.rules.producers.good import UP, Good, Scene, declared, live, scene
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     CountOutput,
@@ -20,7 +21,6 @@ from gsgen.contract.spec.manifest import (
     TrajectoryOutputs,
     UncertaintyOutput,
 )
-from support.models.producers.good import UP, Good, Scene, declared, live, scene
 
 _CODES = {"float32": 1, "int32": 6, "int64": 7, "float16": 10}
 _VIEW = Input(name="view", role="view", default="identity")

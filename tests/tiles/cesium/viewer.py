@@ -16,7 +16,7 @@ from PIL import Image
 from support.browser import launched, serving
 
 CESIUM = Path(__file__).parents[3] / ".venv" / "cesium"
-PAGE = Path(__file__).with_name("cesium_page.html")
+PAGE = Path(__file__).with_name("page.html")
 _SECONDS = 180
 _WEBGL_FLAGS = (
     "--no-sandbox",

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812 - the name that every method uses
 
 from gsgen.sdk import Gaussians, inputs, math
-from support.models.authored.cloud import Cloud, N
+from sdk.exporting.authored.cloud import Cloud, N
 
 _PARENTS = (-1, 0, 1, 1, 3)
 

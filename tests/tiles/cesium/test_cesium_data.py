@@ -14,8 +14,8 @@ from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.leaves import read_leaves
 from gsgen.tiles.loading import open_tileset
 from support.commands import gsgen as run
-from support.tiles import first_draft
 from support.tiles import foreign_tiles as foreign
+from tiles.cesium import first_draft
 
 SH_C0 = 0.28209479177387814
 

@@ -5,9 +5,9 @@
 
 __all__ = ["MODULES", "REFUSED", "Cloud", "Refusal"]
 
-from support.models.authored import fields, networks, numerics, rigs, selection
-from support.models.authored.cloud import Cloud
-from support.models.authored.refused import REFUSED, Refusal
+from sdk.exporting.authored import fields, networks, numerics, rigs, selection
+from sdk.exporting.authored.cloud import Cloud
+from sdk.exporting.authored.refused import REFUSED, Refusal
 
 MODULES: tuple[type[Cloud], ...] = (
     *fields.MODULES,

@@ -8,8 +8,8 @@ import numpy as np
 import onnx_ir as ir
 from onnx import ModelProto
 
+from contract.rules.producers.good import Good, declared, live, scene
 from gsgen.contract.spec.manifest import Input, Tolerances
-from support.models.producers.good import Good, declared, live, scene
 
 _COUNT = 48
 _CODES = {"float32": ir.DataType.FLOAT, "int32": ir.DataType.INT32}

@@ -9,6 +9,7 @@ from onnx import ModelProto, numpy_helper
 from onnxscript import FLOAT, script
 from onnxscript import opset18 as op
 
+from contract.rules.producers.good import Good, Scene, declared, live, scene
 from gsgen.contract.spec.manifest import (
     ImageOutput,
     Input,
@@ -17,7 +18,6 @@ from gsgen.contract.spec.manifest import (
     PostProcessOutputs,
     Space,
 )
-from support.models.producers.good import Good, Scene, declared, live, scene
 
 _COUNT = 32
 

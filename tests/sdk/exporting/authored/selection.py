@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from gsgen.sdk import Gaussians, inputs
-from support.models.authored.cloud import Cloud, N
+from sdk.exporting.authored.cloud import Cloud, N
 
 
 class SortedByDepth(Cloud):

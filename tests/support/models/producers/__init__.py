@@ -1,1 +1,0 @@
-"""Good models of many producers, which the validator must not find fault with."""
