@@ -123,9 +123,9 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
         ("from gsgen.contract.rules import absent\n", "faulty_acme.py:1 (from gsgen"),
         (
             "from gsgen.contract.rule import Severity, rule\n\n"
-            "@rule('acme/AC001', 'a-b', Severity.ERROR, over='modle', fixture='')\n"
-            "def check(model):\n    'One. Why: two.'\n",
-            "over is 'modle', expected one of model, ",
+            "@rule('acme/AC001', Severity.ERROR)\n"
+            "def check(model: str):\n    'One. Why: two.'\n",
+            "acme/AC001: model: str is the argument, expected one of InspectedModel, ",
         ),
     ],
 )

@@ -3,24 +3,28 @@ from types import ModuleType
 import pytest
 
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.rule import Registry, rule, rules_in
+from gsgen.contract.validation.waivers import Review
 from support.reports.rules import made_up
 
 
-def declared(id="GV999", slug="always-so", doc="It is so.\n\nWhy:\n  x\n\nHint:\n  y", **options):
-    def check(_):
+def declared(id="GV999", name="always_so", doc="It is so.\n\nWhy:\n  x\n\nHint:\n  y", **options):
+    def check(_: Rows):
         return iter(())
 
-    check.__doc__ = doc
-    options = {"over": "rows", "fixture": "broken"} | options
-    return rule(id, slug, Severity.ERROR, **options)(check)
+    check.__doc__, check.__name__ = doc, name
+    return rule(id, Severity.ERROR, **options)(check)
 
 
 def test_a_rule_takes_its_text_from_its_docstring():
-    @rule("GV999", "always-so", Severity.WARNING, over="emission", fixture="broken")
-    def always_so(_):
+    @rule("GV999", Severity.WARNING, fixture="broken")
+    def always_so(_: ModelOutputs):
         """It is so,
         whatever happens.
 
@@ -37,6 +41,7 @@ def test_a_rule_takes_its_text_from_its_docstring():
     assert always_so.rationale == "Because nothing else would do."
     assert always_so.hint == "Make it so."
     assert (always_so.id, always_so.slug, always_so.family) == ("GV999", "always-so", "GV")
+    assert (always_so.scope, always_so.level) == ("emission", Level.VALUES)
     assert (always_so.severity, always_so.fixture) == (Severity.WARNING, "broken")
     assert always_so.kinds == ("gaussian-generator",)
     assert (always_so.needs, always_so.target, always_so.limit) == ((), "", "")
@@ -50,20 +55,36 @@ def test_a_rule_may_say_where_it_was_seen_to_break_something():
 
 
 @pytest.mark.parametrize(
-    ("scope", "level"),
+    ("argument", "scope", "level"),
     [
-        ("model", Level.STATIC),
-        ("execution", Level.VALUES),
-        ("emission", Level.VALUES),
-        ("rows", Level.VALUES),
-        ("sample", Level.VALUES),
-        ("runs", Level.BEHAVIOUR),
-        ("report", Level.STATIC),
+        (InspectedModel, "model", Level.STATIC),
+        (ProbeRuns, "execution", Level.VALUES),
+        (ModelOutputs, "emission", Level.VALUES),
+        (Rows, "rows", Level.VALUES),
+        (DrawnSample, "sample", Level.VALUES),
+        (Behaviour, "runs", Level.BEHAVIOUR),
+        (Review, "report", Level.STATIC),
     ],
 )
-def test_what_a_rule_looks_at_decides_its_level(scope, level):
-    assert declared(over=scope).level == level
-    assert declared(over=scope, level=Level.LIVE).level == Level.LIVE
+def test_type_of_the_argument_decides_scope_and_level(argument, scope, level):
+    def check(_: argument):
+        """Something holds.
+
+        Why:
+            Because.
+
+        Hint:
+            Make it so.
+        """
+
+    declaration = rule("GV999", Severity.ERROR)(check)
+    assert (declaration.scope, declaration.level) == (scope, level)
+    assert rule("GV999", Severity.ERROR, level=Level.LIVE)(check).level == Level.LIVE
+
+
+def test_scope_of_a_context_is_given_by_name():
+    assert declared(over="tileset").scope == "tileset"
+    assert declared(over="live").level == Level.LIVE
 
 
 @pytest.mark.parametrize("id", ["GV003", "acme/AC001", "acme-2/ZZ999"])
@@ -75,14 +96,14 @@ def test_an_id_is_two_letters_and_three_digits_with_a_name_in_front(id):
     "id", ["GV3", "gv003", "GV0033", "GVX003", "/GV003", "Acme/AC001", "3/AC001"]
 )
 def test_another_id_is_refused(id):
-    with pytest.raises(ValueError, match="expected an id like GV003 and a slug like opacity-range"):
+    with pytest.raises(ValueError, match="expected an id like GV003 and a name like opacity_range"):
         declared(id)
 
 
-@pytest.mark.parametrize("slug", ["", "Opacity", "opacity_range", "-opacity", "opacity--range"])
-def test_another_slug_is_refused(slug):
-    with pytest.raises(ValueError, match="expected an id like GV003 and a slug like opacity-range"):
-        declared(slug=slug)
+@pytest.mark.parametrize("name", ["<lambda>", "Opacity", "_opacity", "opacity__range"])
+def test_another_name_is_refused(name):
+    with pytest.raises(ValueError, match="expected an id like GV003 and a name like opacity_range"):
+        declared(name=name)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +144,7 @@ def test_a_registry_has_all_that_its_rules_need():
         Registry.of([made_up("GV901", needs=("GV900",))])
 
 
-REGISTRY = Registry.of([declared("GV901", "opacity-range"), declared("acme/GV902", "rows-finite")])
+REGISTRY = Registry.of([declared("GV901", "opacity_range"), declared("acme/GV902", "rows_finite")])
 
 
 @pytest.mark.parametrize(

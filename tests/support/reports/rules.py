@@ -35,9 +35,9 @@ def made_up(
         """
         yield from find(subject)
 
-    slug = f"made-up-{id.lower().replace('/', '-')}"
+    check.__name__ = f"made_up_{id.lower().replace('/', '_')}"
     options = {"needs": needs, "kinds": kinds, "target": target, "limit": limit}
-    return rule(id, slug, severity, over=over, fixture="none", level=level, **options)(check)
+    return rule(id, severity, over=over, fixture="none", level=level, **options)(check)
 
 
 def breaking(_: object) -> Iterator[Violation]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import (
     camera,
@@ -174,15 +175,8 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
     """Return a rule that always crashes, to report that a plugin's rules cannot be loaded."""
     letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
-    @rule(
-        f"{letters or 'plugin'}/XX{number:03}",
-        "plugin-loads",
-        Severity.ERROR,
-        over="model",
-        fixture="",
-        kinds=KINDS,
-    )
-    def plugin_loads(_: object) -> Iterator[Violation]:
+    @rule(f"{letters or 'plugin'}/XX{number:03}", Severity.ERROR, kinds=KINDS)
+    def plugin_loads(_: InspectedModel) -> Iterator[Violation]:
         """The rules of every installed plugin can be loaded.
 
         Why:

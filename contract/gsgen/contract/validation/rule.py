@@ -14,16 +14,20 @@ from types import ModuleType
 from typing import Any, Literal
 
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns
 from gsgen.contract.spec.fields.roles import GENERATOR
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend
+from gsgen.contract.validation.waivers import Review
 
-# The argument of a check: the model before it runs (InspectedModel), its runs (ProbeRuns), the
-# outputs of one probe (ModelOutputs), a chunk of their rows (Rows), a sample of drawn rows of one
-# probe (DrawnSample), comparisons of all runs (Behaviour), the context of a level backend, or the
-# findings of all other rules (Review).
+# What a check is given: the model before it runs, its runs, the outputs of one probe, a chunk of
+# their rows, a sample of drawn rows of one probe, comparisons of all runs, the context of a level
+# backend (live, render), the findings of all other rules, or a tileset.
 Scope = Literal[
     "model",
     "execution",
@@ -43,6 +47,15 @@ _SLUG = re.compile(r"^[a-z0-9]+(?:-[a-z0-9]+)*$")
 # An id as people type it: GV3, gv-03, GV0003.
 _TYPED = re.compile(r"((?:[a-z][a-z0-9-]*/)?[a-z]{2})[-_ ]?([0-9]{1,9})", re.IGNORECASE)
 _MOST_SUGGESTED = 3
+_SCOPES: dict[type, Scope] = {
+    InspectedModel: "model",
+    ProbeRuns: "execution",
+    ModelOutputs: "emission",
+    Rows: "rows",
+    DrawnSample: "sample",
+    Behaviour: "runs",
+    Review: "report",
+}
 _LEVELS: dict[Scope, Level] = {
     "model": Level.STATIC,
     "execution": Level.VALUES,
@@ -109,29 +122,27 @@ class Rule:
 
 def rule(
     id: str,
-    slug: str,
     severity: Severity,
     *,
-    over: Scope,
-    fixture: str,
+    fixture: str = "",
     needs: tuple[str, ...] = (),
     kinds: tuple[str, ...] = (GENERATOR,),
     target: str = "",
     limit: str = "",
     settled_by: tuple[str, ...] = (),
     explained_by: tuple[str, ...] = (),
+    over: Scope | None = None,
     level: Level | None = None,
 ) -> Callable[[Check], Rule]:
-    """Declare the decorated check as a rule; its docstring is the text of the rule's page.
+    """Declare the decorated check as a rule: its name is the rule's, its docstring the rule's page.
 
-    The docstring's first paragraph is the statement. The sections ``Why:`` and ``Hint:`` explain
+    The type of the check's argument says what it is given, and with that when it runs. The
+    docstring's first paragraph is the statement. The sections ``Why:`` and ``Hint:`` explain
     the damage and the repair; ``Evidence:`` may follow, with a documented case.
 
     Args:
         id: Stable code, such as ``GV003``, or ``acme/AC001`` for a third party.
-        slug: Readable name, such as ``opacity-range``.
         severity: The default severity.
-        over: The scope: which argument the check receives.
         fixture: Name of the example model that breaks this rule and no other.
         needs: Rules that must hold before this one can be checked.
         kinds: The kinds of model it applies to.
@@ -139,27 +150,29 @@ def rule(
         limit: The limit of the target that it checks.
         settled_by: Rules of the level live that measure what this one predicts.
         explained_by: Rules of later levels whose fault causes this one's violations.
+        over: The scope, where the argument is the context of a level backend or a tileset.
         level: The first level that can check it; by default, that of the scope.
 
     Raises:
-        ValueError: The id, the slug or the docstring does not have that form, or no scope has the
-            name ``over``.
+        ValueError: The id, the name or the docstring does not have that form, or no scope belongs
+            to the argument's type.
     """
 
     def declare(check: Check) -> Rule:
+        slug = check.__name__.replace("_", "-")
         if not _ID.match(id) or not _SLUG.match(slug):
             raise ValueError(
-                f"the rule is named {id} {slug}, expected an id like GV003 and a slug like opacity-range"
+                f"the rule is named {id} {check.__name__}, expected an id like GV003 and a name "
+                "like opacity_range"
             )
-        if over not in _LEVELS:
-            raise ValueError(f"{id}: over is {over!r}, expected one of {', '.join(_LEVELS)}")
+        scope = over or _scope_of(id, check)
         statement, rationale, hint, evidence = _sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
             slug=slug,
             severity=severity,
-            level=level or _LEVELS[over],
-            scope=over,
+            level=level or _LEVELS[scope],
+            scope=scope,
             statement=statement,
             rationale=rationale,
             hint=hint,
@@ -175,6 +188,15 @@ def rule(
         )
 
     return declare
+
+
+def _scope_of(id: str, check: Check) -> Scope:
+    """Return the scope that the type of a check's argument says."""
+    argument = next(iter(inspect.signature(check).parameters.values()))
+    if argument.annotation not in _SCOPES:
+        types = ", ".join(entry.__name__ for entry in _SCOPES)
+        raise ValueError(f"{id}: {argument} is the argument, expected one of {types}")
+    return _SCOPES[argument.annotation]
 
 
 def _sections(id: str, doc: str) -> tuple[str, str, str, str]:

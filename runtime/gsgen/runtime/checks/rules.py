@@ -5,6 +5,7 @@ The rules are registered under the entry point group ``gsgen.rules``.
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import TYPE_CHECKING
 
 from gsgen.contract.probing.run_comparison import ProbeRuns
@@ -27,17 +28,11 @@ def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
 RUNNER = LevelBackend(Level.RENDER, "drawing frames", _prepare)
 
 _MIN_AGREEMENT = 60  # decibels
+_render_rule = partial(rule, over="render")
 _NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
 
 
-@rule(
-    "GB018",
-    "picture-not-empty",
-    Severity.ERROR,
-    over="render",
-    fixture="too_fine_to_be_seen",
-    needs=_NEEDS,
-)
+@_render_rule("GB018", Severity.ERROR, fixture="too_fine_to_be_seen", needs=_NEEDS)
 def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
     """At least one drawn frame shows the model.
 
@@ -57,14 +52,7 @@ def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
         yield Violation.at("picture", actual, f"at least {CULL_OPACITY:.2g} somewhere")
 
 
-@rule(
-    "GB019",
-    "every-frame-shows",
-    Severity.WARNING,
-    over="render",
-    fixture="grows_out_of_nothing",
-    needs=(*_NEEDS, "GB018"),
-)
+@_render_rule("GB019", Severity.WARNING, fixture="grows_out_of_nothing", needs=(*_NEEDS, "GB018"))
 def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
     """Every drawn frame shows at least one Gaussian, unless its count of Gaussians is zero.
 
@@ -84,14 +72,7 @@ def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
             yield Violation.at("picture", actual, f"a pixel covered by at least {CULL_OPACITY:.2g}")
 
 
-@rule(
-    "GB020",
-    "rasterisers-agree",
-    Severity.WARNING,
-    over="render",
-    fixture="opaque_behind_opaque",
-    needs=(*_NEEDS, "GB018"),
-)
+@_render_rule("GB020", Severity.WARNING, fixture="opaque_behind_opaque", needs=(*_NEEDS, "GB018"))
 def rasterisers_agree(evidence: "RenderEvidence") -> Iterator[Violation]:
     """The tile and the quad rasteriser draw the same picture, to 60 dB.
 
@@ -110,13 +91,8 @@ def rasterisers_agree(evidence: "RenderEvidence") -> Iterator[Violation]:
             yield Violation.at("picture", actual, f"at least {_MIN_AGREEMENT} dB")
 
 
-@rule(
-    "GB021",
-    "reference-images-match",
-    Severity.WARNING,
-    over="render",
-    fixture="looks_otherwise",
-    needs=(*_NEEDS, "GM002", "GM003", "GM005"),
+@_render_rule(
+    "GB021", Severity.WARNING, fixture="looks_otherwise", needs=(*_NEEDS, "GM002", "GM003", "GM005")
 )
 def reference_images_match(evidence: "RenderEvidence") -> Iterator[Violation]:
     """Every reference image of the manifest exists, and the model draws it.

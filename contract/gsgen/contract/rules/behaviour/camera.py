@@ -26,12 +26,7 @@ _BARE_SHARE = 0.4
 
 
 @rule(
-    "GI007",
-    "matrix-order",
-    Severity.ERROR,
-    over="runs",
-    fixture="matrix_order_differs",
-    needs=(*REPRODUCIBLE, "GI001", "GM006"),
+    "GI007", Severity.ERROR, fixture="matrix_order_differs", needs=(*REPRODUCIBLE, "GI001", "GM006")
 )
 def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     """The model reads the view matrix in the memory order that the manifest declares.
@@ -56,14 +51,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
         yield Violation.at(f"input {name}", actual, f"the {order} order, as declared")
 
 
-@rule(
-    "GI008",
-    "projection-y-sign",
-    Severity.WARNING,
-    over="runs",
-    fixture="projection_y_matters",
-    needs=(*REPRODUCIBLE, "GI002"),
-)
+@rule("GI008", Severity.WARNING, fixture="projection_y_matters", needs=(*REPRODUCIBLE, "GI002"))
 def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     """Negating the y axis of clip space in the projection matrix changes no output.
 
@@ -88,9 +76,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB008",
-    "culling-conservative",
     Severity.WARNING,
-    over="runs",
     fixture="culls_what_is_seen",
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
@@ -156,9 +142,7 @@ def _in_cone(
 
 @rule(
     "GV017",
-    "count-not-zero",
     Severity.WARNING,
-    over="runs",
     fixture="nothing_for_some_cameras",
     needs=("GV025", "GO010", "GO011", "GV016"),
 )

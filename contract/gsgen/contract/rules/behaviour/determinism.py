@@ -21,9 +21,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
 
 @rule(
     "GB001",
-    "deterministic",
     Severity.ERROR,
-    over="runs",
     fixture="dropout_by_a_flag",
     needs=(MODEL_RUNS, *NOT_RANDOM),
     kinds=KINDS,
@@ -42,13 +40,7 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 @rule(
-    "GB002",
-    "stateless",
-    Severity.ERROR,
-    over="runs",
-    fixture="remembers_other_runs",
-    needs=("GV025", "GB001"),
-    kinds=KINDS,
+    "GB002", Severity.ERROR, fixture="remembers_other_runs", needs=("GV025", "GB001"), kinds=KINDS
 )
 def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     """The same inputs give the same bits, regardless of other runs in between.
@@ -64,14 +56,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
         yield from _differences(behaviour.revisited, expected)
 
 
-@rule(
-    "GB003",
-    "inputs-matter",
-    Severity.WARNING,
-    over="runs",
-    fixture="time_times_zero",
-    needs=(*REPRODUCIBLE, "GV054"),
-)
+@rule("GB003", Severity.WARNING, fixture="time_times_zero", needs=(*REPRODUCIBLE, "GV054"))
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Each model input changes some output, unless `depends_on` declares that it does not.
 
@@ -131,14 +116,7 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     return any(entry.name in used for entry in _inputs_of(subject, role))
 
 
-@rule(
-    "GB022",
-    "denied-dependence",
-    Severity.ERROR,
-    over="runs",
-    fixture="undeclared_dependence",
-    needs=REPRODUCIBLE,
-)
+@rule("GB022", Severity.ERROR, fixture="undeclared_dependence", needs=REPRODUCIBLE)
 def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
     """If `depends_on` declares that an input role changes nothing, no output changes with it.
 
@@ -157,14 +135,7 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(_location(role), actual, "depends_on true")
 
 
-@rule(
-    "GB007",
-    "camera-invariance",
-    Severity.ERROR,
-    over="runs",
-    fixture="undeclared_camera",
-    needs=REPRODUCIBLE,
-)
+@rule("GB007", Severity.ERROR, fixture="undeclared_camera", needs=REPRODUCIBLE)
 def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     """If `depends_on` declares that the camera changes nothing, no output changes with the camera.
 

@@ -33,9 +33,7 @@ def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray:
 
 @rule(
     "GB004",
-    "time-loops",
     Severity.ERROR,
-    over="runs",
     fixture="loop_that_jumps",
     needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
 )
@@ -64,9 +62,7 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB005",
-    "time-continuous",
     Severity.INFO,
-    over="runs",
     fixture="scene_that_pops",
     needs=(*REPRODUCIBLE, "GM009", "GM010", "GO001", "GO002"),
 )
@@ -102,9 +98,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB006",
-    "every-frame-reached",
     Severity.WARNING,
-    over="runs",
     fixture="last_frame_unreachable",
     needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"),
 )
@@ -130,9 +124,7 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB040",
-    "frames-are-distinct",
     Severity.ERROR,
-    over="runs",
     fixture="frames_divided_as_integers",
     needs=(*REPRODUCIBLE, "GM010", "GI025", "GB003", "GI006"),
 )

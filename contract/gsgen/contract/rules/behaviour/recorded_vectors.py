@@ -45,14 +45,12 @@ Fault = tuple[str, str]
 
 @rule(
     "GM012",
-    "test-vectors-reproduce",
     Severity.WARNING,
-    over="runs",
     fixture="test_vector_differs",
     needs=(*REPRODUCIBLE, *MANIFEST_PARSED),
     kinds=KINDS,
 )
-def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
+def test_vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
     """Every test vector names a known probe (test inputs), and the model reproduces its outputs.
 
     Why:
@@ -98,9 +96,7 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
 
 @rule(
     "GM037",
-    "source-outputs-reproduced",
     Severity.WARNING,
-    over="runs",
     fixture="source_vector_differs",
     needs=(*REPRODUCIBLE, *COLORED_ROWS, *FINITE_OUTPUTS, *MANIFEST_PARSED),
 )

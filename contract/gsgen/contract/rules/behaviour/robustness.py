@@ -32,14 +32,7 @@ def _broken(runs: list[ProbeRun]) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GB013",
-    "edges-finite",
-    Severity.ERROR,
-    over="runs",
-    fixture="nan_at_half_a_turn",
-    needs=(*REPRODUCIBLE, *FINITE_OUTPUTS),
-)
+@rule("GB013", Severity.ERROR, fixture="nan_at_half_a_turn", needs=(*REPRODUCIBLE, *FINITE_OUTPUTS))
 def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Every output is finite when one input is all zero, and at both ends of all input ranges.
 
@@ -55,9 +48,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GI010",
-    "beyond-range-finite",
     Severity.WARNING,
-    over="runs",
     fixture="nan_beyond_range",
     needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
 )
@@ -76,9 +67,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB010",
-    "optimiser-agrees",
     Severity.WARNING,
-    over="runs",
     fixture="optimised_wrongly",
     needs=(*REPRODUCIBLE, "GG020"),
     kinds=KINDS,
@@ -142,15 +131,7 @@ def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[
         yield Violation.at(f"output {name}", actual, expected)
 
 
-@rule(
-    "GB012",
-    "order-does-not-matter",
-    Severity.INFO,
-    over="runs",
-    fixture="remembers_after_a_while",
-    needs=REPRODUCIBLE,
-    kinds=KINDS,
-)
+@rule("GB012", Severity.INFO, fixture="remembers_after_a_while", needs=REPRODUCIBLE, kinds=KINDS)
 def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Test inputs repeated in reverse order after all other runs give the same output bits.
 
@@ -175,9 +156,7 @@ def _input_bytes(probe: Probe) -> tuple[bytes, ...]:
 
 @rule(
     "GB009",
-    "live-rows-first",
     Severity.WARNING,
-    over="runs",
     fixture="mostly_inert",
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )

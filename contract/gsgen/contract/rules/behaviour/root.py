@@ -43,9 +43,7 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
 
 @rule(
     "GB041",
-    "root-translation-added",
     Severity.ERROR,
-    over="runs",
     fixture="root_in_centimetres",
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"),
 )
@@ -84,9 +82,7 @@ def _vector(vector: Float[np.ndarray, "3"]) -> str:
 
 @rule(
     "GB042",
-    "root-rotation-as-stored",
     Severity.ERROR,
-    over="runs",
     fixture="root_turns_backwards",
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016", "GI015"),
 )

@@ -20,9 +20,7 @@ def _surveyed(behaviour: Behaviour) -> list[ProbeRun]:
 
 @rule(
     "GB043",
-    "views-and-frames-finite",
     Severity.ERROR,
-    over="runs",
     fixture="nan_in_one_frame",
     needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
 )
@@ -50,9 +48,7 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB044",
-    "views-and-frames-in-range",
     Severity.ERROR,
-    over="runs",
     fixture="opaque_beyond_one_in_a_frame",
     needs=(*REPRODUCIBLE, *ORDERED_ROWS, "GV003", "GV005", "GV016", "GB043"),
 )

@@ -23,9 +23,7 @@ _DRIFT = 2e-3
 
 @rule(
     "GV060",
-    "prediction-finite",
     Severity.ERROR,
-    over="execution",
     fixture="path_divides_by_speed",
     needs=(MODEL_RUNS, "GO019"),
     kinds=(TRAJECTORY,),
@@ -49,9 +47,7 @@ def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 @rule(
     "GV061",
-    "uncertainty-positive",
     Severity.ERROR,
-    over="execution",
     fixture="log_variance_as_deviation",
     needs=(MODEL_RUNS, "GO019", "GV060"),
     kinds=(TRAJECTORY,),
@@ -83,9 +79,7 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 @rule(
     "GV062",
-    "predicted-quaternions-unit",
     Severity.ERROR,
-    over="execution",
     fixture="quaternions_not_normalised",
     needs=(MODEL_RUNS, "GO019", "GV060"),
     kinds=(TRAJECTORY,),
@@ -134,9 +128,7 @@ def _values(
 
 @rule(
     "GB050",
-    "prediction-moves-along",
     Severity.ERROR,
-    over="runs",
     fixture="path_pulled_to_the_origin",
     needs=(*REPRODUCIBLE, "GO019", "GV060"),
     kinds=(TRAJECTORY,),
@@ -165,9 +157,7 @@ def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB051",
-    "rest-stays-at-rest",
     Severity.ERROR,
-    over="runs",
     fixture="path_that_drifts",
     needs=(*REPRODUCIBLE, "GO019", "GV060"),
     kinds=(TRAJECTORY,),
@@ -195,9 +185,7 @@ def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB052",
-    "quaternion-sign-ignored",
     Severity.ERROR,
-    over="runs",
     fixture="path_by_the_sign_of_quaternions",
     needs=(*REPRODUCIBLE, "GO019", "GV060"),
     kinds=(TRAJECTORY,),

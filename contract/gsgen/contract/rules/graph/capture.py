@@ -53,9 +53,7 @@ def _expected(subject: InspectedModel, node: NodeProto, usual: str) -> str:
 
 @rule(
     "GG004",
-    "no-dynamic-shapes",
     Severity.ERROR,
-    over="model",
     fixture="kept_rows_by_value",
     kinds=KINDS,
     needs=WELL_FORMED,
@@ -83,9 +81,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GG005",
-    "no-int64-compute",
     Severity.ERROR,
-    over="model",
     fixture="int64_times_minus_one",
     kinds=KINDS,
     needs=WELL_FORMED,
@@ -111,9 +107,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GG006",
-    "operators-have-kernels",
     Severity.ERROR,
-    over="model",
     fixture="modulo_of_time",
     kinds=KINDS,
     needs=WELL_FORMED,
@@ -140,9 +134,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GG007",
-    "narrow-concat-and-split",
     Severity.ERROR,
-    over="model",
     fixture="split_in_eight",
     kinds=KINDS,
     needs=("GG019",),
@@ -174,9 +166,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GG008",
-    "norms-have-kernels",
     Severity.ERROR,
-    over="model",
     fixture="group_normalised",
     kinds=KINDS,
     needs=WELL_FORMED,
@@ -201,9 +191,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GG018",
-    "opset-has-kernels",
     Severity.ERROR,
-    over="model",
     fixture="sine_of_opset_22",
     kinds=KINDS,
     needs=WELL_FORMED,
@@ -228,9 +216,7 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GG009",
-    "capture-foreseen",
     Severity.INFO,
-    over="model",
     fixture="operator_not_measured",
     kinds=KINDS,
     needs=("GG003", "GG004", "GG005", "GG006", "GG008", "GG011", "GG018"),

@@ -16,9 +16,7 @@ _LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
 
 @rule(
     "GG017",
-    "int64-fits-32-bits",
     Severity.ERROR,
-    over="model",
     fixture="int64_beyond_32_bits",
     kinds=KINDS,
     needs=WELL_FORMED,

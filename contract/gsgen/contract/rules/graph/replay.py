@@ -22,9 +22,7 @@ def _node_location(node: NodeProto) -> str:
 
 @rule(
     "GG016",
-    "outputs-survive-replay",
     Severity.WARNING,
-    over="model",
     fixture="output_from_reshape",
     kinds=KINDS,
     needs=("GG019",),

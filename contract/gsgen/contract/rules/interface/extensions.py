@@ -19,13 +19,7 @@ _MOST_NAMED = 5
 
 
 @rule(
-    "GM030",
-    "required-extensions-used",
-    Severity.ERROR,
-    over="model",
-    fixture="extension_required_alone",
-    kinds=KINDS,
-    needs=MANIFEST_PARSED,
+    "GM030", Severity.ERROR, fixture="extension_required_alone", kinds=KINDS, needs=MANIFEST_PARSED
 )
 def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
     """Every extension in `extensions_required` is also listed in `extensions_used`.
@@ -44,15 +38,7 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
 
 
-@rule(
-    "GM031",
-    "required-extensions-known",
-    Severity.WARNING,
-    over="model",
-    fixture="extension_unregistered",
-    kinds=KINDS,
-    needs=("GM030",),
-)
+@rule("GM031", Severity.WARNING, fixture="extension_unregistered", kinds=KINDS, needs=("GM030",))
 def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
     """Every required manifest extension is registered.
 
@@ -73,9 +59,7 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GM032",
-    "operator-profile-holds",
     Severity.ERROR,
-    over="model",
     fixture="operator_outside_profile",
     kinds=KINDS,
     needs=(*MANIFEST_PARSED, "GG019"),
@@ -111,14 +95,7 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
 
 
-@rule(
-    "GM034",
-    "cost-plausible",
-    Severity.WARNING,
-    over="model",
-    fixture="cost_below_outputs",
-    needs=("GM005",),
-)
+@rule("GM034", Severity.WARNING, fixture="cost_below_outputs", needs=("GM005",))
 def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
     """The declared memory of a frame is at least the size of the packed rows of one frame.
 
@@ -138,14 +115,7 @@ def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"manifest cost.{number}", format_bytes(entry.bytes), expected)
 
 
-@rule(
-    "GM035",
-    "manifest-keys-agree",
-    Severity.ERROR,
-    over="model",
-    fixture="two_manifests",
-    kinds=KINDS,
-)
+@rule("GM035", Severity.ERROR, fixture="two_manifests", kinds=KINDS)
 def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
     """Manifests stored under both ONNX metadata keys of a model are the same.
 
@@ -161,15 +131,7 @@ def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("metadata_props", actual, "one manifest")
 
 
-@rule(
-    "GM036",
-    "unit-agrees-with-scale",
-    Severity.ERROR,
-    over="model",
-    fixture="metre_of_a_foot",
-    kinds=KINDS,
-    needs=MANIFEST_PARSED,
-)
+@rule("GM036", Severity.ERROR, fixture="metre_of_a_foot", kinds=KINDS, needs=MANIFEST_PARSED)
 def unit_agrees_with_scale(subject: InspectedModel) -> Iterator[Violation]:
     """A coordinate frame in the unit `metre` has one metre per unit.
 

@@ -18,7 +18,7 @@ from gsgen.contract.validation.rule import rule
 _MANIFEST_OPENING = 1 << 16
 
 
-@rule("GM001", "manifest-present", Severity.ERROR, over="model", fixture="no_manifest", kinds=KINDS)
+@rule("GM001", Severity.ERROR, fixture="no_manifest", kinds=KINDS)
 def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
     """The model carries a manifest in its metadata.
 
@@ -59,14 +59,7 @@ def _looks_like_manifest(text: str) -> bool:
     return opening.startswith("{") and any(f'"{kind}"' in opening for kind in KINDS)
 
 
-@rule(
-    "GM002",
-    "manifest-schema",
-    Severity.ERROR,
-    over="model",
-    fixture="manifest_wrong_field",
-    kinds=KINDS,
-)
+@rule("GM002", Severity.ERROR, fixture="manifest_wrong_field", kinds=KINDS)
 def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is a JSON document that follows the schema of its kind.
 
@@ -87,14 +80,7 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(location, complaint.actual, complaint.expected)
 
 
-@rule(
-    "GM003",
-    "manifest-version",
-    Severity.ERROR,
-    over="model",
-    fixture="manifest_from_the_future",
-    kinds=KINDS,
-)
+@rule("GM003", Severity.ERROR, fixture="manifest_from_the_future", kinds=KINDS)
 def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a contract version that this validator supports.
 
@@ -110,15 +96,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"manifest {complaint.where}", complaint.actual, complaint.expected)
 
 
-@rule(
-    "GM004",
-    "declared-tensors-exist",
-    Severity.ERROR,
-    over="model",
-    fixture="declared_output_absent",
-    needs=MANIFEST_PARSED,
-    kinds=KINDS,
-)
+@rule("GM004", Severity.ERROR, fixture="declared_output_absent", needs=MANIFEST_PARSED, kinds=KINDS)
 def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     """Every tensor that the manifest names is a graph input or output, and is named only once.
 
@@ -154,14 +132,7 @@ def _one_of(names: list[str]) -> str:
     return f"one of {listed}" if names else "a tensor that exists; the graph has none"
 
 
-@rule(
-    "GM005",
-    "manifest-agrees-with-graph",
-    Severity.ERROR,
-    over="model",
-    fixture="declared_dtype_differs",
-    needs=("GM004",),
-)
+@rule("GM005", Severity.ERROR, fixture="declared_dtype_differs", needs=("GM004",))
 def manifest_agrees_with_graph(subject: InspectedModel) -> Iterator[Violation]:
     """The dtypes and sizes that the manifest declares are compatible with the graph.
 
@@ -235,14 +206,7 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"graph has {channels} channels", expected)
 
 
-@rule(
-    "GM006",
-    "coordinate-frame-declared",
-    Severity.WARNING,
-    over="model",
-    fixture="no_space",
-    needs=MANIFEST_PARSED,
-)
+@rule("GM006", Severity.WARNING, fixture="no_space", needs=MANIFEST_PARSED)
 def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the coordinate frame: up axis, unit and matrix memory order.
 
@@ -257,14 +221,7 @@ def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest space", "not declared", "up, unit and matrix_order")
 
 
-@rule(
-    "GM009",
-    "bounds-declared",
-    Severity.WARNING,
-    over="model",
-    fixture="no_bounds",
-    needs=MANIFEST_PARSED,
-)
+@rule("GM009", Severity.WARNING, fixture="no_bounds", needs=MANIFEST_PARSED)
 def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the bounding box that contains the Gaussians at all times.
 
@@ -280,14 +237,7 @@ def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", "not declared", "min and max corners")
 
 
-@rule(
-    "GM019",
-    "bounds-are-a-box",
-    Severity.ERROR,
-    over="model",
-    fixture="bounds_inside_out",
-    needs=MANIFEST_PARSED,
-)
+@rule("GM019", Severity.ERROR, fixture="bounds_inside_out", needs=MANIFEST_PARSED)
 def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
     """Bounds run from low to high on every axis, and are not a point if there are several rows.
 
@@ -311,14 +261,7 @@ def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", actual, expected)
 
 
-@rule(
-    "GM015",
-    "manifest-minor-known",
-    Severity.WARNING,
-    over="model",
-    fixture="manifest_newer_minor",
-    kinds=KINDS,
-)
+@rule("GM015", Severity.WARNING, fixture="manifest_newer_minor", kinds=KINDS)
 def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is of no newer minor version than this validator supports.
 
@@ -333,14 +276,7 @@ def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT} or older")
 
 
-@rule(
-    "GM018",
-    "contract-version-released",
-    Severity.INFO,
-    over="model",
-    fixture="manifest_of_1_2",
-    kinds=KINDS,
-)
+@rule("GM018", Severity.INFO, fixture="manifest_of_1_2", kinds=KINDS)
 def contract_version_released(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a released contract version, not one of a development build.
 

@@ -35,15 +35,7 @@ def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
     return None if actual == sha256 else (f"sha256 {actual[:12]}…", f"{sha256[:12]}…, as declared")
 
 
-@rule(
-    "GM033",
-    "vector-files-whole",
-    Severity.WARNING,
-    over="model",
-    fixture="vector_file_changed",
-    kinds=KINDS,
-    needs=("GM004",),
-)
+@rule("GM033", Severity.WARNING, fixture="vector_file_changed", kinds=KINDS, needs=("GM004",))
 def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
     """The files of a test vector hold all model inputs, lie beside the model, and match digests.
 
@@ -73,9 +65,7 @@ def _check_files(where: str, files: tuple[VectorFile, ...], folder: Path) -> Ite
 
 @rule(
     "GS005",
-    "external-data-unchanged",
     Severity.ERROR,
-    over="execution",
     fixture="external_data_changed",
     kinds=KINDS,
     needs=(*MANIFEST_PARSED, "GS001"),

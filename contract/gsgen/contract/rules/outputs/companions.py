@@ -13,9 +13,7 @@ from gsgen.contract.validation.rule import rule
 
 @rule(
     "GO018",
-    "image-out-as-in",
     Severity.ERROR,
-    over="model",
     fixture="image_of_half_size",
     needs=("GM004", "GI005"),
     kinds=(POST_PROCESS,),
@@ -66,15 +64,7 @@ def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
     return known and (not isinstance(channels, int) or channels in (3, 4))
 
 
-@rule(
-    "GO019",
-    "states-as-declared",
-    Severity.ERROR,
-    over="model",
-    fixture="too_few_steps",
-    needs=("GM004",),
-    kinds=(TRAJECTORY,),
-)
+@rule("GO019", Severity.ERROR, fixture="too_few_steps", needs=("GM004",), kinds=(TRAJECTORY,))
 def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Predicted states, uncertainty and history have the sizes that the manifest declares.
 

@@ -28,9 +28,7 @@ _BYTES = 20.0
 
 @rule(
     "GV045",
-    "sh-constant-converted",
     Severity.WARNING,
-    over="sample",
     fixture="rgb_as_constant_term",
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"),
 )
@@ -81,14 +79,7 @@ def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
     return ""
 
 
-@rule(
-    "GV046",
-    "colors-loaded",
-    Severity.WARNING,
-    over="sample",
-    fixture="colors_not_loaded",
-    needs=(*VALID_ROWS, *COLORED_ROWS),
-)
+@rule("GV046", Severity.WARNING, fixture="colors_not_loaded", needs=(*VALID_ROWS, *COLORED_ROWS))
 def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
     """The colours of the Gaussians are not all zero, nor are all degree-0 SH coefficients.
 
@@ -119,14 +110,7 @@ _SMOOTH, _UNRELATED = 0.5, 0.75
 _KEYS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
 
 
-@rule(
-    "GV047",
-    "colors-follow-rows",
-    Severity.WARNING,
-    over="sample",
-    fixture="colors_sorted_alone",
-    needs=(*VALID_ROWS, *COLORED_ROWS),
-)
+@rule("GV047", Severity.WARNING, fixture="colors_sorted_alone", needs=(*VALID_ROWS, *COLORED_ROWS))
 def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     """The rows of colours are in the order of the Gaussians to which they belong.
 
@@ -186,9 +170,7 @@ _DARKEST = 1.02 / 255
 
 @rule(
     "GV063",
-    "rgb-converted-once",
     Severity.WARNING,
-    over="sample",
     fixture="rgb_of_two_sigmoids",
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"),
 )

@@ -32,9 +32,7 @@ _NEAR = (0.005, 0.02)
 
 @rule(
     "GB032",
-    "effect-is-visible",
     Severity.WARNING,
-    over="runs",
     fixture="time_moves_too_little",
     needs=(*REPRODUCIBLE, "GB003", "GI006", "GO001", "GO002"),
 )
@@ -68,9 +66,7 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB033",
-    "effect-throughout-range",
     Severity.WARNING,
-    over="runs",
     fixture="frames_fed_as_fractions",
     needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010", "GB032"),
 )
@@ -102,9 +98,7 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
 
 @rule(
     "GB034",
-    "motion-is-smooth",
     Severity.WARNING,
-    over="runs",
     fixture="time_in_degrees",
     needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010"),
 )

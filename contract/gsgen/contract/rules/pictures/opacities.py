@@ -30,14 +30,7 @@ _CORRELATED = 0.7
 _BLACK = 1e-3
 
 
-@rule(
-    "GV043",
-    "opacity-activated-once",
-    Severity.WARNING,
-    over="sample",
-    fixture="opacity_of_two_sigmoids",
-    needs=VALID_ROWS,
-)
+@rule("GV043", Severity.WARNING, fixture="opacity_of_two_sigmoids", needs=VALID_ROWS)
 def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
     """Opacities look like the result of one sigmoid: not of two, and not of clamped logits.
 
@@ -92,9 +85,7 @@ def _shares_at_ends(sample: DrawnSample) -> tuple[float, float]:
 
 @rule(
     "GV044",
-    "colors-without-opacity",
     Severity.WARNING,
-    over="sample",
     fixture="premultiplied_colors",
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV012"),
 )

@@ -29,9 +29,7 @@ _ALIGNED = 0.99
 
 @rule(
     "GV041",
-    "orientation-follows-neighbours",
     Severity.WARNING,
-    over="sample",
     fixture="quaternions_in_another_order",
     needs=(*VALID_ROWS, "GV042"),
     explained_by=("GB035",),
@@ -87,14 +85,7 @@ def _explaining_axes(sample: DrawnSample, alignment: Alignment) -> str:
     return name
 
 
-@rule(
-    "GV042",
-    "covariance-is-rotated",
-    Severity.WARNING,
-    over="sample",
-    fixture="rotation_left_out",
-    needs=VALID_ROWS,
-)
+@rule("GV042", Severity.WARNING, fixture="rotation_left_out", needs=VALID_ROWS)
 def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
     """Long Gaussians are all aligned with x, y and z only if lines of neighbours are aligned, too.
 

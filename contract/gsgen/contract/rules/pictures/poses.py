@@ -44,9 +44,7 @@ _LEAST_MOTION = 1e-4
 
 @rule(
     "GB035",
-    "covariances-follow-motion",
     Severity.WARNING,
-    over="runs",
     fixture="covariances_stay_at_rest",
     needs=(*REPRODUCIBLE, *VALID_ROWS),
 )
@@ -131,9 +129,7 @@ def _motions(
 
 @rule(
     "GB036",
-    "pose-read-as-declared",
     Severity.WARNING,
-    over="runs",
     fixture="pose_in_degrees",
     needs=(*REPRODUCIBLE, *VALID_ROWS, "GI016"),
 )

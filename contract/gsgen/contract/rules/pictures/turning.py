@@ -26,9 +26,7 @@ _SHARE = 0.9
 
 @rule(
     "GB030",
-    "turning-in-place-changes-nothing",
     Severity.WARNING,
-    over="runs",
     fixture="camera_taken_for_its_inverse",
     needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"),
 )
@@ -131,9 +129,7 @@ def _same_place(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Boo
 
 @rule(
     "GB031",
-    "forward-axis",
     Severity.WARNING,
-    over="runs",
     fixture="culls_what_lies_ahead",
     needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002", "GV054"),
 )

@@ -47,9 +47,7 @@ def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
 
 @rule(
     "GL001",
-    "fits-binding",
     Severity.ERROR,
-    over="model",
     fixture="large_binding",
     kinds=KINDS,
     limit="binding_bytes",
@@ -70,15 +68,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     yield from _larger(subject, subject.target.limits["binding_bytes"])
 
 
-@rule(
-    "GL002",
-    "fits-buffer",
-    Severity.ERROR,
-    over="model",
-    fixture="large_buffer",
-    kinds=KINDS,
-    limit="buffer_bytes",
-)
+@rule("GL002", Severity.ERROR, fixture="large_buffer", kinds=KINDS, limit="buffer_bytes")
 def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one buffer of the target's GPU.
 
@@ -94,9 +84,7 @@ def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "GL003",
-    "fits-dispatch",
     Severity.ERROR,
-    over="model",
     fixture="too_many_rows",
     needs=("GO004", "GL001", "GL002"),
     limit="workgroups",

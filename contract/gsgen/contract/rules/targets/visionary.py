@@ -28,15 +28,7 @@ def bound_role(name: str) -> str:
     return "projection" if "proj" in lower else ""
 
 
-@rule(
-    "TV101",
-    "visionary-finds-gaussians",
-    Severity.ERROR,
-    over="model",
-    fixture="visionary_output_name",
-    target=TARGET,
-    needs=("GO001",),
-)
+@rule("TV101", Severity.ERROR, fixture="visionary_output_name", target=TARGET, needs=("GO001",))
 def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
     """The Gaussian output is the first output whose name starts with `gauss`, as Visionary expects.
 
@@ -57,13 +49,7 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
 
 
 @rule(
-    "TV102",
-    "visionary-finds-color",
-    Severity.ERROR,
-    over="model",
-    fixture="visionary_color_name",
-    target=TARGET,
-    needs=("GO005", "TV101"),
+    "TV102", Severity.ERROR, fixture="visionary_color_name", target=TARGET, needs=("GO005", "TV101")
 )
 def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance (colours) is the first output whose name contains `color`, `sh` or `rgb`.
@@ -89,13 +75,7 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
 
 
 @rule(
-    "TV103",
-    "visionary-binds-inputs",
-    Severity.ERROR,
-    over="model",
-    fixture="visionary_input_name",
-    target=TARGET,
-    needs=("GM004", "GI005"),
+    "TV103", Severity.ERROR, fixture="visionary_input_name", target=TARGET, needs=("GM004", "GI005")
 )
 def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """The Visionary viewer feeds every input, with the data of the input's declared role.
@@ -118,9 +98,7 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "TV104",
-    "visionary-reads-color",
     Severity.ERROR,
-    over="model",
     fixture="visionary_rgb_float32",
     target=TARGET,
     needs=("GO006", "GO008", "GM005"),
@@ -146,15 +124,7 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels")
 
 
-@rule(
-    "TV108",
-    "visionary-time-range",
-    Severity.WARNING,
-    over="model",
-    fixture="visionary_time_range",
-    target=TARGET,
-    needs=("GM004",),
-)
+@rule("TV108", Severity.WARNING, fixture="visionary_time_range", target=TARGET, needs=("GM004",))
 def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     """The declared time range is 0 to 1, which the Visionary viewer feeds.
 

@@ -25,9 +25,7 @@ _FADED = 0.5
 
 @rule(
     "GL006",
-    "capacity-fills-workgroups",
     Severity.WARNING,
-    over="emission",
     fixture="visionary_odd_padding",
     target=TARGET,
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
@@ -49,15 +47,7 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.at(emission.rows_place, f"{len(rows)} rows", expected)
 
 
-@rule(
-    "TV107",
-    "visionary-ignores-count",
-    Severity.INFO,
-    over="model",
-    fixture="visionary_count_varies",
-    target=TARGET,
-    needs=("GO010",),
-)
+@rule("TV107", Severity.INFO, fixture="visionary_count_varies", target=TARGET, needs=("GO010",))
 def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     """The row count is constant, because Visionary draws all rows regardless of the count.
 
@@ -74,13 +64,7 @@ def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
 
 
 @rule(
-    "TV109",
-    "visionary-needs-f16",
-    Severity.INFO,
-    over="model",
-    fixture="visionary_half_inside",
-    target=TARGET,
-    needs=("GO008", "GG019"),
+    "TV109", Severity.INFO, fixture="visionary_half_inside", target=TARGET, needs=("GO008", "GG019")
 )
 def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     """A model with float32 outputs does not compute in float16, which needs a GPU feature.
@@ -106,9 +90,7 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule(
     "TV110",
-    "visionary-fades-small",
     Severity.INFO,
-    over="rows",
     fixture="visionary_tiny",
     target=TARGET,
     needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
@@ -144,9 +126,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
 
 @rule(
     "TV111",
-    "visionary-shows-srgb",
     Severity.WARNING,
-    over="model",
     fixture="visionary_linear",
     target=TARGET,
     needs=("GO005", *MANIFEST_PARSED),
@@ -165,15 +145,7 @@ def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {declared.name}", declared.color_space, "srgb")
 
 
-@rule(
-    "TV112",
-    "visionary-sorts",
-    Severity.WARNING,
-    over="model",
-    fixture="visionary_weighted_sum",
-    target=TARGET,
-    needs=("GM017",),
-)
+@rule("TV112", Severity.WARNING, fixture="visionary_weighted_sum", target=TARGET, needs=("GM017",))
 def visionary_sorts(subject: InspectedModel) -> Iterator[Violation]:
     """Gaussians are blended by sorting, not by a weighted sum, which Visionary does not support.
 

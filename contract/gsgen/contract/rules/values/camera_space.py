@@ -88,9 +88,7 @@ def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
 
 @rule(
     "GV059",
-    "rows-in-local-space",
     Severity.ERROR,
-    over="execution",
     fixture="rows_in_camera_space",
     needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
 )
@@ -149,9 +147,7 @@ def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
 
 @rule(
     "GV054",
-    "camera-looks-along-z",
     Severity.ERROR,
-    over="execution",
     fixture="culls_in_front",
     needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
 )

@@ -22,14 +22,7 @@ _VISIBILITY_SLACK = 1e-3
 _REACH = 2.0
 
 
-@rule(
-    "GM017",
-    "weighted-sum-complete",
-    Severity.ERROR,
-    over="model",
-    fixture="weighted_sum_without_cells",
-    needs=MANIFEST_PARSED,
-)
+@rule("GM017", Severity.ERROR, fixture="weighted_sum_without_cells", needs=MANIFEST_PARSED)
 def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     """`blend: wsr`, `weighted_sum` and `outputs.cells` are declared together or not at all.
 
@@ -57,14 +50,7 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest", f"{present} without {lacking}", "all three, or none")
 
 
-@rule(
-    "GO020",
-    "cell-row-has-10",
-    Severity.ERROR,
-    over="model",
-    fixture="cells_with_one_field_less",
-    needs=("GM004", "GM017"),
-)
+@rule("GO020", Severity.ERROR, fixture="cells_with_one_field_less", needs=("GM004", "GM017"))
 def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     """The output with cells (groups of Gaussians) is a matrix of ten columns and fixed row count.
 
@@ -86,14 +72,7 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
-@rule(
-    "GO021",
-    "cells-hold-all-rows",
-    Severity.ERROR,
-    over="model",
-    fixture="cells_for_other_rows",
-    needs=("GO020", "GO002", "GO004"),
-)
+@rule("GO021", Severity.ERROR, fixture="cells_for_other_rows", needs=("GO020", "GO002", "GO004"))
 def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
     """The number of cells, times the rows of each (`per_cell`), is the number of packed Gaussians.
 
@@ -135,7 +114,7 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     return np.asarray(first < emission.count)
 
 
-@rule("GV026", "cells-finite", Severity.ERROR, over="emission", fixture="nan_cell", needs=CELLS)
+@rule("GV026", Severity.ERROR, fixture="nan_cell", needs=CELLS)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """Every value of the cells output is finite; float16 values are below the largest float16.
 
@@ -153,14 +132,7 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.rows(location, ~_finite(cells), cells, expected, checked=len(cells))
 
 
-@rule(
-    "GV027",
-    "visibility-range",
-    Severity.ERROR,
-    over="emission",
-    fixture="visibility_is_logits",
-    needs=CELLS,
-)
+@rule("GV027", Severity.ERROR, fixture="visibility_is_logits", needs=CELLS)
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of each cell (group of Gaussians), column 3, lies in [0, 1].
 
@@ -186,14 +158,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV028",
-    "cell-covariance-psd",
-    Severity.ERROR,
-    over="emission",
-    fixture="indefinite_cell",
-    needs=CELLS,
-)
+@rule("GV028", Severity.ERROR, fixture="indefinite_cell", needs=CELLS)
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     """The covariance of every visible cell (group of Gaussians) is positive semi-definite.
 
@@ -225,9 +190,7 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
 
 @rule(
     "GV029",
-    "hidden-cells-inert",
     Severity.WARNING,
-    over="emission",
     fixture="opaque_rows_of_a_hidden_cell",
     needs=(*CELLS, "GO010", "GO011"),
 )
@@ -258,9 +221,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
 
 @rule(
     "GV030",
-    "empty-cells-inert",
     Severity.ERROR,
-    over="emission",
     fixture="visible_cell_behind_the_count",
     needs=(*CELLS, "GO010", "GO011"),
 )
@@ -288,14 +249,7 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV031",
-    "rows-near-their-cell",
-    Severity.WARNING,
-    over="emission",
-    fixture="cells_in_another_order",
-    needs=CELLS,
-)
+@rule("GV031", Severity.WARNING, fixture="cells_in_another_order", needs=CELLS)
 def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     """Every drawn Gaussian's centre is within two sizes of its cell (group) from the cell's centre.
 

@@ -28,9 +28,7 @@ def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray
 
 @rule(
     "GV055",
-    "image-finite",
     Severity.ERROR,
-    over="execution",
     fixture="image_divided_by_zero",
     needs=(MODEL_RUNS,),
     kinds=(POST_PROCESS,),
@@ -55,9 +53,7 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 @rule(
     "GV056",
-    "image-keeps-size",
     Severity.ERROR,
-    over="execution",
     fixture="image_shrinks_at_run",
     needs=(MODEL_RUNS, "GO018"),
     kinds=(POST_PROCESS,),
@@ -91,9 +87,7 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 @rule(
     "GV057",
-    "image-within-range",
     Severity.WARNING,
-    over="execution",
     fixture="image_in_bytes",
     needs=("GV055", "GV056", *NOT_RANDOM),
     kinds=(POST_PROCESS,),

@@ -13,14 +13,7 @@ from gsgen.contract.validation.gates import RUNNABLE
 from gsgen.contract.validation.rule import rule
 
 
-@rule(
-    "GV024",
-    "shapes-as-declared",
-    Severity.ERROR,
-    over="emission",
-    fixture="shape_differs_at_run",
-    needs=("GV025",),
-)
+@rule("GV024", Severity.ERROR, fixture="shape_differs_at_run", needs=("GV025",))
 def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
     """At run time every output has the shape and dtype that the graph declares.
 
@@ -44,15 +37,7 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared")
 
 
-@rule(
-    "GV025",
-    "model-runs",
-    Severity.ERROR,
-    over="execution",
-    fixture="fails_at_run",
-    kinds=KINDS,
-    needs=(*RUNNABLE, "GS004"),
-)
+@rule("GV025", Severity.ERROR, fixture="fails_at_run", kinds=KINDS, needs=(*RUNNABLE, "GS004"))
 def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """ONNX Runtime loads the model, and runs it with every probe (set of test inputs).
 
@@ -75,9 +60,7 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 @rule(
     "GV032",
-    "something-is-drawn",
     Severity.ERROR,
-    over="execution",
     fixture="nothing_live",
     needs=("GV025", "GO004", "GO010", "GO011", "GV054"),
 )

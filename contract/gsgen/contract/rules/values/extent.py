@@ -24,14 +24,7 @@ _BLOCK = 4096
 _EQUAL_SHARE = 0.1
 
 
-@rule(
-    "GO016",
-    "fields-in-order",
-    Severity.ERROR,
-    over="emission",
-    fixture="diagonal_first",
-    needs=PACKED_ROWS,
-)
+@rule("GO016", Severity.ERROR, fixture="diagonal_first", needs=PACKED_ROWS)
 def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     """The columns of a packed row are x y z opacity xx xy xz yy yz zz, in this order.
 
@@ -55,9 +48,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
 
 @rule(
     "GV008",
-    "variance-not-subnormal",
     Severity.WARNING,
-    over="rows",
     fixture="subnormal_variances",
     needs=ORDERED_ROWS,
     limit="subnormal_permille",
@@ -84,14 +75,7 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV009",
-    "position-resolution",
-    Severity.WARNING,
-    over="rows",
-    fixture="coarse_positions",
-    needs=ORDERED_ROWS,
-)
+@rule("GV009", Severity.WARNING, fixture="coarse_positions", needs=ORDERED_ROWS)
 def position_resolution(rows: Rows) -> Iterator[Violation]:
     """The spacing of float numbers at a Gaussian's position does not exceed the Gaussian's size.
 
@@ -130,9 +114,7 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
 
 @rule(
     "GV011",
-    "size-within-bounds",
     Severity.WARNING,
-    over="rows",
     fixture="larger_than_the_scene",
     needs=(*ORDERED_ROWS, "GM009", "GM019"),
 )
@@ -163,9 +145,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
 
 @rule(
     "GV021",
-    "centres-within-bounds",
     Severity.ERROR,
-    over="rows",
     fixture="outside_bounds",
     needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"),
 )
@@ -204,14 +184,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV020",
-    "rows-differ",
-    Severity.INFO,
-    over="emission",
-    fixture="every_row_twice",
-    needs=PACKED_ROWS,
-)
+@rule("GV020", Severity.INFO, fixture="every_row_twice", needs=PACKED_ROWS)
 def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     """Drawn Gaussians (rows) are not copies of each other.
 

@@ -1131,7 +1131,7 @@ if ((subject.appearance == null)) {
 yield py.violation("outputs", "no appearance", "one [N, channels] output");
 }
 }
-function* appearance_channels_known$outputs(subject) {
+function* appearance_channels$outputs(subject) {
   let allowed, channels, declared, expected, tensor;
 [tensor, declared] = [subject.appearance, subject.declared_appearance];
 if (((tensor == null) || (declared == null))) {
@@ -2167,7 +2167,7 @@ export const RULES = [
 {"id": "GO002", "severity": "error", "hint": "Pack all ten fields: the covariance is R S Sᵀ Rᵀ of scales and quaternion, and opacity comes after its sigmoid. The SDK packs for you.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO001", "GO003"], check: gaussian_row_has_10$outputs},
 {"id": "GO004", "severity": "error", "hint": "Export with a fixed capacity (without dynamic_axes or dynamic_shapes), fill it with inert rows, and return the count in num_points.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO001", "GO003"], check: capacity_static$outputs},
 {"id": "GO005", "severity": "error", "hint": "Return SH coefficients or RGB and declare them as outputs.appearance.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003", "GM004"], check: appearance_declared$outputs},
-{"id": "GO006", "severity": "error", "hint": "Concatenate f_dc and f_rest of a PLY, pad SH to the next degree with zeros, and RGB to four channels with ones; reshape [N, K, 3] to [N, 3K].", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO005"], check: appearance_channels_known$outputs},
+{"id": "GO006", "severity": "error", "hint": "Concatenate f_dc and f_rest of a PLY, pad SH to the next degree with zeros, and RGB to four channels with ones; reshape [N, K, 3] to [N, 3K].", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO005"], check: appearance_channels$outputs},
 {"id": "GO007", "severity": "error", "hint": "Pad both outputs to the same capacity.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO004", "GO006"], check: appearance_rows$outputs},
 {"id": "GO008", "severity": "error", "hint": "End the output on a cast to float32 or float16.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO001", "GO005"], check: output_dtype$outputs},
 {"id": "GO009", "severity": "warning", "hint": "Cast both to the same dtype.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO008"], check: output_dtypes_match$outputs},

@@ -4,23 +4,23 @@ Registered under the entry point group ``gsgen.file_rules``.
 """
 
 from gsgen.tiles.validation.rules.contents import (
-    both_extensions_required,
     content_whole,
     counts_agree,
+    extensions_required,
     spz_version,
 )
 from gsgen.tiles.validation.rules.files import (
     content_size,
     draft_names,
-    empty_tiles,
     hashes_match,
     leaves_match_source,
+    no_empty_tiles,
 )
 from gsgen.tiles.validation.rules.neural import neural_content
 from gsgen.tiles.validation.rules.pictures import levels_agree, tile_visible
 from gsgen.tiles.validation.rules.structure import (
     child_in_parent,
-    error_does_not_grow,
+    geometric_error_falls,
     leaf_error,
     subtree_bitstreams,
     tileset_schema,
@@ -33,10 +33,10 @@ RULES = (
     tileset_schema,
     child_in_parent,
     splats_in_box,
-    error_does_not_grow,
+    geometric_error_falls,
     content_whole,
     counts_agree,
-    both_extensions_required,
+    extensions_required,
     children_cover,
     spz_version,
     uri_stays,
@@ -47,7 +47,7 @@ RULES = (
     hashes_match,
     content_size,
     leaf_error,
-    empty_tiles,
+    no_empty_tiles,
     draft_names,
     neural_content,
     tile_visible,

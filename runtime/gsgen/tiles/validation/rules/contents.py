@@ -5,7 +5,6 @@ from typing import Final
 
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
 from gsgen.formats.glb.splats import NAME
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
@@ -14,19 +13,13 @@ from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
-from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of, tileset_rule
 
 _BOTH: Final = (TILESET, TILE_CONTENT)
 
 
-@rule(
-    "GT005",
-    "content-whole",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_content_cut_short",
-    needs=(SCHEMA_RULE,),
-    kinds=_BOTH,
+@tileset_rule(
+    "GT005", Severity.ERROR, fixture="tiles_content_cut_short", needs=(SCHEMA_RULE,), kinds=_BOTH
 )
 def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every file that the tileset names exists, is complete, and is glTF 2.0 with splats.
@@ -50,14 +43,8 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
             yield Violation.at(f"content {primitive.location}", text, f"as {NAME} says")
 
 
-@rule(
-    "GT006",
-    "counts-agree",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_counts_differ",
-    needs=(SCHEMA_RULE,),
-    kinds=_BOTH,
+@tileset_rule(
+    "GT006", Severity.ERROR, fixture="tiles_counts_differ", needs=(SCHEMA_RULE,), kinds=_BOTH
 )
 def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """Accessors, SPZ header and metadata of a content declare the same number of splats.
@@ -87,16 +74,10 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT007",
-    "extensions-required",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_extension_missing",
-    needs=(SCHEMA_RULE, "GT005"),
-    kinds=(TILESET,),
+@tileset_rule(
+    "GT007", Severity.ERROR, fixture="tiles_extension_missing", needs=(SCHEMA_RULE, "GT005")
 )
-def both_extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
+def extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tileset's 3DTILES_content_gltf requires the splat extensions that its contents use.
 
     Why:
@@ -126,14 +107,8 @@ def both_extensions_required(inspected: InspectedTileset) -> Iterator[Violation]
         yield Violation.at(location, f"no {GLTF_EXTENSION}", f"{GLTF_EXTENSION} among them")
 
 
-@rule(
-    "GT009",
-    "spz-version",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_spz_version",
-    needs=(SCHEMA_RULE,),
-    kinds=_BOTH,
+@tileset_rule(
+    "GT009", Severity.ERROR, fixture="tiles_spz_version", needs=(SCHEMA_RULE,), kinds=_BOTH
 )
 def spz_version(inspected: InspectedTileset) -> Iterator[Violation]:
     """SPZ data in a tile's content are of version 2.

@@ -6,12 +6,11 @@ from typing import Final
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
 from gsgen.formats.glb.splats import NAME
 from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
-from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, tileset_rule
 
 MAX_SPLATS: Final = 262_144
 MAX_BYTES: Final = 8 << 20
@@ -19,15 +18,7 @@ _BOTH: Final = (TILESET, TILE_CONTENT)
 _WHOLE: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
 
 
-@rule(
-    "GT014",
-    "leaves-match-source",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_leaf_lost",
-    needs=_WHOLE,
-    kinds=(TILESET,),
-)
+@tileset_rule("GT014", Severity.ERROR, fixture="tiles_leaf_lost", needs=_WHOLE)
 def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
     """All leaves together have as many splats as the tileset declares for the scene.
 
@@ -57,14 +48,8 @@ def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT015",
-    "hashes-match",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_file_changed",
-    needs=(SCHEMA_RULE, "GT005", "GT010"),
-    kinds=(TILESET,),
+@tileset_rule(
+    "GT015", Severity.ERROR, fixture="tiles_file_changed", needs=(SCHEMA_RULE, "GT005", "GT010")
 )
 def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every content has the size and SHA-256 that the build record lists for it.
@@ -94,14 +79,8 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT016",
-    "content-size",
-    Severity.WARNING,
-    over="tileset",
-    fixture="tiles_too_many_splats",
-    needs=(SCHEMA_RULE,),
-    kinds=_BOTH,
+@tileset_rule(
+    "GT016", Severity.WARNING, fixture="tiles_too_many_splats", needs=(SCHEMA_RULE,), kinds=_BOTH
 )
 def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile's content has at most 262,144 splats and 8 MiB.
@@ -122,16 +101,8 @@ def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT018",
-    "no-empty-tiles",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_empty_leaf",
-    needs=_WHOLE,
-    kinds=(TILESET,),
-)
-def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
+@tileset_rule("GT018", Severity.ERROR, fixture="tiles_empty_leaf", needs=_WHOLE)
+def no_empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every leaf has a content, and every content has splats.
 
     Why:
@@ -153,14 +124,8 @@ def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT019",
-    "draft-names",
-    Severity.WARNING,
-    over="tileset",
-    fixture="tiles_draft_names",
-    needs=(SCHEMA_RULE,),
-    kinds=_BOTH,
+@tileset_rule(
+    "GT019", Severity.WARNING, fixture="tiles_draft_names", needs=(SCHEMA_RULE,), kinds=_BOTH
 )
 def draft_names(inspected: InspectedTileset) -> Iterator[Violation]:
     """Contents use the attribute names of the ratified glTF extension, not those of its drafts.

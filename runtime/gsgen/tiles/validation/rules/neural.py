@@ -8,26 +8,16 @@ import numpy as np
 
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.neural import NeuralTile
 from gsgen.tiles.neural_model import MAX_MODEL, TileBounds, check_digest, check_neural_model
 from gsgen.tiles.tileset import Tile
 from gsgen.tiles.validation.inspected import InspectedTileset
-from gsgen.tiles.validation.kinds import TILESET
-from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of, tileset_rule
 from gsgen.tiles.volumes import Region
 
 
-@rule(
-    "GT020",
-    "neural-content",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_neural_digest",
-    needs=(SCHEMA_RULE, "GT010"),
-    kinds=(TILESET,),
-)
+@tileset_rule("GT020", Severity.ERROR, fixture="tiles_neural_digest", needs=(SCHEMA_RULE, "GT010"))
 def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
     """A neural tile's ONNX generator conforms, has the declared digest, and stays in the tile.
 

@@ -8,10 +8,8 @@ from typing import Final
 from gsgen.contract.spec.layout import CULL_OPACITY
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
 from gsgen.tiles.validation.inspected import InspectedTileset
-from gsgen.tiles.validation.kinds import TILESET
-from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, tileset_rule
 
 MIN_SIMILARITY: Final = 0.5
 """SSIM between a tile and its children: good levels have .7 to .9, a parent that is turned,
@@ -20,15 +18,8 @@ shifted by a quarter of its size, or has the colours of other splats, less than 
 _NEEDS: Final = (SCHEMA_RULE, "GT005", "GT006", "GT010", "GT011", "GT012")
 
 
-@rule(
-    "GT021",
-    "tile-visible",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_invisible_root",
-    needs=_NEEDS,
-    kinds=(TILESET,),
-    level=Level.RENDER,
+@tileset_rule(
+    "GT021", Severity.ERROR, fixture="tiles_invisible_root", needs=_NEEDS, level=Level.RENDER
 )
 def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
     """The root tile and a leaf tile are visible from cameras around them.
@@ -50,14 +41,11 @@ def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
+@tileset_rule(
     "GT022",
-    "levels-agree",
     Severity.WARNING,
-    over="tileset",
     fixture="tiles_unlike_root",
     needs=(*_NEEDS, "GT021"),
-    kinds=(TILESET,),
     level=Level.RENDER,
 )
 def levels_agree(inspected: InspectedTileset) -> Iterator[Violation]:

@@ -1,15 +1,21 @@
 """Converts faults of reading a tileset to violations of rules."""
 
-__all__ = ["SCHEMA_RULE", "certainty", "faults_of"]
+__all__ = ["SCHEMA_RULE", "certainty", "faults_of", "tileset_rule"]
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Final
 
 from gsgen.contract.validation.finding import Certainty, Violation
+from gsgen.contract.validation.rule import rule
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.validation.inspected import InspectedTileset
+from gsgen.tiles.validation.kinds import TILESET
 
 SCHEMA_RULE: Final = Fault.SCHEMA.value
+
+# A rule of whole tilesets; one of single contents names their kinds, too.
+tileset_rule = partial(rule, over="tileset", kinds=(TILESET,))
 
 
 def faults_of(inspected: InspectedTileset, fault: Fault) -> Iterator[Violation]:

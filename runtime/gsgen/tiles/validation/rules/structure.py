@@ -7,24 +7,15 @@ import numpy as np
 
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.validation.inspected import InspectedTileset
-from gsgen.tiles.validation.kinds import TILESET
-from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of, tileset_rule
 
 _SHARE: Final = 5e-3  # of the parent's size: curved regions are compared at 18 points
 _RELATIVE: Final = 1e-6
 
 
-@rule(
-    "GT001",
-    "tileset-schema",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_without_error",
-    kinds=(TILESET,),
-)
+@tileset_rule("GT001", Severity.ERROR, fixture="tiles_without_error")
 def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every ``tileset.json`` follows the 3D Tiles 1.1 schema; required extensions are supported.
 
@@ -39,15 +30,7 @@ def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.SCHEMA)
 
 
-@rule(
-    "GT002",
-    "child-in-parent",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_child_outside",
-    needs=(SCHEMA_RULE,),
-    kinds=(TILESET,),
-)
+@tileset_rule("GT002", Severity.ERROR, fixture="tiles_child_outside", needs=(SCHEMA_RULE,))
 def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
     """The bounding volume of every tile lies within that of its parent.
 
@@ -73,16 +56,8 @@ def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT004",
-    "geometric-error-falls",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_error_grows",
-    needs=(SCHEMA_RULE,),
-    kinds=(TILESET,),
-)
-def error_does_not_grow(inspected: InspectedTileset) -> Iterator[Violation]:
+@tileset_rule("GT004", Severity.ERROR, fixture="tiles_error_grows", needs=(SCHEMA_RULE,))
+def geometric_error_falls(inspected: InspectedTileset) -> Iterator[Violation]:
     """The geometric error of a tile is not larger than that of its parent.
 
     Why:
@@ -101,15 +76,7 @@ def error_does_not_grow(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GT010",
-    "uri-stays",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_uri_escapes",
-    needs=(SCHEMA_RULE,),
-    kinds=(TILESET,),
-)
+@tileset_rule("GT010", Severity.ERROR, fixture="tiles_uri_escapes", needs=(SCHEMA_RULE,))
 def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every uri stays in the folder of the tileset, and no tileset contains itself.
 
@@ -122,15 +89,7 @@ def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.URI)
 
 
-@rule(
-    "GT011",
-    "transform-similarity",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_mirrored",
-    needs=(SCHEMA_RULE,),
-    kinds=(TILESET,),
-)
+@tileset_rule("GT011", Severity.ERROR, fixture="tiles_mirrored", needs=(SCHEMA_RULE,))
 def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every tile transform is a rotation, one positive scale and a translation.
 
@@ -144,15 +103,7 @@ def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.TRANSFORM)
 
 
-@rule(
-    "GT013",
-    "subtree-bitstreams",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_subtree_short",
-    needs=(SCHEMA_RULE,),
-    kinds=(TILESET,),
-)
+@tileset_rule("GT013", Severity.ERROR, fixture="tiles_subtree_short", needs=(SCHEMA_RULE,))
 def subtree_bitstreams(inspected: InspectedTileset) -> Iterator[Violation]:
     """Subtrees have the sizes, bitstreams and tables that their headers promise.
 
@@ -167,15 +118,7 @@ def subtree_bitstreams(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.SUBTREE)
 
 
-@rule(
-    "GT017",
-    "leaf-error",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_root_error_zero",
-    needs=(SCHEMA_RULE,),
-    kinds=(TILESET,),
-)
+@tileset_rule("GT017", Severity.ERROR, fixture="tiles_root_error_zero", needs=(SCHEMA_RULE,))
 def leaf_error(inspected: InspectedTileset) -> Iterator[Violation]:
     """Leaves have a geometric error of 0, and a root with tiles below it more than 0.
 

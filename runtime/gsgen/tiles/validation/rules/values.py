@@ -5,24 +5,16 @@ from typing import Final
 
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
-from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of, tileset_rule
 
 _NEEDS: Final = (SCHEMA_RULE, "GT005", "GT011", "GT012")
 
 
-@rule(
-    "GT003",
-    "splats-in-box",
-    Severity.ERROR,
-    over="tileset",
-    fixture="tiles_splats_outside",
-    needs=_NEEDS,
-    kinds=(TILESET,),
-    level=Level.VALUES,
+@tileset_rule(
+    "GT003", Severity.ERROR, fixture="tiles_splats_outside", needs=_NEEDS, level=Level.VALUES
 )
 def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     """Splats lie in the bounding volume of their content, out to three standard deviations.
@@ -50,14 +42,11 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
+@tileset_rule(
     "GT008",
-    "children-cover",
     Severity.ERROR,
-    over="tileset",
     fixture="tiles_hole_in_children",
     needs=(*_NEEDS, "GT010", "GT013"),
-    kinds=(TILESET,),
     level=Level.VALUES,
 )
 def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
@@ -81,11 +70,9 @@ def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@rule(
+@tileset_rule(
     "GT012",
-    "values-valid",
     Severity.ERROR,
-    over="tileset",
     fixture="tiles_opacity_above_one",
     needs=(SCHEMA_RULE, "GT005", "GT006"),
     kinds=(TILESET, TILE_CONTENT),
