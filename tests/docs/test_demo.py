@@ -25,6 +25,7 @@ def demo() -> ModuleType:
     return made
 
 
+@pytest.mark.slow
 def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
     demo = DOCS / "examples" / "demo.py"
     completed = subprocess.run(

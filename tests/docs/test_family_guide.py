@@ -68,6 +68,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return typed
 
 
+@pytest.mark.slow
 def test_it_is_exported_validated_tested_and_conforms(run: Run) -> None:
     exported = run(EXPORT)
     assert exported.returncode == 0, exported.stderr
@@ -79,6 +80,7 @@ def test_it_is_exported_validated_tested_and_conforms(run: Run) -> None:
     assert int(re.search(r"(\d+) passed", tested.stdout)[1]) > 50  # type: ignore[index]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [

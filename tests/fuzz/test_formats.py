@@ -12,6 +12,8 @@ from fuzz import formats
 from gsgen.formats import FileTruncated, SizeExceeded, Splats
 from support.splat_files import scene
 
+pytestmark = pytest.mark.slow
+
 
 def reading(monkeypatch: pytest.MonkeyPatch, act: object) -> None:
     """Let every file be read by ``act``."""

@@ -37,7 +37,7 @@ def write(case, folder):
 
 
 # Other threads of this process, such as a test runner's, take no lock that a child needs.
-pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")]
 
 
 def registry_with(*rules):

@@ -7,6 +7,8 @@ import pytest
 
 from fuzz.tilesets import _ENVIRONMENT, judge, mutant
 
+pytestmark = pytest.mark.slow
+
 
 def test_mutants_are_judged_or_refused() -> None:
     command = [sys.executable, "-m", "fuzz.tilesets", "--count", "250", "--seed", "11"]

@@ -17,6 +17,9 @@ from gsgen.conformance.fixtures import find
 from support.commands import ROOT
 from support.web.packages import package
 
+pytestmark = pytest.mark.slow
+
+
 ACME = Path(__file__).parent / "acme"
 _DOTTED = re.compile(r"\bgsgen(?:\.\w+)+")
 _FROM = re.compile(r"from (gsgen[.\w]*) import (?:(\w[^\n(]*)|\(([^)]*)\))")

@@ -71,6 +71,7 @@ def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Ca
     assert_margin(case.name, case.exported.path)
 
 
+@pytest.mark.slow
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
     assert_captured(case.exported.report)
 
@@ -90,6 +91,7 @@ def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
     assert producer.source.startswith("https://")
 
 
+@pytest.mark.slow
 def test_half_precision_halves_the_weights_and_agrees_three_times_better_than_asked(
     case: Case, tmp_path: Path
 ) -> None:
@@ -106,6 +108,7 @@ def test_half_precision_halves_the_weights_and_agrees_three_times_better_than_as
     assert stored(path) - sum(retained) <= 0.52 * (stored(case.exported.path) - sum(retained))
 
 
+@pytest.mark.slow
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     model = onnx.load(case.exported.path)
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
@@ -115,6 +118,7 @@ def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     assert not any(part.metadata_props for part in parts)  # torch's notes about its graph
 
 
+@pytest.mark.slow
 def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
     model = onnx.load(case.exported.path, load_external_data=False)
     nodes = model.graph.node
@@ -123,6 +127,7 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
     assert all(len(node.input) <= 7 for node in nodes if node.op_type == "Concat")
 
 
+@pytest.mark.slow
 def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) -> None:
     options = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
     run = write_octree(tmp_path / "run", options, mode="progressive")
@@ -138,6 +143,7 @@ def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) 
     assert validate(tmp_path / "tree.onnx", settings).verdict == "conforms"
 
 
+@pytest.mark.slow
 def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) -> None:
     run = write_hexplane(tmp_path / "run", HexPlaneOptions(count=5, degree=2))
     words = ["export", "hexplane-4dgs", "--checkpoint", str(run), "--dtype", "float16"]

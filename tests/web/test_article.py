@@ -69,6 +69,7 @@ def test_the_model_plays_until_its_button_is_pressed(article: Any) -> None:
     article.get_by_role("button", name="Play").wait_for()
 
 
+@pytest.mark.slow
 def test_a_screen_reader_is_told_what_is_shown(article: Any) -> None:
     canvas = article.get_by_role("img", name="A person walks")
     assert "Arrow keys turn" in canvas.get_attribute("aria-description")
@@ -81,6 +82,7 @@ def test_a_screen_reader_is_told_what_is_shown(article: Any) -> None:
     settled(article)
 
 
+@pytest.mark.slow
 def test_the_person_stands_upright_and_walks(article: Any, tmp_path: Path) -> None:
     """Three pictures at three times: see them with --basetemp."""
     pictures = []
@@ -105,6 +107,7 @@ def test_the_person_stands_upright_and_walks(article: Any, tmp_path: Path) -> No
         assert apart.mean() > 0.005
 
 
+@pytest.mark.slow
 def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
     touch = article.context.new_cdp_session(article)
     box = article.locator("gsgen-model").bounding_box()
@@ -129,6 +132,7 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
     assert article.evaluate(f"{_ELEMENT}._orbit.distance") < 0.6 * turned[9]
 
 
+@pytest.mark.slow
 def test_two_hundred_frames_leave_nothing_behind(article: Any) -> None:
     """Of a moving camera and a moving person, only encoders, passes and commands are made."""
     result = steady_frames(article, 200, are_executed=False)
@@ -136,6 +140,7 @@ def test_two_hundred_frames_leave_nothing_behind(article: Any) -> None:
     assert result.heap_growth < 1 << 20
 
 
+@pytest.mark.slow
 def test_reduced_motion_is_respected(article: Any) -> None:
     article.emulate_media(reduced_motion="reduce")
     article.evaluate(f"{_ELEMENT}.report = null")

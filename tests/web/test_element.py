@@ -16,6 +16,9 @@ from gsgen.runtime.web.serving import ModelServer
 from support.web.pages import WebSite, float32_result, running
 from support.web.steady_frames import steady_frames
 
+pytestmark = pytest.mark.slow
+
+
 _ELEMENT = "document.querySelector('gsgen-model')"
 
 

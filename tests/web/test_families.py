@@ -13,6 +13,9 @@ from support.web.pages import unpacked
 from web.families import FAMILIES, export_family, family_frames, plugin_names
 from web.generators import assert_same_pictures, described_frames
 
+pytestmark = pytest.mark.slow
+
+
 _SCRIPT = (Path(__file__).parents[1] / "support/web/element_frames.js").read_text("utf-8")
 
 

@@ -13,7 +13,7 @@ _TOLERANCE = 1e-4  # SwiftShader's trigonometry; sums alone are good to 5e-6
 _NOT_SHOWN = {"external-data": "refuses the model"}
 """Cases that pages do not draw yet, with a part of their error."""
 
-pytestmark = pytest.mark.usefixtures("ort")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
 
 
 @pytest.mark.parametrize("case", kit_cases(), ids=lambda case: case.name)

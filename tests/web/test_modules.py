@@ -17,6 +17,8 @@ from support.web.pages import CLIENT, WebSite, unpacked
 from support.web.scenes import camera_of, set_of
 from web_client.formulas import evaluate
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_shader_module_compiles_without_a_message(site: WebSite) -> None:
     result = site.call("compile")

@@ -14,6 +14,9 @@ from support.rendering.splat_scenes import SCENES, cloud
 from support.web.pages import WebSite, unpacked
 from support.web.scenes import camera_of, set_of
 
+pytestmark = pytest.mark.slow
+
+
 _TOLERANCE = 1e-5
 
 

@@ -13,6 +13,8 @@ from gsgen.formats.glb.nodes import moved
 from gsgen.runtime.scene.splat_data import SplatData
 from support.web.pages import WebSite, unpacked
 
+pytestmark = pytest.mark.slow
+
 
 def random_splats(degree: int, count: int = 200) -> Splats:
     rng = np.random.default_rng(degree)

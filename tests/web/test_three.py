@@ -15,6 +15,9 @@ from support.commands import ROOT
 from support.web.packages import package
 from support.web.pages import CLIENT, float32_result
 
+pytestmark = pytest.mark.slow
+
+
 VERSIONS = ("three-0.180.0", "three-0.187.0")
 _EXAMPLE = ROOT / "docs/examples/three"
 _C0 = 0.28209479177387814

@@ -31,6 +31,9 @@ from support.tiles.serving import served
 from support.web.pages import WebSite, unpacked
 from support.web.scenes import camera_of
 
+pytestmark = pytest.mark.slow
+
+
 _SIZE = {"width": 80, "height": 60}
 CAMERAS = (
     Camera.look_at([0, -9, 2], [0, 0, 0], up=(0, 0, 1), **_SIZE),

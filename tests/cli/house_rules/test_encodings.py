@@ -201,6 +201,7 @@ def expected(folder: Path) -> list[tuple[int, str]]:
     return printed(folder, every_call(slow=True), encoding, sink, surroundings)
 
 
+@pytest.mark.slow
 def test_no_command_crashes_where_everything_can_be_printed(
     expected: list[tuple[int, str]],
 ) -> None:
@@ -209,6 +210,7 @@ def test_no_command_crashes_where_everything_can_be_printed(
         assert "Traceback" not in text, (call, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RUNS if name != "utf-8, pipe"])
 def test_every_command_prints_in(name: str, folder: Path, expected: list[tuple[int, str]]) -> None:
     encoding, sink, surroundings = RUNS[name]

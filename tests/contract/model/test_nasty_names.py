@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft4Validator, Draft202012Validator
@@ -17,6 +18,9 @@ from gsgen.contract.reporters.sarif import to_sarif
 from gsgen.contract.reporters.text import render_all
 from gsgen.contract.validation.finding import Location
 from support.reports.sarif import SCHEMA
+
+pytestmark = pytest.mark.slow
+
 
 JSON_SCHEMA = Draft202012Validator(schema())
 SARIF_SCHEMA = Draft4Validator(SCHEMA)

@@ -14,6 +14,9 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
+pytestmark = pytest.mark.slow
+
+
 MODELS = [
     model
     for producer in (protos, ir_models, onnxscript_models, torch_models)

@@ -4,7 +4,12 @@ import ast
 import re
 from html.parser import HTMLParser
 
+import pytest
+
 from support.commands import ROOT
+
+pytestmark = pytest.mark.slow
+
 
 _PAGE = (ROOT / "docs/live-examples.md").read_text("utf-8")
 

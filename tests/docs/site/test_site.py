@@ -16,6 +16,9 @@ import pytest
 from support.browser import launched, require_chromium, serving
 from support.commands import ROOT
 
+pytestmark = pytest.mark.slow
+
+
 PHONE, DESKTOP = (390, 844), (1440, 900)
 LEAST_CONTRAST = 4.5  # of text, WCAG 2.1 AA
 # What somebody of the field types, and a page that has to be among the first five found.

@@ -13,6 +13,9 @@ from PIL import Image
 
 from support.reports.pages import DOCS
 
+pytestmark = pytest.mark.slow
+
+
 NOTEBOOK = json.loads((DOCS / "tutorial.ipynb").read_text("utf-8"))
 
 

@@ -344,6 +344,7 @@ def model_and_export(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser
     return model, export_post_process(model, path, target="webgpu", settings=settings)
 
 
+@pytest.mark.slow
 def test_the_timestep_steers_the_model(model_and_export: tuple[Denoiser, ExportedImage]) -> None:
     model, exported = model_and_export
     session = onnxruntime.InferenceSession(exported.path)
@@ -375,6 +376,7 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(
     assert_captured(model_and_export[1].report)
 
 
+@pytest.mark.slow
 def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path / "run", SMALL)
     out = tmp_path / "clean.onnx"

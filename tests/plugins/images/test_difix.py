@@ -24,6 +24,9 @@ from gsgen.reference_plugins.synthetic import torus_knot, write_denoiser, write_
 from gsgen.sdk.exporting.post_process_exporter import export_post_process
 from support.commands import gsgen_here
 
+pytestmark = pytest.mark.slow
+
+
 OPTIONS = {
     "_class_name": "UNet2DConditionModel",
     "block_out_channels": [8, 8],

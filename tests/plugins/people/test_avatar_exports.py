@@ -80,6 +80,7 @@ def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Ca
             assert error <= EXPECTED[field] / MARGIN, (field, error)
 
 
+@pytest.mark.slow
 def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     case: Case, tmp_path: Path
 ) -> None:
@@ -99,6 +100,7 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     assert stored(path) - sum(retained) <= 0.55 * (stored(case.exported.path) - sum(retained))
 
 
+@pytest.mark.slow
 def test_novel_poses_agree_with_the_method_s_own(tmp_path: Path) -> None:
     folder = shared("data/checkpoints/r3_zju")
     generator = r3_avatar_plugin.build(
@@ -129,16 +131,19 @@ def test_novel_poses_agree_with_the_method_s_own(tmp_path: Path) -> None:
             assert np.abs(actual - target).max() <= allowed * np.abs(target).max(), (index, name)
 
 
+@pytest.mark.slow
 def test_novel_poses_are_inputs_of_one_body(tmp_path: Path) -> None:
     for words in ({"instances": 2}, {"motion": tmp_path / "walk.npz"}):
         with pytest.raises(ConfigInvalid, match="cannot be combined with --novel-poses"):
             r3_avatar_plugin.build(tmp_path, novel_poses=True, **words)
 
 
+@pytest.mark.slow
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
     assert_captured(case.exported.report)
 
 
+@pytest.mark.slow
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     model = onnx.load(case.exported.path)
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
@@ -148,6 +153,7 @@ def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     assert case.exported.path.stat().st_size <= weights + graph
 
 
+@pytest.mark.slow
 def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
     nodes = onnx.load(case.exported.path).graph.node
     kinds = {node.op_type for node in nodes}
@@ -155,6 +161,7 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
     assert all(len(node.input) <= 7 for node in nodes if node.op_type == "Concat")
 
 
+@pytest.mark.slow
 def test_a_motion_plays_in_a_viewer_that_knows_no_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -210,6 +217,7 @@ def test_a_body_may_lie_anywhere_and_be_of_either_format(tmp_path: Path) -> None
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["gauhuman", "lhm", "r3"])
 def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None:
     options, frames = PersonOptions(count=6, nets=True), 7
@@ -238,6 +246,7 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
         np.testing.assert_array_equal(rows, frames_shown[0.0][frame])
 
 
+@pytest.mark.slow
 def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "run", PersonOptions(nets=True))
     path = write_motion(tmp_path / "sway.npz", frames=5)

@@ -14,6 +14,8 @@ from gsgen.runtime import Camera, Renderer, Scene
 from gsgen.runtime.gpu.device import Device
 from runtime.checks.wrong_viewers import WRONG_VIEWERS, Render, Viewer
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -15,6 +15,9 @@ from gsgen.sdk.rewriting.rewrite import graph_stats
 from sdk.exporting.authored import MODULES, REFUSED, Cloud, Refusal
 from support.models.captured import CAPTURED
 
+pytestmark = pytest.mark.slow
+
+
 EVERY_RELEASE = RewriteTarget.of(load_target("core"))
 NEWEST = replace(
     EVERY_RELEASE, tables=tuple(t for t in EVERY_RELEASE.tables if "ep-webgpu" in t.runtime)

@@ -25,6 +25,9 @@ from support.models.captured import assert_captured
 from support.models.reference_models import Avatar, Denoiser, HexPlane, ScaffoldDecoder, rotation_of
 from support.models.traced import traced
 
+pytestmark = pytest.mark.slow
+
+
 LIVE = Settings(level=Level.LIVE, target=load_target("webgpu"))
 
 # Each with its number of Gaussians, and the degree of its SH.

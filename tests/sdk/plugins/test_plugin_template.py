@@ -37,6 +37,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+@pytest.mark.slow
 def test_the_package_installs_exports_and_passes_its_own_tests(
     package: Path, tmp_path: Path
 ) -> None:

@@ -16,6 +16,8 @@ from gsgen.tiles.loading import open_tileset
 from support.commands import gsgen_here
 from support.tiles.tile_scenes import digests, scattered
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

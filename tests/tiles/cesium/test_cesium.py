@@ -14,6 +14,9 @@ from support.tiles.foreign_tiles import east_north_up, write
 from tiles.cesium import first_draft
 from tiles.cesium.viewer import Viewer, opened_viewer
 
+pytestmark = pytest.mark.slow
+
+
 _EACH = 1500
 
 

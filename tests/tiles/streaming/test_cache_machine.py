@@ -17,6 +17,9 @@ from gsgen.tiles.streaming.disk_cache import DiskCache
 from gsgen.tiles.streaming.residency import ResidentTiles
 from support.tiles.journeys import write_town
 
+pytestmark = pytest.mark.slow
+
+
 EVENTS = 10_000
 EXAMPLES, STEPS = 250, 50  # most examples take all steps
 CAPACITY = 15  # slots

@@ -24,6 +24,9 @@ from gsgen.tiles.streaming.session import SessionOptions, open_session
 from support.tiles.builds import SMALL, build
 from support.tiles.tile_scenes import scattered
 
+pytestmark = pytest.mark.slow
+
+
 VIEW = Camera.look_at((9, -7, 4), (0.5, 0.2, 0), up=(0, 0, 1), width=96, height=64)
 
 

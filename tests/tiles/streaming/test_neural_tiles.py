@@ -35,6 +35,9 @@ from gsgen.tiles.volumes import Box
 from support.commands import gsgen_here
 from tiles.streaming.neural_scenes import SPACING, generated, transforms, write_neural_tileset
 
+pytestmark = pytest.mark.slow
+
+
 HANGS_AFTER = 120.0  # seconds that no machine needs for a tile's run
 BOUNDS = Bounds((-1.9, -1.9, -1.9), (1.9, 1.9, 1.9))
 

@@ -18,6 +18,9 @@ from support.commands import gsgen_here
 from support.tiles.builds import build
 from support.tiles.tile_scenes import scattered
 
+pytestmark = pytest.mark.slow
+
+
 SLOW, STALLED = 0.2, 3.0  # seconds a byte, and in all
 
 

@@ -16,6 +16,9 @@ from support.rendering.small_bindings import ROWS, SMALL, assert_same_images
 from support.rendering.splat_scenes import camera, cloud, turned
 from support.rendering.weighted_scenes import celled, summed
 
+pytestmark = pytest.mark.slow
+
+
 OUTPUTS = ("color", "depth", "normal")
 BEHIND = (0.1, 0.4, 0.7, 0.5)
 MOST = SMALL // 16
