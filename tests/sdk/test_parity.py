@@ -14,7 +14,7 @@ from gsgen.sdk.exporting import eager_reference, verification
 from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.verification import _nudged, check_parity
-from gsgen.sdk.parity import ModelOutput, Parity, compare, fibonacci_directions, references_equal
+from gsgen.sdk.parity import ModelOutput, Parity, compare, references_equal
 from support.models.generators import Drift
 
 
@@ -86,14 +86,6 @@ def test_position_is_measured_in_standard_deviations(reference: Reference) -> No
 def test_another_count_is_a_failure(reference: Reference) -> None:
     rows, color = layout.encode(reference.gaussians)
     assert not compare([reference], [ModelOutput(rows, color, 299)], Tolerances()).holds
-
-
-def test_directions_are_unit_and_spread() -> None:
-    made = fibonacci_directions(64)
-    np.testing.assert_allclose(np.linalg.norm(made, axis=1), 1)
-    np.testing.assert_allclose(made.mean(axis=0), 0, atol=0.02)
-    closest = (made @ made.T - 2 * np.eye(64)).max(axis=1)
-    assert np.rad2deg(np.arccos(closest)).min() > 15
 
 
 def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:

@@ -1,36 +1,36 @@
-"""Compares an exported model with its torch module, each output field in its own unit.
+"""Compares an exported model with its torch module at many test inputs, field by field.
 
-Positions are compared in standard deviations of their Gaussian, covariances relative to their
-trace, opacity absolutely, and appearance as the colour seen from 64 directions. The rounding of
-the storage dtype, which no export can avoid, is added to each tolerance. Cells are compared like
-Gaussians, and their visibility like opacity; the shape of a cell matters only if it is visible.
+A row agrees as the contract defines it (:mod:`gsgen.contract.validation.agreement`). On top of it,
+a few rows at a threshold may match slightly changed inputs, and rows may come in another order.
 """
 
 __all__ = [
-    "FieldParity", "ModelOutput", "Parity", "Reference", "compare", "fibonacci_directions",
-    "references_equal",
+    "ModelOutput", "Parity", "Reference", "compare", "references_equal",
 ]  # fmt: skip
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Tolerances
-from gsgen.contract.spec.spherical_harmonics import basis, degree_of, largest_sum
+from gsgen.contract.validation.agreement import (
+    BLOCK,
+    Allowance,
+    Errors,
+    FieldError,
+    cell_errors,
+    drawn_cells,
+    excess_of,
+    live_cells,
+    row_errors,
+    worst_errors,
+)
 
-DIRECTIONS = 64
-
-# Kernels of another library round differently in every step; a long chain of them may add up to
-# this many units in the last place of float32.
-_ULPS = 16
-_EPSILON = {"float32": 2.0**-24, "float16": 2.0**-11}
-_SUBNORMAL = {"float32": 2.0**-149, "float16": 2.0**-24}
-_CHUNK = 8192
 # Largest share of a probe's rows that may match nearby inputs instead; one row always may.
 _JUMPING_SHARE = 1e-4
 # Nearby inputs are tried where this many more rows differ, so that an error names none that jumps.
@@ -61,9 +61,11 @@ class Reference:
     @property
     def live_cells(self) -> int:
         """The number of cells (groups of Gaussians) with a Gaussian before the row count."""
-        if self.cells is None or not len(self.cells):
-            return 0
-        return -(-self.count // (len(self.gaussians) // len(self.cells)))
+        return (
+            0
+            if self.cells is None
+            else live_cells(self.count, len(self.gaussians), len(self.cells))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,24 +98,11 @@ class ModelOutput:
         return ModelOutput(thinned(self.rows), thinned(self.color), int(live), kept_cells)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldParity:
-    """The largest error in one field of Gaussians, such as position."""
-
-    # ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells ``cell position``,
-    # ``cell covariance`` or ``cell visibility``
-    field: str
-    error: float  # the largest error, in the field's unit
-    excess: float  # the error divided by the tolerance; above 1, the comparison fails
-    probe: str  # label of the probe with this error
-    row: int  # index of the Gaussian, or of the cell
-
-
 @dataclass(frozen=True, slots=True)
 class Parity:
     """The result of comparing two models: the largest error of each field over all test inputs."""
 
-    fields: tuple[FieldParity, ...]  # one entry a field
+    fields: tuple[FieldError, ...]  # one entry a field
     probes: int  # number of compared probes
     # number of rows that match the expected rows of slightly changed inputs instead
     rows_at_threshold: int = 0
@@ -160,16 +149,17 @@ def compare(
     a little sooner than another. With ``any_order``, the rows of a probe may agree as a set: where
     the values that a module sorts by are equal, the order of rows is that of a kernel.
     """
-    worst: dict[str, FieldParity] = {}
+    allowance = Allowance(tolerances, roundings)
+    worst: dict[str, FieldError] = {}
     probes = jumped = reordered = 0
     for reference, output in zip(references, outputs, strict=True):
         probes += 1
         if reference.probe.zeros and not _all_finite(reference):
             continue  # the module's own fault, which rule GI009 reports
-        fields, excused = _compare_probe(reference, output, tolerances, roundings, nearby)
+        fields, excused = _compare_probe(reference, output, allowance, nearby)
         if any_order and reference.cells is None and not all(f.excess <= 1 for f in fields):
             sorted_output = _in_order_of(reference, output)
-            as_set, _ = _compare_probe(reference, sorted_output, tolerances, roundings, None)
+            as_set, _ = _compare_probe(reference, sorted_output, allowance, None)
             if all(field.excess <= 1 for field in as_set):
                 fields, excused, reordered = as_set, 0, reordered + 1
         jumped += excused
@@ -202,7 +192,7 @@ def _in_order_of(reference: Reference, output: ModelOutput) -> ModelOutput:
     return ModelOutput(output.rows[order], output.color[order], output.count)
 
 
-def _keep_worse(worst: dict[str, FieldParity], field: FieldParity) -> None:
+def _keep_worse(worst: dict[str, FieldError], field: FieldError) -> None:
     known = worst.get(field.field)
     if known is None or not field.excess <= known.excess:
         worst[field.field] = field
@@ -237,220 +227,102 @@ def _all_finite(reference: Reference) -> bool:
 
 
 def _compare_probe(
-    reference: Reference,
-    output: ModelOutput,
-    tolerances: Tolerances,
-    roundings: int,
-    nearby: Nearby | None,
-) -> tuple[list[FieldParity], int]:
+    reference: Reference, output: ModelOutput, allowance: Allowance, nearby: Nearby | None
+) -> tuple[list[FieldError], int]:
     """Return the worst error of each output field, and how many rows match only nearby inputs."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
-        return [_failure("count", abs(output.count - n), label)], 0
+        error = float(abs(output.count - n))
+        return [FieldError(field="count", error=error, excess=np.inf, probe=label)], 0
     if (output.cells is None) != (reference.cells is None):
-        return [_failure("cells", 1.0, label)], 0
-    worst: dict[str, FieldParity] = {}
+        return [FieldError(field="cells", error=1.0, excess=np.inf, probe=label)], 0
+    worst: dict[str, FieldError] = {}
     jumps = 0
-    for fields, total in ((_fields, n), (_cell_fields, reference.live_cells)):
-        measured = partial(_ratios, fields, output, tolerances, roundings)
+    for measure, total in ((_row_errors, n), (_cell_errors, reference.live_cells)):
+        errors_at = partial(measure, output, allowance)
+        distant: list[tuple[Errors, np.ndarray]] = []
         # Step 1: the rows within the tolerances; the others are set aside.
-        beyond = np.zeros(total, bool)
-        for start in range(0, total, _CHUNK):
-            rows = np.arange(start, min(start + _CHUNK, total))
-            errors = measured(rows, reference)
-            fails = ~np.all([ratio <= 1 for _, ratio in errors.values()], axis=0)
-            beyond[rows[fails]] = True
-            _collect(worst, errors, rows, ~fails, label)
+        for start in range(0, total, BLOCK):
+            rows = np.arange(start, min(start + BLOCK, total))
+            errors = errors_at(rows, reference)
+            agrees = np.all([excess_of(*pair) <= 1 for pair in errors.values()], axis=0)
+            distant.append((_selected(errors, ~agrees), rows[~agrees]))
+            _keep_worst(worst, _selected(errors, agrees), rows[agrees], label)
+        rows = np.concatenate([rows for _, rows in distant]) if distant else np.zeros(0, np.int64)
         # Step 2: a few others may be as they are nearby.
-        distant = np.flatnonzero(beyond)
         allowed_jumps = max(1, _JUMPING_SHARE * n) - jumps
-        if nearby is not None and 0 < len(distant) <= _EXTRA_ROWS_TRIED + allowed_jumps:
-            errors, excused = _excused(measured, reference, distant, nearby(reference))
+        if nearby is not None and 0 < len(rows) <= _EXTRA_ROWS_TRIED + allowed_jumps:
+            errors, excused = _excused(errors_at, reference, rows, nearby(reference))
             if excused <= allowed_jumps:
-                _collect(worst, errors, distant, np.ones(len(distant), bool), label)
+                distant = [(errors, rows)]
                 jumps += excused
-                continue
-        # Step 3: where they are many, all of them count.
-        for start in range(0, len(distant), _CHUNK):
-            rows = distant[start : start + _CHUNK]
-            _collect(worst, measured(rows, reference), rows, np.ones(len(rows), bool), label)
+        # Step 3: what remains of the others counts.
+        for errors, rows in distant:
+            _keep_worst(worst, errors, rows, label)
     return list(worst.values()), jumps
 
 
-def _failure(field: str, error: float, probe: str) -> FieldParity:
-    return FieldParity(field=field, error=error, excess=np.inf, probe=probe, row=0)
+def _selected(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
+    return {name: (error[mask], allowed[mask]) for name, (error, allowed) in errors.items()}
+
+
+def _keep_worst(
+    worst: dict[str, FieldError], errors: Errors, rows: Int[np.ndarray, " n"], probe: str
+) -> None:
+    for field in worst_errors([(errors, rows)], probe).values():
+        _keep_worse(worst, field)
 
 
 def _excused(
-    measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
-) -> tuple["_Errors", int]:
+    errors_at: "_ErrorsAt", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
+) -> tuple[Errors, int]:
     """Return each Gaussian's least error against torch outputs at the same or nearby inputs."""
-    errors = measured(rows, reference)
+    errors = errors_at(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:
         if neighbour.count != reference.count or len(neighbour.gaussians) < reference.count:
             continue
-        for name, (error, ratio) in measured(rows, neighbour).items():
-            as_there = ~(errors[name][1] <= 1) & (ratio <= 1)
-            error, ratio = (
-                np.where(as_there, b, a) for a, b in zip(errors[name], (error, ratio), strict=True)
+        for name, pair in errors_at(rows, neighbour).items():
+            as_there = ~(excess_of(*errors[name]) <= 1) & (excess_of(*pair) <= 1)
+            error, allowed = (
+                np.where(as_there, b, a) for a, b in zip(errors[name], pair, strict=True)
             )
-            errors[name] = (error, ratio)
+            errors[name] = (error, allowed)
             jumps |= as_there
     return errors, int(np.count_nonzero(jumps))
 
 
-def _collect(
-    worst: dict[str, FieldParity],
-    errors: "_Errors",
-    rows: np.ndarray,
-    counts: Bool[np.ndarray, " n"],
-    probe: str,
-) -> None:
-    """Update the largest error per field, such as position, with the errors of more rows."""
-    if not counts.any():
-        return
-    for name, (error, ratio) in errors.items():
-        i = int(np.argmax(np.where(counts, ratio, -np.inf)))
-        field = FieldParity(
-            field=name, error=float(error[i]), excess=float(ratio[i]), probe=probe, row=int(rows[i])
-        )
-        _keep_worse(worst, field)
+_ErrorsAt = Callable[[np.ndarray, Reference], Errors]
 
 
-_Errors = dict[str, tuple[np.ndarray, np.ndarray]]
-_Measure = Callable[[np.ndarray, Reference], _Errors]
-
-
-def _ratios(
-    fields: "_Fields",
-    output: ModelOutput,
-    tolerances: Tolerances,
-    roundings: int,
-    part: np.ndarray,
-    reference: Reference,
-) -> _Errors:
-    """Return the error of each field, and as a multiple of its tolerance; NaN becomes infinite."""
-    measured = {}
-    for name, error, allowed in fields(reference, part, output, tolerances, roundings):
-        ratio = error / allowed
-        ratio[np.isnan(ratio)] = np.inf
-        measured[name] = (error, ratio)
-    return measured
-
-
-Measured = tuple[str, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
-
-
-_Fields = Callable[[Reference, np.ndarray, ModelOutput, Tolerances, int], Iterator[Measured]]
-
-
-def _fields(
-    reference: Reference,
-    part: np.ndarray,
-    output: ModelOutput,
-    tolerances: Tolerances,
-    roundings: int,
-) -> Iterator[Measured]:
-    """Yield the error and the tolerance of each field of Gaussians, for every row."""
+def _row_errors(
+    output: ModelOutput, allowance: Allowance, rows: np.ndarray, reference: Reference
+) -> Errors:
+    """Return the errors of some Gaussians of a model's output."""
     expected = reference.gaussians
-    rows = output.rows[part].astype(np.float64)
-    dtype = output.rows.dtype.name
-    ellipsoids = (expected.position[part], expected.covariance[part])
-    yield from _ellipsoids(ellipsoids, rows, dtype, tolerances, roundings)
-    rounding = roundings * _rounding(dtype)
-    error = np.abs(rows[:, layout.OPACITY] - expected.opacity[part])
-    yield "opacity", error, np.full(len(error), tolerances.opacity + rounding)
-    color = output.color[part].astype(np.float64)
-    yield _appearance(expected, part, color, rounding, tolerances)
+    packed = _packed(expected.position, expected.opacity, expected.covariance, rows)
+    color = expected.rgb if expected.sh is None else expected.sh
+    assert color is not None
+    colors = color[rows].reshape(len(rows), -1), output.color[rows]
+    is_sh = expected.sh is not None
+    return row_errors((packed, output.rows[rows]), colors, allowance, is_sh=is_sh)
 
 
-def _cell_fields(
-    reference: Reference,
-    part: np.ndarray,
-    output: ModelOutput,
-    tolerances: Tolerances,
-    roundings: int,
-) -> Iterator[Measured]:
-    """Yield the error and the tolerance of each field of cells (groups of Gaussians)."""
+def _cell_errors(
+    output: ModelOutput, allowance: Allowance, rows: np.ndarray, reference: Reference
+) -> Errors:
+    """Return the errors of some cells (groups of Gaussians) of a model's output."""
     expected = reference.cells
     assert expected is not None
     assert output.cells is not None
-    rows = output.cells[part].astype(np.float64)
-    dtype = output.cells.dtype.name
-    is_visible = _visible_cells(reference)[part] | ~np.isfinite(rows).all(axis=1)
-    ellipsoids = (expected.position[part], expected.covariance[part])
-    for name, error, allowed in _ellipsoids(ellipsoids, rows, dtype, tolerances, roundings):
-        yield f"cell {name}", np.where(is_visible, error, 0.0), allowed
-    error = np.abs(rows[:, layout.VISIBILITY] - expected.visibility[part])
-    allowed = np.full(len(error), tolerances.opacity + roundings * _rounding(dtype))
-    yield "cell visibility", error, allowed
+    opacity, visibility = output.rows[:, layout.OPACITY], output.cells[:, layout.VISIBILITY]
+    drawn = drawn_cells(reference.gaussians.opacity, reference.count, expected.visibility)[rows]
+    drawn |= drawn_cells(opacity, output.count, visibility)[rows]
+    packed = _packed(expected.position, expected.visibility, expected.covariance, rows)
+    return cell_errors((packed, output.cells[rows]), drawn, allowance)
 
 
-def _visible_cells(reference: Reference) -> Bool[np.ndarray, " c"]:
-    """Return the mask of visible groups of Gaussians (cells) that contain a visible Gaussian."""
-    assert reference.cells is not None
-    opacity = reference.gaussians.opacity
-    live = np.where(np.arange(len(opacity)) < reference.count, opacity, 0.0)
-    most = live.reshape(len(reference.cells), -1).max(axis=1)
-    return np.asarray(most * reference.cells.visibility >= layout.CULL_OPACITY)
-
-
-def _ellipsoids(
-    expected: tuple[np.ndarray, np.ndarray],
-    rows: Float[np.ndarray, "n 10"],
-    dtype: str,
-    tolerances: Tolerances,
-    roundings: int,
-) -> Iterator[Measured]:
-    """Yield errors and tolerances of the positions and covariances of Gaussians or groups."""
-    position, covariance = expected
-    rounding = roundings * _rounding(dtype)
-    tiny = 2 * roundings * _SUBNORMAL[dtype]
-    trace = np.maximum(covariance[:, [0, 3, 5]].sum(axis=1), 1e-30)
-    sigma = np.sqrt(trace / 3)
-
-    error = _largest(rows[:, layout.POSITION] - position)
-    scale = _largest(position)
-    yield "position", error / sigma, tolerances.position + (rounding * scale + tiny) / sigma
-
-    error = _largest(rows[:, layout.COVARIANCE] - covariance) / trace
-    yield "covariance", error, tolerances.covariance + rounding + tiny / trace
-
-
-def _appearance(
-    expected: layout.DecodedGaussians,
-    part: np.ndarray,
-    color: np.ndarray,
-    rounding: float,
-    tolerances: Tolerances,
-) -> Measured:
-    if expected.rgb is not None:
-        rgb = expected.rgb[part]
-        allowed = tolerances.appearance + rounding * _largest(rgb)
-        return "appearance", _largest(color[:, :3] - rgb), allowed
-    assert expected.sh is not None
-    sh = expected.sh[part]
-    weights = basis(fibonacci_directions(DIRECTIONS), degree_of(sh.shape[1]))
-    error = largest_sum(weights, color.reshape(sh.shape) - sh)
-    largest = largest_sum(np.abs(weights), np.abs(sh))
-    return "appearance", error, tolerances.appearance + rounding * largest
-
-
-def _largest(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
-    """Return the largest absolute value of each row; ``max(axis=1)`` takes four times as long."""
-    return np.asarray(reduce(np.maximum, np.abs(table).T))
-
-
-def _rounding(dtype: str) -> float:
-    """Return the relative rounding error allowed for outputs stored as ``dtype``."""
-    return _EPSILON[dtype] + _ULPS * _EPSILON["float32"]
-
-
-def fibonacci_directions(count: int) -> Float[np.ndarray, "count 3"]:
-    """Return unit vectors spread evenly over the sphere (a Fibonacci lattice)."""
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    angle = np.pi * (1 + np.sqrt(5)) * index
-    ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+def _packed(
+    position: np.ndarray, opacity: np.ndarray, covariance: np.ndarray, rows: np.ndarray
+) -> Float[np.ndarray, "n 10"]:
+    return np.column_stack([position[rows], opacity[rows], covariance[rows]])

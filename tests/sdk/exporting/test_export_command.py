@@ -19,9 +19,10 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.validation.agreement import FieldError
 from gsgen.contract.validator import validate
 from gsgen.sdk import GeneratorInvalid, ParityFailed
-from gsgen.sdk.parity import FieldParity, Parity
+from gsgen.sdk.parity import Parity
 from gsgen.sdk.plugins.factory import load_factory
 from gsgen.sdk.plugins.plugin import Plugin
 from support.commands import gsgen
@@ -168,7 +169,7 @@ def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> Non
 
 
 def test_how_far_a_model_is_off_stands_in_the_report() -> None:
-    worst = FieldParity(field="position", error=math.inf, excess=math.inf, probe="time=1", row=3)
+    worst = FieldError(field="position", error=math.inf, excess=math.inf, probe="time=1", row=3)
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
     outcome = Outcome(written=False, parity=error.parity, error=error)
     request = ExportRequest(output=Path("m.onnx"), report=Path("r.json"))

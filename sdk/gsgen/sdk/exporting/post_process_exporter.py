@@ -27,6 +27,7 @@ from gsgen.contract.spec.manifest import (
     Producer,
 )
 from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.agreement import FieldError
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.module_checks import validate_module
 from gsgen.sdk.authoring.post_process import PostProcess
@@ -37,7 +38,7 @@ from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, s
 from gsgen.sdk.exporting.tracing.trace import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
 from gsgen.sdk.float16.convert_image_model import Float16ImageResult, image_to_float16
-from gsgen.sdk.parity import FieldParity, Parity
+from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
 
 OUTPUT = "result"
@@ -299,14 +300,14 @@ def _compared(
     probes: list[Probe],
     span: float,
     allowed: float,
-) -> Iterator[FieldParity]:
+) -> Iterator[FieldError]:
     for actual, expected, probe in zip(images, expected_images, probes, strict=True):
         if probe.zeros and not np.isfinite(expected).all():
             continue  # the module's own fault, which rule GI009 reports
         error = np.abs(actual.astype(np.float64) - expected) / span
         error[np.isnan(error)] = np.inf
         largest = float(error.max())
-        yield FieldParity(
+        yield FieldError(
             field="image",
             error=largest,
             excess=largest / allowed,

@@ -15,10 +15,11 @@ from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
+from gsgen.contract.validation.agreement import FieldError
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.model_runs import KEPT_BYTES, run_in_groups
-from gsgen.sdk.parity import FieldParity, ModelOutput, Parity, Reference, compare
+from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
 _LEAST_ROOM = 1e-3
@@ -75,7 +76,7 @@ class ErrorProbe:
         # A search with a smaller share of the tolerance asks for most choices again.
         self._measured: dict[tuple[frozenset[int], ...], tuple[float, str]] = {}
         self.rounded = self.parity(frozenset())
-        self._stored = {field.field: _excess(field) for field in self.rounded.fields}
+        self._stored = {field.field: field.excess for field in self.rounded.fields}
 
     @cached_property
     def frame_bytes(self) -> int:
@@ -131,10 +132,10 @@ class ErrorProbe:
         self.stored = stored
         return self(())
 
-    def _used(self, field: FieldParity) -> float:
+    def _used(self, field: FieldError) -> float:
         """Return a field's error as a share of the tolerance that rounding the outputs leaves."""
         base = self._stored.get(field.field, 0.0)
-        return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
+        return float((field.excess - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
         """Compare a float16 model with float32, also for test inputs unseen by the search."""
@@ -166,7 +167,3 @@ def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}
     return default_probes(manifest, shapes, dtypes, seed=1, count=_UNSEEN) if inputs else ()
-
-
-def _excess(field: FieldParity) -> float:
-    return field.excess if field.excess <= np.inf else np.inf

@@ -25,7 +25,7 @@ from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS
 from gsgen.contract.spec.manifest import TestVector, VectorRows
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.agreement import field_errors
+from gsgen.contract.validation.agreement import field_errors, tolerance_of
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import (
     COLORED_ROWS,
@@ -36,9 +36,6 @@ from gsgen.contract.validation.gates import (
 from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
-
-# How often a comparison with the source allows for rounding: its arithmetic and its storage.
-_ROUNDINGS = 2
 
 Fault = tuple[str, str]
 
@@ -229,7 +226,13 @@ def _row_faults(
     if cells is not None and cells.name in actual:
         # A visibility is compared as an opacity.
         first, second = (
-            replace(outputs, gaussians=side[cells.name], appearance=None, cells=None)
+            replace(
+                outputs,
+                gaussians=side[cells.name],
+                count=len(side[cells.name]),
+                appearance=None,
+                cells=None,
+            )
             for outputs, side in ((first, actual), (second, expected))
         )
         yield from _field_faults(first, second, tolerances, numbers[cells.name], "cell")
@@ -242,8 +245,8 @@ def _field_faults(
     numbers: tuple[int, ...],
     element: str,
 ) -> Iterator[Fault]:
-    for error in field_errors(actual, expected, tolerances, roundings=_ROUNDINGS):
-        allowed = error.tolerance
+    for error in field_errors(expected, actual, tolerances):
+        allowed = tolerance_of(error, tolerances)
         yield (
             f"{allowed.field} of {element} {numbers[error.row]} is {error.error:.3g} from the "
             "source's",

@@ -11,9 +11,15 @@ from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, differenc
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.agreement import FieldError, comparable_parts, field_errors
+from gsgen.contract.validation.agreement import (
+    FieldError,
+    comparable_parts,
+    field_errors,
+    tolerance_of,
+)
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
+from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
@@ -95,21 +101,20 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
             for compared_run in (base, unoptimised)
         )
         for error in field_errors(first, second, tolerances):
-            yield _too_far(error, first)
+            yield _too_far(error, tolerance_of(error, tolerances), first)
         parts = (subject.declared_gaussians, subject.declared_appearance, subject.declared_cells)
         both = zip(parts, comparable_parts(first, second), strict=True)
-        compared = {part.name for part, is_comparable in both if part is not None and is_comparable}
+        compared = {part.name for part, pair in both if part is not None and pair is not None}
         for name, value in base.outputs.items():
             if name not in compared and name in unoptimised.outputs:
                 yield from _loosely(name, value, unoptimised.outputs[name])
 
 
-def _too_far(error: FieldError, emission: ModelOutputs) -> Violation:
-    tolerance, field = error.tolerance, error.tolerance.field
+def _too_far(error: FieldError, tolerance: Tolerance, emission: ModelOutputs) -> Violation:
+    field = error.field.removeprefix("cell ")
     output = emission.color_place if field == "appearance" else emission.rows_place
-    if error.of_cells:
+    if field != error.field:
         output = emission.cells_place
-        field = "visibility" if field == "opacity" else field
     location = Location(output, field)
     actual = f"row {error.row} differs by {error.error:.3g} without optimisations"
     source = {"default": "the contract's own", "config": "by the configuration"}
