@@ -27,6 +27,7 @@ from jaxtyping import Float64
 
 from gsgen.formats.glb.splats import NAME
 from gsgen.formats.shared.files import replacing
+from gsgen.formats.shared.morton import interleave_bits
 from gsgen.tiles.gltf.encoding import SPZ_EXTENSION, CodecName
 from gsgen.tiles.json_values import JsonDict
 from gsgen.tiles.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
@@ -108,11 +109,7 @@ class _Written:
 
 def morton(coordinates: tuple[int, int, int]) -> int:
     """Return an octree cell's Morton code, where x gives the lowest of each three bits."""
-    index = 0
-    for axis, value in enumerate(coordinates):
-        for bit in range(value.bit_length()):
-            index |= (value >> bit & 1) << (3 * bit + axis)
-    return index
+    return int(interleave_bits(*np.array(coordinates, np.uint64)))
 
 
 def content_uri(level: int, coordinates: tuple[int, int, int], data: bytes) -> str:

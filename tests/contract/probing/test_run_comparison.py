@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from gsgen.contract.probing import run_comparison
+from gsgen.contract.probing import differences
+from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.run_comparison import Comparison, ProbeRuns, difference, read_behaviour
+from gsgen.contract.probing.run_comparison import Comparison, ProbeRuns, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, Run, Sample
 
 
@@ -112,9 +113,9 @@ def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it(
     ],
 )
 def test_the_largest_difference_of_two_arrays(first, second, largest, block, monkeypatch):
-    monkeypatch.setattr(run_comparison, "_BLOCK", block)
+    monkeypatch.setattr(differences, "_BLOCK", block)
     a, b = (np.array([0.0] * 9 + values).reshape(-1, 1) for values in (first, second))
-    assert difference(a, b) == largest
-    assert difference(a[::-1], b[::-1]) == largest
-    assert difference(a[:0], b[:0]) == 0
-    assert difference(a, b[1:]) == np.inf
+    assert largest_difference(a, b) == largest
+    assert largest_difference(a[::-1], b[::-1]) == largest
+    assert largest_difference(a[:0], b[:0]) == 0
+    assert largest_difference(a, b[1:]) == np.inf

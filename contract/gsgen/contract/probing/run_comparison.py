@@ -1,19 +1,18 @@
 """The input of behaviour rules: several runs of a model, compared output by output."""
 
-__all__ = ["Behaviour", "Comparison", "ProbeRun", "ProbeRuns", "difference", "read_behaviour"]
+__all__ = ["Behaviour", "Comparison", "ProbeRun", "ProbeRuns", "read_behaviour"]
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.differences import largest_difference, paired_blocks
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, Extremes, Sample
 from gsgen.contract.probing.sandbox_worker import thinned
-
-_BLOCK = 1 << 20  # elements at a time: copies in float64 would take several times the outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,31 +183,9 @@ def _compare(trial: ProbeRuns, first: int, second: int) -> Comparison:
     if a == b:
         return Comparison(*labels, {})
     pairs = ((name, value, samples[b].outputs[name]) for name, value in samples[a].outputs.items())
-    changed = {name: difference(x, y) for name, x, y in pairs if not _same_bits(x, y)}
+    changed = {name: largest_difference(x, y) for name, x, y in pairs if not _same_bits(x, y)}
     return Comparison(*labels, changed)
 
 
 def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
-    return a.shape == b.shape and all(x.tobytes() == y.tobytes() for x, y in _blocks(a, b))
-
-
-def difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest absolute difference of two output arrays; infinite if shapes differ."""
-    if a.shape != b.shape:
-        return float("inf")
-    return max((_largest_difference(x, y) for x, y in _blocks(a, b)), default=0.0)
-
-
-def _largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    x, y = a.astype(np.float64), b.astype(np.float64)
-    same = (x == y) | (np.isnan(x) & np.isnan(y))
-    with np.errstate(invalid="ignore"):  # infinity less infinity
-        errors = np.where(same, 0, np.abs(x - y))
-    return float(np.where(np.isnan(errors), np.inf, errors).max(initial=0.0))
-
-
-def _blocks(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield blocks of two arrays of one shape, whose copies need little memory."""
-    x, y = a.reshape(-1), b.reshape(-1)
-    for start in range(0, a.size, _BLOCK):
-        yield x[start : start + _BLOCK], y[start : start + _BLOCK]
+    return a.shape == b.shape and all(x.tobytes() == y.tobytes() for x, y in paired_blocks(a, b))

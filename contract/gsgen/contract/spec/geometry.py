@@ -5,6 +5,7 @@ __all__ = [
     "covariance_upper",
     "look_at",
     "perspective",
+    "quaternion_product",
     "rotation_matrix",
     "smallest_eigenvalue",
     "symmetric",
@@ -44,6 +45,15 @@ def _rotation_elements(quaternion: Float[np.ndarray, "n 4"]) -> list[list[Float[
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+
+
+def quaternion_product(
+    left: Float[np.ndarray, "4"], right: Float[np.ndarray, "n 4"]
+) -> Float[np.ndarray, "n 4"]:
+    """Return the Hamilton products of quaternions (w, x, y, z): rotate by ``right``, then ``left``."""
+    w, x, y, z = left
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.asarray(right.astype(np.float64) @ matrix.T)
 
 
 def covariance_upper(

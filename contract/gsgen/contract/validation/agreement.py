@@ -28,6 +28,7 @@ from typing import Final
 import numpy as np
 
 from gsgen.contract._array_types import Bool, Float
+from gsgen.contract.probing.differences import signed_difference
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import (
     APPEARANCE_CHANNELS,
@@ -140,7 +141,7 @@ def _color_errors(
     if is_sh:
         shape = (len(a), a.shape[1] // 3, 3)
         weights = basis(view_directions(), degree_of(shape[1]))
-        error = largest_sum(weights, _difference(a, b).reshape(shape))
+        error = largest_sum(weights, signed_difference(a, b).reshape(shape))
         magnitude = largest_sum(np.abs(weights), np.abs(a).reshape(shape))
     else:
         error, magnitude = _distance(a[:, :3], b[:, :3]), _largest(a[:, :3])
@@ -284,19 +285,12 @@ def _is_drawn(opacity: np.ndarray) -> np.ndarray:
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return _largest(_difference(a, b))
+    return _largest(signed_difference(a, b))
 
 
 def _largest(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
     """Return the largest absolute value of each row; ``max(axis=1)`` takes four times as long."""
     return np.asarray(reduce(np.maximum, np.abs(table).T))
-
-
-def _difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a − b, with zero for equal infinities and for two NaN (statement 7)."""
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(same, 0.0, a - b))
 
 
 def _ratio(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:

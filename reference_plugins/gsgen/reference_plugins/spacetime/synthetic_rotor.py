@@ -14,6 +14,7 @@ from torch import Tensor
 
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.reference_plugins.synthetic.run_files import write_cfg_args
+from gsgen.sdk.math import quaternion_multiply
 
 _ITERATION = 30_000
 
@@ -87,10 +88,4 @@ def _rotors(
     axis = (velocity / speed.clamp(min=1e-12)).flip(1)  # quaternions count time, z, y, x
     boost = torch.cat([half.cos(), half.sin() * axis], dim=1)
     inverse = torch.cat([boost[:, :1], -boost[:, 1:]], dim=1)
-    return _product(boost, turn), _product(inverse, turn)
-
-
-def _product(p: Float[Tensor, "n 4"], q: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
-    real = p[:, :1] * q[:, :1] - (p[:, 1:] * q[:, 1:]).sum(dim=1, keepdim=True)
-    vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + torch.linalg.cross(p[:, 1:], q[:, 1:])
-    return torch.cat([real, vector], dim=1)
+    return quaternion_multiply(boost, turn), quaternion_multiply(inverse, turn)

@@ -11,6 +11,7 @@ from jaxtyping import Float32
 
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import psnr
 from gsgen.runtime.sources.source import GeneratorSource, Source, StillSource
 
 if TYPE_CHECKING:
@@ -62,9 +63,7 @@ def psnr_of_file(
     source = StillSource(path)
     source.color_space = color_space
     images = [_image(source, camera, antialias, renderer) for camera in cameras]
-    squares = [np.square(a.astype(np.float64) - b) for a, b in zip(images, expected, strict=True)]
-    error = float(np.mean(squares))
-    return float(-10 * np.log10(error)) if error > 0 else float("inf")
+    return psnr(np.array(images), np.array(expected))
 
 
 def _image(

@@ -26,9 +26,10 @@ from gsgen.contract.tools.recording import evenly_spaced
 from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailable
 from gsgen.runtime.checks.reference_image import (
     BACKGROUND,
+    MAX_DECIBELS,
     MAX_REFERENCES,
-    MIN_ERROR,
     ReferenceUnreadable,
+    image_decibels,
     read_reference,
     reference_camera,
 )
@@ -36,7 +37,7 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInval
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import Frame
+from gsgen.runtime.scene.frame import Frame, psnr
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.source import axis_direction
@@ -198,7 +199,7 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
         return
     labels = [probe.label for probe in probe_runs.plan.probes[: probe_runs.plan.values]]
     for number, reference in enumerate(manifest.reference_images[: MAX_REFERENCES + 1]):
-        psnr, problem = None, ""
+        ratio, problem = None, ""
         if number == MAX_REFERENCES:
             problem = f"only the first {MAX_REFERENCES} reference images are compared"
         elif reference.inputs not in labels:
@@ -213,20 +214,15 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
             else:
                 scene = _probe_scene(probe_runs, labels.index(reference.inputs))
                 frame = renderer.render(scene, camera, background=BACKGROUND)
-                psnr = _psnr(frame.srgb8[..., :3] / 255, expected)
-        yield ComparedReference(reference.path, reference.psnr, psnr, problem)
+                ratio = image_decibels(frame.srgb8, expected)
+        yield ComparedReference(reference.path, reference.psnr, ratio, problem)
 
 
 def decibels(a: Frame, b: Frame) -> float:
     """Return the peak signal-to-noise ratio between the colours of two frames, in decibels."""
     assert a.rgba is not None
     assert b.rgba is not None
-    return _psnr(a.rgba[..., :3], b.rgba[..., :3])
-
-
-def _psnr(a: np.ndarray, b: np.ndarray) -> float:
-    error = np.square(a.astype(np.float64) - b).mean()
-    return float(-10 * np.log10(max(error, MIN_ERROR)))
+    return min(psnr(a.rgba[..., :3], b.rgba[..., :3]), MAX_DECIBELS)
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:

@@ -2,9 +2,9 @@
 
 __all__ = [
     "BACKGROUND",
+    "MAX_DECIBELS",
     "MAX_REFERENCES",
     "MAX_SIDE",
-    "MIN_ERROR",
     "ReferenceUnreadable",
     "image_decibels",
     "read_reference",
@@ -23,6 +23,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import psnr
 
 BACKGROUND: Final = (0.0, 0.0, 0.0, 1.0)
 """The background of reference images, which have no alpha."""
@@ -33,8 +34,8 @@ MAX_REFERENCES: Final = 16
 _MAX_BYTES: Final = 32 << 20
 MAX_SIDE: Final = 4096
 _MAX_COMPONENT: Final = 255
-MIN_ERROR: Final = 1e-20
-"""The least mean squared error that counts: equal pictures have 200 dB."""
+MAX_DECIBELS: Final = 200.0
+"""The largest ratio that is told, that of equal pictures: rounding hides more."""
 
 
 def image_decibels(
@@ -46,8 +47,7 @@ def image_decibels(
         drawn: The frame, as sRGB bytes.
         expected: The picture, in [0, 1].
     """
-    difference = drawn[..., :3] / _MAX_COMPONENT - expected.astype(np.float64)
-    return float(-10 * np.log10(max(float(np.square(difference).mean()), MIN_ERROR)))
+    return min(psnr(drawn[..., :3] / _MAX_COMPONENT, expected), MAX_DECIBELS)
 
 
 class ReferenceUnreadable(GsgenError):

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int64
 
-from gsgen.formats.shared.morton import spread_bits
+from gsgen.formats.shared.morton import interleave_bits
 
 _BITS: Final = 21  # of each coordinate at most: three coordinates fill a word of 64 bits
 _BLOCK: Final = 1 << 14  # points at a time, so that their codes stay in the cache
@@ -33,8 +33,7 @@ def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     words = np.arange(len(position), dtype=np.uint64)
     for start in range(0, len(position), _BLOCK):
         part = slice(start, start + _BLOCK)
-        x, y, z = spread_bits(((columns[:, part] - low) * scale).astype(np.uint64))
-        code = x | (y << np.uint64(1)) | (z << np.uint64(2))
+        code = interleave_bits(*((columns[:, part] - low) * scale).astype(np.uint64))
         words[part] |= code << np.uint64(index_bits)
     words.sort()
     return (words & np.uint64((1 << index_bits) - 1)).astype(np.int64)

@@ -1,6 +1,6 @@
 """The result of rendering a scene: an image with depths, Gaussian ids and normals."""
 
-__all__ = ["COLOR_ONLY", "NOTHING", "OUTPUTS", "Frame", "Output"]
+__all__ = ["COLOR_ONLY", "NOTHING", "OUTPUTS", "Frame", "Output", "psnr"]
 
 import io
 from dataclasses import dataclass
@@ -129,3 +129,12 @@ def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 
 def linear_of_srgb(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """Decode sRGB in [0, 1] to linear light (IEC 61966-2-1)."""
     return np.asarray(np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4))
+
+
+def psnr(a: Float[np.ndarray, "..."], b: Float[np.ndarray, "..."]) -> float:
+    """Return the peak signal-to-noise ratio of two pictures with peak 1, in decibels.
+
+    The ratio is infinite if the pictures are equal.
+    """
+    error = float(np.square(a.astype(np.float64) - b).mean())
+    return float(-10 * np.log10(error)) if error > 0 else float("inf")

@@ -11,8 +11,9 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
+from gsgen.contract.spec.geometry import quaternion_product
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.quantities import rotations
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
@@ -42,7 +43,9 @@ def rotate_splats(splats: Splats, rotation: Float64[np.ndarray, "3 3"]) -> Splat
     return replace(
         splats,
         position=(splats.position @ rotation.T).astype(np.float32),
-        rotation=_product(quaternion.astype(np.float64), splats.rotation),
+        rotation=quaternion_product(quaternion.astype(np.float64), splats.rotation).astype(
+            np.float32
+        ),
         sh=sh.astype(np.float32),
     )
 
@@ -54,12 +57,3 @@ def _sh_rotation(degree: int, rotation: tuple[float, ...]) -> Float64[np.ndarray
     unit = np.eye(count, dtype=np.float32)[:, :, None].repeat(3, axis=2)
     columns = rotate_sh(unit, np.array(rotation).reshape(3, 3))[:, :, 0]
     return np.asarray(np.round(columns.T.astype(np.float64), _DIGITS))
-
-
-def _product(
-    left: Float64[np.ndarray, " 4"], right: Float32[np.ndarray, "n 4"]
-) -> Float32[np.ndarray, "n 4"]:
-    """Return the Hamilton products left · right of quaternions (w, x, y, z)."""
-    a, b, c, d = left
-    matrix = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-    return np.asarray(right.astype(np.float64) @ matrix.T, np.float32)

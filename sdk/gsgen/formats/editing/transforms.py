@@ -4,9 +4,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
 
-from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.contract.spec.geometry import quaternion_product, rotation_matrix
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.splats import Splats
@@ -49,20 +48,11 @@ def rotated(splats: Splats, angles: Vector) -> Splats:
         half = math.radians(angle) / 2
         step = np.zeros(4)
         step[[0, 1 + axis]] = math.cos(half), math.sin(half)
-        turn = _product(step, turn[None])[0]
+        turn = quaternion_product(step, turn[None])[0]
     matrix = rotation_matrix(turn[None])[0]
     return replace(
         splats,
         position=(splats.position @ matrix.T).astype(np.float32),
-        rotation=_product(turn, splats.rotation.astype(np.float64)).astype(np.float32),
+        rotation=quaternion_product(turn, splats.rotation).astype(np.float32),
         sh=rotate_sh(splats.sh, matrix),
     )
-
-
-def _product(
-    left: Float64[np.ndarray, "4"], right: Float64[np.ndarray, "n 4"]
-) -> Float64[np.ndarray, "n 4"]:
-    """Return the products of quaternions (w, x, y, z): ``right`` first, then ``left``."""
-    w, x, y, z = left
-    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return np.asarray(right @ matrix.T)

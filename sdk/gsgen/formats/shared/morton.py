@@ -42,14 +42,22 @@ def grid_codes(cells: Integer[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
     interleaved, are the index on the curve.
     """
     codes = np.zeros(len(cells), np.uint64)
-    for axis, shift in enumerate((2, 1, 0)):
-        for start in range(0, len(cells), _ROWS):
-            part = slice(start, start + _ROWS)
-            codes[part] |= spread_bits(cells[part, axis].astype(np.uint64)) << np.uint64(shift)
+    for start in range(0, len(cells), _ROWS):
+        x, y, z = cells[start : start + _ROWS].T.astype(np.uint64)
+        codes[start : start + _ROWS] = interleave_bits(z, y, x)
     return codes
 
 
-def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
+def interleave_bits(
+    x: UInt64[np.ndarray, "..."], y: UInt64[np.ndarray, "..."], z: UInt64[np.ndarray, "..."]
+) -> UInt64[np.ndarray, "..."]:
+    """Return the Morton codes of coordinates of 21 bits each; ``x`` has the lowest of three bits."""
+    return np.asarray(
+        _spread_bits(x) | _spread_bits(y) << np.uint64(1) | _spread_bits(z) << np.uint64(2)
+    )
+
+
+def _spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
     """Insert two zero bits between the bits of each number of 21 bits."""
     for shift, mask in _SPREAD:
         number = (number | (number << np.uint64(shift))) & np.uint64(mask)

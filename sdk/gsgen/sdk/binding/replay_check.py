@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gsgen.contract.probing import differences
+
 if TYPE_CHECKING:
     from gsgen.contract.model.graph import Graph
 
@@ -72,11 +74,8 @@ def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
     """Return max |a − b| where ``a`` is finite; infinite if ``b`` is not finite there."""
     if a.shape != b.shape:
         return float("inf")
-    x, y = a.astype(np.float64), b.astype(np.float64)
-    known = np.isfinite(x)
-    with np.errstate(invalid="ignore"):
-        difference = np.abs(x - y)[known]
-    return float(np.where(np.isnan(difference), np.inf, difference).max(initial=0.0))
+    is_known = np.isfinite(a)
+    return differences.largest_difference(a[is_known], b[is_known])
 
 
 def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:

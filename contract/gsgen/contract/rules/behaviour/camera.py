@@ -5,8 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract._array_types import Bool, Float
+from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.probes import as_tensor
-from gsgen.contract.probing.run_comparison import Behaviour, difference
+from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.probing.survey_probes import SIDE_LABEL
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, VARIANCES
 from gsgen.contract.spec.severity import Severity
@@ -68,7 +69,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     unflipped, flipped = runs
     if unflipped.digest != flipped.digest:
         for name, value in unflipped.outputs.items():
-            largest = difference(value, flipped.outputs[name])
+            largest = largest_difference(value, flipped.outputs[name])
             if largest > 0:
                 actual = f"differs by up to {largest:.3g} with row 1 of the projection negated"
                 yield Violation.at(f"output {name}", actual, "the same for both signs")

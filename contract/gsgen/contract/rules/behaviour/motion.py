@@ -5,7 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
+from gsgen.contract.probing.differences import largest_difference
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -51,8 +52,11 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
         return
     start, after, before, end = (_floats(run) for run in runs[:4])
     for name in start.keys() & after.keys() & before.keys() & end.keys():
-        jump = difference(start[name], end[name])
-        step = max(difference(start[name], after[name]), difference(before[name], end[name]))
+        jump = largest_difference(start[name], end[name])
+        step = max(
+            largest_difference(start[name], after[name]),
+            largest_difference(before[name], end[name]),
+        )
         peak = float(np.abs(start[name].astype(np.float64)).max(initial=0))
         if jump > _JUMP * step + _ROUNDING * peak:
             actual = f"jumps by up to {jump:.3g} from the end to the start"

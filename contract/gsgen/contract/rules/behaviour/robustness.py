@@ -5,9 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract.probing.behaviour_probes import REPEATED
+from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
 from gsgen.contract.spec.severity import Severity
@@ -129,7 +130,7 @@ def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[
     """Report an output if graph optimisation changes it by over 1 % of its largest value."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
-    largest = difference(value, unoptimised)
+    largest = largest_difference(value, unoptimised)
     if largest > max(_REWRITTEN * peak, least):
         actual = f"differs by up to {largest:.3g} without optimisations"
         expected = f"{_REWRITTEN * peak:.3g} at most, 1 % of the largest value"

@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float, Float64, Int64, UInt64
 
-from gsgen.formats.shared.morton import spread_bits
+from gsgen.formats.shared.morton import interleave_bits
 
 DEPTH: Final = 21
 """Bits of a code along each axis, and the deepest level of the octree."""
@@ -69,8 +69,7 @@ def morton_codes(position: Float[np.ndarray, "n 3"], cube: Cube) -> UInt64[np.nd
     """
     share = (position.astype(np.float64) - np.asarray(cube.low)) / cube.side
     cells = np.clip(np.floor(share * _CELLS), 0, _CELLS - 1).astype(np.uint64)
-    x, y, z = (spread_bits(cells[:, axis]) for axis in range(3))
-    return np.asarray(x | y << np.uint64(1) | z << np.uint64(2))
+    return interleave_bits(*cells.T)
 
 
 def cell_codes(codes: UInt64[np.ndarray, " n"], depth: int) -> UInt64[np.ndarray, " n"]:
