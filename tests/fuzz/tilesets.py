@@ -28,8 +28,8 @@ import numpy as np
 
 from gsgen.contract import Level, Settings, validate
 from gsgen.contract.errors import GsgenError
-from gsgen.tiles.info import describe_tileset
-from gsgen.tiles.stores.archive_writing import write_archive
+from gsgen.tiles.loading.info import describe_tileset
+from gsgen.tiles.stores.zip_store import write_archive
 from gsgen.tiles.validation.fixtures import tiles_fixtures
 from support.tiles import foreign_tiles as foreign
 

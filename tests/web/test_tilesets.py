@@ -15,10 +15,10 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP
+from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.container import open_content
 from gsgen.tiles.gltf.decoding import decode_content
-from gsgen.tiles.loading import load_tileset, open_tileset
+from gsgen.tiles.loading.tileset_loader import load_tileset, open_tileset
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree

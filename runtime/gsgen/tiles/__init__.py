@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from gsgen.contract._lazy import lazy_dir, lazy_getattr
 
 if TYPE_CHECKING:
-    from gsgen.tiles.info import describe_tileset
-    from gsgen.tiles.loading import open_tileset
+    from gsgen.tiles.loading.info import describe_tileset
+    from gsgen.tiles.loading.tileset_loader import open_tileset
     from gsgen.tiles.selection.frustum import Frustum
     from gsgen.tiles.streaming.session import SessionOptions, open_session
 

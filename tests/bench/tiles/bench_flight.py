@@ -29,8 +29,8 @@ from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import Silent
-from gsgen.tiles.leaves import read_tile_content
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.selection.cut import cut_tree

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.client import POLICIES, simulate

@@ -35,7 +35,7 @@ from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import Silent
 from gsgen.tiles.build.tile import mixture_of, splats_of
 from gsgen.tiles.gltf.encoding import write_content
-from gsgen.tiles.leaves import read_leaves
+from gsgen.tiles.loading.leaves import read_leaves
 from support.measures import print_figure
 from support.reports.pages import DOCS, blocks
 from support.tiles.level_scenes import (

@@ -17,9 +17,9 @@ from gsgen.formats import write_ply
 from gsgen.tiles.build.build import WORK, build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import Silent
-from gsgen.tiles.leaves import read_leaves
-from gsgen.tiles.loading import open_tileset
-from gsgen.tiles.volumes import Box
+from gsgen.tiles.format.volumes import Box
+from gsgen.tiles.loading.leaves import read_leaves
+from gsgen.tiles.loading.tileset_loader import open_tileset
 from support.tiles.builds import CHUNK, PARTITION, SMALL, build
 from support.tiles.tile_scenes import digests, scattered
 

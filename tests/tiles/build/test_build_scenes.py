@@ -15,8 +15,8 @@ from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import Silent
 from gsgen.tiles.build.scan import scan_chunk
 from gsgen.tiles.build.source import Chunk, open_scenes
-from gsgen.tiles.leaves import read_leaves
-from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.loading.leaves import read_leaves
+from gsgen.tiles.loading.tileset_loader import open_tileset
 from support.tiles.builds import SMALL, build
 from support.tiles.tile_scenes import scattered
 

@@ -11,8 +11,8 @@ import pytest
 from gsgen.contract import validate
 from gsgen.formats import FormatWarning
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.leaves import read_leaves
-from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.loading.leaves import read_leaves
+from gsgen.tiles.loading.tileset_loader import open_tileset
 from support.commands import gsgen as run
 from support.tiles import foreign_tiles as foreign
 from tiles.cesium import first_draft

@@ -7,13 +7,13 @@ import pytest
 
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.scene.camera import Camera
+from gsgen.tiles.format.tileset import Tile, Tileset
+from gsgen.tiles.format.volumes import Box, Region, Sphere, ecef
 from gsgen.tiles.prediction.poses import matrix_quaternion
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import request_order
 from gsgen.tiles.selection.tile_tree import TileTree
-from gsgen.tiles.tileset import Tile, Tileset
-from gsgen.tiles.volumes import Box, Region, Sphere, ecef
 
 
 def rotation(rng: np.random.Generator) -> np.ndarray:

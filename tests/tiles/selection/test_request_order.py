@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsgen.tiles.format.tileset import Tile, Tileset
+from gsgen.tiles.format.volumes import Box
+from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.quality_ladder import QualityLadder
 from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.request_order import finer_file_order, missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.metrics import MetricsRecorder
 from gsgen.tiles.streaming.planner import RequestPlanner
-from gsgen.tiles.tileset import Tile, Tileset
-from gsgen.tiles.volumes import Box
 
 EYE = np.zeros(3)
 

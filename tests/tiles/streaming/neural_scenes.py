@@ -11,8 +11,8 @@ from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats.shared.joined import joined
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.format.neural_tile import EXTENSION
 from gsgen.tiles.gltf.encoding import write_content
-from gsgen.tiles.neural import EXTENSION
 from gsgen.tiles.validation.sketches import sample_splats
 
 SPACING = 8.0

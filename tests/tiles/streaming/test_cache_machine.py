@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from hypothesis.stateful import run_state_machine_as_test as run_machine
 
-from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.disk_cache import DiskCache
 from gsgen.tiles.streaming.residency import ResidentTiles

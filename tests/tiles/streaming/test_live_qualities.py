@@ -14,8 +14,8 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.stream_settings import StreamSettings
-from gsgen.tiles.loading import load_tileset
-from gsgen.tiles.quality_ladder import load_ladder
+from gsgen.tiles.loading.quality_ladder import load_ladder
+from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.folder_store import FolderStore

@@ -23,15 +23,15 @@ from gsgen.runtime.sources.generator_worker import GeneratorWorker
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.leaves import read_tile_content
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.format.volumes import Box
+from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming import generator_opening
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import SessionOptions, open_session
-from gsgen.tiles.volumes import Box
 from support.commands import gsgen_here
 from tiles.streaming.neural_scenes import SPACING, generated, transforms, write_neural_tileset
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gsgen.formats import write_ply
-from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.stores import http_store
 from support.commands import gsgen_here
 from support.tiles.builds import build

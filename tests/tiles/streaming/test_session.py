@@ -14,8 +14,8 @@ import pytest
 from gsgen.formats import write_ply
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.leaves import read_tile_content
-from gsgen.tiles.loading import load_tileset, open_tileset
+from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.tileset_loader import load_tileset, open_tileset
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree

@@ -12,19 +12,18 @@ import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.tiles.build.files import read_json
-from gsgen.tiles.build.neural_tiles.adding import add_neural_tiles
-from gsgen.tiles.build.neural_tiles.generator import Generator
+from gsgen.tiles.build.neural_tiles import Generator, add_neural_tiles
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.tile import Tile
-from gsgen.tiles.implicit_tiling.writing import write_implicit_tileset
-from gsgen.tiles.index import (
+from gsgen.tiles.format.implicit_tiling.writing import write_implicit_tileset
+from gsgen.tiles.format.index import (
     BUILD_RECORD,
     ContentRecord,
     TileRecord,
     write_build_record,
     write_tileset,
 )
-from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.stores.opening import INDEX
 
 ERROR_PER_CELL: Final = 4.0

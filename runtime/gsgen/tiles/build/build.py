@@ -21,7 +21,7 @@ from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_in
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
 from gsgen.tiles.build.merging.morton import DEPTH, Cube
-from gsgen.tiles.build.neural_tiles.generator import Generator
+from gsgen.tiles.build.neural_tiles import Generator
 from gsgen.tiles.build.octree import load_built
 from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
 from gsgen.tiles.build.plan import Plan, depth_of, make_partitions
@@ -46,8 +46,8 @@ from gsgen.tiles.build.tasks import (
     run_scan,
     run_top,
 )
-from gsgen.tiles.index import BUILD_RECORD
-from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.format.index import BUILD_RECORD
+from gsgen.tiles.format.json_values import JsonDict
 
 WORK: Final = ".gsgen-build"
 """Folder in the output that holds spills and markers until the build is done."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.tiles.volumes import ecef
+from gsgen.tiles.format.volumes import ecef
 
 UPRIGHT: Final[Float64[np.ndarray, "4 4"]] = np.array(
     [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final, final
 
-from gsgen.tiles.gltf.encoding import CodecName
-from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.format.extensions import CodecName
+from gsgen.tiles.format.json_values import JsonDict
 
 ALGORITHM_VERSION: Final = 3
 """Version of the algorithm: increased when equal inputs and parameters give other bytes."""

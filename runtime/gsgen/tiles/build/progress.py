@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Protocol, final
 
-from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.format.json_values import JsonDict
 
 
 class Progress(AbstractContextManager["Progress"], Protocol):

@@ -28,10 +28,10 @@ from gsgen.tiles.build.merging.levels import Level, stored_degree
 from gsgen.tiles.build.merging.mixture import Mixture
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.spill import Rows
+from gsgen.tiles.format.implicit_tiling.writing import implicit_uri
+from gsgen.tiles.format.index import content_uri
+from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.gltf.encoding import write_content
-from gsgen.tiles.implicit_tiling.writing import implicit_uri
-from gsgen.tiles.index import content_uri
-from gsgen.tiles.json_values import JsonDict
 
 
 @final

@@ -4,7 +4,7 @@
 (x, y, z) of the content is (x, −z, y) of the tile.
 """
 
-__all__ = ["Z_UP_FROM_Y_UP", "rotate_splats", "to_content_axes"]
+__all__ = ["rotate_splats", "to_content_axes"]
 
 from dataclasses import replace
 from functools import cache
@@ -17,11 +17,7 @@ from gsgen.contract.spec.geometry import quaternion_product
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.quantities import rotations
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
-
-Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
-    [[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
-)
-"""Content (glTF) to tile coordinates."""
+from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 
 _CONTENT_FROM_TILE: Final = Z_UP_FROM_Y_UP[:3, :3].T
 _DIGITS = 7

@@ -12,7 +12,7 @@ from urllib.parse import unquote_to_bytes
 from gsgen.formats.glb.container import Container, parse, require_uncompressed
 from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.json_values import JsonDict, JsonObject, parse_object
+from gsgen.tiles.format.json_values import JsonDict, JsonObject, parse_object
 
 _DATA = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
 

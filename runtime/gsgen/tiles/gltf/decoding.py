@@ -23,9 +23,9 @@ from gsgen.formats.glb.splats import NAME, is_splats, read_primitive
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.extensions import SPZ_EXTENSION
+from gsgen.tiles.format.json_values import JsonDict, JsonObject
 from gsgen.tiles.gltf.container import as_fault
-from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
-from gsgen.tiles.json_values import JsonDict, JsonObject
 
 DRAFTS: Final = ("KHR_gaussian_splatting_compression_spz", "KHR_spz_gaussian_splats_compression")
 """Extensions of drafts that hold SPZ."""

@@ -3,19 +3,11 @@
 Equal splats give equal bytes, on any machine.
 """
 
-__all__ = [
-    "CODECS",
-    "QUALITIES",
-    "SIGMAS",
-    "SPZ_EXTENSION",
-    "CodecName",
-    "EncodedContent",
-    "write_content",
-]
+__all__ = ["CODECS", "QUALITIES", "SIGMAS", "EncodedContent", "write_content"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Literal, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,12 +19,12 @@ from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient
 from gsgen.formats.shared.quantities import sigmoid, unit
 from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
-from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP, to_content_axes
+from gsgen.tiles.format.extensions import SPZ_EXTENSION, CodecName
+from gsgen.tiles.format.json_values import JsonDict
+from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
+from gsgen.tiles.gltf.axes import to_content_axes
 from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
-from gsgen.tiles.json_values import JsonDict
 
-CodecName = Literal["spz", "khr"]
-SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
 SIGMAS: Final = 3.0
 """Standard deviations that the volumes of tiles hold of each splat."""
 

@@ -7,6 +7,7 @@ __all__ = [
     "LevelScore",
     "TilesetScore",
     "cameras_around",
+    "draw_sheet",
     "level_cut",
     "score_tileset",
 ]
@@ -14,11 +15,12 @@ __all__ = [
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
+from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.shared.joined import joined
@@ -27,14 +29,17 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.leaves import read_tile_content
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.format.tileset import Content, Tile, Tileset
+from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.tileset import Content, Tile, Tileset
 
 Picture = Float32[np.ndarray, "h w 3"]
+
+_BAR: Final = 18  # pixels of the caption above a picture on a sheet
+_GAP: Final = 4  # pixels between the pictures of a sheet
 
 DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 """Name → distance of the camera from the middle, in radii of the scene."""
@@ -250,3 +255,29 @@ def _first(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:
 
 def _similarity(renders: list[Picture], expected: list[Picture]) -> float:
     return float(np.mean([ssim(a, b) for a, b in zip(renders, expected, strict=True)]))
+
+
+def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
+    """Return a sheet of pictures with SSIM: the scene, then levels of detail, finest first."""
+    from PIL import Image, ImageDraw
+
+    levels = {f"level {entry.level}": entry for entry in score.levels}
+    columns = ["scene", *reversed(levels)]
+    height, width = score.pictures["scene"]["near"].shape[:2]
+    size = (len(columns) * (width + _GAP) - _GAP, len(DISTANCES) * (height + _BAR + _GAP) - _GAP)
+    sheet: Any = Image.new("RGB", size, (40, 40, 40))
+    pen = ImageDraw.Draw(sheet)
+    for column, name in enumerate(columns):
+        for row, distance in enumerate(DISTANCES):
+            x, y = column * (width + _GAP), row * (height + _BAR + _GAP)
+            picture = np.rint(score.pictures[name][distance] * 255).astype(np.uint8)
+            sheet.paste(Image.fromarray(picture), (x, y + _BAR))
+            text = f"{distance}: {score.splats:,} splats"
+            if name in levels:
+                entry = levels[name]
+                text = (
+                    f"{name}: {entry.splats:,}, {entry.bytes / MEBIBYTE:.2f} MiB, "
+                    f"SSIM {entry.ssim[distance]:.4f}"
+                )
+            pen.text((x + 4, y + 3), text, fill=(240, 240, 240))
+    return np.asarray(sheet)

@@ -10,7 +10,7 @@ __all__ = ["finer_file_order", "missing_tiles", "request_order"]
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from gsgen.tiles.quality_ladder import QualityLadder
+from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.tile_tree import TileTree
 

@@ -8,9 +8,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.tiles.format.tileset import Tile, Tileset
+from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.tileset import Tile, Tileset
-from gsgen.tiles.volumes import Box, Region, Sphere, Volume
 
 _GLOBE = 6.4e6  # a ball of this radius in metres holds the globe
 _LARGE_ANGLE = 0.5

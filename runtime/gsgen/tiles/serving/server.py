@@ -13,8 +13,8 @@ from typing import BinaryIO, Final, final
 from urllib.parse import unquote, urlsplit
 
 from gsgen.tiles.errors import TilesetInvalid
+from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.serving.faults import NetworkFaults
-from gsgen.tiles.uris import resolve_uri
 
 _CHUNK = 16 << 10
 _STALL = 60.0

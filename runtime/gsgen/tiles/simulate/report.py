@@ -10,7 +10,7 @@ from pathlib import Path
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.formats.shared.files import replacing
-from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.simulate.client import Simulation
 from gsgen.tiles.streaming.metrics import StreamingMetrics
 

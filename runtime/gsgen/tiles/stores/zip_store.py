@@ -1,11 +1,11 @@
-"""Reads tilesets in .3tz archives: zip files whose last member indexes paths by MD5.
+"""Reads and writes .3tz archives of tilesets: zip files whose last member indexes paths by MD5.
 
 The format is 3D Tiles Archive 1.3 (Maxar): members are stored as they are or deflated; the
 member ``@3dtilesIndex1@`` holds records of 24 bytes (MD5 of the path, offset of the member's
 local header), sorted by the digest as two little-endian 64-bit numbers.
 """
 
-__all__ = ["INDEX_NAME", "ZipStore", "index_record", "index_sort_key"]
+__all__ = ["INDEX_NAME", "ZipStore", "index_record", "index_sort_key", "write_archive"]
 
 import hashlib
 import struct
@@ -15,6 +15,7 @@ from pathlib import Path
 from threading import Lock
 from typing import BinaryIO, Final, cast, final
 
+from gsgen.formats.shared.files import replacing
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
@@ -25,6 +26,7 @@ _LOCAL = struct.Struct("<4s5H3I2H")
 _LOCAL_MAGIC = b"PK\x03\x04"
 _DEFLATED = 8
 _MOST_MEMBERS = 4_000_000
+_DATE = (1980, 1, 1, 0, 0, 0)  # the first of a zip file: equal folders give equal archives
 
 
 def index_sort_key(digest: bytes) -> tuple[int, int]:
@@ -161,3 +163,31 @@ class ZipStore(Store):
     def close(self) -> None:
         """Close the .3tz archive."""
         self._file.close()
+
+
+def write_archive(folder: Path, archive: Path) -> int:
+    """Pack the files of ``folder`` into a .3tz archive; return their number.
+
+    Hidden files and those whose names end in ``.tmp`` are left out.
+    """
+    paths = sorted(
+        file.relative_to(folder).as_posix()
+        for file in folder.rglob("*")
+        if file.is_file() and not file.name.startswith(".") and file.suffix != ".tmp"
+    )
+    paths = [path for path in paths if (folder / path).resolve() != archive.resolve()]
+    records: list[bytes] = []
+    with replacing(archive) as stream, zipfile.ZipFile(stream, "w") as packed:
+        for path in paths:
+            offset = stream.tell()
+            packed.writestr(_entry(path), (folder / path).read_bytes())
+            records.append(index_record(path, offset))
+        records.sort(key=lambda record: index_sort_key(record[:16]))
+        packed.writestr(_entry(INDEX_NAME), b"".join(records))
+    return len(paths)
+
+
+def _entry(path: str) -> zipfile.ZipInfo:
+    entry = zipfile.ZipInfo(path, _DATE)
+    entry.external_attr = 0o644 << 16
+    return entry

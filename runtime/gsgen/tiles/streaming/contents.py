@@ -12,17 +12,17 @@ from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
 from gsgen.runtime.gpu.morton_order import along_curve
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.format.neural_tile import NeuralTile
+from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
-from gsgen.tiles.leaves import MAX_CONTENT, decode_tile_content
-from gsgen.tiles.neural import NeuralTile
-from gsgen.tiles.neural_model import MAX_MODEL
-from gsgen.tiles.quality_ladder import TileQualities
+from gsgen.tiles.loading.leaves import MAX_CONTENT, decode_tile_content
+from gsgen.tiles.loading.neural_model import MAX_MODEL
+from gsgen.tiles.loading.quality_ladder import TileQualities
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.streaming.disk_cache import DiskCache
 from gsgen.tiles.streaming.session_frame import TileArrival
-from gsgen.tiles.tileset import Content, Tile, Tileset
 
 
 @final

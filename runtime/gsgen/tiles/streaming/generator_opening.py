@@ -10,8 +10,8 @@ from typing import final
 from gsgen.contract.validation.finding import Violation
 from gsgen.runtime.sources.generator_worker import GeneratorWorker
 from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.neural import NeuralTile
-from gsgen.tiles.neural_model import TileBounds, check_digest, check_neural_model
+from gsgen.tiles.format.neural_tile import NeuralTile
+from gsgen.tiles.loading.neural_model import TileBounds, check_digest, check_neural_model
 from gsgen.tiles.selection.tile_tree import TileTree
 
 ModelReader = Callable[[NeuralTile], bytes]

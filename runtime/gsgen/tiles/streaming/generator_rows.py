@@ -13,8 +13,8 @@ from gsgen.contract.spec.spherical_harmonics import coefficients, degree_of
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.quantities import SH_C0
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.volumes import Box
 from gsgen.tiles.streaming.session_frame import TileArrival
-from gsgen.tiles.volumes import Box
 
 _SHARE = 1e-3  # of the box's diagonal, by which positions may leave the box
 

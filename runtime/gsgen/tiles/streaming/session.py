@@ -14,11 +14,11 @@ from jaxtyping import Bool, Float64, Int64
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
 from gsgen.tiles.errors import StoreUnavailable
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.loading.quality_ladder import TileQualities, load_ladder
+from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictors import predictor_maker
 from gsgen.tiles.prediction.prefetch import HorizonPrefetch
-from gsgen.tiles.quality_ladder import TileQualities, load_ladder
 from gsgen.tiles.selection.cut import Cut, cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import finer_file_order

@@ -22,7 +22,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
 from gsgen.runtime.sources.source import Source, Values
 from gsgen.runtime.sources.stream_settings import StreamSettings
-from gsgen.tiles.leaves import recognises
+from gsgen.tiles.loading.leaves import recognises
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS

@@ -22,19 +22,19 @@ import numpy as np
 from gsgen.formats.glb.container import Container
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.build_record import read_build_record
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.tileset import Content, Tile
+from gsgen.tiles.format.uris import resolve_uri
+from gsgen.tiles.format.volumes import Volume
 from gsgen.tiles.gltf.container import open_content
 from gsgen.tiles.gltf.decoding import ContentHeader, decode_content, read_header
 from gsgen.tiles.gltf.placement import place
-from gsgen.tiles.leaves import MAX_CONTENT
-from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.loading.build_record import read_build_record
+from gsgen.tiles.loading.leaves import MAX_CONTENT
+from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.tileset import Content, Tile
-from gsgen.tiles.uris import resolve_uri
 from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
 from gsgen.tiles.validation.values import ContentValues, check_values, measure_content
-from gsgen.tiles.volumes import Volume
 
 Progress = Callable[[str], None]
 _MOST_THREADS: Final = 4

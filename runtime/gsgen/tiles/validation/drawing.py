@@ -20,12 +20,12 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
-from gsgen.tiles.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import read_tile_content
 from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_SHARE, cameras_around, level_cut
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.tileset import Content, Tile, Tileset
 
 TILE_VISIBLE: Final = "GT021"
 LEVELS_AGREE: Final = "GT022"

@@ -16,8 +16,8 @@ from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, su
 from gsgen.contract.spec.severity import Level
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container, streams
-from gsgen.tiles.index import GLTF_EXTENSION
-from gsgen.tiles.neural import EXTENSION as NEURAL
+from gsgen.tiles.format.extensions import CONTENT_EXTENSION
+from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
 from gsgen.tiles.validation.sketches import (
     TilesetSketch,
     edit_glb,
@@ -145,7 +145,7 @@ def tiles_counts_differ() -> TilesetSketch:
 def tiles_extension_missing() -> TilesetSketch:
     """Fixture: a tileset that does not declare the extension for SPZ."""
     sketch = explicit_sketch()
-    declared = sketch.document["extensions"][GLTF_EXTENSION]
+    declared = sketch.document["extensions"][CONTENT_EXTENSION]
     declared["extensionsRequired"] = declared["extensionsRequired"][:1]
     return sketch
 

@@ -6,11 +6,11 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, final
 
-from gsgen.tiles.build_record import BuildRecord
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.decoding import ContentHeader
+from gsgen.tiles.loading.build_record import BuildRecord
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.tileset import Content, Tile, Tileset
 from gsgen.tiles.validation.values import ContentValues
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from jaxtyping import Float64
 from gsgen.formats.glb.container import build
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.gltf.encoding import CodecName, write_content
-from gsgen.tiles.implicit_tiling.writing import implicit_uri, write_implicit_tileset
-from gsgen.tiles.index import (
+from gsgen.tiles.format.extensions import CodecName
+from gsgen.tiles.format.implicit_tiling.writing import implicit_uri, write_implicit_tileset
+from gsgen.tiles.format.index import (
     BUILD_RECORD,
     ContentRecord,
     TileRecord,
@@ -27,7 +27,8 @@ from gsgen.tiles.index import (
     tileset_document,
     write_build_record,
 )
-from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.format.json_values import JsonDict
+from gsgen.tiles.gltf.encoding import write_content
 
 _ROWS = 24
 _CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))

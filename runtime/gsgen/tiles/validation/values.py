@@ -17,9 +17,9 @@ from gsgen.formats.shared.errors import FormatError
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.volumes import Box, Volume
 from gsgen.tiles.gltf.encoding import SIGMAS
 from gsgen.tiles.gltf.placement import PlacedSplats
-from gsgen.tiles.volumes import Box, Volume
 
 _SHARE_OF_SIZE: Final = 1e-3
 _SHARE_OF_REACH: Final = 0.04  # half a step of a scale in SPZ, and of its rotation

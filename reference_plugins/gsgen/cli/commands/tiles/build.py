@@ -94,7 +94,7 @@ def build(
     from gsgen.cli.commands.tiles.progress_bar import BarProgress
     from gsgen.tiles.build.build import build_tileset
     from gsgen.tiles.build.engines.opening import open_engine
-    from gsgen.tiles.build.neural_tiles.generator import open_generator
+    from gsgen.tiles.build.neural_tiles import open_generator
     from gsgen.tiles.build.parameters import BuildParameters
     from gsgen.tiles.build.progress import JsonProgress
 

@@ -10,7 +10,7 @@ import typer
 from gsgen.contract.spec.units import MEBIBYTE
 
 if TYPE_CHECKING:
-    from gsgen.tiles.info import TilesetInfo
+    from gsgen.tiles.loading.info import TilesetInfo
 
 
 def info(
@@ -29,7 +29,7 @@ def info(
     """
     from dataclasses import asdict
 
-    from gsgen.tiles.info import describe_tileset
+    from gsgen.tiles.loading.info import describe_tileset
 
     described = describe_tileset(tileset)
     if as_json:
@@ -64,7 +64,7 @@ def _place(described: "TilesetInfo") -> str:
     """Return a tileset's longitude, latitude and height as text; empty if off the globe."""
     import numpy as np
 
-    from gsgen.tiles.volumes import geodetic
+    from gsgen.tiles.format.volumes import geodetic
 
     origin = np.array(described.transform)[:3, 3]
     if np.linalg.norm(origin) < 1e6:

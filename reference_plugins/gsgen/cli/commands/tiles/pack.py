@@ -24,8 +24,8 @@ def pack(
     has no tileset.json.
     """
     from gsgen.contract.process.atomic_files import refuse_itself
-    from gsgen.tiles.stores.archive_writing import write_archive
     from gsgen.tiles.stores.opening import INDEX
+    from gsgen.tiles.stores.zip_store import write_archive
 
     if not (folder / INDEX).is_file():
         raise InputUnreadable(

@@ -48,8 +48,7 @@ def score(
 
     from gsgen.cli.progress import clear, progress
     from gsgen.formats import FormatError
-    from gsgen.tiles.scoring.score import score_tileset
-    from gsgen.tiles.scoring.sheet import draw_sheet
+    from gsgen.tiles.scoring.score import draw_sheet, score_tileset
 
     try:
         result = score_tileset(tileset, scene, width=width, height=height, progress=progress)

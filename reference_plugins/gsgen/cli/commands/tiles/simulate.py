@@ -82,7 +82,7 @@ def simulate(
     2 for wrong options, or 4 if a file cannot be read.
     """
     from gsgen.contract.process.atomic_files import refuse_itself
-    from gsgen.tiles.loading import load_tileset
+    from gsgen.tiles.loading.tileset_loader import load_tileset
     from gsgen.tiles.prediction.predictors import predictor_maker
     from gsgen.tiles.prediction.prefetch import ViewSettings
     from gsgen.tiles.selection.tile_tree import TileTree

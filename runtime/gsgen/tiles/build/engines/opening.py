@@ -1,12 +1,34 @@
-"""Opens the build engine that a user names."""
+"""Opens the build engine that a user names; ``serial`` runs one task after the other."""
 
-__all__ = ["open_engine"]
+__all__ = ["Serial", "open_engine"]
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar, final
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.process.limits import available_cores
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.engines.processes import Processes
-from gsgen.tiles.build.engines.serial import Serial
+
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
+
+
+@final
+class Serial(Engine):
+    """Runs one build task after the other in this process."""
+
+    def __enter__(self) -> "Serial":
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def run(
+        self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
+    ) -> Iterator[tuple[int, _Result]]:
+        """Run the build tasks in order."""
+        for index, task in enumerate(tasks):
+            yield index, function(task)
 
 
 def open_engine(name: str, workers: int | None = None) -> Engine:

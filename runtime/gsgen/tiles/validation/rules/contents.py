@@ -7,9 +7,8 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.formats.glb.splats import NAME
 from gsgen.tiles.errors import Fault
-from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
+from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION
 from gsgen.tiles.gltf.spz_quality import SPZ_VERSION
-from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
@@ -98,13 +97,13 @@ def extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
         needed.append(SPZ_EXTENSION)
     declared = tileset.content_extensions or ()
     missing = [name for name in needed if name not in declared]
-    location = f"tileset {tileset.index}, extensions.{GLTF_EXTENSION}.extensionsRequired"
+    location = f"tileset {tileset.index}, extensions.{CONTENT_EXTENSION}.extensionsRequired"
     if missing:
         listed = ", ".join(declared) or "nothing"
         yield Violation.at(location, f"{listed:.200}", " and ".join(needed))
-    elif GLTF_EXTENSION not in tileset.extensions_used:
+    elif CONTENT_EXTENSION not in tileset.extensions_used:
         location = f"tileset {tileset.index}, extensionsUsed"
-        yield Violation.at(location, f"no {GLTF_EXTENSION}", f"{GLTF_EXTENSION} among them")
+        yield Violation.at(location, f"no {CONTENT_EXTENSION}", f"{CONTENT_EXTENSION} among them")
 
 
 @tileset_rule(

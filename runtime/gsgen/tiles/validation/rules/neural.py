@@ -9,12 +9,12 @@ import numpy as np
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.neural import NeuralTile
-from gsgen.tiles.neural_model import MAX_MODEL, TileBounds, check_digest, check_neural_model
-from gsgen.tiles.tileset import Tile
+from gsgen.tiles.format.neural_tile import NeuralTile
+from gsgen.tiles.format.tileset import Tile
+from gsgen.tiles.format.volumes import Region
+from gsgen.tiles.loading.neural_model import MAX_MODEL, TileBounds, check_digest, check_neural_model
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of, tileset_rule
-from gsgen.tiles.volumes import Region
 
 
 @tileset_rule("GT020", Severity.ERROR, fixture="tiles_neural_digest", needs=(SCHEMA_RULE, "GT010"))

@@ -1,0 +1,264 @@
+"""Writes the ``tileset.json`` of a tileset, and the record of the build.
+
+Equal tiles give equal bytes: keys are sorted, numbers are written in full, no time is noted.
+"""
+
+__all__ = [
+    "BUILD_RECORD",
+    "ContentRecord",
+    "TileRecord",
+    "content_uri",
+    "json_bytes",
+    "morton",
+    "tileset_document",
+    "write_build_record",
+    "write_tileset",
+]
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.formats.glb.splats import NAME
+from gsgen.formats.shared.files import replacing
+from gsgen.formats.shared.morton import interleave_bits
+from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION, CodecName
+from gsgen.tiles.format.json_values import JsonDict
+from gsgen.tiles.format.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
+from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+
+BUILD_RECORD: Final = "gsgen.tiles.json"
+"""Name of the file beside ``tileset.json`` that lists every file with its digest."""
+
+Corner = Float64[np.ndarray, " 3"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContentRecord:
+    """A written content file of a tile at one quality.
+
+    Attributes:
+        uri: Relative to the index.
+        size: Bytes of the file.
+        low: Lower corner of its splats at 3σ, in the root frame.
+        high: Upper corner of the same.
+        utility: Gain in quality from drawing it, in the unit of the caller; 0 if unknown.
+    """
+
+    uri: str
+    size: int
+    low: Corner
+    high: Corner
+    utility: float = 0.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TileRecord:
+    """A tile to write into ``tileset.json``, with its descendants.
+
+    The index gets boxes that hold the content and all tiles below, and ``low`` and ``high``
+    are grown where necessary.
+
+    Attributes:
+        level: 0 for the root.
+        coordinates: Of the octree's cell (x, y, z), 0 to 2^level − 1 each.
+        low: Lower corner of the tile, in the root frame.
+        high: Upper corner.
+        geometric_error: In units of the root frame; 0 for a leaf.
+        cell: Side of the cells in which splats were merged; 0 for a leaf.
+        splats: Number of splats of the content; 0 without content.
+        contents: One a quality, finest first; empty for a tile without content.
+        children: The tiles below, in the order of the index.
+        refine: ``REPLACE``: the children take the place of the content; ``ADD``: they join it.
+        oversized: The tile holds splats too large for cells; it is outside the octree.
+        neural: The object of the extension GSGEN_neural_tile, if there is one.
+    """
+
+    level: int
+    coordinates: tuple[int, int, int]
+    low: Corner
+    high: Corner
+    geometric_error: float
+    cell: float = 0.0
+    splats: int = 0
+    contents: tuple[ContentRecord, ...] = ()
+    children: tuple["TileRecord", ...] = ()
+    refine: str = "REPLACE"
+    oversized: bool = False
+    neural: Mapping[str, object] | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """The JSON of a tile in ``tileset.json``, and the tile's bounding box."""
+
+    document: JsonDict = field(repr=False)
+    low: Corner
+    high: Corner
+
+
+def morton(coordinates: tuple[int, int, int]) -> int:
+    """Return an octree cell's Morton code, where x gives the lowest of each three bits."""
+    return int(interleave_bits(*np.array(coordinates, np.uint64)))
+
+
+def content_uri(level: int, coordinates: tuple[int, int, int], data: bytes) -> str:
+    """Return the file name of a tile's content, with a digest of its bytes for caching."""
+    digest = hashlib.sha256(data).hexdigest()[:8]
+    return f"t/{level}/{morton(coordinates)}-{digest}.glb"
+
+
+def write_tileset(
+    path: Path,
+    root: TileRecord,
+    *,
+    source_splats: int,
+    sh_degree: int,
+    codec: CodecName = "spz",
+    quality: int = 0,
+    transform: Float64[np.ndarray, "4 4"] | None = None,
+) -> None:
+    """Write the ``tileset.json`` of a tree of tiles, atomically.
+
+    Args:
+        path: The file to write; the contents' uris are relative to its folder.
+        root: The tree.
+        source_splats: How many splats the scene has: as many as all leaves together.
+        sh_degree: The highest degree of the contents.
+        codec: Of the contents.
+        quality: Which of each tile's contents the index names; the last where it has fewer.
+        transform: From the root frame to the globe (ECEF) or the world; identity where absent.
+
+    Raises:
+        FileUnwritable: The file could not be written or put in place.
+    """
+    document = tileset_document(
+        root,
+        source_splats=source_splats,
+        sh_degree=sh_degree,
+        codec=codec,
+        quality=quality,
+        transform=transform,
+    )
+    with replacing(path) as file:
+        file.write(json_bytes(document))
+
+
+def tileset_document(
+    root: TileRecord,
+    *,
+    source_splats: int,
+    sh_degree: int,
+    codec: CodecName = "spz",
+    quality: int = 0,
+    transform: Float64[np.ndarray, "4 4"] | None = None,
+) -> JsonDict:
+    """Return the ``tileset.json`` of a tree of tiles as a JSON object."""
+    written = _tile(root, quality)
+    tree = written.document
+    if transform is not None:
+        tree["transform"] = [float(value) for value in transform.T.ravel()]
+    diagonal = float(np.linalg.norm(written.high - written.low))
+    needed = [NAME, SPZ_EXTENSION] if codec == "spz" else [NAME]
+    neural = [NEURAL] if _has_neural(root) else []
+    return {
+        "asset": {"version": "1.1", "generator": "gsgen"},
+        "extensions": {CONTENT_EXTENSION: {"extensionsRequired": needed, "extensionsUsed": needed}},
+        "extensionsRequired": [CONTENT_EXTENSION],
+        "extensionsUsed": [CONTENT_EXTENSION, *neural],
+        "geometricError": max(diagonal, root.geometric_error),
+        "metadata": {
+            "class": TILESET_CLASS,
+            "properties": {
+                "quality": quality,
+                "sh_degree": sh_degree,
+                "source_splats": source_splats,
+            },
+        },
+        "root": {**tree, "refine": root.refine},
+        "schema": metadata_schema(),
+    }
+
+
+def _has_neural(tile: TileRecord) -> bool:
+    return tile.neural is not None or any(map(_has_neural, tile.children))
+
+
+def _tile(tile: TileRecord, quality: int) -> _Written:
+    children = [_tile(child, quality) for child in tile.children]
+    low, high = (np.asarray(tile.low, np.float64), np.asarray(tile.high, np.float64))
+    document: JsonDict = {"geometricError": float(tile.geometric_error)}
+    if tile.contents:
+        content = tile.contents[min(quality, len(tile.contents) - 1)]
+        volume = box_numbers(content.low, content.high)
+        document["content"] = {"boundingVolume": {"box": volume}, "uri": content.uri}
+        document["metadata"] = {"class": TILE_CLASS, "properties": _properties(tile)}
+        low, high = np.minimum(low, content.low), np.maximum(high, content.high)
+    for child in children:
+        low, high = np.minimum(low, child.low), np.maximum(high, child.high)
+    document["boundingVolume"] = {"box": box_numbers(low, high)}
+    if children:
+        document["children"] = [child.document for child in children]
+        document["refine"] = tile.refine
+    if tile.neural is not None:
+        document["extensions"] = {NEURAL: dict(tile.neural)}
+    return _Written(document, low, high)
+
+
+def _properties(tile: TileRecord) -> JsonDict:
+    properties: JsonDict = {
+        "bytes": [content.size for content in tile.contents],
+        "cell": float(tile.cell),
+        "splats": tile.splats,
+    }
+    if any(content.utility for content in tile.contents):
+        properties["utility"] = [float(content.utility) for content in tile.contents]
+    return properties
+
+
+def box_numbers(low: Corner, high: Corner) -> list[float]:
+    """Return an axis-aligned box as 3D Tiles encodes it: the centre, and three half axes."""
+    half = np.diag((np.asarray(high) - low) / 2)
+    return [float(value) for value in [*((np.asarray(high) + low) / 2), *half.ravel()]]
+
+
+def write_build_record(
+    path: Path, *, key: str, source_splats: int, files: Mapping[str, bytes | tuple[int, str]]
+) -> None:
+    """Write a tileset's build record: the size and SHA-256 of every file, for the validator.
+
+    Args:
+        path: ``gsgen.tiles.json`` beside the index.
+        key: Digest of the inputs and parameters of the build.
+        source_splats: How many splats went in.
+        files: Relative uri → the bytes of the file, or its size and SHA-256 in hexadecimal.
+    """
+    listed = {}
+    for uri, entry in files.items():
+        if isinstance(entry, bytes):
+            entry = len(entry), hashlib.sha256(entry).hexdigest()
+        listed[uri] = {"bytes": entry[0], "sha256": entry[1]}
+    document = {
+        "files": listed,
+        "generator": "gsgen",
+        "key": key,
+        "source_splats": source_splats,
+        "version": 1,
+    }
+    with replacing(path) as file:
+        file.write(json_bytes(document))
+
+
+def json_bytes(document: Mapping[str, object]) -> bytes:
+    """Return JSON as bytes with sorted keys and no spaces, the same on every machine."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return text.encode() + b"\n"

@@ -1,0 +1,134 @@
+"""A tileset in memory: a tree of tiles, independent of files."""
+
+__all__ = ["Z_UP_FROM_Y_UP", "Content", "Refine", "Tile", "Tileset"]
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.tiles.format.neural_tile import NeuralTile
+from gsgen.tiles.format.volumes import Volume
+
+Refine = Literal["ADD", "REPLACE"]
+
+Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
+    [[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
+)
+"""Content (glTF) to tile coordinates."""
+
+# A root frame farther than this from the origin of the world stands on the globe, in metres.
+_ON_GLOBE = 1e6
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Content:
+    """A content file of a tile, with its URI and bounding volume.
+
+    Attributes:
+        uri: Relative to the tileset's folder.
+        volume: Of the content alone; None where only the tile has one.
+        location: Where the uri stands.
+    """
+
+    uri: str
+    volume: Volume | None
+    location: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tile:
+    """A tile of a tileset, explicit or of an implicit tree.
+
+    Attributes:
+        location: The file and the JSON path or the implicit coordinates.
+        volume: Bounds of the content and of all tiles below, in the tile's own frame.
+        geometric_error: Error where the tile is drawn and those below are not.
+        refine: Whether the tiles below replace the content, or add to it.
+        transform: From the tile's own frame to that of the root tile; identity for the root.
+        contents: The files to draw; more than one where the tileset says so.
+        children: The tiles below.
+        level: 0 for the root.
+        metadata: Properties by name, as far as they are numbers or arrays of them.
+        neural: The generator that the tile holds, if it does.
+    """
+
+    location: str
+    volume: Volume
+    geometric_error: float
+    refine: Refine
+    transform: Float64[np.ndarray, "4 4"]
+    contents: tuple[Content, ...] = ()
+    children: tuple["Tile", ...] = field(default=(), repr=False)
+    level: int = 0
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    neural: NeuralTile | None = None
+
+    @property
+    def is_finest(self) -> bool:
+        """Whether the tile's content is drawn at the finest level of detail."""
+        return not self.children or self.refine == "ADD"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tileset:
+    """A tree of tiles with the declarations of the tileset's ``tileset.json``.
+
+    Attributes:
+        name: The file, address or archive, as the caller gave it.
+        index: Path of ``tileset.json`` relative to its folder.
+        version: Of 3D Tiles, such as ``1.1``.
+        geometric_error: Error where nothing is drawn.
+        transform: From the root frame to the globe (ECEF) or the world.
+        root: The root tile.
+        extensions_used: As declared.
+        extensions_required: As declared.
+        content_extensions: glTF extensions that ``3DTILES_content_gltf`` declares as required;
+            None where the tileset does not declare them.
+        metadata: Properties of the tileset by name.
+        y_up: Whether contents are y up, which glTF asks for, and have to be turned.
+    """
+
+    name: str
+    index: str
+    version: str
+    geometric_error: float
+    transform: Float64[np.ndarray, "4 4"]
+    root: Tile
+    extensions_used: tuple[str, ...] = ()
+    extensions_required: tuple[str, ...] = ()
+    content_extensions: tuple[str, ...] | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    y_up: bool = True
+
+    @property
+    def content_axes(self) -> Float64[np.ndarray, "4 4"]:
+        """The 4×4 matrix from the frame of a content file to the frame of its tile."""
+        return Z_UP_FROM_Y_UP if self.y_up else np.eye(4)
+
+    @property
+    def up(self) -> Float64[np.ndarray, " 3"]:
+        """The up direction of a tileset's root frame: world z, or away from the globe's centre."""
+        linear, origin = self.transform[:3, :3], self.transform[:3, 3]
+        is_on_globe = np.linalg.norm(origin) > _ON_GLOBE
+        up = linear.T @ (origin if is_on_globe else np.array([0.0, 0.0, 1.0]))
+        return np.asarray(up / np.linalg.norm(up))
+
+    def tiles(self) -> Iterator[Tile]:
+        """Yield all tiles of the tileset, each before its children, depth first."""
+        pending = [self.root]
+        while pending:
+            tile = pending.pop()
+            yield tile
+            pending += reversed(tile.children)
+
+    def pairs(self) -> Iterator[tuple[Tile, Tile]]:
+        """Yield every pair of a parent tile and a child tile."""
+        for tile in self.tiles():
+            for child in tile.children:
+                yield tile, child

@@ -1,0 +1,102 @@
+"""Reads a tileset's JSON documents: ``tileset.json`` files and metadata schemas."""
+
+__all__ = ["Document", "DocumentReader"]
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from gsgen.tiles.errors import TilesetInvalid
+from gsgen.tiles.format.extensions import CONTENT_EXTENSION
+from gsgen.tiles.format.implicit_tiling.property_table import PropertyClass, read_classes
+from gsgen.tiles.format.json_values import MAX_JSON, JsonObject, parse_object, shorten
+from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+from gsgen.tiles.format.uris import resolve_uri
+from gsgen.tiles.loading.limits import Limits, LoadReport
+from gsgen.tiles.stores.store import Store
+
+_UNDERSTOOD: Final = {CONTENT_EXTENSION, "3DTILES_metadata", NEURAL}
+_VERSIONS: Final = ("1.0", "1.1")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A ``tileset.json`` that is being read, with metadata classes and the files that refer to it.
+
+    Attributes:
+        path: Of the file, relative to the tileset's folder.
+        classes: Of its metadata schema.
+        above: The indices that refer to it, the outermost first.
+    """
+
+    path: str
+    classes: dict[str, PropertyClass]
+    above: tuple[str, ...]
+
+
+@final
+class DocumentReader:
+    """Reads the ``tileset.json`` files of one tileset, within limits of number and size."""
+
+    def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
+        self._store, self._limits, self._report = store, limits, report
+        self._bytes_left = limits.index_bytes
+        self._documents = 0
+
+    def spend(self, size: int, path: str) -> None:
+        """Add a JSON document's bytes to the total; raise above the limits of reading a tileset."""
+        self._bytes_left -= size
+        self._documents += 1
+        if self._documents > self._limits.documents:
+            raise TilesetInvalid(
+                f"the tileset has more than {self._limits.documents:,} JSON and subtree files",
+                location=f"{self._store.name}: {path}",
+                expected="fewer",
+            )
+        if self._bytes_left < 0:
+            raise TilesetInvalid(
+                f"JSON and subtree files have more than {self._limits.index_bytes:,} bytes",
+                location=f"{self._store.name}: {path}",
+                expected="fewer",
+            )
+
+    def read_index(self, path: str) -> JsonObject:
+        """Read a ``tileset.json``, and check its required members."""
+        data = self._store.read(path, limit=MAX_JSON)
+        self.spend(len(data), path)
+        document = parse_object(data, f"{path}, ")
+        asset = document.child("asset")
+        version = asset.text("version")
+        if version not in _VERSIONS:
+            asset.refuse("version", " or ".join(_VERSIONS))
+        unknown = set(document.texts("extensionsRequired")) - _UNDERSTOOD
+        if unknown:
+            raise TilesetInvalid(
+                shorten(sorted(unknown)),
+                location=document.at("extensionsRequired"),
+                expected=f"extensions that are understood: {', '.join(sorted(_UNDERSTOOD))}",
+            )
+        undeclared = set(document.texts("extensionsRequired")) - set(
+            document.texts("extensionsUsed")
+        )
+        if undeclared:
+            self._report.note(
+                TilesetInvalid(
+                    shorten(sorted(undeclared)),
+                    location=document.at("extensionsRequired"),
+                    expected="extensions that extensionsUsed lists, too",
+                )
+            )
+        document.number("geometricError", least=0)
+        return document
+
+    def describe(self, path: str, document: JsonObject, above: tuple[str, ...]) -> Document:
+        """Return the path, metadata classes and referring files of a ``tileset.json``."""
+        schema = document.optional("schema")
+        if schema is None and "schemaUri" in document:
+            location = document.at("schemaUri")
+            uri = resolve_uri(path, document.text("schemaUri"), location)
+            data = self._store.read(uri, limit=MAX_JSON)
+            self.spend(len(data), uri)
+            schema = parse_object(data, f"{uri}, ")
+        return Document(path, read_classes(schema), (*above, path))

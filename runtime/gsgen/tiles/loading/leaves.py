@@ -1,0 +1,124 @@
+"""Reads splats of a tileset, from all leaf tiles or one tile, in the root tile's frame."""
+
+__all__ = [
+    "decode_tile_content",
+    "finest_contents",
+    "read_leaves",
+    "read_tile_content",
+    "recognises",
+]
+
+import os
+import posixpath
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.formats.codecs import codec_named
+from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.tileset import Content, Tile, Tileset
+from gsgen.tiles.format.uris import resolve_uri
+from gsgen.tiles.gltf.container import open_content
+from gsgen.tiles.gltf.decoding import decode_content
+from gsgen.tiles.gltf.placement import PlacedSplats, join_placed, place
+from gsgen.tiles.loading.downloads import names_one_file, read_download
+from gsgen.tiles.loading.tileset_loader import load_tileset
+from gsgen.tiles.stores.opening import INDEX, open_store
+from gsgen.tiles.stores.store import Store
+
+MAX_CONTENT: Final = 512 << 20
+"""How many bytes the file of one tile may have."""
+_FAR: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
+
+
+def read_tile_content(
+    store: Store, tileset: Tileset, tile: Tile, content: Content
+) -> list[PlacedSplats]:
+    """Return the splats of a tile's content in the frame of the root tile.
+
+    Raises:
+        TilesetInvalid: The file is missing or wrong.
+        StoreUnavailable: It cannot be read now.
+    """
+    data = store.read(content.uri, limit=MAX_CONTENT)
+    return decode_tile_content(store, tileset, tile, content, data)
+
+
+def decode_tile_content(
+    store: Store, tileset: Tileset, tile: Tile, content: Content, data: bytes
+) -> list[PlacedSplats]:
+    """Decode the splats of a tile's content file whose bytes were read already."""
+
+    def fetch(uri: str, location: str, size: int) -> bytes:
+        path = resolve_uri(content.uri, uri, location)
+        return store.read(path, size=size, limit=MAX_CONTENT)
+
+    container = open_content(data, content.uri, fetch)
+    return [
+        place(splats, tile.transform @ tileset.content_axes @ matrix)
+        for splats, matrix in decode_content(container, content.uri)
+        if len(splats)
+    ]
+
+
+def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
+    """Yield the tile contents that are drawn at the finest level of detail."""
+    for tile in tileset.tiles():
+        if tile.is_finest:
+            for content in tile.contents:
+                yield tile, content
+
+
+def recognises(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path names a tileset: a file by its suffix, an address, or a folder."""
+    text = os.fspath(path)
+    name = Path(text).name.lower()
+    if text.lower().startswith(("http:/", "https:/")) or name.endswith(".3tz"):
+        return True
+    if name.endswith(".json"):
+        return name not in codec_named("sog").suffixes
+    return (Path(text) / INDEX).is_file()
+
+
+def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedRows:
+    """Return the splats of all leaf tiles of a tileset as one set, in the root tile's frame.
+
+    The address of one file of splats, such as a PLY, gives the content of this file.
+
+    Where the root frame is so large that float32 would lose millimetres, positions are
+    relative to the middle of the splats; a ``FormatWarning`` then reports that origin.
+
+    Raises:
+        TilesetInvalid: A file is missing or wrong, or there are no splats.
+        StoreUnavailable: The store cannot be read now.
+    """
+    if names_one_file(source):
+        return read_download(source)
+    store, index = open_store(os.fspath(source))
+    with store:
+        tileset = load_tileset(store, index, name=str(source))
+        parts = [
+            placed
+            for tile, content in finest_contents(tileset)
+            for placed in read_tile_content(store, tileset, tile, content)
+        ]
+    if not parts:
+        raise TilesetInvalid(
+            "no leaf tile has splats",
+            location=posixpath.basename(index),
+            expected="contents with KHR_gaussian_splatting",
+            fault=Fault.CONTENT,
+        )
+    middle = np.stack([part.origin for part in parts]).mean(axis=0)
+    origin: Float64[np.ndarray, " 3"] = np.zeros(3)
+    if np.abs(middle).max() > _FAR:
+        origin = np.round(middle)
+        text = f"positions are relative to {origin.tolist()} of the root tile's frame"
+        warnings.warn(text, FormatWarning, stacklevel=2)
+    return join_placed(parts, origin)

@@ -1,0 +1,351 @@
+"""Reads a tileset: ``tileset.json``, external tilesets and subtrees become one tile tree."""
+
+__all__ = ["Limits", "LoadReport", "load_tileset", "open_tileset"]
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.extensions import CONTENT_EXTENSION
+from gsgen.tiles.format.implicit_tiling.subtree import Subtree, read_subtree
+from gsgen.tiles.format.implicit_tiling.tree import (
+    ImplicitTree,
+    TileCoordinates,
+    expand_implicit,
+    read_implicit,
+)
+from gsgen.tiles.format.json_values import JsonDict, JsonObject, shorten
+from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+from gsgen.tiles.format.neural_tile import NeuralTile, read_neural_tile
+from gsgen.tiles.format.tileset import Content, Refine, Tile, Tileset
+from gsgen.tiles.format.uris import resolve_uri
+from gsgen.tiles.format.volumes import read_volume
+from gsgen.tiles.loading.documents import Document, DocumentReader
+from gsgen.tiles.loading.limits import Limits, LoadReport, Strict
+from gsgen.tiles.stores.opening import open_store
+from gsgen.tiles.stores.store import Store
+
+Matrix = Float64[np.ndarray, "4 4"]
+
+_MAX_SUBTREE: Final = 64 << 20
+_TOLERANCE: Final = 1e-4
+
+
+def open_tileset(source: str | Path, *, limits: Limits | None = None) -> Tileset:
+    """Read the tree of tiles of a tileset from a path or address; contents are not read.
+
+    Args:
+        source: ``tileset.json``, its folder, a ``.3tz`` archive, or an address.
+        limits: How much is read.
+
+    Raises:
+        TilesetInvalid: A file is missing or wrong; the error names it and the JSON path.
+        ConfigInvalid: An address is given and urllib3 is not installed.
+    """
+    store, index = open_store(source)
+    with store:
+        return load_tileset(store, index, limits=limits, name=str(source))
+
+
+def load_tileset(
+    store: Store,
+    index: str,
+    *,
+    limits: Limits | None = None,
+    report: LoadReport | None = None,
+    name: str = "",
+) -> Tileset:
+    """Read the tree of tiles of a tileset from a file store; contents are not read.
+
+    Args:
+        store: Where its files lie.
+        index: Path of ``tileset.json``.
+        limits: How much is read.
+        report: Receives the faults; without it, the first one is raised.
+        name: Name of the tileset in messages.
+
+    Raises:
+        TilesetInvalid: The index cannot be read at all, or something in it and ``report``
+            raises.
+    """
+    loader = _Loader(store, limits or Limits(), report or Strict())
+    return loader.tileset(index, name or store.name)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Parent:
+    """The properties that a tile inherits from its parent."""
+
+    transform: Matrix
+    refine: Refine
+    level: int
+
+
+@final
+class _Loader:
+    def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
+        self._store, self._limits, self._report = store, limits, report
+        self._documents = DocumentReader(store, limits, report)
+        self._tiles = 0
+
+    def tileset(self, index: str, name: str) -> Tileset:
+        """Read the outermost ``tileset.json`` of a tileset."""
+        document = self._documents.read_index(index)
+        asset = document.child("asset")
+        source = self._documents.describe(index, document, ())
+        root = document.child("root")
+        transform = self._transform(root)
+        parent = _Parent(np.eye(4), self._root_refine(root), 0)
+        tree = self._tile(root, source, parent, own_transform=np.eye(4))
+        extensions = document.optional("extensions")
+        gltf = extensions.optional(CONTENT_EXTENSION) if extensions else None
+        metadata = document.optional("metadata")
+        return Tileset(
+            name=name,
+            index=index,
+            version=asset.text("version"),
+            geometric_error=document.number("geometricError", least=0),
+            transform=transform,
+            root=tree,
+            extensions_used=document.texts("extensionsUsed"),
+            extensions_required=document.texts("extensionsRequired"),
+            content_extensions=gltf.texts("extensionsRequired") if gltf else None,
+            metadata=_properties(metadata),
+            y_up=asset.values.get("gltfUpAxis", "Y") != "Z",
+        )
+
+    def _root_refine(self, root: JsonObject) -> Refine:
+        if "refine" not in root:
+            self._report.note(
+                TilesetInvalid(
+                    "the member is missing",
+                    location=root.at("refine"),
+                    expected="ADD or REPLACE, which the root has to say",
+                )
+            )
+        return "REPLACE"
+
+    def _tile(
+        self,
+        entry: JsonObject,
+        document: Document,
+        parent: _Parent,
+        own_transform: Matrix | None = None,
+    ) -> Tile:
+        """Read a tile and all its descendants."""
+        if parent.level >= self._limits.depth:
+            raise TilesetInvalid(
+                f"the tileset has more than {self._limits.depth} levels of tiles",
+                location=entry.location,
+                expected="fewer",
+            )
+        self._count(1, entry.location)
+        volume = read_volume(entry.child("boundingVolume"))
+        local_transform = self._transform(entry) if own_transform is None else own_transform
+        transform = parent.transform @ local_transform
+        error, refine = entry.number("geometricError", least=0), self._refine(entry, parent)
+        tile = Tile(
+            location=entry.location,
+            volume=volume,
+            geometric_error=error,
+            refine=refine,
+            transform=transform,
+            level=parent.level,
+            metadata=_properties(entry.optional("metadata")),
+            neural=self._neural(entry, document),
+        )
+        if "implicitTiling" in entry:
+            return self._implicit(entry, tile, document)
+        below = _Parent(transform, refine, parent.level + 1)
+        contents, external = self._contents(entry, document, below)
+        children = [*external]
+        for child in self._children(entry):
+            self._guard(partial(self._append_tile, children, child, document, below))
+        return replace(tile, contents=contents, children=tuple(children))
+
+    def _append_tile(
+        self, children: list[Tile], entry: JsonObject, document: Document, parent: _Parent
+    ) -> None:
+        children.append(self._tile(entry, document, parent))
+
+    def _guard(self, read: Callable[[], None]) -> None:
+        """Read a part of a tileset; report the fault and omit the part if the part is invalid."""
+        try:
+            read()
+        except TilesetInvalid as error:
+            self._report.drop(error)
+
+    def _count(self, tiles: int, location: str) -> None:
+        self._tiles += tiles
+        if self._tiles > self._limits.tiles:
+            raise TilesetInvalid(
+                f"the tileset has more than {self._limits.tiles:,} tiles",
+                location=location,
+                expected="fewer",
+            )
+
+    def _refine(self, entry: JsonObject, parent: _Parent) -> Refine:
+        refine = entry.values.get("refine", parent.refine)
+        if refine == "ADD":
+            return "ADD"
+        if refine != "REPLACE":
+            entry.refuse("refine", "ADD or REPLACE")
+        return "REPLACE"
+
+    def _children(self, entry: JsonObject) -> list[JsonObject]:
+        children: list[JsonObject] = []
+        self._guard(lambda: children.extend(entry.objects("children")))
+        if entry.values.get("children") == []:
+            self._report.note(
+                TilesetInvalid(
+                    "an empty array",
+                    location=entry.at("children"),
+                    expected="at least one child, or no member `children`",
+                )
+            )
+        return children
+
+    def _transform(self, entry: JsonObject) -> Matrix:
+        """Return the transform of a tile; report a transform that is not a similarity."""
+        if "transform" not in entry:
+            return np.eye(4)
+        matrix = entry.numbers("transform", 16).reshape(4, 4).T
+        if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+            raise TilesetInvalid(
+                f"the last row of the transform is {shorten(matrix[3].tolist())}",
+                location=entry.at("transform"),
+                expected="0 0 0 1: 16 numbers, column by column",
+                fault=Fault.TRANSFORM,
+            )
+        sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+        if not (np.linalg.det(matrix[:3, :3]) > 0 and np.isfinite(sizes).all()):
+            raise TilesetInvalid(
+                "the transform mirrors or flattens",
+                location=entry.at("transform"),
+                expected="a rotation, a positive scale and a translation",
+                fault=Fault.TRANSFORM,
+            )
+        if sizes[0] > sizes[2] * (1 + _TOLERANCE):
+            self._report.note(
+                TilesetInvalid(
+                    f"scales from {sizes[2]:g} to {sizes[0]:g}",
+                    location=entry.at("transform"),
+                    expected="the same scale along every axis",
+                    fault=Fault.TRANSFORM,
+                )
+            )
+        return matrix
+
+    def _contents(
+        self, entry: JsonObject, document: Document, below: _Parent
+    ) -> tuple[tuple[Content, ...], list[Tile]]:
+        """Return the contents of a tile, and the roots of the external tilesets among them."""
+        if "content" in entry and "contents" in entry:
+            self._report.note(
+                TilesetInvalid(
+                    "content and contents",
+                    location=entry.location,
+                    expected="one of the two members",
+                )
+            )
+        contents: list[Content] = []
+        external: list[Tile] = []
+        entries = [entry.child("content")] if "content" in entry else []
+        entries += entry.objects("contents")
+        for content in entries:
+            read = partial(self._content, content, document, below, contents, external)
+            self._guard(read)
+        return tuple(contents), external
+
+    def _content(
+        self,
+        entry: JsonObject,
+        document: Document,
+        below: _Parent,
+        contents: list[Content],
+        external: list[Tile],
+    ) -> None:
+        key = "url" if "uri" not in entry and "url" in entry else "uri"  # url: of 1.0
+        uri = resolve_uri(document.path, entry.text(key), entry.at(key))
+        if uri.lower().endswith(".json"):
+            external.append(self._external(uri, entry.at(key), document, below))
+            return
+        bounds = entry.optional("boundingVolume")
+        volume = read_volume(bounds) if bounds else None
+        contents.append(Content(uri=uri, volume=volume, location=entry.at(key)))
+
+    def _external(self, uri: str, location: str, document: Document, below: _Parent) -> Tile:
+        if uri in document.above:
+            raise TilesetInvalid(
+                f"the external tileset {uri} is nested within itself",
+                location=location,
+                expected="external tilesets that do not come back to this one",
+                fault=Fault.URI,
+            )
+        if len(document.above) > self._limits.nesting:
+            raise TilesetInvalid(
+                f"more than {self._limits.nesting} external tilesets are nested",
+                location=location,
+                expected="fewer",
+                fault=Fault.URI,
+            )
+        inner = self._documents.read_index(uri)
+        source = self._documents.describe(uri, inner, document.above)
+        return self._tile(inner.child("root"), source, below)
+
+    def _neural(self, entry: JsonObject, document: Document) -> NeuralTile | None:
+        extensions = entry.optional("extensions")
+        if extensions is None or NEURAL not in extensions:
+            return None
+        try:
+            return read_neural_tile(extensions.child(NEURAL), document.path)
+        except TilesetInvalid as error:
+            self._report.note(error)  # the content stays, and is drawn instead
+            return None
+
+    def _implicit(self, entry: JsonObject, tile: Tile, document: Document) -> Tile:
+        self._count(-1, entry.location)
+        tree = read_implicit(
+            entry, tile.volume, tile.geometric_error, tile.refine, document.path, document.classes
+        )
+
+        def load(tree: ImplicitTree, origin: TileCoordinates) -> Subtree | None:
+            try:
+                return self._subtree(tree, origin)
+            except TilesetInvalid as error:
+                self._report.drop(error)
+                return None
+
+        return expand_implicit(tree, tile, load, self._count)
+
+    def _subtree(self, tree: ImplicitTree, origin: TileCoordinates) -> Subtree:
+        uri = tree.uri(tree.subtree_uri, origin, f"{tree.location}.implicitTiling.subtrees.uri")
+        data = self._store.read(uri, limit=_MAX_SUBTREE)
+        self._documents.spend(len(data), uri)
+
+        def read_buffer(name: str, location: str, size: int) -> bytes:
+            path = resolve_uri(uri, name, location)
+            self._documents.spend(size, path)
+            return self._store.read(path, size=size, limit=_MAX_SUBTREE)
+
+        return read_subtree(
+            data,
+            uri,
+            branching=tree.branching,
+            levels=tree.subtree_levels,
+            classes=tree.classes,
+            read_buffer=read_buffer,
+        )
+
+
+def _properties(metadata: JsonObject | None) -> JsonDict:
+    """Return the properties of a 3D Tiles metadata entity."""
+    properties = metadata.optional("properties") if metadata else None
+    return dict(properties.values) if properties else {}

@@ -1,1 +1,0 @@
-"""How are the JSON documents of a tileset found, counted and checked?"""

@@ -1,0 +1,91 @@
+"""`gsgen tiles info` counts what is there."""
+
+import json
+import threading
+from pathlib import Path
+
+import pytest
+
+from gsgen.tiles.loading.info import describe_tileset
+from gsgen.tiles.serving.server import serve_folder
+from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
+from support.commands import gsgen_here
+
+KEYS = ("tiles", "splats", "leaf_splats", "bytes", "sh_degree", "refine", "levels", "box")
+
+
+def counted(folder: Path) -> dict[str, int]:
+    files = list(folder.rglob("*.glb"))
+    return {"files": len(files), "bytes": sum(file.stat().st_size for file in files)}
+
+
+@pytest.mark.parametrize(("make", "levels"), [(explicit_sketch, 2), (implicit_sketch, 3)])
+def test_numbers_are_those_of_the_files(tmp_path: Path, make, levels: int) -> None:
+    path = tmp_path / "tileset.json"
+    sketch = make()
+    sketch.write(path)
+    done = gsgen_here("tiles", "info", path, "--json")
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    assert set(KEYS) | {"transform"} <= told.keys()
+    found = counted(tmp_path)
+    assert sum(level["tiles"] for level in told["levels"]) == found["files"]
+    assert told["bytes"] == sum(level["bytes"] for level in told["levels"])
+    assert told["bytes"] == found["bytes"]
+    assert len(told["levels"]) == levels
+    assert told["leaf_splats"] == sketch.document["metadata"]["properties"]["source_splats"]
+    assert told["sh_degree"] == 1
+    text = gsgen_here("tiles", "info", path)
+    assert f"{told['splats']:,} splats" in text.out
+
+
+def test_without_metadata_the_headers_say_the_same(tmp_path: Path) -> None:
+    sketch = explicit_sketch()
+    sketch.write(tmp_path / "a" / "tileset.json")
+    del sketch.document["metadata"], sketch.document["root"]["metadata"]
+    for child in sketch.document["root"]["children"]:
+        del child["metadata"]
+    sketch.write(tmp_path / "b" / "tileset.json")
+    assert describe_tileset(tmp_path / "a") == describe_tileset(tmp_path / "b")
+
+
+def test_a_missing_tileset_ends_with_four(tmp_path: Path) -> None:
+    done = gsgen_here("tiles", "info", tmp_path / "none.json")
+    assert done.code == 4
+    assert "none.json" in done.err
+    assert "Traceback" not in done.err
+
+
+def test_a_served_tileset_is_described_and_validated(tmp_path: Path) -> None:
+    explicit_sketch().write(tmp_path / "tileset.json")
+    with serve_folder(tmp_path) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            address = f"{server.address}tileset.json"
+            assert describe_tileset(address) == describe_tileset(tmp_path)
+            done = gsgen_here("validate", address)
+        finally:
+            server.shutdown()
+            thread.join()
+    assert done.code == 0, done.err
+    assert "20 rules hold" in done.out
+
+
+def test_neither_wgpu_nor_scipy_nor_onnx_runtime_is_needed(tmp_path: Path) -> None:
+    """Modules that are heavy stay out of info and of the static level."""
+    import subprocess
+    import sys
+
+    explicit_sketch().write(tmp_path / "tileset.json")
+    code = (
+        "import sys\n"
+        "from gsgen.contract import Level, Settings, validate\n"
+        "from gsgen.tiles.loading.info import describe_tileset\n"
+        f"describe_tileset({str(tmp_path)!r})\n"
+        f"report = validate({str(tmp_path)!r}, Settings(level=Level.STATIC))\n"
+        "assert report.verdict == 'conforms'\n"
+        "print(*{'wgpu', 'scipy', 'torch', 'onnxruntime'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "\n"), done.stdout + done.stderr
