@@ -145,12 +145,17 @@ docs: setup
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
 
-# Mutants of the code, drawn over all rooms, each against the tests nearest to its module, in forks of
-# a process that has collected them. A run that was stopped goes on where it was.
-MUTANTS ?= 300
+# Mutants of one module by cosmic-ray, against the tests that are named. The module changes in place:
+# after a run that was stopped, restore it with git.
+#   make mutants MODULE=contract/gsgen/contract/spec/units.py TESTS=tests/contract/spec/test_units.py
 mutants: setup
+	@test -n "$(MODULE)" -a -n "$(TESTS)" || { echo "name both: make mutants MODULE=file TESTS=file"; exit 2; }
 	$(INSTALL) --group mutants
-	nice -n 15 $(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
+	mkdir -p out && rm -f out/mutants.sqlite
+	printf '[cosmic-ray]\nmodule-path = "$(MODULE)"\ntimeout = 60.0\nexcluded-modules = []\ntest-command = "$(BIN)/python -m pytest -q -x -p no:cacheprovider $(TESTS)"\n[cosmic-ray.distributor]\nname = "local"\n' > out/mutants.toml
+	$(BIN)/cosmic-ray init out/mutants.toml out/mutants.sqlite
+	nice -n 15 $(BIN)/cosmic-ray exec out/mutants.toml out/mutants.sqlite
+	$(BIN)/cr-report --surviving-only --show-diff out/mutants.sqlite
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup

@@ -33,7 +33,7 @@ import watch_in_viser  # noqa: E402
 
 COUNT = 500
 Check = tuple[str, float, float]
-"""What was exchanged, the largest difference of a value, and the bound."""
+"""The exchange, the largest difference of a value, and the bound."""
 
 
 def main() -> int:

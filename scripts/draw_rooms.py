@@ -1,14 +1,25 @@
 """Draw docs/assets/rooms.svg: the rooms of the house, lowest first, and who imports whom.
 
 Everything is read from the code: the order from the layers of import-linter, the arcs from the
-imports, lazy ones included. An arc that longer arcs imply is left out. Run it after a change to
-the rooms: .venv/bin/python scripts/draw_rooms.py
+imports, lazy ones included, and dashed arcs from entry points and names of modules in strings. An
+arc that longer arcs imply is left out. Prints how many imports point up, how many circles there
+are, and how many calls upward no import shows. Run it after a change to the rooms:
+.venv/bin/python scripts/draw_rooms.py
 """
 
 from html import escape
 from pathlib import Path
 
-from docs_parts.rooms import Room, imported_rooms, rooms
+from docs_parts.rooms import (
+    PUBLIC_GROUPS,
+    Room,
+    called_units,
+    circles,
+    imported_units,
+    rank,
+    room_of,
+    rooms,
+)
 
 PICTURE = Path(__file__).parents[1] / "docs" / "assets" / "rooms.svg"
 
@@ -37,10 +48,11 @@ def drawn_rooms() -> list[Room]:
 
 def arcs(names: list[str]) -> list[tuple[str, str]]:
     """Return the imports that no chain of other imports implies: (importer, imported)."""
-    direct = {
-        name: {target for target in imported_rooms().get(name, ()) if target in names}
-        for name in names
-    }
+    direct: dict[str, set[str]] = {name: set() for name in names}
+    for unit, targets in imported_units().items():
+        if room_of(unit) in direct:
+            direct[room_of(unit)] |= {room_of(target) for target in targets} & set(names)
+    direct = {name: targets - {name} for name, targets in direct.items()}
     reached: dict[str, set[str]] = {}
 
     def reach(name: str) -> set[str]:
@@ -57,6 +69,25 @@ def arcs(names: list[str]) -> list[tuple[str, str]]:
     ]
 
 
+def imports_up() -> list[tuple[str, str]]:
+    """Return the imports of rooms by rooms that stand below them."""
+    pairs = [(name, target) for name, targets in imported_units().items() for target in targets]
+    return sorted((name, target) for name, target in pairs if rank(name) < rank(target))
+
+
+def calls_up(*, public: bool) -> list[tuple[str, str, str]]:
+    """Return the calls upward that no import shows: caller, called room, group or module.
+
+    Args:
+        public: Return those through entry-point groups that third parties use, instead of others.
+    """
+    return sorted(
+        (caller, called, word)
+        for caller, called, word in called_units()
+        if rank(caller) < rank(called) and (word in PUBLIC_GROUPS) is public
+    )
+
+
 def drawn() -> str:
     """Return the picture as SVG."""
     listed = drawn_rooms()
@@ -68,19 +99,24 @@ def drawn() -> str:
         f'font-family="system-ui, sans-serif" fill="{INK}">',
         f'<rect width="{WIDTH}" height="{height}" fill="#ffffff"/>',
         f'<text x="{NAMES_X}" y="16" font-size="11" fill="{FAINT}">room (modules) and its question;'
-        " an arc leads from a room down to a room that it imports</text>",
+        " an arc leads from a room down to a room that it imports, a dashed one to a room whose"
+        " entry points it loads</text>",
     ]
     parts += [_arc(heights[a], heights[b], len(names)) for a, b in arcs(names)]
+    called = {(room_of(a), room_of(b)) for a, b, _ in called_units()}
+    called = {pair for pair in called if set(pair) <= set(heights)}
+    parts += [_arc(heights[a], heights[b], len(names), dashed=True) for a, b in sorted(called)]
     parts += [_line(room, heights[room.name]) for room in listed]
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
-def _arc(start: int, end: int, rows: int) -> str:
-    reach = WIDEST_ARC * ((end - start) / LINE_HEIGHT / rows) ** 0.6
+def _arc(start: int, end: int, rows: int, *, dashed: bool = False) -> str:
+    reach = WIDEST_ARC * (abs(end - start) / LINE_HEIGHT / rows) ** 0.6
+    style = ' stroke-dasharray="3 3"' if dashed else ""
     x, y0, y1 = NAMES_X - 6, start + 9, end + 9
     return (
         f'<path d="M{x} {y0} C{x - reach:.0f} {y0} {x - reach:.0f} {y1} {x} {y1}" '
-        f'fill="none" stroke="{LINE}" stroke-opacity="0.55"/>'
+        f'fill="none" stroke="{LINE}" stroke-opacity="0.55"{style}/>'
     )
 
 
@@ -98,3 +134,8 @@ def _line(room: Room, top: int) -> str:
 
 if __name__ == "__main__":
     PICTURE.write_text(drawn(), "utf-8")
+    up, hidden, public = imports_up(), calls_up(public=False), calls_up(public=True)
+    for line in (*up, *circles(), *hidden):
+        print(line)
+    print(f"imports back up {len(up)}, circles {len(circles())}, hidden calls upward {len(hidden)}")
+    print(f"calls upward through the groups that third parties use: {len(public)}")

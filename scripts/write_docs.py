@@ -43,7 +43,7 @@ DOCS = ROOT / "docs"
 
 Part = Callable[..., str]
 
-# First word of a marker → the function that writes what stands there, called with the others.
+# First word of a marker → the function that writes its text, called with its other words.
 PARTS: dict[str, Part] = {
     "command": commands.command,
     "commands": commands.overview,

@@ -8,7 +8,7 @@ from gsgen.conformance.fixtures import fixtures
 def good() -> str:
     """Return the models that keep the contract."""
     rows = [(f"`{f.name}`", f"`{f.target}`", f.summary) for f in fixtures() if not f.rule]
-    return table(("model", "good for", "what is special"), rows)
+    return table(("model", "good for", "its property"), rows)
 
 
 def broken() -> str:
@@ -19,4 +19,4 @@ def broken() -> str:
             name = f"{fixture.rule} {ours().rules[fixture.rule].slug}"
             link = f"[{name}](../rules/{fixture.rule}.md)"
             rows.append((f"`{fixture.name}`", link, f"`{fixture.target}`", fixture.summary))
-    return table(("model", "breaks", "judged for", "what is special"), rows)
+    return table(("model", "breaks", "checked for", "its property"), rows)

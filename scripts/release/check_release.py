@@ -46,7 +46,7 @@ def project_version(root: Path) -> str:
 
 
 def text_faults(root: Path, version: str) -> Iterator[str]:
-    """Yield what is wrong in the version, the changelog, the citation and the addresses."""
+    """Yield the faults of the version, the changelog, the citation and the addresses."""
     if not re.fullmatch(r"\d+\.\d+\.\d+((a|b|rc)\d+)?", version):
         yield f"pyproject.toml: version {version!r}; expected three numbers, such as 1.2.3 or 1.2.3rc1"
     changelog = (root / "CHANGELOG.md").read_text("utf-8")

@@ -26,11 +26,22 @@ def test_the_picture_is_current(script: ModuleType) -> None:
     assert script.PICTURE.read_text("utf-8") == script.drawn(), advice
 
 
-def test_every_room_stands_above_the_rooms_that_it_imports(script: ModuleType) -> None:
+def test_imports_point_downwards(script: ModuleType) -> None:
     names = [room.name for room in script.drawn_rooms()]
-    arcs = script.arcs(names)
-    assert len(arcs) > len(names)
-    assert [arc for arc in arcs if names.index(arc[0]) > names.index(arc[1])] == []
+    assert len(script.arcs(names)) > len(names)
+    assert script.imports_up() == []
+    assert script.circles() == []
+
+
+@pytest.mark.xfail(reason="entry points of the product's own upper rooms", strict=False)
+def test_no_room_calls_a_higher_one_by_name(script: ModuleType) -> None:
+    """Calls through the groups that third parties use may point up: `validate` finds all rules."""
+    assert script.calls_up(public=False) == []
+
+
+def test_a_call_through_entry_points_is_noticed(script: ModuleType) -> None:
+    called = {(caller, word) for caller, _, word in script.called_units()}
+    assert ("gsgen.sdk.plugins", "gsgen.generators") in called
 
 
 def test_every_room_states_its_question(script: ModuleType) -> None:

@@ -198,7 +198,7 @@ class _PlanWriter:
                 assert (offset, size) == (PAGE.itemsize * slot, PAGE.itemsize)
                 offset = Formula(offset, ["mul", PAGE.itemsize, "slot"], [])
             row = self._buffer(buffer)
-            # Buffers that others make may be larger than what is bound; those of pools are not.
+            # Buffers that others make may be larger than their bound part; those of pools are not.
             is_own = isinstance(row, int) or self._recorded.pages[slot or 0].slots is not None
             whole = is_own and tree_of(size) == tree_of(buffer.size)
             formulas = [self._tree(tree_of(number), slot) for number in (offset, size)]

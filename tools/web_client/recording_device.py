@@ -64,7 +64,7 @@ class RecordedBind:
 class RecordingDevice:
     """Stands in for a ``wgpu.GPUDevice``, and records the objects that the renderer creates.
 
-    It has no limits, no optional features, and is no software driver: browsers get the kernels of
+    It has no limits, no optional features, and is not a software driver: browsers get the kernels of
     GPUs, which every driver runs.
     """
 

@@ -226,7 +226,7 @@ class _Module:
         return name
 
     def add_methods(self) -> None:
-        """Translate the methods and properties that JavaScript code uses, until none is missing."""
+        """Translate the methods and properties that JavaScript code uses, until all are there."""
         size = -1
         while size != self._size():
             size = self._size()

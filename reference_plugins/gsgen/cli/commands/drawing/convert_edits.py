@@ -27,8 +27,8 @@ Rotate = Annotated[
     list[str] | None, _edit("Turn about the axes x, y, z in this order, in degrees.", "rotate")
 ]
 Scale = Annotated[list[str] | None, _edit("Scale about the origin.", "scale")]
-WithinBox = Annotated[list[str] | None, _edit("Keep what lies between two corners.", "box")]
-Sphere = Annotated[list[str] | None, _edit("Keep what lies in a sphere.", "sphere")]
+WithinBox = Annotated[list[str] | None, _edit("Keep the splats between two corners.", "box")]
+Sphere = Annotated[list[str] | None, _edit("Keep the splats in a sphere.", "sphere")]
 Where = Annotated[
     list[str] | None,
     _edit(

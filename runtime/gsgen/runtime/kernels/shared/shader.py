@@ -125,7 +125,7 @@ def _repeated(match: re.Match[str], constants: dict[str, int | float | bool]) ->
     return "".join(pattern.sub(str(number), text) for number in range(int(count)))
 
 
-def _declaration(name: str, value: int | float | bool) -> str:
+def _declaration(name: str, value: int | float | bool) -> str:  # noqa: FBT001
     if isinstance(value, bool):
         return f"const {name}: bool = {str(value).lower()};"
     if isinstance(value, int):
