@@ -103,7 +103,7 @@ def bake(
     the model cannot be read.
     """
     from gsgen.cli.commands.drawing.input_files import input_files
-    from gsgen.cli.commands.exporting.model_options import sizes_of
+    from gsgen.cli.model_options import sizes_of
     from gsgen.cli.progress import clear, progress
     from gsgen.formats import FormatError
     from gsgen.runtime.baking.bake_frames import bake_source

@@ -59,7 +59,7 @@ def open_scenes(
         typer.Exit: A file cannot be read; the reason is printed.
         GsgenError: A model is of another kind, or does not run.
     """
-    from gsgen.cli.commands.exporting.model_options import sizes_of
+    from gsgen.cli.model_options import sizes_of
     from gsgen.cli.progress import clear, progress
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.playback.post_process import PostProcessor

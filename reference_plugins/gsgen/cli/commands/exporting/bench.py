@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.commands.exporting.model_options import AsJson, Sizes, exit_at_error, sizes_of
+from gsgen.cli.model_options import AsJson, Sizes, exit_at_error, sizes_of
 from gsgen.contract.errors import ExitCode
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.cli.commands.exporting.model_options import (
+from gsgen.cli.model_options import (
     AsJson,
     DryRun,
     ModelFile,

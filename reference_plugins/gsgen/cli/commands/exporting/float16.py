@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.commands.exporting.model_options import (
-    AsJson,
-    DryRun,
-    copy_of,
-    echo_json,
-    exit_at_error,
-    first_names,
-)
+from gsgen.cli.model_options import AsJson, DryRun, copy_of, echo_json, exit_at_error, first_names
 from gsgen.cli.progress import progress
 
 if TYPE_CHECKING:

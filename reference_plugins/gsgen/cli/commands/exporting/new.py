@@ -22,7 +22,7 @@ def new(
 
     Exits 0 if it was created, 2 if the name is not valid or the folder exists.
     """
-    from gsgen.cli.commands.exporting.model_options import echo_json
+    from gsgen.cli.model_options import echo_json
     from gsgen.sdk.plugins.plugin_template import write_plugin_package
 
     package = write_plugin_package(name, into)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gsgen.cli.commands.exporting.model_options import AsJson, echo_json
+from gsgen.cli.model_options import AsJson, echo_json
 from gsgen.contract._entry_points import Extension
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.commands.exporting.model_options import (
+from gsgen.cli.model_options import (
     AsJson,
     DryRun,
     Sizes,
