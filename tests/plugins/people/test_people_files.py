@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy import sparse
 
 from gsgen.reference_plugins.bodies.body_models import read_body
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
@@ -122,7 +123,7 @@ OLD = (
 def test_arrays_that_chumpy_wraps_are_taken_out(tmp_path: Path) -> None:
     path = tmp_path / "old.pkl"
     path.write_bytes(OLD)
-    np.testing.assert_array_equal(read_array_pickle(path)["x"], [1.0, 2.0])
+    np.testing.assert_array_equal(read_array_pickle(path, ["x"])["x"], [1.0, 2.0])
 
 
 @pytest.fixture
@@ -154,7 +155,7 @@ def test_selections_of_chumpy_are_taken_out(
     value = with_state(chumpy["Select"], a=inner, idxs=indices, preferred_shape=(5, 3, 4))
     path = tmp_path / "a.pkl"
     path.write_bytes(pickle.dumps({"shapedirs": value, "one": inner}, protocol=protocol))
-    read = read_array_pickle(path)
+    read = read_array_pickle(path, ["shapedirs", "one"])
     np.testing.assert_array_equal(read["shapedirs"], whole[:, :, :4])
     np.testing.assert_array_equal(read["one"], whole)
 
@@ -165,19 +166,71 @@ def test_an_array_that_is_made_of_itself_is_refused(
     array = with_state(chumpy["Ch"])
     array.x = array  # type: ignore[attr-defined]
     with pytest.raises(CheckpointInvalid, match="RecursionError"):
-        read_array_pickle(unpickled(tmp_path / "a.pkl", {"x": array}))
+        read_array_pickle(unpickled(tmp_path / "a.pkl", {"x": array}), ["x"])
 
 
 @pytest.mark.parametrize("kind", ["csc", "csr"])
 def test_sparse_matrices_become_arrays(kind: str, tmp_path: Path) -> None:
-    from scipy import sparse
-
     dense = np.random.default_rng(0).random((4, 7)) * (
         np.random.default_rng(1).random((4, 7)) > 0.5
     )
     matrix = sparse.csc_matrix(dense) if kind == "csc" else sparse.csr_matrix(dense)
     path = unpickled(tmp_path / "a.pkl", {"m": matrix})
-    np.testing.assert_array_equal(read_array_pickle(path)["m"], dense)
+    np.testing.assert_array_equal(read_array_pickle(path, ["m"])["m"], dense)
+
+
+def _dtype_with_state(code: str, flags: int) -> object:
+    """Return what pickles as a NumPy dtype that sets its own state."""
+
+    class Dtype:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return np.dtype, (code, False, True), (3, "|", None, None, None, -1, -1, flags)
+
+    return Dtype()
+
+
+class _Stored:
+    """What pickles as a NumPy array of given bytes."""
+
+    def __init__(self, data: object, dtype: object, shape: tuple[int, ...]) -> None:
+        self.state = (1, shape, dtype, False, data)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return np.zeros(0).__reduce__()[0], (np.ndarray, (0,), b"b"), self.state
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (_Stored(b"A" * 16, _dtype_with_state("O8", 0), (2,)), "holds objects, expected numbers"),
+        (_Stored(b"A" * 16, _dtype_with_state("V8", 63), (2,)), "dtype 'V8', expected numbers"),
+        (_Stored(b"A" * 16, _dtype_with_state("M8", 0), (2,)), "dtype 'M8', expected numbers"),
+        (_Stored(b"A" * 16, np.dtype("f8"), (3,)), r"\[3\] of f8, but has 16 bytes"),
+        (_Stored(b"A" * 16, np.dtype("f8"), (-2,)), "not a whole number"),
+        (_Stored([1.0, 2.0], np.dtype("f8"), (2,)), "a list for its bytes"),
+        (np.array([None]), "holds objects"),
+        ([[1, 2]], "list of lists"),
+    ],
+)
+def test_an_array_that_its_bytes_do_not_fit_is_refused_in_one_line(
+    array: object, words: str, tmp_path: Path
+) -> None:
+    """The first of them, read by NumPy's own unpickling, takes numbers for addresses."""
+    with pytest.raises(CheckpointInvalid, match=words) as caught:
+        read_array_pickle(unpickled(tmp_path / "a.pkl", {"x": array}), ["x"])
+    assert "\n" not in caught.value.message
+
+
+def test_small_pickles_do_not_take_large_memory(tmp_path: Path) -> None:
+    path = tmp_path / "a.pkl"
+    path.write_bytes(b"\x80\x02}r" + (0x7FFFFFFF).to_bytes(4, "little") + b".")
+    assert read_array_pickle(path, ["x"]) == {}  # 32 GiB where the memo is a list
+    unpickled(path, {"x": sparse.csc_matrix((1 << 40, 1))})
+    with pytest.raises(CheckpointInvalid, match="arrays of 1,099,511,627,776 numbers"):
+        read_array_pickle(path, ["x"])
+    path.write_bytes(b"\x80\x02})" + b"\x85" * 3_000_000 + b"Ns.")  # a key three million deep
+    with pytest.raises(CheckpointInvalid, match="a tuple of tuples"):
+        read_array_pickle(path, ["x"])
 
 
 @pytest.mark.parametrize("cut", [0, 1, 50, 1000, -1])

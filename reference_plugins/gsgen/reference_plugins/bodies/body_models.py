@@ -136,10 +136,8 @@ def joints_of_file(path: Path) -> int:
 def _arrays(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         zipped = file.read(4) == b"PK\x03\x04"
-    if not zipped:
-        return read_array_pickle(path)
-    # Read the known arrays only: the published files also hold pickled objects.
-    return read_npz(path, (*_NEEDED, *_HANDS, _FACES))
+    # Read the known arrays only: the published files also hold other objects.
+    return (read_npz if zipped else read_array_pickle)(path, (*_NEEDED, *_HANDS, _FACES))
 
 
 def _numbers(path: Path, name: str, value: Any) -> Float[np.ndarray, "..."]:

@@ -125,8 +125,7 @@ def _frame_number(path: Path) -> tuple[int, str]:
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     if path.suffix == ".npy":
-        whole = read_array_pickle(path)
-        read = {name: np.asarray(whole[name]) for name in _KNOWN if name in whole}
+        read = read_array_pickle(path, _KNOWN)
     else:
         read = read_npz(path, _KNOWN, _supported_motions())
     for name, array in read.items():

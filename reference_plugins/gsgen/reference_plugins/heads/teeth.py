@@ -108,7 +108,7 @@ def _strip(a: _Index, b: _Index, corners: tuple[_Corners, _Corners]) -> Int[np.n
 def _lips(body: Body) -> tuple[_Index, _Index]:
     """Return FLAME's lip vertices, from ``FLAME_masks.pkl`` beside the model if it exists."""
     path: Path = body.path.with_name("FLAME_masks.pkl")
-    masks = read_array_pickle(path) if path.is_file() else {}
+    masks = read_array_pickle(path, _MASKS) if path.is_file() else {}
     named: Sequence[object] = [masks.get(name) for name in _MASKS]
     default: Callable[[Sequence[int]], _Index] = np.array
     upper, lower = (

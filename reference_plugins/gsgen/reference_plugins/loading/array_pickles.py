@@ -1,54 +1,66 @@
-"""Reads NumPy arrays from a pickle without calling any function that the file names.
+"""Reads NumPy arrays from a pickle, from the bytes that it stores: nothing that it names is built.
 
 The body models of SMPL are pickles of Python 2: a dict of NumPy arrays, a sparse matrix of SciPy
-and, in the oldest files, arrays wrapped by chumpy. A pickle can call any function by name; this
-reader knows those of arrays and refuses all others.
+and, in the oldest files, arrays wrapped by chumpy.
 """
 
 __all__ = ["read_array_pickle"]
 
-import pickle
+import math
+import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, BinaryIO, final
+from typing import Any, Final, final
 
 import numpy as np
-from numpy._core.multiarray import _reconstruct
+from jaxtyping import Shaped
 
+from gsgen.formats.checkpoints.pickled_data import Opaque, pickled_data
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
+_RECONSTRUCT, _SCALAR, _FROM_BUFFER = (
+    tuple(f"numpy.{core}.{name}" for core in ("core", "_core"))
+    for name in ("multiarray._reconstruct", "multiarray.scalar", "numeric._frombuffer")
+)
+_OLD_OBJECTS: Final = ("copy_reg._reconstructor", "copyreg._reconstructor")
+_NUMBERS: Final = re.compile(r"b1|[iu][1248]|f[248]")
+_MAX_NUMBERS: Final = 1 << 26
+"""The most numbers in sparse matrices, their zeros included, and in selections; SMPL-X has 13 M."""
 
-def read_array_pickle(path: Path) -> dict[str, Any]:
-    """Return the pickled dict of a file, with sparse and chumpy arrays as NumPy arrays.
+_Array = Shaped[np.ndarray, "..."]
+
+
+def read_array_pickle(path: Path, names: Iterable[str]) -> dict[str, _Array]:
+    """Return the named arrays of a pickled dict, those of SciPy and chumpy as NumPy arrays.
 
     An ``.npy`` file may hold the dict as ``np.save`` writes it: one object in an array without
     axes.
     """
     try:
         with path.open("rb") as file:
-            if path.suffix == ".npy":
-                _pass_header(file)
-            read = _Unpickler(file, encoding="latin1").load()
-        if isinstance(read, np.ndarray) and read.shape == () and read.dtype == object:
-            read = read.item()
+            if path.suffix == ".npy" and not _holds_object(file):
+                raise ValueError("the .npy file holds an array, expected a dict of arrays")
+            read = pickled_data(file.read())
+        if isinstance(read, Opaque) and read.name in _RECONSTRUCT and read.state[1] == ():
+            (read,) = read.state[-1]
+        decoder = _Decoder()
         if not isinstance(read, dict):
-            raise ValueError(f"the pickle holds a {type(read).__name__}, expected a dict of arrays")
-        return {str(name): _plain(value) for name, value in read.items()}
-    except pickle.UnpicklingError as error:
-        raise _unreadable(path, str(error)) from error
-    except (ValueError, TypeError, KeyError, IndexError, EOFError, AttributeError) as error:
+            kind = decoder.array(read).dtype
+            raise ValueError(f"the pickle holds {kind}, expected a dict of arrays")
+        return {name: decoder.array(read[name]) for name in names if name in read}
+    except (ValueError, TypeError, LookupError, EOFError, AttributeError) as error:
         raise _unreadable(path, str(error) or type(error).__name__) from error
-    except (MemoryError, OverflowError, UnicodeError, RecursionError) as error:
+    except (MemoryError, OverflowError, RecursionError) as error:
         raise _unreadable(path, type(error).__name__) from error
 
 
-def _pass_header(file: BinaryIO) -> None:
-    """Move to the start of the pickle in an ``.npy`` file."""
+def _holds_object(file: Any) -> bool:
+    """Read the header of an ``.npy`` file, and return whether a pickle follows."""
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0
     if version != (1, 0):
         header = np.lib.format.read_array_header_2_0
-    if not header(file)[2].hasobject:
-        raise ValueError("the .npy file holds an array, expected a dict of arrays")
+    return bool(header(file)[2].hasobject)
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
@@ -56,130 +68,107 @@ def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
     return CheckpointInvalid(f"cannot be read: {reason[:200]}", where=str(path), hint=hint)
 
 
-class _Inert:
-    """Placeholder for a class that a pickle names: keeps the object's state and runs no code."""
-
-    def __init__(self, *_: Any) -> None:
-        self.state: dict[str, Any] = {}
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state if isinstance(state, dict) else {}
-
-
 @final
-class _Sparse(_Inert):
-    """A sparse matrix of SciPy, compressed by columns or by rows."""
+class _Decoder:
+    """Decodes records of a pickle to arrays, each record once."""
 
-    by_columns = True
+    def __init__(self) -> None:
+        self._arrays: dict[int, _Array] = {}
+        self._numbers = 0
 
-    def dense(self) -> np.ndarray:
-        shape: Any = self.state.get("_shape", self.state.get("shape"))
-        starts, minor, data = (self.state[k] for k in ("indptr", "indices", "data"))
-        rows, columns = (int(size) for size in shape)
-        major = columns if self.by_columns else rows
-        if len(starts) != major + 1 or len(minor) != len(data):
+    def array(self, value: Any) -> _Array:
+        """Return the array that a value of a pickle stands for."""
+        if isinstance(value, Opaque):
+            if id(value) not in self._arrays:
+                self._arrays[id(value)] = self._decode(value)
+            return self._arrays[id(value)]
+        # NumPy would multiply what nested lists share.
+        if isinstance(value, list | tuple) and any(isinstance(n, list | tuple) for n in value):
+            raise ValueError("the pickle holds a list of lists, expected an array")
+        return np.asarray(value)
+
+    def _decode(self, record: Opaque) -> _Array:
+        name, arguments, state = record.name, record.arguments, record.state
+        if name in _RECONSTRUCT and arguments[0].name == "numpy.ndarray":
+            _, shape, dtype, in_columns, data = state
+            return self._stored(data, dtype, shape, "F" if in_columns else "C")
+        if name in _SCALAR:
+            dtype, data = arguments
+            return self._stored(data, dtype, (), "C")
+        if name in _FROM_BUFFER:
+            data, dtype, shape, order = arguments
+            return self._stored(data, dtype, shape, "F" if order == "F" else "C")
+        kind = arguments[0].name if name in _OLD_OBJECTS else name
+        if re.fullmatch(r"scipy\.sparse\..*\bcs[cr]_(matrix|array)", kind):
+            return self._dense(state, by_columns="csc_" in kind)
+        if kind == "chumpy.reordering.Select":
+            return self._selected(state)
+        if kind.startswith("chumpy."):  # an array as it is, under the name x
+            if "x" not in state:
+                raise ValueError("a pickled array of chumpy has no attribute x")
+            return self.array(state["x"])
+        raise ValueError(f"the pickle names {kind}, which is not an array")
+
+    def _stored(self, data: Any, dtype: Any, shape: tuple[int, ...], order: Any) -> _Array:
+        """Return an array of stored bytes, whose number has to be that of dtype and shape."""
+        code = dtype.arguments[0]
+        if code.startswith("O"):
+            for item in data if isinstance(data, list) else ():
+                self.array(item)
+            raise ValueError("an array in the pickle holds objects, expected numbers")
+        if dtype.name != "numpy.dtype" or not _NUMBERS.fullmatch(code):
+            raise ValueError(f"an array in the pickle has the dtype {code!r:.20}, expected numbers")
+        if any(type(size) is not int or size < 0 for size in shape):
+            raise ValueError("an array in the pickle has a size that is not a whole number")
+        big_endian = isinstance(dtype.state, tuple) and dtype.state[1] == ">"
+        kind = np.dtype(code).newbyteorder(">" if big_endian else "<")
+        content = _bytes_of(data)
+        if len(content) != math.prod(shape) * kind.itemsize:
+            raise ValueError(
+                f"an array in the pickle is {list(shape)} of {code}, but has {len(content)} bytes"
+            )
+        return np.ndarray(shape, kind, buffer=content, order=order)
+
+    def _dense(self, state: dict[str, Any], *, by_columns: bool) -> _Array:
+        """Return a sparse matrix of SciPy, compressed by columns or by rows, with its zeros."""
+        rows, columns = map(int, state["_shape" if "_shape" in state else "shape"])
+        starts, minor, data = (self.array(state[name]) for name in ("indptr", "indices", "data"))
+        major = columns if by_columns else rows
+        counts = np.diff(starts)
+        fits = starts.shape == (major + 1,) and minor.shape == data.shape == (counts.sum(),)
+        if not fits or starts[0] != 0 or (counts < 0).any():
             raise ValueError(f"a sparse matrix does not fit its shape {rows} × {columns}")
-        array = np.zeros((rows, columns), np.asarray(data).dtype)
-        major_index = np.repeat(np.arange(major), np.diff(starts))
-        index = (minor, major_index) if self.by_columns else (major_index, minor)
+        self._spend(rows * columns)
+        array = np.zeros((rows, columns), data.dtype)
+        major_index = np.repeat(np.arange(major), counts)
+        index = (minor, major_index) if by_columns else (major_index, minor)
         np.add.at(array, index, data)  # entries of equal index add up
         return array
 
+    def _selected(self, state: dict[str, Any]) -> _Array:
+        """Return selected entries of another array of chumpy, such as the first ten shapes."""
+        source, index = self.array(state["a"]).ravel(), self.array(state["idxs"])
+        self._spend(source.size + index.size)  # both may be copied
+        entries: _Array = source[index]
+        return np.reshape(entries, state.get("preferred_shape", entries.shape))
 
-@final
-class _SparseRows(_Inert):
-    def dense(self) -> np.ndarray:
-        matrix = _Sparse()
-        matrix.state, matrix.by_columns = self.state, False
-        return matrix.dense()
-
-
-@final
-class _Wrapped(_Inert):
-    """An array of chumpy (``Ch``), whose numbers are its attribute ``x``."""
-
-    def dense(self) -> np.ndarray:
-        if "x" not in self.state:
-            raise ValueError("a pickled array of chumpy has no attribute x")
-        return np.asarray(_plain(self.state["x"]))
+    def _spend(self, numbers: int) -> None:
+        self._numbers += numbers
+        if self._numbers > _MAX_NUMBERS:
+            raise ValueError(
+                f"the pickle describes arrays of {self._numbers:,} numbers, "
+                f"expected at most {_MAX_NUMBERS:,}"
+            )
 
 
-@final
-class _Selected(_Inert):
-    """Selected entries of another array of chumpy (``Select``), such as the first ten shapes."""
-
-    def dense(self) -> np.ndarray:
-        source: np.ndarray = np.asarray(_plain(self.state["a"])).ravel()
-        entries: np.ndarray = source[np.asarray(self.state["idxs"])]
-        shape = self.state.get("preferred_shape", entries.shape)
-        return np.reshape(entries, shape)
-
-
-def _plain(value: Any) -> Any:
-    kinds = _Sparse | _SparseRows | _Wrapped | _Selected
-    return value.dense() if isinstance(value, kinds) else value
-
-
-def _empty_array(kind: Any, shape: Any, code: Any) -> Any:
-    if kind is not np.ndarray:
-        raise pickle.UnpicklingError(f"the pickle has an array of the unknown class {kind!r}")
-    array: Any = _reconstruct(kind, shape, code)
-    return array
-
-
-def _array_of(data: bytes, dtype: Any, shape: Any, order: str) -> np.ndarray:
-    return np.frombuffer(data, dtype).reshape(shape, order="F" if order == "F" else "C")
-
-
-def _scalar(dtype: np.dtype, data: Any) -> Any:
-    return np.frombuffer(data, dtype)[0]
-
-
-def _bytes_of(text: str, encoding: str) -> bytes:
-    if encoding != "latin1":
-        raise pickle.UnpicklingError(f"the pickle encodes bytes as {encoding!r}, expected 'latin1'")
-    return text.encode("latin1")
-
-
-def _object_of(kind: Any, *_: Any) -> Any:
-    """Create an instance of a placeholder class, in place of ``copy_reg._reconstructor``."""
-    if not (isinstance(kind, type) and issubclass(kind, _Inert)):
-        raise pickle.UnpicklingError(f"the pickle has an object of the unknown class {kind!r}")
-    return kind()
-
-
-_KNOWN: dict[tuple[str, str], Any] = {
-    ("numpy", "ndarray"): np.ndarray,
-    ("numpy", "dtype"): np.dtype,
-    ("_codecs", "encode"): _bytes_of,
-    ("copy_reg", "_reconstructor"): _object_of,
-    ("copyreg", "_reconstructor"): _object_of,
-    ("__builtin__", "object"): object,
-    ("builtins", "object"): object,
-    # chumpy stores sets in its state; they are not used.
-    ("__builtin__", "set"): set,
-    ("builtins", "set"): set,
-} | {
-    (f"numpy.{core}.{module}", name): factory
-    for core in ("core", "_core")
-    for module, name, factory in (
-        ("multiarray", "_reconstruct", _empty_array),
-        ("multiarray", "scalar", _scalar),
-        ("numeric", "_frombuffer", _array_of),
-    )
-}
-
-
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        if module.startswith("scipy.sparse") and name in ("csc_matrix", "csc_array"):
-            return _Sparse
-        if module.startswith("scipy.sparse") and name in ("csr_matrix", "csr_array"):
-            return _SparseRows
-        if (module, name) == ("chumpy.reordering", "Select"):
-            return _Selected
-        if module == "chumpy" or module.startswith("chumpy."):
-            return _Wrapped
-        if (module, name) in _KNOWN:
-            return _KNOWN[module, name]
-        raise pickle.UnpicklingError(f"the pickle names {module}.{name}, which is not an array")
+def _bytes_of(data: Any) -> bytes | bytearray:
+    """Return stored bytes; Python 2 has them as a text, protocol 2 of Python 3 as an encoded one."""
+    if isinstance(data, Opaque) and data.name == "_codecs.encode":
+        data, _ = data.arguments
+    elif isinstance(data, Opaque) and data.name == "__builtin__.bytes":
+        data = b"".join(data.arguments)  # it has none: the array is empty
+    if isinstance(data, str):
+        return data.encode("latin1")
+    if not isinstance(data, bytes | bytearray):
+        raise ValueError(f"an array in the pickle has a {type(data).__name__} for its bytes")
+    return data

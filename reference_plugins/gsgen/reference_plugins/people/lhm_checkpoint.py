@@ -130,7 +130,7 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
 
 
 def _face_dirs(path: Path) -> Any:
-    read = read_array_pickle(path) if path.suffix != ".npz" else read_npz(path, ("shapedirs",))
+    read = (read_npz if path.suffix == ".npz" else read_array_pickle)(path, ("shapedirs",))
     if "shapedirs" not in read:
         raise CheckpointInvalid("has no array shapedirs, the vertex offsets", where=str(path))
     return read["shapedirs"]

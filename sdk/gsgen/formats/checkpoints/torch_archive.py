@@ -48,7 +48,7 @@ class TorchArchive:
             ValueInvalid: The tensor does not hold floats.
         """
         dtype = tensor.storage.dtype
-        if not dtype:
+        if "float" not in dtype:
             raise ValueInvalid(
                 "the tensor holds no floats", where=name, expected="a tensor of floats"
             )
