@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from gsgen.formats import write_spz
-from gsgen.reference_plugins.synthetic.knot import torus_knot
+from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, client_file, client_names
 from gsgen.runtime.web.serving import ModelServer
 from support.web import pages

@@ -10,7 +10,7 @@ import pytest
 
 from gsgen.conformance.fixtures import fixtures
 from gsgen.formats import write_ply, write_spz
-from gsgen.reference_plugins.synthetic.knot import torus_knot
+from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, single_file_page
 from gsgen.runtime.web.serving import ModelServer
 from support.web.pages import WebSite, float32_result, running

@@ -11,7 +11,7 @@ from gsgen.reference_plugins.heads.teeth import TEETH
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import write_gaussian_avatar
-from gsgen.reference_plugins.synthetic.run_files import write_columns
+from gsgen.reference_plugins.writing.run_files import write_columns
 from plugins.heads.head_oracle import bound_gaussians, face_vertices
 from support.checkpoints.plugin_checks import assert_like, eager
 from support.checkpoints.spacetime_oracles import raw_columns

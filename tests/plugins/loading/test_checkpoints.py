@@ -26,7 +26,7 @@ from gsgen.reference_plugins.synthetic import (
     write_octree,
     write_scaffold,
 )
-from gsgen.reference_plugins.synthetic.run_files import write_columns
+from gsgen.reference_plugins.writing.run_files import write_columns
 from support.commands import shared
 
 

@@ -10,7 +10,7 @@ from gsgen.reference_plugins.spacetime import spacetime_gaussians_plugin as plug
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
 from gsgen.reference_plugins.spacetime.spacetime_gaussians import SpacetimeGaussians, color_range
 from gsgen.reference_plugins.synthetic import write_spacetime
-from gsgen.reference_plugins.synthetic.run_files import write_columns
+from gsgen.reference_plugins.writing.run_files import write_columns
 from support.checkpoints.plugin_checks import assert_like, camera, eager
 from support.checkpoints.spacetime_oracles import raw_columns, spacetime
 

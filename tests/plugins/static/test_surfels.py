@@ -12,7 +12,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.static import surfels_plugin as plugin
 from gsgen.reference_plugins.static.surfels import read_surfels
 from gsgen.reference_plugins.synthetic import write_surfels
-from gsgen.reference_plugins.synthetic.run_files import write_columns
+from gsgen.reference_plugins.writing.run_files import write_columns
 from gsgen.sdk.exporting.constant_generator import export_constant
 from support.checkpoints.plugin_checks import run
 from support.checkpoints.spacetime_oracles import raw_columns

@@ -18,8 +18,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.synthetic.knot import torus_knot
-from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _HEADS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 _HUES = 3

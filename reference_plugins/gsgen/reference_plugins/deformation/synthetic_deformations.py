@@ -15,9 +15,9 @@ from torch import Tensor
 
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import HEADS
-from gsgen.reference_plugins.synthetic.knot import torus_knot
-from gsgen.reference_plugins.synthetic.random_layers import random_linear
-from gsgen.reference_plugins.synthetic.run_files import splat_columns, write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.reference_plugins.writing.random_layers import random_linear
+from gsgen.reference_plugins.writing.run_files import splat_columns, write_cfg_args, write_columns
 
 _UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 

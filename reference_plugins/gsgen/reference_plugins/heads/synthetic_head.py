@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from gsgen.formats.shared.quantities import SH_C0
 from gsgen.reference_plugins.heads.teeth import SHAPES
-from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _ITERATION = 600_000
 _SIZE = np.array([0.09, 0.13, 0.11])  # half axes, in metres

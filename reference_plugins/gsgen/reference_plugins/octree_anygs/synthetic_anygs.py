@@ -13,8 +13,8 @@ from gsgen.reference_plugins.anchors.synthetic_anchors import (
     anchor_columns,
     write_networks,
 )
-from gsgen.reference_plugins.synthetic.knot import torus_knot
-from gsgen.reference_plugins.synthetic.run_files import splat_columns, write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.reference_plugins.writing.run_files import splat_columns, write_cfg_args, write_columns
 
 
 def write_anygs(

@@ -28,8 +28,8 @@ from gsgen.reference_plugins.bodies.synthetic_body import (
     clothing_colors,
     write_body,
 )
-from gsgen.reference_plugins.synthetic.random_layers import random_linear
-from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.random_layers import random_linear
+from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _UNCORRECTED = PersonOptions()
 _CORRECTED = PersonOptions(nets=True)

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.reference_plugins.synthetic.knot import torus_knot
-from gsgen.reference_plugins.synthetic.run_files import write_cfg_args
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.reference_plugins.writing.run_files import write_cfg_args
 from gsgen.sdk.math import quaternion_multiply
 
 _ITERATION = 30_000

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 
 from gsgen.formats.shared.quantities import SH_C0
-from gsgen.reference_plugins.synthetic.knot import torus_knot
-from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _ITERATION = 25_000
 

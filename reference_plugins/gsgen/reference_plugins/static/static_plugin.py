@@ -87,7 +87,7 @@ def _describe(content: "Splats | PointCloud | PackedRows") -> str:
 
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.formats import write_ply
-    from gsgen.reference_plugins.synthetic.knot import torus_knot
+    from gsgen.reference_plugins.writing.knot import torus_knot
 
     write_ply(folder / "knot.ply", torus_knot(20_000))
     return [str(folder / "knot.ply")]

@@ -9,7 +9,7 @@ import numpy as np
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.formats import Splats
 from gsgen.formats.shared.quantities import SH_C0
-from gsgen.reference_plugins.synthetic.run_files import splat_columns, write_cfg_args, write_columns
+from gsgen.reference_plugins.writing.run_files import splat_columns, write_cfg_args, write_columns
 
 _RADIUS, _TUBE = 1.0, 0.45
 

@@ -1,6 +1,6 @@
-"""What do the writers of synthetic checkpoints share: a scene, random weights, run files?
+"""Writes synthetic checkpoints of every family, to try an export without data.
 
-The writers of a family are in its folder; this package offers them all. They need torch, so they
+The writers of a family are in its folder; this module offers them all. They need torch, so they
 are imported on first use.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
     from gsgen.reference_plugins.static.synthetic_surfels import write_surfels
-    from gsgen.reference_plugins.synthetic.knot import torus_knot
+    from gsgen.reference_plugins.writing.knot import torus_knot
 
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_anygs", "write_body",
