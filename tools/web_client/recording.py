@@ -24,6 +24,7 @@ from gsgen.runtime.gpu.splat_residency import Page, allocate_pool_page, stride
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -131,17 +132,13 @@ def record(shape: Shape) -> RecordedPlan:
     placed = recorded_pages(kinds, capacities, cell_counts if shape.weighted else None)
     if not shape.weighted:
         placed += recorded_pool_pages(device, kinds, slots, shape.slot_rows)
-    plan = Plan(
-        device,
-        Kernels(device, one_shape=True),
-        placed,
-        (width, height),
-        frozenset(shape.outputs),
-        pairs,
-        layers=shape.layers,
-        panorama=shape.panorama,
-        deep=shape.deep,
+    image = ImageSpec(
+        size=(width, height),
+        outputs=frozenset(shape.outputs),
+        projection="panorama" if shape.panorama else "plane",
     )
+    method = Method(pair_capacity=pairs, sort="deep" if shape.deep else "by key")
+    plan = Plan(Kernels(device, one_shape=True), placed, image, method, layers=shape.layers)
     gaussians = sum(page.capacity for _, page in placed)
     totals = {"gaussians": gaussians, "cells": sum(cell_counts)}
     return RecordedPlan(

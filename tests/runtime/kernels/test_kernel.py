@@ -5,7 +5,7 @@ import pytest
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
 from gsgen.runtime.kernels.shared.kernel import Kernel
-from gsgen.runtime.renderer.rasteriser_choice import Rasteriser
+from gsgen.runtime.renderer.plan_options import Rasteriser
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
 from support.rendering.mesh_scenes import wall

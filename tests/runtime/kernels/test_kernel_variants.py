@@ -74,7 +74,17 @@ def test_narrow_cells_draw_the_same_picture(
     narrow = Renderer(device, rasteriser="tiles")
     scene, camera = SCENES[name]()
     seen = narrow.render(scene, camera, outputs=("color", "depth"))
-    assert narrow._kernels.blend(False, bool(camera.period), 0, False).shader == "blend_staged"
+    assert (
+        narrow._kernels.blend(
+            "color",
+            panorama=bool(camera.period),
+            layers=0,
+            records=False,
+            steep=False,
+            carried=False,
+        ).shader
+        == "blend_staged"
+    )
     wanted = oracle.render(scene, camera)
     error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
     assert np.where(wanted.fragile, 0, error).max() <= 2e-5

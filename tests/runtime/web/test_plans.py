@@ -14,6 +14,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.web.pages import client_file
 from runtime.web.plan_executor import choose
@@ -202,17 +203,13 @@ def fresh_plan(
     placed = recorded_pages(kinds, capacities, cells)
     if pools:
         placed += recorded_pool_pages(device, *zip(*pools, strict=True), slot_rows)
-    plan = Plan(
-        device,
-        Kernels(device, one_shape=True),
-        placed,
-        (sizes["width"], sizes["height"]),
-        frozenset(outputs),
-        sizes["pairs"],
-        panorama=panorama,
-        deep=deep,
-        layers=layers,
+    image = ImageSpec(
+        size=(sizes["width"], sizes["height"]),
+        outputs=frozenset(outputs),
+        projection="panorama" if panorama else "plane",
     )
+    method = Method(pair_capacity=sizes["pairs"], sort="deep" if deep else "by key")
+    plan = Plan(Kernels(device, one_shape=True), placed, image, method, layers=layers)
     return plan, [page for _, page in placed]
 
 

@@ -11,6 +11,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import KEY_BITS
 from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -95,8 +96,8 @@ def counted(renderer: Renderer, case: Case) -> dict[str, tuple[np.ndarray, np.nd
     scene, view, capacity = case
     device, kernels = renderer.device, renderer._kernels
     placed, size = renderer.placed(scene), (view.width, view.height)
-    plan = Plan(device, kernels, placed, size, frozenset({"color"}), capacity,
-                panorama=bool(view.period))  # fmt: skip
+    image = ImageSpec(size=size, projection="panorama" if view.period else "plane")
+    plan = Plan(kernels, placed, image, Method(pair_capacity=capacity))
     depths, tiles = [
         buffer for buffer, *_ in plan.clears if getattr(buffer, "label", "") == "histogram a"
     ]

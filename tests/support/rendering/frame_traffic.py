@@ -27,6 +27,7 @@ from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from web_client.recording import APPEARANCES, recorded_pages
 from web_client.recording_device import RecordingDevice
 
@@ -64,7 +65,8 @@ def recorded_plan(workload: Workload) -> tuple[Plan, Kernels]:
     capacities = [min(GPU_PAGE_ROWS, n - first) for first in range(0, n, GPU_PAGE_ROWS)]
     placed = recorded_pages([DEGREE_3] * len(capacities), capacities)
     pairs = workload.pairs(kernels.cut.tile)
-    return Plan(device, kernels, placed, workload.size, frozenset({"color"}), pairs), kernels
+    image, method = ImageSpec(size=workload.size), Method(pair_capacity=pairs)
+    return Plan(kernels, placed, image, method), kernels
 
 
 def digit_words(step: Step) -> dict[str, int]:

@@ -8,7 +8,6 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
@@ -32,16 +31,16 @@ from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
 from gsgen.runtime.renderer.placed_pages import (
     Placed,
     scene_order,
-    slot_rows,
     sorted_pages,
     weighted_pages,
     write_pages,
 )
-from gsgen.runtime.renderer.slabs import AT_ONCE, Slabs, SlabSizes, SlabState, draw_parts
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.slabs import Slabs, SlabState, draw_parts
 from gsgen.runtime.renderer.tile_lists import TileLists, allocate_columns, list_splats
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import OUTPUTS, Output
+from gsgen.runtime.scene.frame import Output
 
 
 @final
@@ -49,20 +48,12 @@ class Plan:
     """GPU buffers and dispatches that draw Gaussians and meshes at one image size.
 
     Args:
-        device: Device of the buffers.
-        kernels: Kernels of the device.
+        kernels: Kernels of a device.
         placed: The pages; only their buffers and types are kept.
-        size: Width and height of the image, in pixels.
-        outputs: Requested outputs.
-        pair_capacity: Most pairs of a splat and a tile.
-        quads: Whether the hardware's rasteriser draws the colours.
-        panorama: Whether the image is a panorama.
+        image: The images to draw.
+        method: How they are drawn.
         meshes: Meshes among the Gaussians; only their buffers are kept.
         layers: Image layers that the caller writes, into inputs; only for sorted colours.
-        published: Whether weighted sums count backgrounds as the method's own renderer does.
-        steep: Whether a camera's dilation may be below LEAST_DILATION.
-        deep: Whether the depth sort is deep, because very many depths share a key.
-        sizes: Most splats that are drawn at once, if the scene may have more.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -79,31 +70,22 @@ class Plan:
 
     def __init__(
         self,
-        device: Device,
         kernels: Kernels,
         placed: Sequence[Placed],
-        size: tuple[int, int],
-        outputs: frozenset[Output],
-        pair_capacity: int,
+        image: ImageSpec,
+        method: Method,
         *,
         meshes: Sequence[PlacedMesh] = (),
         layers: int = 0,
-        quads: bool = False,
-        panorama: bool = False,
-        published: bool = False,
-        steep: bool = False,
-        deep: bool = False,
-        sizes: SlabSizes = AT_ONCE,
     ) -> None:
+        device, sizes, outputs = kernels.device, method.slabs, image.outputs
         summed, placed = weighted_pages(placed), sorted_pages(placed)
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
-        self._size, self._panorama, self._steep, self._deep = size, panorama, steep, deep
-        tile = kernels.cut.tile
-        self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
-        self.pair_capacity = pair_capacity
+        self._image, self._method = image, method
+        self._tiles = image.tiles(kernels.cut.tile)
         n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
@@ -113,7 +95,8 @@ class Plan:
         self.buffers: dict[str, Buffer] = {}
         self.slabs = self._slabs(placed, sizes.splats, with_ids="depth" in outputs)
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
-        device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
+        initial = counting.initial(n, method.pair_capacity, panorama=image.panorama)
+        device.write(self._counts, initial)
         self._held = {"counts": self._counts}
         self._records = kernels.records(n)
         self._projected, self._splats = self._splat_arrays(n)
@@ -123,33 +106,22 @@ class Plan:
         self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared()
         self.images: dict[str, Buffer] = {}
-        quads = quads and not summed  # weighted sets become a layer, which quads do not blend
+        # Weighted sets become a layer, which quads do not blend.
+        quads = method.rasteriser == "quads" and not summed
         alone = bool(summed) and not placed and not meshes  # they write the image, without layers
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             count, normal = bool(summed) + bool(meshes), "normal" in tiled
             numbers = sizes.kept_numbers(count, normal=normal)
             self._layers = allocate_layers(
-                self._storage, count, size, normal=normal, numbers=numbers
+                self._storage, count, image.size, normal=normal, numbers=numbers
             )
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
         if summed:
-            self._weighted = WeightedPart(
-                device,
-                kernels,
-                summed,
-                size,
-                outputs,
-                pair_capacity,
-                (self._frame, self._bare_frame),
-                self._layers,
-                panorama=panorama,
-                published=published,
-                deep=deep,
-                slab_splats=sizes.weighted,
-            )
+            frames = (self._frame, self._bare_frame)
+            self._weighted = WeightedPart(kernels, summed, image, method, frames, self._layers)
             self._add(self._weighted)
         if alone and self._weighted is not None:
             self.inputs |= self._weighted.inputs
@@ -178,7 +150,7 @@ class Plan:
         if splats is None:
             return None
         pages = [page for _, page in placed]
-        slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
+        slabs = Slabs(self._kernels, pages, splats, self._origins, with_ids=with_ids)
         self.buffers |= slabs.buffers
         self._origins = None
         return slabs
@@ -236,45 +208,47 @@ class Plan:
                 ranges=self._ranges,
                 scratch=a.keys,
                 gaussians=n,
-                pair_capacity=self.pair_capacity,
+                pair_capacity=self._method.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],
             ),
-            panorama=self._panorama,
+            panorama=self._image.panorama,
             records=self._records,
         )
         stages |= tile_stages
         self.clears += [(buffer, 0, None) for buffer in cleared]
         # Stage 5: blend each tile, once per output.
         if "color" in outputs:
-            stages["blend"] = [self._blend("color", members, colors, pick=False)]
+            stages["blend"] = [self._blend("color", members, colors)]
         if "depth" in outputs:
             ids = colors if self.slabs is None else self.slabs.takers
-            stages["depth"] = [self._blend("depth", members, ids, pick=True)]
+            stages["depth"] = [self._blend("depth", members, ids)]
         if normals is not None:  # they are blended like colours
-            stages["normal"] = [self._blend("normal", members, normals, pick=False)]
+            stages["normal"] = [self._blend("normal", members, normals)]
         return stages
 
     def _lay_inputs(self, count: int) -> Layers:
         """Allocate GPU buffers for image layers (colours and depths) that the application fills."""
-        layers = allocate_layers(self._storage, count, self._size, normal=False)
+        layers = allocate_layers(self._storage, count, self._image.size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
         return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
         """Record drawing the meshes; return dispatches that copy the pixels to an image layer."""
-        self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
-        self._meshes = self._kernels.meshes(self._panorama).step(
-            self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
+        self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._image.size))
+        self._meshes = self._kernels.meshes(panorama=self._image.panorama).step(
+            self._image.size, meshes, self._mesh_slots, self._mesh_rays, self._layers
         )
         return list(self._meshes.layers)
 
     def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
-        kernel = self._kernels.quads(self._meshes is not None, self._panorama, self._records)
-        size = kernel.row_bytes(self._size[0]) * self._size[1]
-        self.images["color"] = self._storage("color image", size)
+        kernel = self._kernels.quads(
+            tested=self._meshes is not None, panorama=self._image.panorama, records=self._records
+        )
+        size = self._image.size
+        self.images["color"] = self._storage("color image", kernel.row_bytes(size[0]) * size[1])
         resources = (self._frame, self._counts, order, *self._splats, colors)
         image = self.images["color"]
-        return kernel.step(self._size, resources, self._counts, image, self._meshes)
+        return kernel.step(size, resources, self._counts, image, self._meshes)
 
     def _project(
         self,
@@ -296,33 +270,32 @@ class Plan:
                 self._counts,
                 self._slots,
                 normals,
-                panorama=self._panorama,
+                panorama=self._image.panorama,
                 records=self._records,
             )
             return {
-                "keys": self.slabs.key_steps(outputs, self._slots, panorama=self._panorama),
+                "keys": self.slabs.key_steps(outputs, self._slots, panorama=self._image.panorama),
                 "tally": self.slabs.tally_steps(self._slots),
                 "project": steps,
             }
         recorded = list[Step]()
         for slot, (_, page) in enumerate(placed):
-            rows_of_slot = slot_rows(page)
-            if rows_of_slot:
-                cull = self._kernels.cull_slots(rows_of_slot, self._panorama)
+            if page.slots is not None:
+                cull = self._kernels.cull_slots(page, panorama=self._image.panorama)
                 recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
             kernel = self._kernels.project(
-                page.half, page.stride, self._panorama, page.packed, rows_of_slot, self._records
+                page, panorama=self._image.panorama, records=self._records
             )
             recorded.append(kernel.step((*outputs, *digits), self._slots, slot, page))
         if normals is not None:
             for slot, (_, page) in enumerate(placed):
-                find = self._kernels.normals(page.packed, slot_rows(page))
+                find = self._kernels.normals(page)
                 recorded.append(find.step(keys, normals, self._slots, slot, page))
         return {"project": recorded}
 
     def _first_digits(self) -> tuple[Buffer, ...]:
         """Return the histograms of the depth sort, if projection counts the keys' first digits."""
-        if self.slabs is not None or not self._kernels.counts_keys():
+        if self.slabs is not None or not self._kernels.counts_keys:
             return ()
         digits = self._kernels.sort.histograms(self._gaussians, KEY_BITS)
         self.clears.append((digits[0], 0, None))
@@ -338,19 +311,24 @@ class Plan:
         elif self._origins is not None:
             origins = self._storage("origins", 4 * n)
             self._device.write(origins, self._origins)
-        spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
+        spare = self._storage("keys of Gaussians c", 4 * n) if self._method.sort == "deep" else None
         return self._kernels.order.steps(
             n, self._counts, columns, lows, origins, spare, counted=digits
         )
 
-    def _blend(self, name: Output, members: Buffer, colors: Buffer, *, pick: bool) -> Step:
-        self.images[name] = self._storage(f"{name} image", VEC4 * self._size[0] * self._size[1])
+    def _blend(self, name: Output, members: Buffer, colors: Buffer) -> Step:
+        self.images[name] = self._storage(f"{name} image", VEC4 * self._image.pixels)
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        variant = (pick, self._panorama, layers.count if layers else 0, self._records)
-        carried = 0 if self.slabs is None else 1 + OUTPUTS.index(name)
-        kernel = self._kernels.blend(*variant, carried, self._steep, name == "color")
+        kernel = self._kernels.blend(
+            name,
+            panorama=self._image.panorama,
+            layers=layers.count if layers else 0,
+            records=self._records,
+            steep=self._image.dilation == "small",
+            carried=self.slabs is not None,
+        )
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors
@@ -466,7 +444,7 @@ class Plan:
     def readback(self) -> FrameReadback:
         """Return a new readback of a frame's GPU counters and images."""
         return FrameReadback(
-            self._device, self._kernels, self._held, self.images, self._size, self._origins
+            self._device, self._kernels, self._held, self.images, self._image.size, self._origins
         )
 
     def collect(self, *, fetch: bool = True, state: SlabState | None = None) -> Drawing:

@@ -1,12 +1,12 @@
 """The rendering kernels of a device, each compiled when a frame first needs it."""
 
-__all__ = ["RECORD", "Kernels", "WeightedKernels"]
+__all__ = ["RECORD", "Kernels"]
 
 from collections.abc import Callable
-from functools import cache
-from typing import Final, final
+from typing import Any, Final, Literal, TypeVar, final
 
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.place_splats import PlaceSplats
@@ -15,6 +15,7 @@ from gsgen.runtime.kernels.project.project_cells import ProjectCells, SlabCells
 from gsgen.runtime.kernels.project.tally_keys import TallyKeys
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
+from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
@@ -25,57 +26,16 @@ from gsgen.runtime.kernels.tiles.blend_wsr import BlendWsr
 from gsgen.runtime.kernels.tiles.list_tiles import ListTiles
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.renderer.depth_sort import DepthOrder
+from gsgen.runtime.renderer.placed_pages import slot_rows
+from gsgen.runtime.scene.frame import OUTPUTS, Output
 
 RECORD: Final = 2 * VEC4
 """Bytes of a splat that is one record; its colour is elsewhere."""
 
+SlabPart = Literal["keys", "splats"]
+"""What projection computes for a slab: the keys of all rows, or the splats of the slab's rows."""
 
-@final
-class WeightedKernels:
-    """The kernels of weighted-sum rendering, each compiled when it is first needed.
-
-    Args:
-        device: Device of the kernels.
-        cut: Configuration of the sort.
-        scan: The scan; shared with the rest of the plan, like the next three.
-        sort: The radix sort.
-        order: The depth sort.
-        ranges: The tile ranges.
-        tile_bits: Returns the number of key bits that sort tile indices up to a given one.
-    """
-
-    def __init__(
-        self,
-        device: Device,
-        cut: SortConfig,
-        scan: Scan,
-        sort: RadixSort,
-        order: DepthOrder,
-        ranges: TileRanges,
-        tile_bits: Callable[[int], int],
-    ) -> None:
-        self.tile_bits = tile_bits
-        self.cut, self.scan, self.sort = cut, scan, sort
-        self.order, self.ranges = order, ranges
-        self.project = cache(
-            lambda half, words, panorama, slab=None: ProjectKernel(
-                device, words, half=half, panorama=panorama, weighted=True, slab=slab
-            )
-        )
-        self.cells = cache(lambda panorama: ProjectCells(device, panorama=panorama))
-        self.slab_cells = cache(lambda panorama: SlabCells(device, panorama=panorama))
-        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama=panorama))
-        self.blend = cache(
-            lambda pick, panorama, published, layers, first_plane=None: BlendWsr(
-                device,
-                pick=pick,
-                panorama=panorama,
-                published=published,
-                layers=layers,
-                first_plane=first_plane,
-            )
-        )
-        self.normals = cache(lambda placed=False: NormalsKernel(device, placed=placed))
+_Kernel = TypeVar("_Kernel")
 
 
 @final
@@ -89,91 +49,163 @@ class Kernels:
         cut: How work is divided among invocations; :func:`cut_for` by default.
 
     Attributes:
+        device: Device of the kernels.
+        cut: How work is divided among invocations.
         lists: Whether splats are listed by tile without a sort of pairs.
+        scan: The prefix sums.
+        sort: The radix sort.
+        order: The depth sort.
+        ranges: Finds the pairs of each tile.
     """
 
     def __init__(
         self, device: Device, *, one_shape: bool = False, cut: SortConfig | None = None
     ) -> None:
-        self.cut, self._one_shape = cut or cut_for(device), one_shape
-        self._largest_binding = device.largest_binding
+        self.device, self._one_shape = device, one_shape
+        self.cut = cut or cut_for(device)
+        self._compiled: dict[tuple[object, ...], Any] = {}
+        walk_block = WALK_THREADS * self.cut.walk
         self.scan = Scan(
-            device,
-            self.cut.block,
-            WALK_THREADS * self.cut.walk,
-            RANGE_BLOCK,
-            always_in_blocks=one_shape,
+            device, self.cut.block, walk_block, RANGE_BLOCK, always_in_blocks=one_shape
         )
         self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = cache(
-            lambda panorama, records, digits: BinTiles(
-                device,
-                self.cut.walk,
-                panorama=panorama,
-                digits=digits,
-                tile=self.cut.tile,
-                records=records,
-            )
-        )
-        self.lists = device.software and self.cut.tile == TILE and not one_shape
-        self.list = cache(lambda panorama: ListTiles(device, panorama=panorama))
-        self.ranges = TileRanges(device)
-        self.blend = cache(
-            lambda pick, panorama, layers, records, carried=0, steep=False, color=False: BlendTiles(
-                device,
-                pick=pick,
-                panorama=panorama,
-                layers=layers,
-                tile=self.cut.tile,
-                records=records,
-                carried=carried,
-                steep=steep,
-                windows=color and self.lists,
-            )
-        )
-        self.project = cache(
-            lambda half, words, panorama, packed, slot_rows, records, slab=None: ProjectKernel(
-                device,
-                words,
-                half=half,
-                panorama=panorama,
-                packed=packed,
-                slot_rows=slot_rows,
-                tile=self.cut.tile,
-                records=records,
-                slab=slab,
-                windows=self.lists,
-                digits=self.sort.first_digits(KEY_BITS) if self.counts_keys(slab) else None,
-            )
-        )
-        self.tally = cache(lambda: TallyKeys(device))
-        self.place = cache(lambda arranged: PlaceSplats(device, arranged=arranged))
-        self.cull_slots = cache(
-            lambda slot_rows, panorama, keys_only=False: CullSlots(
-                device, slot_rows, panorama=panorama, keys_only=keys_only
-            )
-        )
-        self.normals = cache(
-            lambda packed, slot_rows, placed=False: NormalsKernel(
-                device, packed=packed, slot_rows=slot_rows, placed=placed
-            )
-        )
         self.order = DepthOrder(device, self.cut, self.sort)
-        self.weighted = cache(
-            lambda: WeightedKernels(
-                device, self.cut, self.scan, self.sort, self.order, self.ranges, self.tile_bits
-            )
-        )
-        self.quads = cache(
-            lambda tested, panorama, records: DrawQuads(
-                device, tested=tested, panorama=panorama, records=records
-            )
-        )
-        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
+        self.ranges = TileRanges(device)
+        self.lists = device.software and self.cut.tile == TILE and not one_shape
 
-    def counts_keys(self, slab: str | None = None) -> bool:
-        """Return whether projection counts the first digits of depth keys; not those of a slab."""
-        return self.cut.staged and slab is None
+    def _once(self, kind: Callable[..., _Kernel], *arguments: object, **words: object) -> _Kernel:
+        """Return a kernel of the device, the same one for the same arguments."""
+        key = (kind, arguments, *words.items())
+        if key not in self._compiled:
+            self._compiled[key] = kind(self.device, *arguments, **words)
+        kernel: _Kernel = self._compiled[key]
+        return kernel
+
+    def cull_slots(self, page: Page, *, panorama: bool, keys_only: bool = False) -> CullSlots:
+        """Return the kernel that lists the slots in view of a pool's page."""
+        return self._once(CullSlots, slot_rows(page), panorama=panorama, keys_only=keys_only)
+
+    def project(
+        self, page: Page, *, panorama: bool, records: bool = False, slab: SlabPart | None = None
+    ) -> ProjectKernel:
+        """Return the kernel that projects the rows of a page to splats that are sorted."""
+        return self._once(
+            ProjectKernel,
+            page.stride,
+            half=page.half,
+            panorama=panorama,
+            packed=page.packed,
+            slot_rows=slot_rows(page),
+            tile=self.cut.tile,
+            records=records,
+            slab=slab,
+            windows=self.lists,
+            digits=self.sort.first_digits(KEY_BITS) if self.counts_keys and not slab else None,
+        )
+
+    def project_weighted(
+        self, page: Page, *, panorama: bool, slab: SlabPart | None = None
+    ) -> ProjectKernel:
+        """Return the kernel that projects the rows of a page for weighted sums."""
+        return self._once(
+            ProjectKernel, page.stride, half=page.half, panorama=panorama, weighted=True, slab=slab
+        )
+
+    def project_cells(self, *, panorama: bool) -> ProjectCells:
+        """Return the kernel that projects cells (groups of Gaussians)."""
+        return self._once(ProjectCells, panorama=panorama)
+
+    def slab_cells(self, *, panorama: bool) -> SlabCells:
+        """Return the kernels that project the cells of a slab."""
+        return self._once(SlabCells, panorama=panorama)
+
+    def normals(self, page: Page, *, placed: bool = False) -> NormalsKernel:
+        """Return the kernel that computes the normals of a page; of a slab's rows if ``placed``."""
+        return self._once(
+            NormalsKernel, packed=page.packed, slot_rows=slot_rows(page), placed=placed
+        )
+
+    def tally(self) -> TallyKeys:
+        """Return the kernel that counts sort keys."""
+        return self._once(TallyKeys)
+
+    def place(self, *, arranged: bool) -> PlaceSplats:
+        """Return the kernels that index the rows of a slab."""
+        return self._once(PlaceSplats, arranged=arranged)
+
+    def bin_tiles(self, *, panorama: bool, records: bool, digits: FirstDigits) -> BinTiles:
+        """Return the kernels that list the tiles of splats."""
+        return self._once(
+            BinTiles,
+            self.cut.walk,
+            panorama=panorama,
+            digits=digits,
+            tile=self.cut.tile,
+            records=records,
+        )
+
+    def bin_cells(self, *, panorama: bool) -> BinTiles:
+        """Return the kernels that list the tiles of cells."""
+        return self._once(BinTiles, self.cut.walk, panorama=panorama)
+
+    def list_tiles(self, *, panorama: bool) -> ListTiles:
+        """Return the kernels that list splats by tile without a sort of pairs."""
+        return self._once(ListTiles, panorama=panorama)
+
+    def blend(
+        self,
+        output: Output,
+        *,
+        panorama: bool,
+        layers: int,
+        records: bool,
+        steep: bool,
+        carried: bool,
+    ) -> BlendTiles:
+        """Return the kernel that blends an output; ``carried`` says that slabs go on from it."""
+        return self._once(
+            BlendTiles,
+            pick=output == "depth",
+            panorama=panorama,
+            layers=layers,
+            tile=self.cut.tile,
+            records=records,
+            carried=1 + OUTPUTS.index(output) if carried else 0,
+            steep=steep,
+            windows=output == "color" and self.lists,
+        )
+
+    def blend_wsr(
+        self,
+        *,
+        pick: bool,
+        panorama: bool,
+        published: bool = False,
+        layers: int = 0,
+        first_plane: int | None = None,
+    ) -> BlendWsr:
+        """Return the kernel that blends weighted sums; arguments are those of the kernel."""
+        return self._once(
+            BlendWsr,
+            pick=pick,
+            panorama=panorama,
+            published=published,
+            layers=layers,
+            first_plane=first_plane,
+        )
+
+    def quads(self, *, tested: bool, panorama: bool, records: bool) -> DrawQuads:
+        """Return what draws quads; ``tested`` against the depths of meshes."""
+        return self._once(DrawQuads, tested=tested, panorama=panorama, records=records)
+
+    def meshes(self, *, panorama: bool) -> DrawMeshes:
+        """Return what draws meshes."""
+        return self._once(DrawMeshes, panorama=panorama)
+
+    @property
+    def counts_keys(self) -> bool:
+        """Whether projection counts the first digits of depth keys; it never counts those of slabs."""
+        return self.cut.staged
 
     @property
     def most_binned(self) -> int:
@@ -183,7 +215,7 @@ class Kernels:
     def records(self, gaussians: int) -> bool:
         """Return whether all projected splats are stored as structs in one GPU buffer."""
         is_possible = self.cut.tile != TILE and not self._one_shape
-        return is_possible and RECORD * gaussians <= self._largest_binding
+        return is_possible and RECORD * gaussians <= self.device.largest_binding
 
     def tile_bits(self, last: int) -> int:
         """Return the number of sort-key bits for tile indices up to ``last``."""

@@ -7,7 +7,7 @@ does not touch. That varies more than tenfold between GPUs of equal arithmetic (
 data centres have few such units), and no limit or feature of the device reports it.
 """
 
-__all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "chosen_cut", "explain", "probe"]
+__all__ = ["RasteriserOption", "Timings", "choose", "chosen_cut", "explain", "probe"]
 
 import json
 import os
@@ -29,11 +29,11 @@ from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method, Rasteriser
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
-Rasteriser = Literal["tiles", "quads"]
 RasteriserOption = Literal["auto", "tiles", "quads"]
 
 _GAUSSIANS: Final = 1 << 17
@@ -161,7 +161,7 @@ def probe(
     seconds = {
         way: _seconds(device, plan, placed, camera, stages)
         for way, (way_kernels, stages) in ways.items()
-        for plan in [_roomy(device, way_kernels, placed, camera, quads=way == "quads")]
+        for plan in [_roomy(way_kernels, placed, camera, "quads" if way == "quads" else "tiles")]
     }
     # GPU timestamps of one and wall clock of the other would not compare.
     by = 0 if min(on_device for on_device, _ in seconds.values()) > 0 else 1
@@ -181,16 +181,15 @@ def _crowd(n: int, tall: float) -> SplatData:
     return SplatData(rows, rng.uniform(size=(n, 3)).astype(np.float32), "rgb")
 
 
-def _roomy(
-    device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
-) -> Plan:
+def _roomy(kernels: Kernels, placed: list[Placed], camera: Camera, rasteriser: Rasteriser) -> Plan:
     """Record a frame's GPU commands with buffers large enough for all splat-tile pairs."""
-    room, size = _PAIRS, (camera.width, camera.height)
+    room, image = _PAIRS, ImageSpec(size=(camera.width, camera.height))
     while True:
-        plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)
+        method = Method(pair_capacity=room, rasteriser=rasteriser)
+        plan = Plan(kernels, placed, image, method)
         plan.submit(placed, camera, _NOTHING, fetch=False)
         counts, _ = plan.collect(fetch=False)
-        if quads or counts[Counts.WANTED_PAIRS] <= room:
+        if rasteriser == "quads" or counts[Counts.WANTED_PAIRS] <= room:
             return plan
         room = int(counts[Counts.WANTED_PAIRS])
 

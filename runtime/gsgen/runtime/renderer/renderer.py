@@ -33,12 +33,8 @@ from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import FrameInFlight, LateCounts, Readbacks
 from gsgen.runtime.renderer.placed_pages import Placed, bare_set
-from gsgen.runtime.renderer.rasteriser_choice import (
-    Rasteriser,
-    RasteriserOption,
-    choose,
-    chosen_cut,
-)
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method, Rasteriser
+from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption, choose, chosen_cut
 from gsgen.runtime.renderer.slabs import SlabSizes, kept_layers, most_splats, rows_at_once
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
@@ -432,41 +428,38 @@ class Renderer:
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
         """Return a frame's recorded GPU work: the last one if only buffer values changed."""
-        size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
             self._rows, self._deep, self._most_in_slab = rows, False, _MANY
-        steep = camera.dilation < LEAST_DILATION
-        self._shape = (contents, size, outputs, panorama, steep)
+        image = ImageSpec(
+            size=(camera.width, camera.height),
+            outputs=outputs,
+            projection="panorama" if camera.kind == "panorama" else "plane",
+            dilation="small" if camera.dilation < LEAST_DILATION else "usual",
+        )
+        self._shape = (contents, image)
         key = (self._shape, self._pairs, self._deep, self._most_in_slab)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._readbacks.clear()
-            sizes = SlabSizes.of(placed, self._most_at_once)
-            self._plan = Plan(
-                self.device,
-                self._kernels,
-                placed,
-                size,
-                outputs,
-                self._pairs,
-                meshes=meshes,
-                quads=self._takes_quads(outputs) and sizes.splats is None,
-                panorama=panorama,
-                published=self._published,
-                steep=steep,
-                deep=self._deep,
-                sizes=sizes,
+            slabs = SlabSizes.of(placed, self._most_at_once)
+            method = Method(
+                pair_capacity=self._pairs,
+                rasteriser="tiles" if slabs.splats else self._rasteriser_of(outputs),
+                sort="deep" if self._deep else "by key",
+                backgrounds="published" if self._published else "composed",
+                slabs=slabs,
             )
+            self._plan = Plan(self._kernels, placed, image, method, meshes=meshes)
             self._key = key
         return self._plan
 
-    def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Return whether splats are drawn as quads; if chosen automatically, for colour only."""
-        return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
+    def _rasteriser_of(self, outputs: frozenset[Output]) -> Rasteriser:
+        """Return what blends colours: a rasteriser that was measured draws nothing but colours."""
+        return "tiles" if self._chosen and outputs != {"color"} else self.rasteriser
 
     @property
     def _most_at_once(self) -> int:

@@ -33,7 +33,7 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.tiles.blend_wsr import PLANES
 from gsgen.runtime.renderer.bands import Drawing
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.placed_pages import Placed, slot_rows, sorted_pages, weighted_pages
+from gsgen.runtime.renderer.placed_pages import Placed, sorted_pages, weighted_pages
 from gsgen.runtime.scene.frame import OUTPUTS
 from gsgen.runtime.scene.scene import Scene
 
@@ -263,8 +263,7 @@ class Slabs:
     more Gaussians than a slab is divided by rows, and pixels keep the light before it, too.
 
     Args:
-        device: Device of the buffers.
-        kernels: Kernels of the device.
+        kernels: Kernels of a device.
         pages: The pages of the scene.
         capacity: Most splats of a slab.
         origins: Index of each GPU row in the order of the sets; None if rows are in it.
@@ -284,7 +283,6 @@ class Slabs:
 
     def __init__(
         self,
-        device: Device,
         kernels: Kernels,
         pages: Sequence[Page],
         capacity: int,
@@ -293,6 +291,7 @@ class Slabs:
         with_ids: bool,
         weighted: bool = False,
     ) -> None:
+        device = kernels.device
         self._device, self._kernels, self._pages = device, kernels, pages
         self._weighted = weighted
         self._stages = _CELL_STAGES if weighted else _SLAB_STAGES
@@ -396,13 +395,10 @@ class Slabs:
         """
         steps, (frame, _, *others) = [], outputs
         for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True)):
-            rows_of_slot = slot_rows(page)
-            if rows_of_slot:
-                cull = self._kernels.cull_slots(rows_of_slot, panorama, True)
+            if page.slots is not None:
+                cull = self._kernels.cull_slots(page, panorama=panorama, keys_only=True)
                 steps.append(cull.step(frame, keys, others[-1], uniform, slot, page))
-            project = self._kernels.project(
-                page.half, page.stride, panorama, page.packed, rows_of_slot, False, "keys"
-            )
+            project = self._kernels.project(page, panorama=panorama, slab="keys")
             steps.append(project.step((frame, keys, *others), uniform, slot, page))
         return steps
 
@@ -422,7 +418,7 @@ class Slabs:
             counts: The frame's counts.
             uniform: Buffer with the uniforms of all pages.
         """
-        numbering = self._kernels.place(bool(self._row_origins))
+        numbering = self._kernels.place(arranged=bool(self._row_origins))
         keys = self.keys[slot]
         row_origins = self._row_origins[slot] if self._row_origins else keys
         resources = (self._range, keys, self._block_counts, self.places, row_origins)
@@ -453,12 +449,10 @@ class Slabs:
         steps = []
         for slot, page in enumerate(self._pages):
             steps += self.place_steps(slot, counts, uniform)
-            project = self._kernels.project(
-                page.half, page.stride, panorama, page.packed, slot_rows(page), records, "splats"
-            )
+            project = self._kernels.project(page, panorama=panorama, records=records, slab="splats")
             steps.append(project.step(outputs, uniform, slot, page, self.places))
             if normals is not None:
-                kernel = self._kernels.normals(page.packed, slot_rows(page), True)
+                kernel = self._kernels.normals(page, placed=True)
                 steps.append(kernel.step(self.places, normals, uniform, slot, page))
         return steps
 

@@ -60,7 +60,9 @@ def list_splats(
     pairs = [allocate_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
     bits = kernels.tile_bits(lists.tiles - 1)
     histograms = kernels.sort.histograms(lists.pair_capacity, bits)
-    kernel = kernels.bin(panorama, records, kernels.sort.first_digits(bits))
+    kernel = kernels.bin_tiles(
+        panorama=panorama, records=records, digits=kernels.sort.first_digits(bits)
+    )
     stages = dict[str, list[Step]]()
     stages["bin"] = _bin(kernels, lists, kernel, pairs[0], histograms[0])
     stages["group"], members = _group(kernels, lists, pairs, bits, histograms)
@@ -75,7 +77,7 @@ def _counted(
     totals = lists.storage("totals of tiles", 4 * lists.tiles)
     members = lists.storage("splats of tiles", 4 * lists.pair_capacity)
     uniforms = (lists.frame, lists.counts)
-    tally, total, begin, fill = kernels.list(panorama).steps(
+    tally, total, begin, fill = kernels.list_tiles(panorama=panorama).steps(
         lists.tiles,
         (*uniforms, lists.order, lists.tiles_of, counters, members, *lists.splats, lists.scratch),
         (*uniforms, counters, totals, lists.ranges),

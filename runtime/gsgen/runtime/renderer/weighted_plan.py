@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Shaped
 
 from gsgen.contract.spec import layout
-from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE, page_uniform
@@ -26,6 +25,7 @@ from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 from gsgen.runtime.kernels.tiles.blend_wsr import PLANES
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from gsgen.runtime.renderer.slabs import Slabs
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -37,18 +37,12 @@ class WeightedPart:
     """GPU buffers and dispatches of a frame that draw splat sets by weighted-sum rendering.
 
     Args:
-        device: Device of the buffers.
-        kernels: Kernels of the device.
+        kernels: Kernels of a device.
         placed: Pages of weighted sets.
-        size: Width and height of the image, in pixels.
-        panorama: Whether the image is a panorama.
-        outputs: Requested outputs.
-        pair_capacity: Most pairs of a cell and a tile.
+        image: The images to draw.
+        method: How they are drawn.
         frames: Uniforms of the frame with the background and without it.
         layers: Layers whose first receives the result; None if the result is the image.
-        published: Whether backgrounds count as in the method's own renderer.
-        deep: Whether the depth sort is deep, because very many depths share a key.
-        slab_splats: Most Gaussians that are drawn at once, if the sets may have more.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -62,42 +56,32 @@ class WeightedPart:
 
     def __init__(
         self,
-        device: Device,
         kernels: Kernels,
         placed: Sequence[tuple[SplatSet, Page]],
-        size: tuple[int, int],
-        outputs: frozenset[Output],
-        pair_capacity: int,
+        image: ImageSpec,
+        method: Method,
         frames: tuple[Buffer, Buffer],
         layers: Layers | None,
-        *,
-        panorama: bool,
-        published: bool,
-        deep: bool,
-        slab_splats: int | None,
     ) -> None:
-        self._device, self._kernels = device, kernels.weighted()
-        self._size, self._panorama, self._published = size, panorama, published
+        device = self._device = kernels.device
+        self._kernels, self._image, self._method, self._layers = kernels, image, method, layers
         self._frame, self._bare_frame = frames
-        self._layers, self._deep = layers, deep
-        self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
+        self._tiles = image.tiles(TILE)
         self.buffers: dict[str, Buffer] = {}
         self.images: dict[str, Buffer] = {}
-        self._pair_capacity = pair_capacity
         self._per_slot = min(splat_set.data.per_cell for splat_set, _ in placed)
+        slab_splats = method.slabs.weighted
         self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
         self._cells = sum(_cells(page) for _, page in _sets(placed))
         self.slabs: Slabs | None = None
         if slab_splats is not None:
             self._cells = max(1, slab_splats // self._per_slot)
             pages = [page for _, page in placed]
-            with_ids = "depth" in outputs and layers is None
-            self.slabs = Slabs(
-                device, kernels, pages, slab_splats, None, with_ids=with_ids, weighted=True
-            )
+            with_ids = "depth" in image.outputs and layers is None
+            self.slabs = Slabs(kernels, pages, slab_splats, None, with_ids=with_ids, weighted=True)
             self.buffers |= self.slabs.buffers
         self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
-        device.write(self.counts, counting.initial(self._cells, pair_capacity))
+        device.write(self.counts, counting.initial(self._cells, method.pair_capacity))
         self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
         self._slots = device.uniform("pages with cells", PAGE.itemsize * len(placed))
         self._cell_slots = device.uniform("sets of cells", PAGE.itemsize * len(placed))
@@ -108,7 +92,7 @@ class WeightedPart:
         ]
         if self.slabs is not None:
             self.clears.append((self.slabs.tally, 0, None))
-        self.stages = self._record(placed, outputs)
+        self.stages = self._record(placed, image.outputs)
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
@@ -138,7 +122,9 @@ class WeightedPart:
         else:
             stages = self._project_all(placed, splats, (cells, lows), normals)
         stages["sort cells"], order = self._sort(columns, lows)
-        pairs = [self._columns(f"pairs of cells {side}", self._pair_capacity) for side in "ab"]
+        pairs = [
+            self._columns(f"pairs of cells {side}", self._method.pair_capacity) for side in "ab"
+        ]
         stages["bin cells"] = self._bin(order, circles, pairs[0])
         stages["group cells"], members = self._group(pairs)
         known = (self._ranges, members, spans, shapes, weights)
@@ -187,19 +173,21 @@ class WeightedPart:
 
         Arguments are those of :meth:`_project_all`.
         """
-        kernel, keys, steps = self._kernels.slab_cells(self._panorama), list[Step](), list[Step]()
+        panorama = self._image.panorama
+        kernel = self._kernels.slab_cells(panorama=panorama)
+        keys, steps = list[Step](), list[Step]()
         for slot, (_, page) in enumerate(placed):
             assert page.cells is not None
             bound = (self._frame, slabs.keys[slot])
             keys.append(kernel.key_step(*bound, self._slots, slot, page, page.cells))
             steps += slabs.place_steps(slot, self.counts, self._slots)
-            project = self._kernels.project(page.half, page.stride, self._panorama, "splats")
+            project = self._kernels.project_weighted(page, panorama=panorama, slab="splats")
             written = (self._frame, self.counts, *splats)
             steps.append(project.step(written, self._slots, slot, page, page.cells, slabs.places))
             written = (self._frame, *cells, slabs.places)
             steps.append(kernel.cell_step(written, self._slots, slot, page, page.cells))
             if normals is not None:
-                find = self._kernels.normals(True)
+                find = self._kernels.normals(page, placed=True)
                 steps.append(find.step(slabs.places, normals, self._slots, slot, page))
         return {
             "keys of cells": keys,
@@ -212,7 +200,7 @@ class WeightedPart:
     ) -> list[Step]:
         recorded = []
         for slot, (_, page) in enumerate(placed):
-            kernel = self._kernels.project(page.half, page.stride, self._panorama)
+            kernel = self._kernels.project_weighted(page, panorama=self._image.panorama)
             bound = (self._frame, *outputs)
             recorded.append(kernel.step(bound, self._slots, slot, page, page.cells))
         return recorded
@@ -220,7 +208,8 @@ class WeightedPart:
     def _project_cells(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
-        kernel, bound = self._kernels.cells(self._panorama), (self._frame, *outputs)
+        kernel = self._kernels.project_cells(panorama=self._image.panorama)
+        bound = (self._frame, *outputs)
         return [
             kernel.step(bound, self._cell_slots, slot, page.cells, _cells(page))
             for slot, (_, page) in enumerate(_sets(placed))
@@ -229,22 +218,21 @@ class WeightedPart:
     def _normals(
         self, placed: Sequence[tuple[SplatSet, Page]], keys: Buffer, normals: Buffer
     ) -> list[Step]:
-        kernel = self._kernels.normals()
         return [
-            kernel.step(keys, normals, self._slots, slot, page)
+            self._kernels.normals(page).step(keys, normals, self._slots, slot, page)
             for slot, (_, page) in enumerate(placed)
         ]
 
     def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
         """Return GPU dispatches that sort groups of Gaussians by depth, and the sorted buffer."""
         n = self._cells
-        spare = self._storage("keys of cells c", 4 * n) if self._deep else None
+        spare = self._storage("keys of cells c", 4 * n) if self._method.sort == "deep" else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
 
     def _bin(self, order: Buffer, circles: Buffer, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk))
-        measure, emit = self._kernels.bin(self._panorama).steps(
+        measure, emit = self._kernels.bin_cells(panorama=self._image.panorama).steps(
             self.counts, (self._frame, self.counts, order, circles, run_pairs, *pairs)
         )
         add = self._kernels.scan.steps(
@@ -257,7 +245,7 @@ class WeightedPart:
         bits = self._kernels.tile_bits(self._tiles[0] * self._tiles[1] - 1)
         steps, side = self._kernels.sort.steps(
             self.counts,
-            self._kernels.sort.histograms(self._pair_capacity, bits),
+            self._kernels.sort.histograms(self._method.pair_capacity, bits),
             pairs,
             bits=bits,
             source=Counts.PAIRS,
@@ -267,22 +255,30 @@ class WeightedPart:
         return [*steps, mark], pairs[side].values
 
     def _blend(self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False) -> Step:
-        pixels, in_slabs = self._size[0] * self._size[1], self.slabs is not None
+        pixels, in_slabs = self._image.pixels, self.slabs is not None
         if self._layers is not None:
             # What slabs keep is at the end of the layers' depths: of colours, then of normals.
             numbers, last = self._layers.depths.size // (4 * pixels), name == "normal"
             behind = 1 if last or self._layers.normals is None else 2
             first_plane = numbers - behind * PLANES[False] if in_slabs else None
-            count = self._layers.count
-            kernel = self._kernels.blend(False, self._panorama, False, count, first_plane)
+            kernel = self._kernels.blend_wsr(
+                pick=False,
+                panorama=self._image.panorama,
+                layers=self._layers.count,
+                first_plane=first_plane,
+            )
             image = self._layers.normals if last else self._layers.colors
             bound = (self._bare_frame, *resources, image)
             return kernel.step(self._tiles, bound, self._layers.depths)
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         sums = self._storage(f"{name} kept", 4 * PLANES[pick] * pixels) if in_slabs else None
-        first_plane = 0 if in_slabs else None
-        kernel = self._kernels.blend(pick, self._panorama, self._published, 0, first_plane)
+        kernel = self._kernels.blend_wsr(
+            pick=pick,
+            panorama=self._image.panorama,
+            published=self._method.backgrounds == "published",
+            first_plane=0 if in_slabs else None,
+        )
         return kernel.step(self._tiles, (frame, *resources, self.images[name]), sums)
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
