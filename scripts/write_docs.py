@@ -30,6 +30,7 @@ from docs_parts import (
     viewer_kit,
 )
 
+from gsgen.conformance.fixtures import example_of
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.contract.reporters.document import schema
 from gsgen.contract.reporters.rule_pages import index, page
@@ -104,7 +105,8 @@ def generated() -> dict[Path, str]:
     """Return the current content of every file that is generated, wholly or in part."""
     registry = rules.ours()
     pages = {
-        DOCS / "rules" / f"{rule.id}.md": page(rule, registry) for rule in registry.rules.values()
+        DOCS / "rules" / f"{rule.id}.md": page(rule, registry, example_of(rule.id))
+        for rule in registry.rules.values()
     }
     for picture in sorted((DOCS / "assets" / "rules").glob("*.png")):
         rule, _, frames = picture.stem.partition("-")

@@ -58,19 +58,19 @@ INDEX = """\
 
 
 def test_a_page_says_all_that_the_rule_declares():
-    assert page(SECOND, REGISTRY) == PAGE
+    assert page(SECOND, REGISTRY, "none") == PAGE
 
 
 def test_a_page_leaves_out_what_the_rule_does_not_declare():
-    text = page(FIRST, REGISTRY)
+    text = page(FIRST, REGISTRY, "")
     assert "- target: all\n" in text
     assert "needs" not in text
-    assert "- target: webgpu\n" in page(THIRD, REGISTRY)
+    assert "- target: webgpu\n" in page(THIRD, REGISTRY, "")
 
 
 def test_a_page_tells_where_the_rule_was_seen_to_break_something():
     with_evidence = replace(SECOND, evidence="In a viewer.")
-    assert page(with_evidence, REGISTRY) == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
+    assert page(with_evidence, REGISTRY, "none") == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
 
 
 def test_only_our_own_rules_have_a_page_of_ours():
@@ -88,13 +88,13 @@ def test_every_family_of_ours_has_a_name():
 
 @pytest.mark.parametrize("rule", installed_rules().rules.values(), ids=installed_rules().rules)
 def test_every_rule_has_a_page(rule):
-    text = page(rule, installed_rules())
+    text = page(rule, installed_rules(), "")
     assert text.startswith(f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n- severity: ")
     assert "None" not in text.split("## Why")[0]
 
 
 def test_a_rule_as_data_is_plain():
-    data = json.loads(json.dumps(to_dict(SECOND)))
+    data = json.loads(json.dumps(to_dict(SECOND, "none")))
     assert data == {
         "id": "GV902",
         "slug": "made-up-gv902",

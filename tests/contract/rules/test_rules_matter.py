@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures import example_of, find
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
@@ -19,7 +19,7 @@ def silent(_: object) -> Iterator[Violation]:
 
 @pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
 def test_the_corpus_notices_a_silent_rule(rule: Rule, tmp_path):
-    fixture = find(rule.fixture)
+    fixture = find(example_of(rule.id))
     rules = [replace(entry, check=silent) if entry is rule else entry for entry in builtin_rules()]
     settings = replace(fixture.settings, level=rule.level)
     report = validate(fixture.write(tmp_path), settings, registry=Registry.of(rules))

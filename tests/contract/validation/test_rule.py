@@ -23,7 +23,7 @@ def declared(id="GV999", name="always_so", doc="It is so.\n\nWhy:\n  x\n\nHint:\
 
 
 def test_a_rule_takes_its_text_from_its_docstring():
-    @rule("GV999", Severity.WARNING, fixture="broken")
+    @rule("GV999", Severity.WARNING)
     def always_so(_: ModelOutputs):
         """It is so,
         whatever happens.
@@ -42,7 +42,7 @@ def test_a_rule_takes_its_text_from_its_docstring():
     assert always_so.hint == "Make it so."
     assert (always_so.id, always_so.slug, always_so.family) == ("GV999", "always-so", "GV")
     assert (always_so.scope, always_so.level) == ("emission", Level.VALUES)
-    assert (always_so.severity, always_so.fixture) == (Severity.WARNING, "broken")
+    assert always_so.severity == Severity.WARNING
     assert always_so.kinds == ("gaussian-generator",)
     assert (always_so.needs, always_so.target, always_so.limit) == ((), "", "")
     assert always_so.evidence == ""

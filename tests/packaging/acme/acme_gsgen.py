@@ -26,7 +26,7 @@ def target() -> Target:
     return replace(load_target("core"), name="acme", version="2", limits=limits)
 
 
-@rule("acme/AC001", Severity.ERROR, fixture="five_in_a_cloud", limit="acme_rows")
+@rule("acme/AC001", Severity.ERROR, limit="acme_rows")
 def small_enough(subject: InspectedModel) -> Iterator[Violation]:
     """A model has at most three rows.
 

@@ -37,7 +37,7 @@ def made_up(
 
     check.__name__ = f"made_up_{id.lower().replace('/', '_')}"
     options = {"needs": needs, "kinds": kinds, "target": target, "limit": limit}
-    return rule(id, severity, over=over, fixture="none", level=level, **options)(check)
+    return rule(id, severity, over=over, level=level, **options)(check)
 
 
 def breaking(_: object) -> Iterator[Violation]:

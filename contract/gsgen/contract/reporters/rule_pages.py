@@ -49,15 +49,15 @@ def _published_docs() -> str:
     return ""
 
 
-def page(rule: Rule, registry: Registry) -> str:
-    """Return the Markdown documentation page of ``rule``."""
+def page(rule: Rule, registry: Registry, example: str) -> str:
+    """Return the Markdown documentation page of ``rule``; ``example`` is a model that breaks it."""
     facts = [
         ("severity", rule.severity.word),
         ("level", rule.level.word),
         ("applies to", ", ".join(rule.kinds)),
         ("target", rule.target or (f"those with a limit {rule.limit}" if rule.limit else "all")),
         ("needs", ", ".join(f"{id} {registry.rules[id].slug}" for id in rule.needs)),
-        ("example that breaks it", f"`{rule.fixture}`" if rule.fixture else ""),
+        ("example that breaks it", f"`{example}`" if example else ""),
     ]
     listed = "\n".join(f"- {name}: {value}" for name, value in facts if value)
     text = (
@@ -81,8 +81,8 @@ def index(registry: Registry) -> str:
     return "\n".join(lines) + "\n"
 
 
-def to_dict(rule: Rule) -> dict[str, Any]:
-    """Convert the declaration of ``rule`` to JSON types."""
+def to_dict(rule: Rule, example: str) -> dict[str, Any]:
+    """Convert the declaration of ``rule`` to JSON types; ``example`` is a model that breaks it."""
     return {
         "id": rule.id,
         "slug": rule.slug,
@@ -91,7 +91,7 @@ def to_dict(rule: Rule) -> dict[str, Any]:
         "statement": rule.statement,
         "why": rule.rationale,
         "hint": rule.hint,
-        "fixture": rule.fixture,
+        "fixture": example,
         "needs": list(rule.needs),
         "kinds": list(rule.kinds),
         "target": rule.target or None,

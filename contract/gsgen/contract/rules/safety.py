@@ -23,7 +23,7 @@ _MOST_AXES = 64
 _PROBES = 4
 
 
-@rule("GS001", Severity.ERROR, fixture="external_data_outside", kinds=KINDS)
+@rule("GS001", Severity.ERROR, kinds=KINDS)
 def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
     """External weights lie in files in or below the model's folder, and are complete.
 
@@ -77,7 +77,7 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     return None
 
 
-@rule("GS002", Severity.ERROR, fixture="huge_dimension", kinds=KINDS)
+@rule("GS002", Severity.ERROR, kinds=KINDS)
 def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
     """Tensors of the declared sizes fit into the memory that running the model may use.
 
@@ -119,7 +119,7 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("inputs of a frame", actual, f"{most // MEBIBYTE} MiB at most")
 
 
-@rule("GS004", Severity.ERROR, fixture="never_ends", kinds=KINDS, needs=RUNNABLE)
+@rule("GS004", Severity.ERROR, kinds=KINDS, needs=RUNNABLE)
 def within_limits(trial: ProbeRuns) -> Iterator[Violation]:
     """The model runs within the limits on time and memory.
 

@@ -9,7 +9,7 @@ from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.waivers import Review
 
 
-@rule("GW001", Severity.WARNING, fixture="waived_without_need", kinds=KINDS)
+@rule("GW001", Severity.WARNING, kinds=KINDS)
 def waiver_matches(review: Review) -> Iterator[Violation]:
     """Every waiver for the model is still valid and matches a finding.
 

@@ -83,7 +83,6 @@ class Rule:
         statement: The sentence that must hold.
         rationale: The damage where it does not hold.
         hint: How to repair the model.
-        fixture: The example model that breaks this rule and no other.
         check: Yields one violation for each location where the statement does not hold.
         needs: Rules that must hold before this one can be checked.
         kinds: The kinds of model it applies to.
@@ -104,7 +103,6 @@ class Rule:
     statement: str
     rationale: str
     hint: str
-    fixture: str
     check: Check
     needs: tuple[str, ...] = ()
     kinds: tuple[str, ...] = (GENERATOR,)
@@ -124,7 +122,6 @@ def rule(
     id: str,
     severity: Severity,
     *,
-    fixture: str = "",
     needs: tuple[str, ...] = (),
     kinds: tuple[str, ...] = (GENERATOR,),
     target: str = "",
@@ -143,7 +140,6 @@ def rule(
     Args:
         id: Stable code, such as ``GV003``, or ``acme/AC001`` for a third party.
         severity: The default severity.
-        fixture: Name of the example model that breaks this rule and no other.
         needs: Rules that must hold before this one can be checked.
         kinds: The kinds of model it applies to.
         target: The only target it applies to; empty for all.
@@ -176,7 +172,6 @@ def rule(
             statement=statement,
             rationale=rationale,
             hint=hint,
-            fixture=fixture,
             check=check,
             needs=tuple(dict.fromkeys(needs)),  # groups of rules overlap
             kinds=kinds,

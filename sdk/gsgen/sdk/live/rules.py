@@ -31,7 +31,7 @@ _MOST_FRAMES = "every frame of several, with inputs that change"
 _live_rule = partial(rule, over="live", kinds=KINDS)
 
 
-@_live_rule("GB011", Severity.ERROR, fixture="integers_of_64_bits", needs=("GB017", "GV001"))
+@_live_rule("GB011", Severity.ERROR, needs=("GB017", "GV001"))
 def ep_agreement(live: "Live") -> Iterator[Violation]:
     """The outputs of the WebGPU provider equal those of the CPU, within the model's tolerances.
 
@@ -49,7 +49,7 @@ def ep_agreement(live: "Live") -> Iterator[Violation]:
         yield Violation.at(location, actual, expected)
 
 
-@_live_rule("GB014", Severity.WARNING, fixture="branches_by_if", needs=("GB017", "GB015"))
+@_live_rule("GB014", Severity.WARNING, needs=("GB017", "GB015"))
 def capture_accepted(live: "Live") -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider agrees to capture the graph.
 
@@ -64,7 +64,7 @@ def capture_accepted(live: "Live") -> Iterator[Violation]:
         yield Violation.at("graph", live.refusal or live.state, "a session that captures")
 
 
-@_live_rule("GB015", Severity.WARNING, fixture="round_on_the_cpu", needs=("GB017",))
+@_live_rule("GB015", Severity.WARNING, needs=("GB017",))
 def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
     """The WebGPU provider runs every node; no node runs on the CPU.
 
@@ -87,7 +87,7 @@ def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
         yield Violation.at(location, actual, "a kernel in the WebGPU provider")
 
 
-@_live_rule("GB016", Severity.ERROR, fixture="output_from_idle_sum", needs=("GB014",))
+@_live_rule("GB016", Severity.ERROR, needs=("GB014",))
 def replay_not_stale(live: "Live") -> Iterator[Violation]:
     """Frames replayed by graph capture equal uncaptured frames for the same inputs.
 
@@ -108,7 +108,7 @@ def replay_not_stale(live: "Live") -> Iterator[Violation]:
         )
 
 
-@_live_rule("GB017", Severity.ERROR, fixture="split_into_many", needs=("GV025",))
+@_live_rule("GB017", Severity.ERROR, needs=("GV025",))
 def runs_on_webgpu(live: "Live") -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider runs the model to the end.
 

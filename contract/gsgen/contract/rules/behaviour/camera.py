@@ -26,9 +26,7 @@ _COVERED = 2.0
 _BARE_SHARE = 0.4
 
 
-@rule(
-    "GI007", Severity.ERROR, fixture="matrix_order_differs", needs=(*REPRODUCIBLE, "GI001", "GM006")
-)
+@rule("GI007", Severity.ERROR, needs=(*REPRODUCIBLE, "GI001", "GM006"))
 def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     """The model reads the view matrix in the memory order that the manifest declares.
 
@@ -52,7 +50,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
         yield Violation.at(f"input {name}", actual, f"the {order} order, as declared")
 
 
-@rule("GI008", Severity.WARNING, fixture="projection_y_matters", needs=(*REPRODUCIBLE, "GI002"))
+@rule("GI008", Severity.WARNING, needs=(*REPRODUCIBLE, "GI002"))
 def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     """Negating the y axis of clip space in the projection matrix changes no output.
 
@@ -75,12 +73,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
                 yield Violation.at(f"output {name}", actual, "the same for both signs")
 
 
-@rule(
-    "GB008",
-    Severity.WARNING,
-    fixture="culls_what_is_seen",
-    needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
-)
+@rule("GB008", Severity.WARNING, needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"))
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     """If another camera draws a Gaussian well inside the view, it or a Gaussian near it is drawn.
 
@@ -141,12 +134,7 @@ def _in_cone(
     return np.asarray((z > _NEAR) & (np.abs(x) < _CONE * z) & (np.abs(y) < _CONE * z))
 
 
-@rule(
-    "GV017",
-    Severity.WARNING,
-    fixture="nothing_for_some_cameras",
-    needs=("GV025", "GO010", "GO011", "GV016"),
-)
+@rule("GV017", Severity.WARNING, needs=("GV025", "GO010", "GO011", "GV016"))
 def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     """No camera that sees the declared bounds gets 0 Gaussians if other cameras get some.
 

@@ -19,13 +19,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
         yield Violation.at(f"output {name}", actual, expected)
 
 
-@rule(
-    "GB001",
-    Severity.ERROR,
-    fixture="dropout_by_a_flag",
-    needs=(MODEL_RUNS, *NOT_RANDOM),
-    kinds=KINDS,
-)
+@rule("GB001", Severity.ERROR, needs=(MODEL_RUNS, *NOT_RANDOM), kinds=KINDS)
 def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     """Two consecutive runs with the same inputs give the same bits.
 
@@ -39,9 +33,7 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     yield from _differences(behaviour.repeated, "the same bits as the run before")
 
 
-@rule(
-    "GB002", Severity.ERROR, fixture="remembers_other_runs", needs=("GV025", "GB001"), kinds=KINDS
-)
+@rule("GB002", Severity.ERROR, needs=("GV025", "GB001"), kinds=KINDS)
 def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     """The same inputs give the same bits, regardless of other runs in between.
 
@@ -56,7 +48,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
         yield from _differences(behaviour.revisited, expected)
 
 
-@rule("GB003", Severity.WARNING, fixture="time_times_zero", needs=(*REPRODUCIBLE, "GV054"))
+@rule("GB003", Severity.WARNING, needs=(*REPRODUCIBLE, "GV054"))
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Each model input changes some output, unless `depends_on` declares that it does not.
 
@@ -116,7 +108,7 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     return any(entry.name in used for entry in _inputs_of(subject, role))
 
 
-@rule("GB022", Severity.ERROR, fixture="undeclared_dependence", needs=REPRODUCIBLE)
+@rule("GB022", Severity.ERROR, needs=REPRODUCIBLE)
 def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
     """If `depends_on` declares that an input role changes nothing, no output changes with it.
 
@@ -135,7 +127,7 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(_location(role), actual, "depends_on true")
 
 
-@rule("GB007", Severity.ERROR, fixture="undeclared_camera", needs=REPRODUCIBLE)
+@rule("GB007", Severity.ERROR, needs=REPRODUCIBLE)
 def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     """If `depends_on` declares that the camera changes nothing, no output changes with the camera.
 

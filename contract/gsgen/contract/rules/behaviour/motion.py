@@ -32,12 +32,7 @@ def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray:
     return absent if declared is None else run.outputs.get(declared.name, absent)
 
 
-@rule(
-    "GB004",
-    Severity.ERROR,
-    fixture="loop_that_jumps",
-    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
-)
+@rule("GB004", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"))
 def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     """If time is declared to loop, the outputs at its end continue those at its start.
 
@@ -64,12 +59,7 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", actual, expected)
 
 
-@rule(
-    "GB005",
-    Severity.INFO,
-    fixture="scene_that_pops",
-    needs=(*REPRODUCIBLE, "GM009", "GM010", "GO001", "GO002"),
-)
+@rule("GB005", Severity.INFO, needs=(*REPRODUCIBLE, "GM009", "GM010", "GO001", "GO002"))
 def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     """No visible Gaussian moves a tenth of the bounds between two refreshes of a 60 Hz screen.
 
@@ -100,12 +90,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
-@rule(
-    "GB006",
-    Severity.WARNING,
-    fixture="last_frame_unreachable",
-    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"),
-)
+@rule("GB006", Severity.WARNING, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"))
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """If the manifest declares frames, each frame gives other outputs than the one before.
 
@@ -126,12 +111,7 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")
 
 
-@rule(
-    "GB040",
-    Severity.ERROR,
-    fixture="frames_divided_as_integers",
-    needs=(*REPRODUCIBLE, "GM010", "GI025", "GB003", "GI006"),
-)
+@rule("GB040", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI025", "GB003", "GI006"))
 def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
     """If the manifest declares frames, most frames differ from each other.
 

@@ -40,13 +40,7 @@ from gsgen.contract.validation.tolerances import effective_tolerances
 Fault = tuple[str, str]
 
 
-@rule(
-    "GM012",
-    Severity.WARNING,
-    fixture="test_vector_differs",
-    needs=(*REPRODUCIBLE, *MANIFEST_PARSED),
-    kinds=KINDS,
-)
+@rule("GM012", Severity.WARNING, needs=(*REPRODUCIBLE, *MANIFEST_PARSED), kinds=KINDS)
 def test_vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
     """Every test vector names a known probe (test inputs), and the model reproduces its outputs.
 
@@ -94,7 +88,6 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
 @rule(
     "GM037",
     Severity.WARNING,
-    fixture="source_vector_differs",
     needs=(*REPRODUCIBLE, *COLORED_ROWS, *FINITE_OUTPUTS, *MANIFEST_PARSED),
 )
 def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:

@@ -39,7 +39,7 @@ def _broken(runs: list[ProbeRun]) -> Iterator[Violation]:
             )
 
 
-@rule("GB013", Severity.ERROR, fixture="nan_at_half_a_turn", needs=(*REPRODUCIBLE, *FINITE_OUTPUTS))
+@rule("GB013", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS))
 def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Every output is finite when one input is all zero, and at both ends of all input ranges.
 
@@ -53,12 +53,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     yield from _broken(behaviour.visits("edges"))
 
 
-@rule(
-    "GI010",
-    Severity.WARNING,
-    fixture="nan_beyond_range",
-    needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
-)
+@rule("GI010", Severity.WARNING, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"))
 def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Just outside the declared input ranges, every output is finite and the model does not fail.
 
@@ -72,13 +67,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     yield from _broken(behaviour.visits("outside"))
 
 
-@rule(
-    "GB010",
-    Severity.WARNING,
-    fixture="optimised_wrongly",
-    needs=(*REPRODUCIBLE, "GG020"),
-    kinds=KINDS,
-)
+@rule("GB010", Severity.WARNING, needs=(*REPRODUCIBLE, "GG020"), kinds=KINDS)
 def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
     """Outputs with and without ONNX Runtime's graph optimisations agree within the tolerances.
 
@@ -137,7 +126,7 @@ def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[
         yield Violation.at(f"output {name}", actual, expected)
 
 
-@rule("GB012", Severity.INFO, fixture="remembers_after_a_while", needs=REPRODUCIBLE, kinds=KINDS)
+@rule("GB012", Severity.INFO, needs=REPRODUCIBLE, kinds=KINDS)
 def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Test inputs repeated in reverse order after all other runs give the same output bits.
 
@@ -161,10 +150,7 @@ def _input_bytes(probe: Probe) -> tuple[bytes, ...]:
 
 
 @rule(
-    "GB009",
-    Severity.WARNING,
-    fixture="mostly_inert",
-    needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
+    "GB009", Severity.WARNING, needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003")
 )
 def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
     """If the row count is declared exact, most Gaussians before it are not fully transparent.

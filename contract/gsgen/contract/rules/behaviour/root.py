@@ -41,12 +41,7 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
             yield base, probe, first[drawn, POSITION], second[drawn, POSITION]
 
 
-@rule(
-    "GB041",
-    Severity.ERROR,
-    fixture="root_in_centimetres",
-    needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"),
-)
+@rule("GB041", Severity.ERROR, needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"))
 def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
     """A root translation that moves all Gaussians alike moves them by its value, in local units.
 
@@ -80,12 +75,7 @@ def _vector(vector: Float[np.ndarray, "3"]) -> str:
     return f"({', '.join(f'{value:.3g}' for value in vector)})"
 
 
-@rule(
-    "GB042",
-    Severity.ERROR,
-    fixture="root_turns_backwards",
-    needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016", "GI015"),
-)
+@rule("GB042", Severity.ERROR, needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016", "GI015"))
 def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
     """A root rotation M that rotates the body rigidly maps each point p to M p, not to Mᵀ p.
 

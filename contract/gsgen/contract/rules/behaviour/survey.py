@@ -18,12 +18,7 @@ def _surveyed(behaviour: Behaviour) -> list[ProbeRun]:
     return [*behaviour.visits("survey"), *behaviour.visits("frames")]
 
 
-@rule(
-    "GB043",
-    Severity.ERROR,
-    fixture="nan_in_one_frame",
-    needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
-)
+@rule("GB043", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"))
 def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Every output is finite for cameras inside, far away and on all sides, and in every frame.
 
@@ -49,7 +44,6 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
 @rule(
     "GB044",
     Severity.ERROR,
-    fixture="opaque_beyond_one_in_a_frame",
     needs=(*REPRODUCIBLE, *ORDERED_ROWS, "GV003", "GV005", "GV016", "GB043"),
 )
 def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:

@@ -21,13 +21,7 @@ _UNIT_SLACK = 1e-3
 _DRIFT = 2e-3
 
 
-@rule(
-    "GV060",
-    Severity.ERROR,
-    fixture="path_divides_by_speed",
-    needs=(MODEL_RUNS, "GO019"),
-    kinds=(TRAJECTORY,),
-)
+@rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))
 def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Every predicted state and every uncertainty is finite, also for a camera at rest.
 
@@ -45,13 +39,7 @@ def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", actual, "finite numbers")
 
 
-@rule(
-    "GV061",
-    Severity.ERROR,
-    fixture="log_variance_as_deviation",
-    needs=(MODEL_RUNS, "GO019", "GV060"),
-    kinds=(TRAJECTORY,),
-)
+@rule("GV061", Severity.ERROR, needs=(MODEL_RUNS, "GO019", "GV060"), kinds=(TRAJECTORY,))
 def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Every predicted standard deviation, or every variance on the diagonal, is above 0.
 
@@ -77,13 +65,7 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", actual, "numbers above 0")
 
 
-@rule(
-    "GV062",
-    Severity.ERROR,
-    fixture="quaternions_not_normalised",
-    needs=(MODEL_RUNS, "GO019", "GV060"),
-    kinds=(TRAJECTORY,),
-)
+@rule("GV062", Severity.ERROR, needs=(MODEL_RUNS, "GO019", "GV060"), kinds=(TRAJECTORY,))
 def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Predicted quaternions have length 1.
 
@@ -126,13 +108,7 @@ def _values(
                 yield name, value, probe.label
 
 
-@rule(
-    "GB050",
-    Severity.ERROR,
-    fixture="path_pulled_to_the_origin",
-    needs=(*REPRODUCIBLE, "GO019", "GV060"),
-    kinds=(TRAJECTORY,),
-)
+@rule("GB050", Severity.ERROR, needs=(*REPRODUCIBLE, "GO019", "GV060"), kinds=(TRAJECTORY,))
 def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
     """Moving all past cameras by an offset moves all predicted cameras by the same offset.
 
@@ -155,13 +131,7 @@ def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
     yield from _compare(behaviour, actual, expected, f"a history moved by {list(PATH_OFFSET)}")
 
 
-@rule(
-    "GB051",
-    Severity.ERROR,
-    fixture="path_that_drifts",
-    needs=(*REPRODUCIBLE, "GO019", "GV060"),
-    kinds=(TRAJECTORY,),
-)
+@rule("GB051", Severity.ERROR, needs=(*REPRODUCIBLE, "GO019", "GV060"), kinds=(TRAJECTORY,))
 def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
     """A camera that has not moved in the past is predicted to stay at rest.
 
@@ -183,13 +153,7 @@ def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
         yield from _compare(behaviour, actual, np.tile(state, (len(actual), 1)), "a camera at rest")
 
 
-@rule(
-    "GB052",
-    Severity.ERROR,
-    fixture="path_by_the_sign_of_quaternions",
-    needs=(*REPRODUCIBLE, "GO019", "GV060"),
-    kinds=(TRAJECTORY,),
-)
+@rule("GB052", Severity.ERROR, needs=(*REPRODUCIBLE, "GO019", "GV060"), kinds=(TRAJECTORY,))
 def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
     """Quaternions q and −q in the camera history give the same prediction.
 

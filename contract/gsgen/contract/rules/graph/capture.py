@@ -54,7 +54,6 @@ def _expected(subject: InspectedModel, node: NodeProto, usual: str) -> str:
 @rule(
     "GG004",
     Severity.ERROR,
-    fixture="kept_rows_by_value",
     kinds=KINDS,
     needs=WELL_FORMED,
     limit=_CAPTURE,
@@ -79,14 +78,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "GG005",
-    Severity.ERROR,
-    fixture="int64_times_minus_one",
-    kinds=KINDS,
-    needs=WELL_FORMED,
-    limit=_CAPTURE,
-)
+@rule("GG005", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
 def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     """No operator of a frame computes in int64 without an int64 kernel on the target runtime.
 
@@ -105,14 +97,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "GG006",
-    Severity.ERROR,
-    fixture="modulo_of_time",
-    kinds=KINDS,
-    needs=WELL_FORMED,
-    limit=_CAPTURE,
-)
+@rule("GG006", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
 def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """WebGPU on the target runtime has a kernel for every operator of a frame, in its dtype.
 
@@ -132,14 +117,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "GG007",
-    Severity.ERROR,
-    fixture="split_in_eight",
-    kinds=KINDS,
-    needs=("GG019",),
-    limit="split_outputs",
-)
+@rule("GG007", Severity.ERROR, kinds=KINDS, needs=("GG019",), limit="split_outputs")
 def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
     """A Split has no more outputs, and a Concat no more inputs, than the target GPU can bind.
 
@@ -164,14 +142,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GG008",
-    Severity.ERROR,
-    fixture="group_normalised",
-    kinds=KINDS,
-    needs=WELL_FORMED,
-    limit=_CAPTURE,
-)
+@rule("GG008", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
 def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """WebGPU on the target runtime has a kernel for every norm and normalisation of a frame.
 
@@ -189,14 +160,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "GG018",
-    Severity.ERROR,
-    fixture="sine_of_opset_22",
-    kinds=KINDS,
-    needs=WELL_FORMED,
-    limit=_CAPTURE,
-)
+@rule("GG018", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
 def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """Operators with a WebGPU kernel on the target runtime have a supported operator set version.
 
@@ -217,7 +181,6 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG009",
     Severity.INFO,
-    fixture="operator_not_measured",
     kinds=KINDS,
     needs=("GG003", "GG004", "GG005", "GG006", "GG008", "GG011", "GG018"),
     limit=_CAPTURE,

@@ -14,14 +14,7 @@ from gsgen.contract.validation.rule import rule
 _LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
 
 
-@rule(
-    "GG017",
-    Severity.ERROR,
-    fixture="int64_beyond_32_bits",
-    kinds=KINDS,
-    needs=WELL_FORMED,
-    limit="graph_capture",
-)
+@rule("GG017", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit="graph_capture")
 def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
     """All int64 values that a frame computes stay within 32 bits.
 

@@ -19,7 +19,7 @@ _LARGEST_CONSTANT = MEBIBYTE
 _NOTHING = Tensor("", None, None)
 
 
-@rule("GG012", Severity.ERROR, fixture="node_name_twice", kinds=KINDS)
+@rule("GG012", Severity.ERROR, kinds=KINDS)
 def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     """Names of nodes are unique, and names of inputs and outputs are printable, without spaces.
 
@@ -44,7 +44,7 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
                 )
 
 
-@rule("GG014", Severity.WARNING, fixture="large_constant_node", kinds=KINDS)
+@rule("GG014", Severity.WARNING, kinds=KINDS)
 def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
     """The model file is below 1500 MiB, and large weights are initialisers, not Constant nodes.
 

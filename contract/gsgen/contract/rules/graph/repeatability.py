@@ -36,7 +36,7 @@ def _location(node: NodeProto) -> str:
     return f"node {node.name or (node.output[0] if node.output else '')} ({node.op_type})"
 
 
-@rule("GG010", Severity.ERROR, fixture="unseeded_random", kinds=KINDS, needs=("GG025",))
+@rule("GG010", Severity.ERROR, kinds=KINDS, needs=("GG025",))
 def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
     """No output is computed from random numbers, with or without a seed.
 
@@ -54,7 +54,7 @@ def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_location(node), actual, "stored numbers")
 
 
-@rule("GG025", Severity.ERROR, fixture="dropout_in_training", kinds=KINDS, needs=("GG019",))
+@rule("GG025", Severity.ERROR, kinds=KINDS, needs=("GG019",))
 def inference_mode(subject: InspectedModel) -> Iterator[Violation]:
     """No layer is in training mode: Dropout passes its input on, and nothing is sampled.
 
@@ -98,7 +98,6 @@ def _true_constants(subject: InspectedModel) -> set[str]:
 @rule(
     "GG026",
     Severity.ERROR,
-    fixture="promised_shapes_follow_values",
     kinds=(GENERATOR, POST_PROCESS),
     needs=(*MANIFEST_PARSED, *WELL_FORMED, "GG004"),
 )

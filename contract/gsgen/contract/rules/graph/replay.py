@@ -21,12 +21,7 @@ def _node_location(node: NodeProto) -> str:
 
 
 @rule(
-    "GG016",
-    Severity.WARNING,
-    fixture="output_from_reshape",
-    kinds=KINDS,
-    needs=("GG019",),
-    settled_by=("GB014", "GB016", "GB011"),
+    "GG016", Severity.WARNING, kinds=KINDS, needs=("GG019",), settled_by=("GB014", "GB016", "GB011")
 )
 def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     """Every output that varies by frame is written by a computing operator, not by a buffer view.

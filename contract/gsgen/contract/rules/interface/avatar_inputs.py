@@ -14,7 +14,7 @@ _MEL = "mel"
 _ARKIT = "arkit-52"
 
 
-@rule("GI030", Severity.ERROR, fixture="joint_before_parent", needs=("GM004", "GI005"))
+@rule("GI030", Severity.ERROR, needs=("GM004", "GI005"))
 def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
     """A pose with joints declares one named joint for each row, every joint after its parent.
 
@@ -48,7 +48,7 @@ def _order_faults(entry: Input) -> Iterator[Violation]:
         earlier_names.add(joint.name)
 
 
-@rule("GI031", Severity.WARNING, fixture="arkit_weights_in_percent", needs=("GM004", "GI015"))
+@rule("GI031", Severity.WARNING, needs=("GM004", "GI015"))
 def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of ARKit's blend weights lies in [0, 1].
 
@@ -65,7 +65,7 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
                 yield _at(entry, f"range {[low, high]}", "within [0, 1]")
 
 
-@rule("GI032", Severity.ERROR, fixture="sound_without_rate", needs=("GM004", "GI015"))
+@rule("GI032", Severity.ERROR, needs=("GM004", "GI015"))
 def sound_described(subject: InspectedModel) -> Iterator[Violation]:
     """Audio inputs declare a sample rate, mel inputs also window and hop; other inputs none.
 

@@ -24,7 +24,7 @@ _TERM = rf"\(*\s*{_NAME}\s*\)*"
 _SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
 
 
-@rule("GM007", Severity.ERROR, fixture="rgb_with_degree", needs=MANIFEST_PARSED)
+@rule("GM007", Severity.ERROR, needs=MANIFEST_PARSED)
 def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
     """An SH degree is declared only for SH colours, not for raw RGB.
 
@@ -42,7 +42,7 @@ def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest outputs.appearance", actual, "sh, or no degree")
 
 
-@rule("GM008", Severity.INFO, fixture="no_color_space", needs=MANIFEST_PARSED)
+@rule("GM008", Severity.INFO, needs=MANIFEST_PARSED)
 def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the colour space of the appearance: sRGB or linear.
 
@@ -60,7 +60,7 @@ def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest outputs.appearance", "no color_space", "srgb or linear")
 
 
-@rule("GM010", Severity.WARNING, fixture="time_without_range", needs=("GM004",))
+@rule("GM010", Severity.WARNING, needs=("GM004",))
 def time_domain(subject: InspectedModel) -> Iterator[Violation]:
     """The declared time range has a beginning and an end, and they differ.
 
@@ -80,7 +80,7 @@ def time_domain(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(location, f"range {list(entry.range or ())}", "first < last")
 
 
-@rule("GM013", Severity.INFO, fixture="license_is_prose", kinds=KINDS, needs=MANIFEST_PARSED)
+@rule("GM013", Severity.INFO, kinds=KINDS, needs=MANIFEST_PARSED)
 def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
     """The producer's declared licence is an SPDX expression, and the declared tool has a version.
 
@@ -102,7 +102,7 @@ def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest producer.tool", repr(producer.tool), "name and version")
 
 
-@rule("GM014", Severity.WARNING, fixture="contract_in_value_metadata", kinds=KINDS)
+@rule("GM014", Severity.WARNING, kinds=KINDS)
 def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     """Contract data is stored in the model's metadata, not in the metadata of single tensors.
 
@@ -128,7 +128,7 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"tensor {name}", f"key {contract_keys[0]!r}", "the manifest")
 
 
-@rule("GM016", Severity.ERROR, fixture="depends_on_unknown", needs=MANIFEST_PARSED)
+@rule("GM016", Severity.ERROR, needs=MANIFEST_PARSED)
 def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """`depends_on` names only declared inputs and their input roles.
 
@@ -156,7 +156,7 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GM025", Severity.ERROR, fixture="reference_image_left_behind", needs=MANIFEST_PARSED)
+@rule("GM025", Severity.ERROR, needs=MANIFEST_PARSED)
 def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
     """Every declared reference image is an unchanged PNG in the model's folder or below it.
 

@@ -18,9 +18,7 @@ from gsgen.contract.validation.rule import rule
 _MOST_NAMED = 5
 
 
-@rule(
-    "GM030", Severity.ERROR, fixture="extension_required_alone", kinds=KINDS, needs=MANIFEST_PARSED
-)
+@rule("GM030", Severity.ERROR, kinds=KINDS, needs=MANIFEST_PARSED)
 def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
     """Every extension in `extensions_required` is also listed in `extensions_used`.
 
@@ -38,7 +36,7 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
 
 
-@rule("GM031", Severity.WARNING, fixture="extension_unregistered", kinds=KINDS, needs=("GM030",))
+@rule("GM031", Severity.WARNING, kinds=KINDS, needs=("GM030",))
 def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
     """Every required manifest extension is registered.
 
@@ -57,13 +55,7 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at("manifest extensions_required", name, expected)
 
 
-@rule(
-    "GM032",
-    Severity.ERROR,
-    fixture="operator_outside_profile",
-    kinds=KINDS,
-    needs=(*MANIFEST_PARSED, "GG019"),
-)
+@rule("GM032", Severity.ERROR, kinds=KINDS, needs=(*MANIFEST_PARSED, "GG019"))
 def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has only operators and operator sets of the declared operator profile.
 
@@ -95,7 +87,7 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
 
 
-@rule("GM034", Severity.WARNING, fixture="cost_below_outputs", needs=("GM005",))
+@rule("GM034", Severity.WARNING, needs=("GM005",))
 def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
     """The declared memory of a frame is at least the size of the packed rows of one frame.
 
@@ -115,7 +107,7 @@ def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"manifest cost.{number}", format_bytes(entry.bytes), expected)
 
 
-@rule("GM035", Severity.ERROR, fixture="two_manifests", kinds=KINDS)
+@rule("GM035", Severity.ERROR, kinds=KINDS)
 def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
     """Manifests stored under both ONNX metadata keys of a model are the same.
 
@@ -131,7 +123,7 @@ def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("metadata_props", actual, "one manifest")
 
 
-@rule("GM036", Severity.ERROR, fixture="metre_of_a_foot", kinds=KINDS, needs=MANIFEST_PARSED)
+@rule("GM036", Severity.ERROR, kinds=KINDS, needs=MANIFEST_PARSED)
 def unit_agrees_with_scale(subject: InspectedModel) -> Iterator[Violation]:
     """A coordinate frame in the unit `metre` has one metre per unit.
 

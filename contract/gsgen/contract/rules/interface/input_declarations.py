@@ -51,7 +51,7 @@ def shape_of(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
     return entry.shape if dims is None else tuple(int(dim) for dim in dims)
 
 
-@rule("GI013", Severity.ERROR, fixture="range_upside_down", needs=("GM004",), kinds=KINDS)
+@rule("GI013", Severity.ERROR, needs=("GM004",), kinds=KINDS)
 def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     """A declared input range runs from low to high, with whole numbers for integer inputs.
 
@@ -76,7 +76,6 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GI014",
     Severity.ERROR,
-    fixture="default_of_wrong_length",
     needs=("GM005", "GI001", "GI002", "GI003", "GI005", "GI013"),
     kinds=KINDS,
 )
@@ -129,7 +128,7 @@ def _numbers(entry: Input) -> tuple[float, ...]:
     return tuple(map(float, default if isinstance(default, tuple) else (default or 0.0,)))
 
 
-@rule("GI015", Severity.ERROR, fixture="convention_unknown", needs=("GM004", "GI005"), kinds=KINDS)
+@rule("GI015", Severity.ERROR, needs=("GM004", "GI005"), kinds=KINDS)
 def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
     """A declared input convention (such as axis-angle) suits the input's role and shape.
 
@@ -169,7 +168,7 @@ def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
     return shape[-1:] == (_AXIS_ANGLE,) and (entry.role != "root_rotation" or len(shape) == 1)
 
 
-@rule("GI017", Severity.ERROR, fixture="slider_with_frames", needs=("GM004",), kinds=KINDS)
+@rule("GI017", Severity.ERROR, needs=("GM004",), kinds=KINDS)
 def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
     """Only time inputs declare frames, fps and loop; rates and steps of time are above 0.
 
@@ -193,7 +192,7 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
 
 
-@rule("GI025", Severity.ERROR, fixture="more_frames_than_numbers", needs=("GM004", "GI013"))
+@rule("GI025", Severity.ERROR, needs=("GM004", "GI013"))
 def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
     """The range of a frame index input has at least as many numbers as there are frames.
 
@@ -213,9 +212,7 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_place(entry), actual, f"{numbers} distinct frames at most")
 
 
-@rule(
-    "GI018", Severity.ERROR, fixture="pose_range_in_degrees", needs=("GM004", "GI015"), kinds=KINDS
-)
+@rule("GI018", Severity.ERROR, needs=("GM004", "GI015"), kinds=KINDS)
 def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of a rotation vector lies within ±2π, since angles are in radians.
 
@@ -236,7 +233,7 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_place(entry), actual, "radians, within ±2π (±6.28)")
 
 
-@rule("GI016", Severity.WARNING, fixture="pose_without_default", needs=("GM004",), kinds=KINDS)
+@rule("GI016", Severity.WARNING, needs=("GM004",), kinds=KINDS)
 def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
     """An input that no runtime can fill by itself, such as a pose, declares a default value.
 

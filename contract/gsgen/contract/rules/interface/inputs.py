@@ -32,7 +32,7 @@ def _shape_text(tensor: Tensor) -> str:
     return "[" + ", ".join("?" if dim is None else str(dim) for dim in tensor.dims) + "]"
 
 
-@rule("GI001", Severity.ERROR, fixture="view_flattened", needs=("GM004",))
+@rule("GI001", Severity.ERROR, needs=("GM004",))
 def view_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `view` has the static shape [4, 4].
 
@@ -46,7 +46,7 @@ def view_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     yield from _wrong_shape(subject, "view", (4, 4))
 
 
-@rule("GI002", Severity.ERROR, fixture="projection_flattened", needs=("GM004",))
+@rule("GI002", Severity.ERROR, needs=("GM004",))
 def projection_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `projection` has the static shape [4, 4].
 
@@ -59,7 +59,7 @@ def projection_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     yield from _wrong_shape(subject, "projection", (4, 4))
 
 
-@rule("GI003", Severity.ERROR, fixture="time_is_1x1", needs=("GM004",))
+@rule("GI003", Severity.ERROR, needs=("GM004",))
 def time_is_1(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `time` has the static shape [1].
 
@@ -73,7 +73,7 @@ def time_is_1(subject: InspectedModel) -> Iterator[Violation]:
     yield from _wrong_shape(subject, "time", (1,))
 
 
-@rule("GI004", Severity.ERROR, fixture="frame_index_int64", needs=("GM004",), kinds=KINDS)
+@rule("GI004", Severity.ERROR, needs=("GM004",), kinds=KINDS)
 def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """Every input has the dtype of its input role: float32, or int32 for indices.
 
@@ -91,7 +91,7 @@ def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"input {entry.name}", str(tensor.dtype), " or ".join(dtypes))
 
 
-@rule("GI005", Severity.ERROR, fixture="extra_input", needs=("GM004",), kinds=KINDS)
+@rule("GI005", Severity.ERROR, needs=("GM004",), kinds=KINDS)
 def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Every graph input is declared with an input role, so that any runtime can feed it.
 
@@ -160,7 +160,7 @@ def _is_open_image(tensor: Tensor, role: str) -> bool:
     )
 
 
-@rule("GI009", Severity.ERROR, fixture="nan_at_zero_inputs", needs=("GV025",))
+@rule("GI009", Severity.ERROR, needs=("GV025",))
 def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """If all model inputs are zero, every output is finite.
 
@@ -181,7 +181,7 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
             )
 
 
-@rule("GI006", Severity.WARNING, fixture="time_is_baked", needs=("GM004", "GG019"), kinds=KINDS)
+@rule("GI006", Severity.WARNING, needs=("GM004", "GG019"), kinds=KINDS)
 def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     """Some output is computed from each input, unless `depends_on` declares the opposite.
 
@@ -207,7 +207,7 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GI012", Severity.WARNING, fixture="weight_listed_as_input", kinds=KINDS)
+@rule("GI012", Severity.WARNING, kinds=KINDS)
 def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """No weight (initialiser) is listed among the graph inputs.
 

@@ -18,7 +18,7 @@ from gsgen.contract.validation.rule import rule
 _MANIFEST_OPENING = 1 << 16
 
 
-@rule("GM001", Severity.ERROR, fixture="no_manifest", kinds=KINDS)
+@rule("GM001", Severity.ERROR, kinds=KINDS)
 def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
     """The model carries a manifest in its metadata.
 
@@ -59,7 +59,7 @@ def _looks_like_manifest(text: str) -> bool:
     return opening.startswith("{") and any(f'"{kind}"' in opening for kind in KINDS)
 
 
-@rule("GM002", Severity.ERROR, fixture="manifest_wrong_field", kinds=KINDS)
+@rule("GM002", Severity.ERROR, kinds=KINDS)
 def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is a JSON document that follows the schema of its kind.
 
@@ -80,7 +80,7 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(location, complaint.actual, complaint.expected)
 
 
-@rule("GM003", Severity.ERROR, fixture="manifest_from_the_future", kinds=KINDS)
+@rule("GM003", Severity.ERROR, kinds=KINDS)
 def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a contract version that this validator supports.
 
@@ -96,7 +96,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"manifest {complaint.where}", complaint.actual, complaint.expected)
 
 
-@rule("GM004", Severity.ERROR, fixture="declared_output_absent", needs=MANIFEST_PARSED, kinds=KINDS)
+@rule("GM004", Severity.ERROR, needs=MANIFEST_PARSED, kinds=KINDS)
 def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     """Every tensor that the manifest names is a graph input or output, and is named only once.
 
@@ -132,7 +132,7 @@ def _one_of(names: list[str]) -> str:
     return f"one of {listed}" if names else "a tensor that exists; the graph has none"
 
 
-@rule("GM005", Severity.ERROR, fixture="declared_dtype_differs", needs=("GM004",))
+@rule("GM005", Severity.ERROR, needs=("GM004",))
 def manifest_agrees_with_graph(subject: InspectedModel) -> Iterator[Violation]:
     """The dtypes and sizes that the manifest declares are compatible with the graph.
 
@@ -206,7 +206,7 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"graph has {channels} channels", expected)
 
 
-@rule("GM006", Severity.WARNING, fixture="no_space", needs=MANIFEST_PARSED)
+@rule("GM006", Severity.WARNING, needs=MANIFEST_PARSED)
 def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the coordinate frame: up axis, unit and matrix memory order.
 
@@ -221,7 +221,7 @@ def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest space", "not declared", "up, unit and matrix_order")
 
 
-@rule("GM009", Severity.WARNING, fixture="no_bounds", needs=MANIFEST_PARSED)
+@rule("GM009", Severity.WARNING, needs=MANIFEST_PARSED)
 def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the bounding box that contains the Gaussians at all times.
 
@@ -237,7 +237,7 @@ def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", "not declared", "min and max corners")
 
 
-@rule("GM019", Severity.ERROR, fixture="bounds_inside_out", needs=MANIFEST_PARSED)
+@rule("GM019", Severity.ERROR, needs=MANIFEST_PARSED)
 def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
     """Bounds run from low to high on every axis, and are not a point if there are several rows.
 
@@ -261,7 +261,7 @@ def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", actual, expected)
 
 
-@rule("GM015", Severity.WARNING, fixture="manifest_newer_minor", kinds=KINDS)
+@rule("GM015", Severity.WARNING, kinds=KINDS)
 def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is of no newer minor version than this validator supports.
 
@@ -276,7 +276,7 @@ def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT} or older")
 
 
-@rule("GM018", Severity.INFO, fixture="manifest_of_1_2", kinds=KINDS)
+@rule("GM018", Severity.INFO, kinds=KINDS)
 def contract_version_released(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a released contract version, not one of a development build.
 

@@ -35,7 +35,7 @@ def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
     return None if actual == sha256 else (f"sha256 {actual[:12]}…", f"{sha256[:12]}…, as declared")
 
 
-@rule("GM033", Severity.WARNING, fixture="vector_file_changed", kinds=KINDS, needs=("GM004",))
+@rule("GM033", Severity.WARNING, kinds=KINDS, needs=("GM004",))
 def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
     """The files of a test vector hold all model inputs, lie beside the model, and match digests.
 
@@ -63,13 +63,7 @@ def _check_files(where: str, files: tuple[VectorFile, ...], folder: Path) -> Ite
             yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1])
 
 
-@rule(
-    "GS005",
-    Severity.ERROR,
-    fixture="external_data_changed",
-    kinds=KINDS,
-    needs=(*MANIFEST_PARSED, "GS001"),
-)
+@rule("GS005", Severity.ERROR, kinds=KINDS, needs=(*MANIFEST_PARSED, "GS001"))
 def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """External data files have the digests that the manifest declares, and the model uses them.
 

@@ -24,7 +24,7 @@ def _wasteful(most: int, capacity: int) -> bool:
     return most < _WASTE_SHARE * capacity and capacity - most >= _WASTE_ROWS
 
 
-@rule("GO012", Severity.INFO, fixture="constant_count_with_padding", needs=COUNTED_ROWS[:-1])
+@rule("GO012", Severity.INFO, needs=COUNTED_ROWS[:-1])
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
     """A constant row count equals the number of packed rows, except for padding to workgroups.
 
@@ -45,7 +45,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
         yield Violation.at(f"output {declared.name}", actual, f"a capacity of {emission.count}")
 
 
-@rule("GL004", Severity.WARNING, fixture="mostly_padding", needs=COUNTED_ROWS)
+@rule("GL004", Severity.WARNING, needs=COUNTED_ROWS)
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     """At some probe (set of test inputs), Gaussians in use fill half of the packed rows or more.
 
@@ -71,13 +71,7 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
         yield Violation.at(f"output {declared.name}", actual, f"{_WASTE_SHARE:.0%} or more")
 
 
-@rule(
-    "GL005",
-    Severity.INFO,
-    fixture="large_frame",
-    needs=("GM004", "GL001", "GL002"),
-    limit="frame_bytes",
-)
+@rule("GL005", Severity.INFO, needs=("GM004", "GL001", "GL002"), limit="frame_bytes")
 def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
     """All outputs of a frame together take fewer bytes than the target runtime allows.
 
@@ -97,7 +91,7 @@ def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("outputs", actual, f"{format_mebibytes(limit, 0)} at most")
 
 
-@rule("GL007", Severity.INFO, fixture="faster_than_possible", needs=("GV025", "GM004"))
+@rule("GL007", Severity.INFO, needs=("GV025", "GM004"))
 def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Violation]:
     """With a declared frame rate, the median run takes no longer than the time of one frame.
 

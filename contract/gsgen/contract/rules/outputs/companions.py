@@ -11,13 +11,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 
-@rule(
-    "GO018",
-    Severity.ERROR,
-    fixture="image_of_half_size",
-    needs=("GM004", "GI005"),
-    kinds=(POST_PROCESS,),
-)
+@rule("GO018", Severity.ERROR, needs=("GM004", "GI005"), kinds=(POST_PROCESS,))
 def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
     """The output image has the declared dtype and the size of the input image.
 
@@ -64,7 +58,7 @@ def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
     return known and (not isinstance(channels, int) or channels in (3, 4))
 
 
-@rule("GO019", Severity.ERROR, fixture="too_few_steps", needs=("GM004",), kinds=(TRAJECTORY,))
+@rule("GO019", Severity.ERROR, needs=("GM004",), kinds=(TRAJECTORY,))
 def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Predicted states, uncertainty and history have the sizes that the manifest declares.
 

@@ -9,7 +9,7 @@ from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
 
 
-@rule("GO010", Severity.ERROR, fixture="no_count", needs=DECLARED)
+@rule("GO010", Severity.ERROR, needs=DECLARED)
 def count_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares an output that holds the number of live Gaussians (rows in use).
 
@@ -23,7 +23,7 @@ def count_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("outputs", "no row count", "one int32 [1] output, usually num_points")
 
 
-@rule("GO011", Severity.ERROR, fixture="count_is_int64", needs=("GO010",))
+@rule("GO011", Severity.ERROR, needs=("GO010",))
 def count_is_int32(subject: InspectedModel) -> Iterator[Violation]:
     """The output with the row count (number of Gaussians) is int32 with the static shape [1].
 

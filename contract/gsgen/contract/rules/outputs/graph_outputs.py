@@ -10,7 +10,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 
-@rule("GO013", Severity.WARNING, fixture="output_is_a_weight", kinds=KINDS, needs=("GG019",))
+@rule("GO013", Severity.WARNING, kinds=KINDS, needs=("GG019",))
 def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
     """Every output except a constant row count is computed by an operator, and is not a weight.
 
@@ -29,7 +29,7 @@ def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", "a weight", "the result of an operator")
 
 
-@rule("GO014", Severity.ERROR, fixture="output_listed_twice", kinds=KINDS)
+@rule("GO014", Severity.ERROR, kinds=KINDS)
 def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor is listed as a graph output twice.
 
@@ -45,13 +45,7 @@ def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", f"listed {count} times", "listed once")
 
 
-@rule(
-    "GO017",
-    Severity.WARNING,
-    fixture="extra_output",
-    kinds=KINDS,
-    needs=("GM004", "GO001", "GO005", "GO010", "TV102"),
-)
+@rule("GO017", Severity.WARNING, kinds=KINDS, needs=("GM004", "GO001", "GO005", "GO010", "TV102"))
 def outputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Every output of the graph is declared in the manifest.
 

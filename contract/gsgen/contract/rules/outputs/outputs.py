@@ -26,7 +26,7 @@ def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
     return tensor.dims[axis] if tensor is not None and tensor.dims else None
 
 
-@rule("GO001", Severity.ERROR, fixture="gaussians_undeclared", needs=DECLARED)
+@rule("GO001", Severity.ERROR, needs=DECLARED)
 def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares one output that holds the packed Gaussians.
 
@@ -43,7 +43,7 @@ def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     yield Violation.at("outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW}] output")
 
 
-@rule("GO002", Severity.ERROR, fixture="nine_columns", needs=("GO001", "GO003"))
+@rule("GO002", Severity.ERROR, needs=("GO001", "GO003"))
 def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     """The last dimension of the packed Gaussians is the static number 10.
 
@@ -71,7 +71,7 @@ def _likely_columns(tensor: Tensor) -> str:
     return ""
 
 
-@rule("GO003", Severity.ERROR, fixture="batched_gaussians", needs=("GO001",))
+@rule("GO003", Severity.ERROR, needs=("GO001",))
 def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     """The packed Gaussians are a tensor of rank 2, without a batch axis.
 
@@ -88,7 +88,7 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
-@rule("GO004", Severity.ERROR, fixture="symbolic_capacity", needs=("GO001", "GO003"))
+@rule("GO004", Severity.ERROR, needs=("GO001", "GO003"))
 def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
     """The outputs of Gaussians and colours have static sizes: positive numbers, not symbols.
 
@@ -114,7 +114,7 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {declared.name}", f"shape {declared}", expected)
 
 
-@rule("GO005", Severity.ERROR, fixture="appearance_undeclared", needs=DECLARED)
+@rule("GO005", Severity.ERROR, needs=DECLARED)
 def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares one output that holds the appearance (colours) of the Gaussians.
 
@@ -128,7 +128,7 @@ def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("outputs", "no appearance", "one [N, channels] output")
 
 
-@rule("GO006", Severity.ERROR, fixture="odd_channels", needs=("GO005",))
+@rule("GO006", Severity.ERROR, needs=("GO005",))
 def appearance_channels(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance is [N, C] with a channel count C that the declared colour format allows.
 
@@ -154,7 +154,7 @@ def appearance_channels(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
-@rule("GO007", Severity.ERROR, fixture="fewer_colors", needs=("GO004", "GO006"))
+@rule("GO007", Severity.ERROR, needs=("GO004", "GO006"))
 def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance (colour) output has as many rows as the output of packed Gaussians.
 
@@ -170,7 +170,7 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"{row_count} rows", f"{rows} rows")
 
 
-@rule("GO008", Severity.ERROR, fixture="output_bfloat16", needs=("GO001", "GO005"))
+@rule("GO008", Severity.ERROR, needs=("GO001", "GO005"))
 def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """Gaussians, appearance and cells (groups of Gaussians) are float32 or float16.
 
@@ -186,7 +186,7 @@ def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", str(tensor.dtype), "float32 or float16")
 
 
-@rule("GO009", Severity.WARNING, fixture="mixed_precision", needs=("GO008",))
+@rule("GO009", Severity.WARNING, needs=("GO008",))
 def output_dtypes_match(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance (colour) output has the dtype of the output of packed Gaussians.
 
@@ -204,7 +204,7 @@ def output_dtypes_match(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule("GO015", Severity.ERROR, fixture="rgb3_float16", needs=("GO002", "GO006", "GO008"))
+@rule("GO015", Severity.ERROR, needs=("GO002", "GO006", "GO008"))
 def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
     """A row of each output takes a whole number of 4-byte words.
 

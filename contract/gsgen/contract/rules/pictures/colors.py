@@ -26,12 +26,7 @@ _CLIP_MARGIN, _FEWEST_CLIPPED = 0.1, 0.3
 _BYTES = 20.0
 
 
-@rule(
-    "GV045",
-    Severity.WARNING,
-    fixture="rgb_as_constant_term",
-    needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"),
-)
+@rule("GV045", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"))
 def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
     """The degree-0 SH coefficients do not look like RGB that was converted wrongly.
 
@@ -79,7 +74,7 @@ def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
     return ""
 
 
-@rule("GV046", Severity.WARNING, fixture="colors_not_loaded", needs=(*VALID_ROWS, *COLORED_ROWS))
+@rule("GV046", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS))
 def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
     """The colours of the Gaussians are not all zero, nor are all degree-0 SH coefficients.
 
@@ -110,7 +105,7 @@ _SMOOTH, _UNRELATED = 0.5, 0.75
 _KEYS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
 
 
-@rule("GV047", Severity.WARNING, fixture="colors_sorted_alone", needs=(*VALID_ROWS, *COLORED_ROWS))
+@rule("GV047", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS))
 def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     """The rows of colours are in the order of the Gaussians to which they belong.
 
@@ -168,12 +163,7 @@ _FEWEST_COLORS = 32
 _DARKEST = 1.02 / 255
 
 
-@rule(
-    "GV063",
-    Severity.WARNING,
-    fixture="rgb_of_two_sigmoids",
-    needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"),
-)
+@rule("GV063", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"))
 def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
     """Raw RGB look converted once from stored colours: not twice, and not without the offset 0.5.
 

@@ -30,12 +30,7 @@ _FEWEST_MOVED = 16
 _NEAR = (0.005, 0.02)
 
 
-@rule(
-    "GB032",
-    Severity.WARNING,
-    fixture="time_moves_too_little",
-    needs=(*REPRODUCIBLE, "GB003", "GI006", "GO001", "GO002"),
-)
+@rule("GB032", Severity.WARNING, needs=(*REPRODUCIBLE, "GB003", "GI006", "GO001", "GO002"))
 def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
     """Each input that changes an output changes visible Gaussians by a visible amount.
 
@@ -64,12 +59,7 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"role {role}", actual, expected, certainty="possible")
 
 
-@rule(
-    "GB033",
-    Severity.WARNING,
-    fixture="frames_fed_as_fractions",
-    needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010", "GB032"),
-)
+@rule("GB033", Severity.WARNING, needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010", "GB032"))
 def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
     """Time changes the picture within its declared range, not only at the ends.
 
@@ -96,12 +86,7 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
 
 
-@rule(
-    "GB034",
-    Severity.WARNING,
-    fixture="time_in_degrees",
-    needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010"),
-)
+@rule("GB034", Severity.WARNING, needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010"))
 def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
     """A hundredth of a time range from 0 to 1 moves Gaussians less than the whole range does.
 

@@ -21,9 +21,7 @@ _SH1 = 12
 _FIRST_LENGTH = 4
 
 
-@rule(
-    "GV048", Severity.WARNING, fixture="sh_as_in_ply", needs=(*VALID_ROWS, *COLORED_ROWS, "GV014")
-)
+@rule("GV048", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"))
 def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
     """Red, green and blue of each view-dependent SH coefficient are in adjacent columns.
 

@@ -30,7 +30,7 @@ _CORRELATED = 0.7
 _BLACK = 1e-3
 
 
-@rule("GV043", Severity.WARNING, fixture="opacity_of_two_sigmoids", needs=VALID_ROWS)
+@rule("GV043", Severity.WARNING, needs=VALID_ROWS)
 def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
     """Opacities look like the result of one sigmoid: not of two, and not of clamped logits.
 
@@ -83,12 +83,7 @@ def _shares_at_ends(sample: DrawnSample) -> tuple[float, float]:
     return float((opacity == 0).mean()), float((opacity == 1).mean())
 
 
-@rule(
-    "GV044",
-    Severity.WARNING,
-    fixture="premultiplied_colors",
-    needs=(*VALID_ROWS, *COLORED_ROWS, "GV012"),
-)
+@rule("GV044", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV012"))
 def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
     """Colours are not premultiplied by opacity.
 

@@ -27,13 +27,7 @@ _LONG = 10.0
 _ALIGNED = 0.99
 
 
-@rule(
-    "GV041",
-    Severity.WARNING,
-    fixture="quaternions_in_another_order",
-    needs=(*VALID_ROWS, "GV042"),
-    explained_by=("GB035",),
-)
+@rule("GV041", Severity.WARNING, needs=(*VALID_ROWS, "GV042"), explained_by=("GB035",))
 def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
     """Flat Gaussians lie in the surface of their neighbours, and thin ones along their strand.
 
@@ -85,7 +79,7 @@ def _explaining_axes(sample: DrawnSample, alignment: Alignment) -> str:
     return name
 
 
-@rule("GV042", Severity.WARNING, fixture="rotation_left_out", needs=VALID_ROWS)
+@rule("GV042", Severity.WARNING, needs=VALID_ROWS)
 def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
     """Long Gaussians are all aligned with x, y and z only if lines of neighbours are aligned, too.
 

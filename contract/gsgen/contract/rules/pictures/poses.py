@@ -42,12 +42,7 @@ _DEGREES = (0.5 * np.pi / 180, 2 * np.pi / 180)
 _LEAST_MOTION = 1e-4
 
 
-@rule(
-    "GB035",
-    Severity.WARNING,
-    fixture="covariances_stay_at_rest",
-    needs=(*REPRODUCIBLE, *VALID_ROWS),
-)
+@rule("GB035", Severity.WARNING, needs=(*REPRODUCIBLE, *VALID_ROWS))
 def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
     """Where neighbouring Gaussians rotate rigidly between two runs, covariances rotate as well.
 
@@ -127,12 +122,7 @@ def _motions(
             yield sample, later, fit_local_rotations(sample, later), run
 
 
-@rule(
-    "GB036",
-    Severity.WARNING,
-    fixture="pose_in_degrees",
-    needs=(*REPRODUCIBLE, *VALID_ROWS, "GI016"),
-)
+@rule("GB036", Severity.WARNING, needs=(*REPRODUCIBLE, *VALID_ROWS, "GI016"))
 def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
     """Limbs rotate by the angles and about the axes that the pose input declares.
 

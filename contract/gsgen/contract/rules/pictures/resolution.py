@@ -27,7 +27,7 @@ _TURNED = 0.5
 _FEWEST_NUMBERS = 64
 
 
-@rule("GV049", Severity.WARNING, fixture="positions_in_bfloat16", needs=(*VALID_ROWS, "GV009"))
+@rule("GV049", Severity.WARNING, needs=(*VALID_ROWS, "GV009"))
 def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
     """Positions of rotated Gaussians do not lie on a lattice coarser than the Gaussians' thickness.
 
@@ -73,7 +73,7 @@ def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     return step if np.abs(multiples - np.rint(multiples)).max() < _MULTIPLE else 0.0
 
 
-@rule("GI045", Severity.WARNING, fixture="seconds_since_1970", needs=DECLARED)
+@rule("GI045", Severity.WARNING, needs=DECLARED)
 def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of a float32 input contains enough float32 numbers for smooth change.
 

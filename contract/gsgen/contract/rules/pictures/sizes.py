@@ -63,7 +63,7 @@ _MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[Sigma], Sigma]], ...]
 )
 
 
-@rule("GV040", Severity.WARNING, fixture="scales_are_logarithms", needs=(*VALID_ROWS, "GV049"))
+@rule("GV040", Severity.WARNING, needs=(*VALID_ROWS, "GV049"))
 def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     """Gaussians are neither far larger nor far smaller than the distance to their neighbours.
 

@@ -24,12 +24,7 @@ _CHANGED = 0.01
 _SHARE = 0.9
 
 
-@rule(
-    "GB030",
-    Severity.WARNING,
-    fixture="camera_taken_for_its_inverse",
-    needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"),
-)
+@rule("GB030", Severity.WARNING, needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"))
 def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation]:
     """Rotating the camera about its centre changes no colour and no covariance of drawn Gaussians.
 
@@ -130,7 +125,6 @@ def _same_place(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Boo
 @rule(
     "GB031",
     Severity.WARNING,
-    fixture="culls_what_lies_ahead",
     needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002", "GV054"),
 )
 def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:

@@ -45,14 +45,7 @@ def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
             yield Violation.at(location, _mib(size), f"{_mib(limit)} at most")
 
 
-@rule(
-    "GL001",
-    Severity.ERROR,
-    fixture="large_binding",
-    kinds=KINDS,
-    limit="binding_bytes",
-    needs=("GL002",),
-)
+@rule("GL001", Severity.ERROR, kinds=KINDS, limit="binding_bytes", needs=("GL002",))
 def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one storage buffer binding of the target's GPU.
 
@@ -68,7 +61,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     yield from _larger(subject, subject.target.limits["binding_bytes"])
 
 
-@rule("GL002", Severity.ERROR, fixture="large_buffer", kinds=KINDS, limit="buffer_bytes")
+@rule("GL002", Severity.ERROR, kinds=KINDS, limit="buffer_bytes")
 def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one buffer of the target's GPU.
 
@@ -82,13 +75,7 @@ def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     yield from _larger(subject, subject.target.limits["buffer_bytes"])
 
 
-@rule(
-    "GL003",
-    Severity.ERROR,
-    fixture="too_many_rows",
-    needs=("GO004", "GL001", "GL002"),
-    limit="workgroups",
-)
+@rule("GL003", Severity.ERROR, needs=("GO004", "GL001", "GL002"), limit="workgroups")
 def fits_dispatch(subject: InspectedModel) -> Iterator[Violation]:
     """One GPU compute dispatch can process every packed row.
 

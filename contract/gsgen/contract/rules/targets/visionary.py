@@ -28,7 +28,7 @@ def bound_role(name: str) -> str:
     return "projection" if "proj" in lower else ""
 
 
-@rule("TV101", Severity.ERROR, fixture="visionary_output_name", target=TARGET, needs=("GO001",))
+@rule("TV101", Severity.ERROR, target=TARGET, needs=("GO001",))
 def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
     """The Gaussian output is the first output whose name starts with `gauss`, as Visionary expects.
 
@@ -48,9 +48,7 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "TV102", Severity.ERROR, fixture="visionary_color_name", target=TARGET, needs=("GO005", "TV101")
-)
+@rule("TV102", Severity.ERROR, target=TARGET, needs=("GO005", "TV101"))
 def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance (colours) is the first output whose name contains `color`, `sh` or `rgb`.
 
@@ -74,9 +72,7 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "TV103", Severity.ERROR, fixture="visionary_input_name", target=TARGET, needs=("GM004", "GI005")
-)
+@rule("TV103", Severity.ERROR, target=TARGET, needs=("GM004", "GI005"))
 def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """The Visionary viewer feeds every input, with the data of the input's declared role.
 
@@ -96,13 +92,7 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"input {entry.name}", actual, f"the {entry.role}")
 
 
-@rule(
-    "TV104",
-    Severity.ERROR,
-    fixture="visionary_rgb_float32",
-    target=TARGET,
-    needs=("GO006", "GO008", "GM005"),
-)
+@rule("TV104", Severity.ERROR, target=TARGET, needs=("GO006", "GO008", "GM005"))
 def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance is SH with 48 channels or float16 RGB with 4, as Visionary reads it.
 
@@ -124,7 +114,7 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels")
 
 
-@rule("TV108", Severity.WARNING, fixture="visionary_time_range", target=TARGET, needs=("GM004",))
+@rule("TV108", Severity.WARNING, target=TARGET, needs=("GM004",))
 def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     """The declared time range is 0 to 1, which the Visionary viewer feeds.
 

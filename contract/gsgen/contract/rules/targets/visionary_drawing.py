@@ -23,13 +23,7 @@ _WHOLE_VIEW = 2.2
 _FADED = 0.5
 
 
-@rule(
-    "GL006",
-    Severity.WARNING,
-    fixture="visionary_odd_padding",
-    target=TARGET,
-    needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
-)
+@rule("GL006", Severity.WARNING, target=TARGET, needs=("GV025", "GO001", "GO002", "GO010", "GO011"))
 def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     """A capacity with padding rows is a multiple of 256, the size of a workgroup.
 
@@ -47,7 +41,7 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.at(emission.rows_place, f"{len(rows)} rows", expected)
 
 
-@rule("TV107", Severity.INFO, fixture="visionary_count_varies", target=TARGET, needs=("GO010",))
+@rule("TV107", Severity.INFO, target=TARGET, needs=("GO010",))
 def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     """The row count is constant, because Visionary draws all rows regardless of the count.
 
@@ -63,9 +57,7 @@ def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {declared.name}", "the count varies", "a constant count")
 
 
-@rule(
-    "TV109", Severity.INFO, fixture="visionary_half_inside", target=TARGET, needs=("GO008", "GG019")
-)
+@rule("TV109", Severity.INFO, target=TARGET, needs=("GO008", "GG019"))
 def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     """A model with float32 outputs does not compute in float16, which needs a GPU feature.
 
@@ -88,13 +80,7 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
             return
 
 
-@rule(
-    "TV110",
-    Severity.INFO,
-    fixture="visionary_tiny",
-    target=TARGET,
-    needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
-)
+@rule("TV110", Severity.INFO, target=TARGET, needs=("GV025", "GO001", "GO002", "GO008", "GM009"))
 def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     """Most Gaussians are large enough that the Visionary viewer's low-pass filter does not fade them.
 
@@ -124,13 +110,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "TV111",
-    Severity.WARNING,
-    fixture="visionary_linear",
-    target=TARGET,
-    needs=("GO005", *MANIFEST_PARSED),
-)
+@rule("TV111", Severity.WARNING, target=TARGET, needs=("GO005", *MANIFEST_PARSED))
 def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     """The declared colours are sRGB, as the Visionary viewer shows them.
 
@@ -145,7 +125,7 @@ def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {declared.name}", declared.color_space, "srgb")
 
 
-@rule("TV112", Severity.WARNING, fixture="visionary_weighted_sum", target=TARGET, needs=("GM017",))
+@rule("TV112", Severity.WARNING, target=TARGET, needs=("GM017",))
 def visionary_sorts(subject: InspectedModel) -> Iterator[Violation]:
     """Gaussians are blended by sorting, not by a weighted sum, which Visionary does not support.
 

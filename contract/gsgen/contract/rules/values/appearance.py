@@ -25,7 +25,7 @@ _LARGE = 10.0
 _LARGE_SHARE = 0.01
 
 
-@rule("GV012", Severity.ERROR, fixture="rgb_in_bytes", needs=COLORED_ROWS)
+@rule("GV012", Severity.ERROR, needs=COLORED_ROWS)
 def rgb_range(rows: Rows) -> Iterator[Violation]:
     """Raw RGB lies in [0, 1], or in the declared range, in every drawn row.
 
@@ -61,7 +61,7 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV014", Severity.WARNING, fixture="sh_channel_major", needs=APPEARANCE)
+@rule("GV014", Severity.WARNING, needs=APPEARANCE)
 def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
     """SH coefficients are stored coefficient by coefficient, with red, green and blue innermost.
 
@@ -109,7 +109,7 @@ def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
     return float((energy.sum(axis=1) * degrees).sum() / energy.sum())
 
 
-@rule("GV013", Severity.WARNING, fixture="sh_in_bytes", needs=APPEARANCE)
+@rule("GV013", Severity.WARNING, needs=APPEARANCE)
 def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     """SH coefficients above degree 0 are not far larger than visible colours allow.
 
@@ -133,7 +133,7 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.at(emission.color_place, actual, expected, certainty="possible")
 
 
-@rule("GV022", Severity.INFO, fixture="rgb_with_alpha", needs=APPEARANCE)
+@rule("GV022", Severity.INFO, needs=APPEARANCE)
 def fourth_channel_unused(emission: ModelOutputs) -> Iterator[Violation]:
     """The fourth channel of RGB has the same value in all rows.
 

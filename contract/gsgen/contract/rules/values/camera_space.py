@@ -89,7 +89,6 @@ def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
 @rule(
     "GV059",
     Severity.ERROR,
-    fixture="rows_in_camera_space",
     needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
 )
 def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
@@ -148,7 +147,6 @@ def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
 @rule(
     "GV054",
     Severity.ERROR,
-    fixture="culls_in_front",
     needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
 )
 def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:

@@ -22,7 +22,7 @@ _VISIBILITY_SLACK = 1e-3
 _REACH = 2.0
 
 
-@rule("GM017", Severity.ERROR, fixture="weighted_sum_without_cells", needs=MANIFEST_PARSED)
+@rule("GM017", Severity.ERROR, needs=MANIFEST_PARSED)
 def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     """`blend: wsr`, `weighted_sum` and `outputs.cells` are declared together or not at all.
 
@@ -50,7 +50,7 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest", f"{present} without {lacking}", "all three, or none")
 
 
-@rule("GO020", Severity.ERROR, fixture="cells_with_one_field_less", needs=("GM004", "GM017"))
+@rule("GO020", Severity.ERROR, needs=("GM004", "GM017"))
 def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     """The output with cells (groups of Gaussians) is a matrix of ten columns and fixed row count.
 
@@ -72,7 +72,7 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
-@rule("GO021", Severity.ERROR, fixture="cells_for_other_rows", needs=("GO020", "GO002", "GO004"))
+@rule("GO021", Severity.ERROR, needs=("GO020", "GO002", "GO004"))
 def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
     """The number of cells, times the rows of each (`per_cell`), is the number of packed Gaussians.
 
@@ -114,7 +114,7 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     return np.asarray(first < emission.count)
 
 
-@rule("GV026", Severity.ERROR, fixture="nan_cell", needs=CELLS)
+@rule("GV026", Severity.ERROR, needs=CELLS)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """Every value of the cells output is finite; float16 values are below the largest float16.
 
@@ -132,7 +132,7 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.rows(location, ~_finite(cells), cells, expected, checked=len(cells))
 
 
-@rule("GV027", Severity.ERROR, fixture="visibility_is_logits", needs=CELLS)
+@rule("GV027", Severity.ERROR, needs=CELLS)
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of each cell (group of Gaussians), column 3, lies in [0, 1].
 
@@ -158,7 +158,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV028", Severity.ERROR, fixture="indefinite_cell", needs=CELLS)
+@rule("GV028", Severity.ERROR, needs=CELLS)
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     """The covariance of every visible cell (group of Gaussians) is positive semi-definite.
 
@@ -188,12 +188,7 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV029",
-    Severity.WARNING,
-    fixture="opaque_rows_of_a_hidden_cell",
-    needs=(*CELLS, "GO010", "GO011"),
-)
+@rule("GV029", Severity.WARNING, needs=(*CELLS, "GO010", "GO011"))
 def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The Gaussians (rows) of a cell with visibility 0 have opacity 0.
 
@@ -219,12 +214,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV030",
-    Severity.ERROR,
-    fixture="visible_cell_behind_the_count",
-    needs=(*CELLS, "GO010", "GO011"),
-)
+@rule("GV030", Severity.ERROR, needs=(*CELLS, "GO010", "GO011"))
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of every cell without a live Gaussian (a row before the row count) is 0.
 
@@ -249,7 +239,7 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV031", Severity.WARNING, fixture="cells_in_another_order", needs=CELLS)
+@rule("GV031", Severity.WARNING, needs=CELLS)
 def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     """Every drawn Gaussian's centre is within two sizes of its cell (group) from the cell's centre.
 

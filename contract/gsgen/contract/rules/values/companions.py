@@ -26,13 +26,7 @@ def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray
             yield probe.label, value
 
 
-@rule(
-    "GV055",
-    Severity.ERROR,
-    fixture="image_divided_by_zero",
-    needs=(MODEL_RUNS,),
-    kinds=(POST_PROCESS,),
-)
+@rule("GV055", Severity.ERROR, needs=(MODEL_RUNS,), kinds=(POST_PROCESS,))
 def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Every value of the output image is finite.
 
@@ -51,13 +45,7 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
                 break
 
 
-@rule(
-    "GV056",
-    Severity.ERROR,
-    fixture="image_shrinks_at_run",
-    needs=(MODEL_RUNS, "GO018"),
-    kinds=(POST_PROCESS,),
-)
+@rule("GV056", Severity.ERROR, needs=(MODEL_RUNS, "GO018"), kinds=(POST_PROCESS,))
 def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """The output image has the height and the width of the input image.
 
@@ -85,13 +73,7 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
             return
 
 
-@rule(
-    "GV057",
-    Severity.WARNING,
-    fixture="image_in_bytes",
-    needs=("GV055", "GV056", *NOT_RANDOM),
-    kinds=(POST_PROCESS,),
-)
+@rule("GV057", Severity.WARNING, needs=("GV055", "GV056", *NOT_RANDOM), kinds=(POST_PROCESS,))
 def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Nearly all values of the output image lie in the declared range, with some margin.
 

@@ -23,7 +23,7 @@ _DET_DOUBT = np.float32(2e-6)
 _DET_FLOOR = np.float32(1e-30)
 
 
-@rule("GV005", Severity.ERROR, fixture="negative_variance", needs=ORDERED_ROWS)
+@rule("GV005", Severity.ERROR, needs=ORDERED_ROWS)
 def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     """The variances xx, yy and zz of every drawn row are not negative.
 
@@ -49,7 +49,7 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV006", Severity.ERROR, fixture="indefinite_covariance", needs=ORDERED_ROWS)
+@rule("GV006", Severity.ERROR, needs=ORDERED_ROWS)
 def covariance_psd(rows: Rows) -> Iterator[Violation]:
     """The covariance of every drawn row is positive semi-definite, up to rounding.
 
@@ -93,7 +93,7 @@ def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     return np.asarray((a > 0) & (minor > 0) & (det > doubt))
 
 
-@rule("GV007", Severity.WARNING, fixture="zero_covariance", needs=ORDERED_ROWS)
+@rule("GV007", Severity.WARNING, needs=ORDERED_ROWS)
 def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
     """No drawn row has a covariance of all zeros.
 

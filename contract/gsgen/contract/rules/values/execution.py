@@ -13,7 +13,7 @@ from gsgen.contract.validation.gates import RUNNABLE
 from gsgen.contract.validation.rule import rule
 
 
-@rule("GV024", Severity.ERROR, fixture="shape_differs_at_run", needs=("GV025",))
+@rule("GV024", Severity.ERROR, needs=("GV025",))
 def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
     """At run time every output has the shape and dtype that the graph declares.
 
@@ -37,7 +37,7 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared")
 
 
-@rule("GV025", Severity.ERROR, fixture="fails_at_run", kinds=KINDS, needs=(*RUNNABLE, "GS004"))
+@rule("GV025", Severity.ERROR, kinds=KINDS, needs=(*RUNNABLE, "GS004"))
 def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """ONNX Runtime loads the model, and runs it with every probe (set of test inputs).
 
@@ -58,12 +58,7 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
         yield Violation.at("ONNX Runtime", actual, "no error")
 
 
-@rule(
-    "GV032",
-    Severity.ERROR,
-    fixture="nothing_live",
-    needs=("GV025", "GO004", "GO010", "GO011", "GV054"),
-)
+@rule("GV032", Severity.ERROR, needs=("GV025", "GO004", "GO010", "GO011", "GV054"))
 def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """The row count is above 0 at some probe (set of test inputs).
 

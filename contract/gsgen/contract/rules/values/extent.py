@@ -24,7 +24,7 @@ _BLOCK = 4096
 _EQUAL_SHARE = 0.1
 
 
-@rule("GO016", Severity.ERROR, fixture="diagonal_first", needs=PACKED_ROWS)
+@rule("GO016", Severity.ERROR, needs=PACKED_ROWS)
 def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     """The columns of a packed row are x y z opacity xx xy xz yy yz zz, in this order.
 
@@ -46,13 +46,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.at(emission.rows_place, actual, " ".join(FIELDS))
 
 
-@rule(
-    "GV008",
-    Severity.WARNING,
-    fixture="subnormal_variances",
-    needs=ORDERED_ROWS,
-    limit="subnormal_permille",
-)
+@rule("GV008", Severity.WARNING, needs=ORDERED_ROWS, limit="subnormal_permille")
 def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     """Float16 variances are not so small that shaders may flush them to zero.
 
@@ -75,7 +69,7 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV009", Severity.WARNING, fixture="coarse_positions", needs=ORDERED_ROWS)
+@rule("GV009", Severity.WARNING, needs=ORDERED_ROWS)
 def position_resolution(rows: Rows) -> Iterator[Violation]:
     """The spacing of float numbers at a Gaussian's position does not exceed the Gaussian's size.
 
@@ -112,12 +106,7 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV011",
-    Severity.WARNING,
-    fixture="larger_than_the_scene",
-    needs=(*ORDERED_ROWS, "GM009", "GM019"),
-)
+@rule("GV011", Severity.WARNING, needs=(*ORDERED_ROWS, "GM009", "GM019"))
 def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     """No Gaussian's standard deviation exceeds the diagonal of the bounds.
 
@@ -143,12 +132,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule(
-    "GV021",
-    Severity.ERROR,
-    fixture="outside_bounds",
-    needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"),
-)
+@rule("GV021", Severity.ERROR, needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"))
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     """The declared bounds contain the centres of 99.9 % of the drawn rows, for all test inputs.
 
@@ -184,7 +168,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV020", Severity.INFO, fixture="every_row_twice", needs=PACKED_ROWS)
+@rule("GV020", Severity.INFO, needs=PACKED_ROWS)
 def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     """Drawn Gaussians (rows) are not copies of each other.
 

@@ -49,7 +49,7 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iter
     )
 
 
-@rule("GV001", Severity.ERROR, fixture="nan_row", needs=PACKED_ROWS)
+@rule("GV001", Severity.ERROR, needs=PACKED_ROWS)
 def rows_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of every live row (before the row count) is finite.
 
@@ -64,7 +64,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
     yield from _not_finite(rows, rows.counted, rows.live_rows)
 
 
-@rule("GV002", Severity.ERROR, fixture="nan_padding", needs=PACKED_ROWS)
+@rule("GV002", Severity.ERROR, needs=PACKED_ROWS)
 def padding_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of the padding rows (after the row count) is finite.
 
@@ -77,7 +77,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
 
 
-@rule("GV003", Severity.ERROR, fixture="opacity_is_logits", needs=ORDERED_ROWS)
+@rule("GV003", Severity.ERROR, needs=ORDERED_ROWS)
 def opacity_range(rows: Rows) -> Iterator[Violation]:
     """Opacity lies in [0, 1] in every live row (before the row count).
 
@@ -105,7 +105,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV004", Severity.WARNING, fixture="all_transparent", needs=(*ORDERED_ROWS, "GV054"))
+@rule("GV004", Severity.WARNING, needs=(*ORDERED_ROWS, "GV054"))
 def mostly_visible(rows: Rows) -> Iterator[Violation]:
     """Most live Gaussians (rows before the row count) are opaque enough to change a pixel.
 
@@ -128,7 +128,7 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV010", Severity.ERROR, fixture="saturated_half", needs=PACKED_ROWS)
+@rule("GV010", Severity.ERROR, needs=PACKED_ROWS)
 def float16_saturation(rows: Rows) -> Iterator[Violation]:
     """No float16 value is as large as the largest float16.
 
@@ -152,12 +152,7 @@ def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Viola
     return Violation.rows(Location(subject), saturated, peak, expected, checked=rows.live_rows)
 
 
-@rule(
-    "GV016",
-    Severity.ERROR,
-    fixture="count_above_capacity",
-    needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
-)
+@rule("GV016", Severity.ERROR, needs=("GV025", "GO001", "GO002", "GO010", "GO011"))
 def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The row count lies between 0 and the number of packed rows, at every probe (test inputs).
 
@@ -182,7 +177,7 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.at(f"output {declared.name}", f"count {int(value[0])}", expected)
 
 
-@rule("GV018", Severity.ERROR, fixture="opaque_padding", needs=(*ORDERED_ROWS, "GV032"))
+@rule("GV018", Severity.ERROR, needs=(*ORDERED_ROWS, "GV032"))
 def padding_inert(rows: Rows) -> Iterator[Violation]:
     """Opacity is 0 in every padding row (after the row count).
 

@@ -23,13 +23,14 @@ def explain(
     ] = False,
 ) -> None:
     """Explain what the rule RULE requires, why, and how to repair a model that breaks it."""
+    from gsgen.conformance.fixtures import example_of
     from gsgen.contract.reporters.rule_pages import page, to_dict
     from gsgen.contract.rules.catalogue import installed_rules
 
     registry = installed_rules()
     entries = [registry.find(name) for name in rules]
     if as_json:
-        document = [to_dict(entry) for entry in entries]
+        document = [to_dict(entry, example_of(entry.id)) for entry in entries]
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
-    typer.echo("\n".join(page(entry, registry) for entry in entries))
+    typer.echo("\n".join(page(entry, registry, example_of(entry.id)) for entry in entries))

@@ -34,6 +34,7 @@ def rules(
     Exits 2 if no rule matches a WORD.
     """
     from gsgen.cli.output import write_text
+    from gsgen.conformance.fixtures import example_of
     from gsgen.contract.reporters.rule_pages import index, page, to_dict
     from gsgen.contract.rules.catalogue import installed_rules
 
@@ -41,12 +42,14 @@ def rules(
     selected = _selected(registry, words) if words else list(registry.rules.values())
     if pages is not None:
         for rule in registry.rules.values():
-            write_text(pages / f"{rule.id.replace('/', '-')}.md", page(rule, registry))
+            write_text(
+                pages / f"{rule.id.replace('/', '-')}.md", page(rule, registry, example_of(rule.id))
+            )
         write_text(pages / "index.md", index(registry))
         typer.echo(f"{len(registry.rules)} pages in {pages}")
         return
     if as_json:
-        document = [to_dict(rule) for rule in selected]
+        document = [to_dict(rule, example_of(rule.id)) for rule in selected]
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
     for rule in selected:

@@ -17,9 +17,7 @@ from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of, tiles
 _BOTH: Final = (TILESET, TILE_CONTENT)
 
 
-@tileset_rule(
-    "GT005", Severity.ERROR, fixture="tiles_content_cut_short", needs=(SCHEMA_RULE,), kinds=_BOTH
-)
+@tileset_rule("GT005", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
 def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every file that the tileset names exists, is complete, and is glTF 2.0 with splats.
 
@@ -42,9 +40,7 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
             yield Violation.at(f"content {primitive.location}", text, f"as {NAME} says")
 
 
-@tileset_rule(
-    "GT006", Severity.ERROR, fixture="tiles_counts_differ", needs=(SCHEMA_RULE,), kinds=_BOTH
-)
+@tileset_rule("GT006", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
 def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """Accessors, SPZ header and metadata of a content declare the same number of splats.
 
@@ -73,9 +69,7 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule(
-    "GT007", Severity.ERROR, fixture="tiles_extension_missing", needs=(SCHEMA_RULE, "GT005")
-)
+@tileset_rule("GT007", Severity.ERROR, needs=(SCHEMA_RULE, "GT005"))
 def extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tileset's 3DTILES_content_gltf requires the splat extensions that its contents use.
 
@@ -106,9 +100,7 @@ def extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
         yield Violation.at(location, f"no {CONTENT_EXTENSION}", f"{CONTENT_EXTENSION} among them")
 
 
-@tileset_rule(
-    "GT009", Severity.ERROR, fixture="tiles_spz_version", needs=(SCHEMA_RULE,), kinds=_BOTH
-)
+@tileset_rule("GT009", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
 def spz_version(inspected: InspectedTileset) -> Iterator[Violation]:
     """SPZ data in a tile's content are of version 2.
 

@@ -18,7 +18,7 @@ _BOTH: Final = (TILESET, TILE_CONTENT)
 _WHOLE: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
 
 
-@tileset_rule("GT014", Severity.ERROR, fixture="tiles_leaf_lost", needs=_WHOLE)
+@tileset_rule("GT014", Severity.ERROR, needs=_WHOLE)
 def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
     """All leaves together have as many splats as the tileset declares for the scene.
 
@@ -48,9 +48,7 @@ def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule(
-    "GT015", Severity.ERROR, fixture="tiles_file_changed", needs=(SCHEMA_RULE, "GT005", "GT010")
-)
+@tileset_rule("GT015", Severity.ERROR, needs=(SCHEMA_RULE, "GT005", "GT010"))
 def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every content has the size and SHA-256 that the build record lists for it.
 
@@ -79,9 +77,7 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule(
-    "GT016", Severity.WARNING, fixture="tiles_too_many_splats", needs=(SCHEMA_RULE,), kinds=_BOTH
-)
+@tileset_rule("GT016", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_BOTH)
 def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile's content has at most 262,144 splats and 8 MiB.
 
@@ -101,7 +97,7 @@ def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT018", Severity.ERROR, fixture="tiles_empty_leaf", needs=_WHOLE)
+@tileset_rule("GT018", Severity.ERROR, needs=_WHOLE)
 def no_empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every leaf has a content, and every content has splats.
 
@@ -124,9 +120,7 @@ def no_empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule(
-    "GT019", Severity.WARNING, fixture="tiles_draft_names", needs=(SCHEMA_RULE,), kinds=_BOTH
-)
+@tileset_rule("GT019", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_BOTH)
 def draft_names(inspected: InspectedTileset) -> Iterator[Violation]:
     """Contents use the attribute names of the ratified glTF extension, not those of its drafts.
 

@@ -17,7 +17,7 @@ from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of, tileset_rule
 
 
-@tileset_rule("GT020", Severity.ERROR, fixture="tiles_neural_digest", needs=(SCHEMA_RULE, "GT010"))
+@tileset_rule("GT020", Severity.ERROR, needs=(SCHEMA_RULE, "GT010"))
 def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
     """A neural tile's ONNX generator conforms, has the declared digest, and stays in the tile.
 

@@ -18,9 +18,7 @@ shifted by a quarter of its size, or has the colours of other splats, less than 
 _NEEDS: Final = (SCHEMA_RULE, "GT005", "GT006", "GT010", "GT011", "GT012")
 
 
-@tileset_rule(
-    "GT021", Severity.ERROR, fixture="tiles_invisible_root", needs=_NEEDS, level=Level.RENDER
-)
+@tileset_rule("GT021", Severity.ERROR, needs=_NEEDS, level=Level.RENDER)
 def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
     """The root tile and a leaf tile are visible from cameras around them.
 
@@ -41,13 +39,7 @@ def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule(
-    "GT022",
-    Severity.WARNING,
-    fixture="tiles_unlike_root",
-    needs=(*_NEEDS, "GT021"),
-    level=Level.RENDER,
-)
+@tileset_rule("GT022", Severity.WARNING, needs=(*_NEEDS, "GT021"), level=Level.RENDER)
 def levels_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile looks like the tiles that replace it, with an SSIM of 0.5 or more.
 

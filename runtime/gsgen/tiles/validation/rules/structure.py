@@ -15,7 +15,7 @@ _SHARE: Final = 5e-3  # of the parent's size: curved regions are compared at 18 
 _RELATIVE: Final = 1e-6
 
 
-@tileset_rule("GT001", Severity.ERROR, fixture="tiles_without_error")
+@tileset_rule("GT001", Severity.ERROR)
 def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every ``tileset.json`` follows the 3D Tiles 1.1 schema; required extensions are supported.
 
@@ -30,7 +30,7 @@ def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.SCHEMA)
 
 
-@tileset_rule("GT002", Severity.ERROR, fixture="tiles_child_outside", needs=(SCHEMA_RULE,))
+@tileset_rule("GT002", Severity.ERROR, needs=(SCHEMA_RULE,))
 def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
     """The bounding volume of every tile lies within that of its parent.
 
@@ -56,7 +56,7 @@ def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT004", Severity.ERROR, fixture="tiles_error_grows", needs=(SCHEMA_RULE,))
+@tileset_rule("GT004", Severity.ERROR, needs=(SCHEMA_RULE,))
 def geometric_error_falls(inspected: InspectedTileset) -> Iterator[Violation]:
     """The geometric error of a tile is not larger than that of its parent.
 
@@ -76,7 +76,7 @@ def geometric_error_falls(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT010", Severity.ERROR, fixture="tiles_uri_escapes", needs=(SCHEMA_RULE,))
+@tileset_rule("GT010", Severity.ERROR, needs=(SCHEMA_RULE,))
 def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every uri stays in the folder of the tileset, and no tileset contains itself.
 
@@ -89,7 +89,7 @@ def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.URI)
 
 
-@tileset_rule("GT011", Severity.ERROR, fixture="tiles_mirrored", needs=(SCHEMA_RULE,))
+@tileset_rule("GT011", Severity.ERROR, needs=(SCHEMA_RULE,))
 def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every tile transform is a rotation, one positive scale and a translation.
 
@@ -103,7 +103,7 @@ def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.TRANSFORM)
 
 
-@tileset_rule("GT013", Severity.ERROR, fixture="tiles_subtree_short", needs=(SCHEMA_RULE,))
+@tileset_rule("GT013", Severity.ERROR, needs=(SCHEMA_RULE,))
 def subtree_bitstreams(inspected: InspectedTileset) -> Iterator[Violation]:
     """Subtrees have the sizes, bitstreams and tables that their headers promise.
 
@@ -118,7 +118,7 @@ def subtree_bitstreams(inspected: InspectedTileset) -> Iterator[Violation]:
     yield from faults_of(inspected, Fault.SUBTREE)
 
 
-@tileset_rule("GT017", Severity.ERROR, fixture="tiles_root_error_zero", needs=(SCHEMA_RULE,))
+@tileset_rule("GT017", Severity.ERROR, needs=(SCHEMA_RULE,))
 def leaf_error(inspected: InspectedTileset) -> Iterator[Violation]:
     """Leaves have a geometric error of 0, and a root with tiles below it more than 0.
 

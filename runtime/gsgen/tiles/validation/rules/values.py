@@ -13,9 +13,7 @@ from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, fault
 _NEEDS: Final = (SCHEMA_RULE, "GT005", "GT011", "GT012")
 
 
-@tileset_rule(
-    "GT003", Severity.ERROR, fixture="tiles_splats_outside", needs=_NEEDS, level=Level.VALUES
-)
+@tileset_rule("GT003", Severity.ERROR, needs=_NEEDS, level=Level.VALUES)
 def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     """Splats lie in the bounding volume of their content, out to three standard deviations.
 
@@ -42,13 +40,7 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule(
-    "GT008",
-    Severity.ERROR,
-    fixture="tiles_hole_in_children",
-    needs=(*_NEEDS, "GT010", "GT013"),
-    level=Level.VALUES,
-)
+@tileset_rule("GT008", Severity.ERROR, needs=(*_NEEDS, "GT010", "GT013"), level=Level.VALUES)
 def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
     """If children replace a tile, the centre of each splat of the tile lies in a child.
 
@@ -73,7 +65,6 @@ def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
 @tileset_rule(
     "GT012",
     Severity.ERROR,
-    fixture="tiles_opacity_above_one",
     needs=(SCHEMA_RULE, "GT005", "GT006"),
     kinds=(TILESET, TILE_CONTENT),
     level=Level.VALUES,
