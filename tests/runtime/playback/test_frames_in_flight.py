@@ -24,6 +24,7 @@ from gsgen.runtime.sources.source import Source, Values
 from support.rendering.near_ties import plane
 from support.rendering.small_bindings import assert_same_images
 from support.rendering.splat_scenes import camera, cloud, turned
+from support.rendering.watched_device import watched
 
 Arrays = tuple[np.ndarray, np.ndarray, int]
 """Rows, appearance and count of a frame."""
@@ -188,13 +189,13 @@ def test_a_frame_is_submitted_before_the_one_before_it_is_read(
     events: list[str] = []
     for owner, name in ((Plan, "submit"), (FrameReadback, "collect")):
 
-        def watched(
+        def noted(
             *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
         ) -> object:
             events.append(name)
             return plain(*args, **rest)
 
-        monkeypatch.setattr(owner, name, watched)
+        monkeypatch.setattr(owner, name, noted)
     list(film.play(requests(5)))
     assert events == ["submit", *["submit", "collect"] * 4, "collect"]
     events.clear()
@@ -231,16 +232,9 @@ def test_no_buffer_is_made_once_frames_are_in_flight(
     frames = film.play(requests(9) + requests(9))
     for _ in range(9):
         next(frames)
-    made: list[str] = []
-    create = type(device.raw).create_buffer
-
-    def watched(raw: object, *, label: str = "", **rest: object) -> object:
-        made.append(label)
-        return create(raw, label=label, **rest)
-
-    monkeypatch.setattr(type(device.raw), "create_buffer", watched)
+    made = watched(device, monkeypatch)
     assert len(list(frames)) == 9
-    assert made == []
+    assert "create_buffer" not in made
 
 
 def test_a_source_that_cannot_hold_its_arrays_is_waited_for(device: Device) -> None:

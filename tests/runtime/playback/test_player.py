@@ -22,6 +22,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.generator_worker import _OutputBuffer
 from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk.binding import FrameSession, InputInvalid
+from support.rendering.watched_device import watched
 
 CAMERA = Camera.orbit((0, 0, 0), 4, width=48, height=32)
 TIMES = (0.0, 0.5, 1.0, 0.25)
@@ -104,24 +105,23 @@ def test_one_by_one_nothing_overlaps(
     events: list[str] = []
     for owner, name in ((FrameSession, "run"), (Plan, "submit"), (Plan, "collect")):
 
-        def watched(
+        def noted(
             *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
         ) -> object:
             events.append(name)
             return plain(*args, **rest)
 
-        monkeypatch.setattr(owner, name, watched)
+        monkeypatch.setattr(owner, name, noted)
     for time in TIMES:
         drift.render(CAMERA, time=time)
     assert events[-6:] == ["run", "submit", "collect"] * 2
 
 
 class Uploads:
-    """Bytes that reach the rows and the appearance of Gaussians, and what is made meanwhile."""
+    """Bytes that reach the rows and the appearance of Gaussians, and runs of the model."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.bytes = {"rows": 0, "appearance": 0}
-        self.made: list[str] = []
         self.runs = 0
         write, run = Device.write, FrameSession.run
 
@@ -136,10 +136,6 @@ class Uploads:
 
         monkeypatch.setattr(Device, "write", watched_write)
         monkeypatch.setattr(FrameSession, "run", watched_run)
-
-    def forbid(self, raw: object, monkeypatch: pytest.MonkeyPatch) -> None:
-        for name in ("create_buffer", "create_bind_group", "create_compute_pipeline"):
-            monkeypatch.setattr(type(raw), name, lambda *_, label="", **__: self.made.append(label))
 
 
 ROW, COLOR = 40, 16  # bytes of a Gaussian; three colours are filled up to a word
@@ -172,12 +168,12 @@ def test_what_stays_is_neither_computed_nor_uploaded(
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
         list(player.play(cameras[:1] * 3))  # buffers for all frames in flight are made
         seen = Uploads(monkeypatch)
-        seen.forbid(renderer.device.raw, monkeypatch)
+        made = watched(renderer.device, monkeypatch)
         frames = list(player.play(cameras[1:], values=values))
     assert len(frames) == 3
     assert seen.runs == runs
     assert seen.bytes == {"rows": rows * ROW, "appearance": appearance * COLOR}
-    assert seen.made == []
+    assert made == []
 
 
 def test_a_count_that_changes_alone_uploads_nothing(

@@ -187,7 +187,7 @@ def test_no_adapter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> Non
     def none(**_: object) -> None:
         raise RuntimeError("Request adapter failed (Unavailable)")
 
-    monkeypatch.setattr(wgpu.gpu, "request_adapter_sync", none)
+    monkeypatch.setattr(wgpu.gpu, "request_adapter_sync", none)  # a fake: no adapter
     with pytest.raises(DeviceUnavailable, match=r"no graphics adapter.*\n.*gsgen doctor"):
         Device.open()
 

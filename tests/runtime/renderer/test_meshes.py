@@ -27,6 +27,7 @@ from references.projection import Projected, project_reference
 from references.tiles import blend_reference
 from support.rendering.mesh_scenes import MESH_SCENES, ball, moved, quad, wall
 from support.rendering.splat_scenes import camera, cloud, single, turned
+from support.rendering.watched_device import watched
 
 BEHIND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")
@@ -229,10 +230,7 @@ def test_a_moving_mesh_makes_no_buffer_and_no_bind_group(
 ) -> None:
     splats, shape = cloud(50, 13), ball()
     renderer.render(Scene([splats], meshes=[shape]), camera())
-    made: list[str] = []
-    raw = type(renderer.device.raw)
-    for name in ("create_buffer", "create_bind_group", "create_texture"):
-        monkeypatch.setattr(raw, name, lambda *_, label="", **__: made.append(label))
+    made = watched(renderer.device, monkeypatch)
     for step in range(3):
         mesh = Mesh(shape, moved(0.1 * step, 0, 4))
         shape.update(shape.vertices * np.float32(0.9))
@@ -381,12 +379,13 @@ def test_a_texture_that_is_too_large(renderer: Renderer) -> None:
 def test_a_device_without_textures_of_floats_says_so(
     device: Device, monkeypatch: pytest.MonkeyPatch, known: bool
 ) -> None:
-    """As Mesa's OpenGL does, by the words of wgpu; what else is wrong stays what it is."""
+    """What else is wrong stays what it is."""
     why = "Format Rgba32Float is not renderable" if known else "another bug"
 
     def refuse(self: object, **parts: object) -> None:
         raise wgpu.GPUValidationError(f"Color state [0] is invalid\n  {why}")
 
+    # A fake of a device that renders to no floats, as Mesa's OpenGL: by the words of wgpu.
     monkeypatch.setattr(type(device.raw), "create_render_pipeline", refuse)
     monkeypatch.setattr(device, "render_pipelines", {})
     said = (

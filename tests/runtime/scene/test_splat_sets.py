@@ -12,6 +12,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from support.rendering.splat_scenes import camera, cloud, single, turned
+from support.rendering.watched_device import watched
 from support.splat_files import scene
 
 
@@ -103,10 +104,7 @@ def test_a_steady_state_makes_no_buffer_and_no_bind_group(
     data = cloud(100, 9)
     place = np.eye(4)
     renderer.render(Scene([data]), camera())
-    made: list[str] = []
-    raw = type(renderer.device.raw)
-    for name in ("create_buffer", "create_bind_group", "create_compute_pipeline"):
-        monkeypatch.setattr(raw, name, lambda *_, label="", **__: made.append(label))
+    made = watched(renderer.device, monkeypatch)
     for step in range(3):
         place[0, 3] = 0.1 * step
         data.update(data.rows + np.float32(0.01), data.appearance)

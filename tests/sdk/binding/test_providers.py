@@ -64,6 +64,7 @@ def test_a_missing_package_is_named(monkeypatch):
 
 
 def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
+    # A fake of an ONNX Runtime without plug-in providers.
     monkeypatch.delattr(onnxruntime, "register_execution_provider_library")
     with pytest.raises(AdapterMissing, match="does not support plug-in providers") as raised:
         find_adapter()
@@ -72,7 +73,7 @@ def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
 
 def test_no_device_is_an_absence(monkeypatch):
     monkeypatch.setattr(webgpu, "_registered", True)
-    monkeypatch.setattr(onnxruntime, "get_ep_devices", list)
+    monkeypatch.setattr(onnxruntime, "get_ep_devices", list)  # a fake: no device
     with pytest.raises(AdapterMissing, match="lists no device for WebGPU"):
         find_adapter()
 
@@ -111,7 +112,7 @@ def test_a_session_without_its_provider_is_no_session(models, monkeypatch):
         def get_providers(self):
             return ["CPUExecutionProvider"]
 
-    monkeypatch.setattr(onnxruntime, "InferenceSession", Fallen)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", Fallen)  # a fake: no WebGPU
     with pytest.raises(ProviderUnavailable, match=r"runs on CPUExecutionProvider, expected WebGpu"):
         open_session(
             models["drift-float32"], SessionOptions(choice=choose_provider("webgpu"), capture=True)
@@ -122,7 +123,7 @@ def test_an_adapter_that_cannot_be_had_is_an_absence(models, monkeypatch):
     def refuse(*_, **__):
         raise RuntimeError("Failed to get a WebGPU adapter: No supported adapters")
 
-    monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)  # a fake: no adapter
     with pytest.raises(ProviderUnavailable, match="No supported adapters") as raised:
         FrameSession(models["drift-float32"], provider="webgpu")
     assert raised.value.hint.startswith("install a Vulkan driver")
@@ -140,7 +141,7 @@ def test_cuda_that_is_absent_is_refused(models):
 @pytest.fixture
 def with_cuda(monkeypatch):
     names = ["CUDAExecutionProvider", "CPUExecutionProvider"]
-    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: names)
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: names)  # a fake: CUDA
     return names
 
 
@@ -152,7 +153,7 @@ def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda)
         told.update(model=model, given=given, **options)
         return SimpleNamespace(get_providers=lambda: with_cuda)
 
-    monkeypatch.setattr(onnxruntime, "InferenceSession", remember)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", remember)  # a fake: CUDA
     open_session(models["drift-float32"], SessionOptions(choice=choose_provider(), capture=capture))
     options = {"device_id": "0", "enable_cuda_graph": "1" if capture else "0"}
     assert told == {
@@ -189,6 +190,7 @@ def stand_in(monkeypatch, with_cuda):
         return open_plainly(path, SessionOptions(choice=Choice("cpu", "")))
 
     opened: list[bool] = []
+    # A fake of CUDA's memory.
     monkeypatch.setattr(onnxruntime.OrtValue, "ortvalue_from_shape_and_type", on_the_host)
     monkeypatch.setattr(warm_up, "open_session", as_the_cpu)
     return opened

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 from weakref import WeakSet
@@ -16,18 +17,25 @@ def memory_of(size: int) -> Iterator[None]:
     No software driver runs out of memory before the machine does; this one says so as wgpu does.
     """
     import wgpu
-    from wgpu.backends.wgpu_native import GPUDevice
 
-    create, made = GPUDevice.create_buffer, WeakSet[Any]()
+    make, made, most = Device._buffer, WeakSet[Any](), size
 
-    def limited(self: Any, *, size: int, **words: Any) -> Any:
-        if sum(buffer.size for buffer in made) + size > most:
-            raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
-        made.add(buffer := create(self, size=size, **words))
-        return buffer
+    def limited(self: Device, *words: Any) -> Any:
+        raw = self.raw
 
-    most = size
-    with patch.object(GPUDevice, "create_buffer", limited):
+        def create_buffer(*, size: int, **words: Any) -> Any:
+            if sum(buffer.size for buffer in made) + size > most:
+                raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+            made.add(buffer := raw.create_buffer(size=size, **words))
+            return buffer
+
+        self.raw = SimpleNamespace(create_buffer=create_buffer)
+        try:
+            return make(self, *words)
+        finally:
+            self.raw = raw
+
+    with patch.object(Device, "_buffer", limited):
         yield
 
 

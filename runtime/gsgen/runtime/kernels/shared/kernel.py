@@ -56,7 +56,7 @@ class Kernel:
         **constants: int | float | bool,
     ) -> None:
         raw = device.raw
-        self._raw = raw
+        self._device = device
         self.label = entry
         text = source(name, WIDE=device.wide, **constants)
         key = text, entry, tuple(groups)
@@ -76,7 +76,7 @@ class Kernel:
             {"binding": binding, "resource": _resource(resource)}
             for binding, resource in enumerate(resources)
         ]
-        return self._raw.create_bind_group(
+        return self._device.raw.create_bind_group(
             label=self.label, layout=self.layouts[group], entries=entries
         )
 
