@@ -31,13 +31,10 @@ $(READY): pyproject.toml constraints.txt
 # The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU, another one
 # that tests compare it with, and what loads tilesets and checks the browser client.
 drivers:
-	scripts/drivers.sh
-	scripts/cesium.sh
-	scripts/swiftshader.sh
-	scripts/browser_packages.sh
+	scripts/fetch.sh drivers cesium swiftshader browser
 
 demo: setup
-	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
+	@scripts/fetch.sh drivers || echo "demo: going on, with pictures only where there is a GPU"
 	$(BIN)/python docs/examples/demo.py out/demo
 
 # A file's tests stay in one worker: they share the models that they export. Each worker computes in
@@ -122,15 +119,15 @@ fuzz-sort: setup drivers
 
 # The pictures of the plugins' pages, drawn anew from synthetic checkpoints: a minute or two.
 pictures: setup drivers
-	$(BIN)/python scripts/write_pictures.py
+	$(BIN)/python scripts/write_pictures.py plugins
 
 # The pictures of the gallery, by running all that stands on its page: two minutes or more.
 gallery: setup drivers
-	$(BIN)/python scripts/write_gallery.py
+	$(BIN)/python scripts/write_pictures.py gallery
 
 # The picture that README.md and the home page open with.
 hero: setup drivers
-	$(BIN)/python scripts/hero/write_hero.py
+	$(BIN)/python scripts/write_pictures.py hero
 
 # What the browser takes from Python: frame plans from the renderer, rules from the contract.
 web: setup
@@ -140,7 +137,7 @@ docs: setup
 	$(INSTALL) --group docs
 	$(BIN)/python scripts/write_docs.py
 	$(BIN)/zensical build --clean
-	$(BIN)/python scripts/live/write_live.py site
+	$(BIN)/python scripts/write_live.py site
 
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
@@ -159,23 +156,33 @@ mutants: setup
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup
-	@tag=$$($(BIN)/python scripts/release/check_release.py) || exit 1; \
+	@tag=$$($(BIN)/python scripts/release.py tree) || exit 1; \
 	rm -rf dist && $(INSTALL) --group release && \
 	$(BIN)/python -m build --outdir dist && \
 	$(BIN)/python -m twine check --strict dist/* && \
-	$(BIN)/python scripts/release/check_wheel.py dist && \
+	$(BIN)/python scripts/release.py wheel dist && \
 	git tag -a "$$tag" -m "gsgen $$tag" && \
 	echo "$$tag is tagged here, and dist/ holds its files. To publish it:" && \
 	echo "  git push origin $$tag && $(BIN)/python -m twine upload dist/*"
 
-# Exchange splats and frames with gsplat, nerfstudio, viser and Rerun, in .venv/neighbours.
-neighbours: setup
-	scripts/neighbours.sh
+# Exchange splats and frames with gsplat, nerfstudio, viser and Rerun, in .venv/neighbours: viser needs
+# an older rich than the tests' pins. nerfstudio pins older versions of the others; its exporter alone
+# is run.
+NEIGHBOURS := .venv/neighbours/bin/python
+neighbours: $(NEIGHBOURS)
+	$(NEIGHBOURS) tests/neighbours/check_neighbours.py
+
+$(NEIGHBOURS):
+	$(PYTHON) -m venv .venv/neighbours.new
+	.venv/neighbours.new/bin/python -m pip install -q "$$(grep '^torch==' constraints.txt)"
+	.venv/neighbours.new/bin/python -m pip install -q -e '.[sdk]' gsplat==1.5.3 viser==1.1.1 rerun-sdk==0.41.0
+	.venv/neighbours.new/bin/python -m pip install -q --no-deps nerfstudio==1.1.5
+	mv .venv/neighbours.new .venv/neighbours
 
 # Write the repository's owner into every file that has the placeholder: make owner OWNER=name
 owner:
 	@test -n "$(OWNER)" || { echo "name the owner: make owner OWNER=name"; exit 2; }
-	@grep -rlI --exclude-dir=.git --exclude-dir=.venv --exclude-dir=tests --exclude=Makefile --exclude=check_release.py OWNER/gsgen . | xargs -r sed -i.bak 's|OWNER/gsgen|$(OWNER)/gsgen|g'
+	@grep -rlI --exclude-dir=.git --exclude-dir=.venv --exclude-dir=tests --exclude=Makefile --exclude=release.py OWNER/gsgen . | xargs -r sed -i.bak 's|OWNER/gsgen|$(OWNER)/gsgen|g'
 	@find . -name '*.bak' -not -path './.venv/*' -delete
 
 clean:

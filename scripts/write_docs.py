@@ -1,4 +1,4 @@
-"""Generate the parts of the documentation that repeat facts of the code.
+"""Generate the parts of the documentation that repeat facts of the code, and the JSON Schemas.
 
 A part of a page is between two comments; the text after the colon names the part:
 
@@ -77,7 +77,7 @@ PARTS: dict[str, Part] = {
     "waiver-keys": contract.waiver_keys,
 }
 
-# The end of a rule's page that has a picture, which scripts/draw_rule_pictures.py draws.
+# The end of a rule's page that has a picture.
 _PICTURE = (
     "\n## Right and wrong\n\n"
     "![a right scene, and one that breaks the rule](../assets/rules/{name})\n\n"
@@ -122,6 +122,9 @@ def generated() -> dict[Path, str]:
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         pages[DOCS / "spec" / "schemas" / name] = text
+    for name, document in {**schemas(), REPORT_SCHEMA_FILE: schema()}.items():
+        text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+        pages[ROOT / "contract/gsgen/contract/schemas" / name] = text
     for path in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))):
         if path not in pages and "<!-- generated: " in path.read_text("utf-8"):
             pages[path] = fill(path.read_text("utf-8"))

@@ -21,12 +21,12 @@ MOST_BYTES = 800_000  # of all pictures that only this page shows
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
     spec = importlib.util.spec_from_file_location(
-        "write_gallery", ROOT / "scripts" / "write_gallery.py"
+        "write_pictures", ROOT / "scripts" / "write_pictures.py"
     )
     assert spec is not None
     assert spec.loader is not None
     made = importlib.util.module_from_spec(spec)
-    sys.modules["write_gallery"] = made  # dataclasses look their module up
+    sys.modules["write_pictures"] = made  # dataclasses look their module up
     spec.loader.exec_module(made)
     return made
 

@@ -167,7 +167,7 @@ def test_the_container_s_stages_build_the_wheel_and_run_it(
 
 
 def test_the_environment_is_small(fresh: Path) -> None:
-    """As `scripts/release/check_wheel.py` measures it, with pip and without compiled files.
+    """As `scripts/release.py wheel` measures it, with pip and without compiled files.
 
     The environment has no pip of its own: the one of the tests is counted.
     """

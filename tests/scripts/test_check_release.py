@@ -9,10 +9,10 @@ import pytest
 
 from support.commands import ROOT
 
-sys.path.insert(0, str(ROOT / "scripts" / "release"))
-import check_release
+sys.path.insert(0, str(ROOT / "scripts"))
+import release
 
-NAMES = (*check_release.PLACEHOLDER_FILES, "CHANGELOG.md", "Makefile")
+NAMES = (*release.PLACEHOLDER_FILES, "CHANGELOG.md", "Makefile")
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def project(tmp_path: Path) -> Path:
         shutil.copy(ROOT / name, tmp_path / name)
         text = (tmp_path / name).read_text("utf-8")
         (tmp_path / name).write_text(text.replace("OWNER/gsgen", "acme/gsgen"), "utf-8")
-    version = check_release.project_version(tmp_path)
+    version = release.project_version(tmp_path)
     change(
         tmp_path / "CHANGELOG.md", "## Unreleased", f"## Unreleased\n\n## {version} - 2026-12-01"
     )
@@ -45,11 +45,8 @@ def change(path: Path, before: str, after: str) -> None:
 
 
 def faults(project: Path) -> list[str]:
-    version = check_release.project_version(project)
-    return [
-        *check_release.text_faults(project, version),
-        *check_release.git_faults(project, version),
-    ]
+    version = release.project_version(project)
+    return [*release.text_faults(project, version), *release.git_faults(project, version)]
 
 
 def test_a_complete_tree_may_be_released(project: Path) -> None:
@@ -73,22 +70,22 @@ def test_a_fault_is_named(project: Path, name: str, before: str, after: str, fau
 
 
 def test_a_tag_is_not_used_twice(project: Path) -> None:
-    git(project, "tag", f"v{check_release.project_version(project)}")
+    git(project, "tag", f"v{release.project_version(project)}")
     assert [text.partition(";")[0] for text in faults(project)] == [
-        f"the tag v{check_release.project_version(project)} exists"
+        f"the tag v{release.project_version(project)} exists"
     ]
 
 
 def test_the_placeholder_is_in_no_other_file() -> None:
-    command = ["git", "grep", "-lI", check_release.PLACEHOLDER]
+    command = ["git", "grep", "-lI", release.PLACEHOLDER]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, encoding="utf-8").stdout
-    tools = {"Makefile", "scripts/release/check_release.py"}
+    tools = {"Makefile", "scripts/release.py"}
     files = {name for name in listed.splitlines() if not name.startswith("tests/")} - tools
-    assert files <= set(check_release.PLACEHOLDER_FILES)
+    assert files <= set(release.PLACEHOLDER_FILES)
 
 
 def test_the_owner_is_written_into_every_file(project: Path) -> None:
-    for name in (*check_release.PLACEHOLDER_FILES, "Makefile"):
+    for name in (*release.PLACEHOLDER_FILES, "Makefile"):
         shutil.copy(ROOT / name, project / name)
     subprocess.run(["make", "-s", "owner", "OWNER=acme"], cwd=project, check=True)
     assert not [text for text in faults(project) if "placeholder" in text]

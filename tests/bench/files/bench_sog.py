@@ -1,6 +1,6 @@
 """SOG files of gsgen beside those of splat-transform: bytes and errors on three scenes.
 
-    scripts/splat_transform.sh
+    scripts/fetch.sh splat-transform
     python -m pytest tests/bench/files/bench_sog.py -o python_files='bench_*.py' \
         -o python_functions='bench_*' -s -q
 
@@ -24,7 +24,7 @@ from support.measures import print_figure
 from support.splat_files import FIELDS, scene
 from support.tiles.level_scenes import SHARED, garden, knot
 
-TOOL = Path(__file__).parents[3] / ".venv/splat-transform/node_modules/.bin/splat-transform"
+TOOL = Path(__file__).parents[3] / ".venv/npm/splat-transform-3.7.0/bin/cli.mjs"
 BYTES_BAR = 1.05
 _EQUAL = 1e-9  # errors that differ by less come from the sums
 
@@ -32,8 +32,8 @@ _EQUAL = 1e-9  # errors that differ by less come from the sums
 def transform(source: Path, target: Path) -> None:
     """Convert a file with splat-transform, on the processor alone."""
     if not TOOL.exists():
-        pytest.fail(f"missing: {TOOL}; hint: run scripts/splat_transform.sh")
-    words = [str(TOOL), "-q", "-w", "-g", "cpu", str(source), str(target)]
+        pytest.fail(f"missing: {TOOL}; hint: run scripts/fetch.sh splat-transform")
+    words = ["node", str(TOOL), "-q", "-w", "-g", "cpu", str(source), str(target)]
     subprocess.run(words, check=True, capture_output=True)
 
 

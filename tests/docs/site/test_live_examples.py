@@ -27,7 +27,7 @@ class _Elements(HTMLParser):
 
 def written_models() -> tuple[str, ...]:
     """Return the constant MODELS of the script, which needs a browser's runtime to be imported."""
-    tree = ast.parse((ROOT / "scripts/live/write_live.py").read_text("utf-8"))
+    tree = ast.parse((ROOT / "scripts/write_live.py").read_text("utf-8"))
     [value] = [
         node.value
         for node in tree.body
@@ -52,4 +52,4 @@ def test_the_site_is_built_with_its_examples() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     docs = re.search(r"^docs: .*\n((?:\t.*\n)+)", makefile, re.MULTILINE)
     assert docs is not None
-    assert "scripts/live/write_live.py site" in docs[1].splitlines()[-1]
+    assert "scripts/write_live.py site" in docs[1].splitlines()[-1]

@@ -1,4 +1,4 @@
-"""Packages of npm that tests use; scripts/browser_packages.sh fetches them."""
+"""Packages of npm that tests use; scripts/fetch.sh fetches them."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,7 @@ def package(name: str, *, needs_node: bool = False) -> Path:
         needs_node: Whether the package is run by Node.js.
     """
     folder = ROOT / ".venv/npm" / name
-    missing = [] if folder.is_dir() else [f"{name} (run scripts/browser_packages.sh)"]
+    missing = [] if folder.is_dir() else [f"{name} (run scripts/fetch.sh browser)"]
     missing += ["node on the PATH"] if needs_node and which("node") is None else []
     if missing:
         message = f"missing: {' and '.join(missing)}"

@@ -15,7 +15,7 @@ from PIL import Image
 
 from support.browser import launched, serving
 
-CESIUM = Path(__file__).parents[3] / ".venv" / "cesium"
+CESIUM = Path(__file__).parents[3] / ".venv/npm/cesium-1.145.0"
 PAGE = Path(__file__).with_name("page.html")
 _SECONDS = 180
 _WEBGL_FLAGS = (
@@ -75,7 +75,7 @@ def opened_viewer() -> Iterator[Viewer]:
     absent = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
     absent += [] if chromium else ["chromium on the PATH"]
     if chromium is None or absent:
-        pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/cesium.sh as root")
+        pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/fetch.sh cesium as root")
     folders = {"cesium": CESIUM}
     with (
         serving(folders, {"/index.html": PAGE.read_bytes()}) as address,

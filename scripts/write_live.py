@@ -1,6 +1,6 @@
 """Put the browser client and small models into the built site, for its page of live examples.
 
-Run the script after the site was built: .venv/bin/python scripts/live/write_live.py site
+Run the script after the site was built: .venv/bin/python scripts/write_live.py site
 """
 
 import shutil

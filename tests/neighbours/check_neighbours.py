@@ -27,7 +27,7 @@ from gsgen.contract.layout import basis, covariance_upper
 from gsgen.formats import Splats, open_splats, write_ply
 from gsgen.sdk.binding import FrameSession
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "examples"))
 import watch_in_viser  # noqa: E402
 

@@ -1,1 +1,0 @@
-"""Draws the pictures of the conventions: one function per picture."""
