@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gsgen.conformance.evidence import suspects
-from gsgen.conformance.required_rules import needed_by
 from gsgen.conformance.rerun import ONE_PROBE, Replay, find_probes, plan_for, replay, save
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Report
-from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
@@ -110,7 +109,8 @@ _SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "th
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
     """Check one rule together with the rules that it depends on; return the validation report."""
     registry = installed_rules()
-    part = registry if rule.scope == "report" else needed_by(rule, registry)
+    needed = Registry(registry.with_needs([rule.id]).rules)  # without backends of further levels
+    part = registry if rule.scope == "report" else needed
     report = validate(path, settings, registry=part)
     outcome = report.outcome(rule.id)
     blocked = [

@@ -44,6 +44,14 @@ def test_every_rule_names_each_rule_that_it_needs_once():
         assert len(set(rule.needs)) == len(rule.needs), rule.id
 
 
+def test_each_rule_comes_with_all_that_it_needs():
+    registry = installed_rules()
+    for rule in registry.rules.values():
+        part = registry.with_needs([rule.id]).rules
+        assert rule.id in part
+        assert all(need in part for entry in part.values() for need in entry.needs)
+
+
 def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():
     for rule in builtin_rules():
         assert rule.kinds

@@ -8,8 +8,8 @@ from onnx import AttributeProto, NodeProto
 
 from gsgen.conformance.fixtures.builders.arrays import i64
 from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting
+from gsgen.contract.rules.graph.capture import _copies
 from gsgen.contract.rules.graph.graph import _node_location
-from gsgen.contract.rules.graph.replay import _copies
 from gsgen.contract.rules.interface.extensions import cost_plausible
 from gsgen.contract.rules.targets.limits import fits_dispatch
 from gsgen.contract.spec.severity import Level

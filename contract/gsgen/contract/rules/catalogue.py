@@ -23,7 +23,7 @@ from gsgen.contract.rules.behaviour import (
     survey,
     trajectory,
 )
-from gsgen.contract.rules.graph import capture, graph, integers, naming, repeatability, replay
+from gsgen.contract.rules.graph import capture, graph, naming, repeatability
 from gsgen.contract.rules.interface import (
     avatar_inputs,
     declarations,
@@ -33,7 +33,7 @@ from gsgen.contract.rules.interface import (
     manifest,
     side_files,
 )
-from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
+from gsgen.contract.rules.outputs import capacity, companions, graph_outputs, outputs
 from gsgen.contract.rules.pictures import (
     colors,
     effects,
@@ -70,14 +70,11 @@ FAMILIES = (
     input_declarations,
     avatar_inputs,
     outputs,
-    count,
     companions,
     graph_outputs,
     graph,
     repeatability,
-    replay,
     capture,
-    integers,
     naming,
     rows,
     execution,

@@ -1,4 +1,4 @@
-"""Rules of graph capture (GG): WebGPU on the target runtime can record every node of a frame.
+"""Rules of graph capture (GG): WebGPU can record every node of a frame, and replays it right.
 
 The provider's kernels are known from measured tables, see :mod:`gsgen.contract.spec.operator_tables`.
 Each node that is not captured has one cause, and each cause one rule.
@@ -8,9 +8,13 @@ from collections.abc import Iterator
 
 from onnx import NodeProto
 
+from gsgen.contract.model.buffer_copies import is_copy
+from gsgen.contract.model.graph import Graph
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import Cause, Placement, shape_arguments
+from gsgen.contract.model.value_ranges import Interval, intervals
 from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import FAILURES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -18,6 +22,8 @@ from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
 _CAPTURE = "graph_capture"
+_LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
+_SCATTERS = frozenset({"ScatterElements", "ScatterND"})
 # The operator is not in the user's code: the SDK selects rows with it.
 _SELECTION = (
     "if gsgen.sdk.math.keep_rows selects rows by TopK, multiply opacity by the mask instead"
@@ -202,3 +208,97 @@ def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(
             _node_location(placement.node), actual, "a measured operator", certainty="possible"
         )
+
+
+@rule("GG017", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
+def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
+    """All int64 values that a frame computes stay within 32 bits.
+
+    Why:
+        Under graph capture the WebGPU provider computes int64 in 32 bits without saying so:
+        2147483647 + 1 becomes −2147483648.
+
+    Hint:
+        Keep numbers below 2³¹; declare the range of the input that they come from, and clip before
+        a cast to int64 whose range is unknown.
+    """
+    proto = subject.file.proto
+    spans = intervals(subject.graph, proto.graph.initializer, subject.manifest)
+    doubtful: set[str] = set()  # so are all values computed from them
+    for placement in subject.placements:
+        node, output_name = placement.node, placement.node.output[0]
+        if not doubtful.isdisjoint(node.input):
+            doubtful.add(output_name)
+            continue
+        if placement.cause or not _makes_int64(subject, placement):
+            continue
+        span = spans.get(output_name)
+        if span is None or not (span[0] >= _LOWEST and span[1] <= _HIGHEST):
+            doubtful.add(output_name)
+            yield _out_of_range(placement, span)
+
+
+def _makes_int64(subject: InspectedModel, placement: Placement) -> bool:
+    tensor = subject.graph.tensors.get(placement.node.output[0])
+    return tensor is not None and tensor.dtype == "int64"
+
+
+def _out_of_range(placement: Placement, span: Interval | None) -> Violation:
+    location = _node_location(placement.node)
+    expected = f"values from {_LOWEST:.0f} to {_HIGHEST:.0f}"
+    if span is None:
+        actual = "int64 whose range is not known"
+        return Violation.at(location, actual, expected, certainty="possible")
+    return Violation.at(location, f"int64 from {span[0]:.6g} to {span[1]:.6g}", expected)
+
+
+@rule(
+    "GG016", Severity.WARNING, kinds=KINDS, needs=("GG019",), settled_by=("GB014", "GB016", "GB011")
+)
+def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
+    """Every output that varies by frame is written by a computing operator, not by a buffer view.
+
+    Why:
+        Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,
+        Squeeze, Unsqueeze or Identity repeats the first frame for ever, without any error. So does
+        one by an operator with nothing to do (a reduction over no axes, Max or Min of one input),
+        and an update in place by ScatterND or ScatterElements.
+
+    Hint:
+        End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace
+        Scatter by Concat, Where or Gather.
+    """
+    graph = subject.graph
+    for tensor in graph.outputs:
+        location = f"output {tensor.name}"
+        if graph.input(tensor.name):
+            yield Violation.at(location, "an input passed through", "the result of an operator")
+            continue
+        if not graph.varies(tensor.name):
+            continue
+        producer = graph.producers.get(tensor.name)
+        if producer is not None and _copies(graph, producer):
+            yield Violation.at(location, f"made by {producer.op_type}", "an operator that computes")
+        for node in graph.ancestors(tensor.name)[1]:
+            if node.op_type in _SCATTERS and _shares_base(graph, node):
+                location = f"node {node.name or node.op_type} ({node.op_type})"
+                actual = "updates a tensor that others read"
+                yield Violation.at(location, actual, "Where or Concat")
+
+
+def _copies(graph: Graph, node: NodeProto) -> bool:
+    if node.domain not in MAIN_DOMAIN:
+        return False
+    idle = any(
+        attribute.name == "noop_with_empty_axes" and attribute.i for attribute in node.attribute
+    )
+    has_axes = any(attribute.name == "axes" and attribute.ints for attribute in node.attribute)
+    axes_inputs = [name for name in node.input[1:2] if name]
+    axes = graph.tensors.get(axes_inputs[0]) if axes_inputs else None
+    empty = not axes_inputs or (axes is not None and axes.dims is not None and 0 in axes.dims)
+    return is_copy(node.op_type, len(node.input), keeps_all_axes=idle and empty and not has_axes)
+
+
+def _shares_base(graph: Graph, node: NodeProto) -> bool:
+    base = node.input[0]
+    return base not in graph.producers or graph.uses.get(base, 0) > 1

@@ -1174,12 +1174,12 @@ if (((rows != null) && (color != null) && (!py.eq(rows.dtype, color.dtype)))) {
 yield py.violation(`output ${py.str(color.name)}`, py.str(color.dtype), `${py.str(rows.dtype)}, as ${py.str(rows.name)}`);
 }
 }
-function* count_declared$count(subject) {
+function* count_declared$outputs(subject) {
 if ((subject.count == null)) {
 yield py.violation("outputs", "no row count", "one int32 [1] output, usually num_points");
 }
 }
-function* count_is_int32$count(subject) {
+function* count_is_int32$outputs(subject) {
   let tensor;
 tensor = subject.count;
 if (((tensor != null) && ((!py.eq(tensor.dtype, "int32")) || (!py.eq(tensor.dims, [1]))))) {
@@ -1425,8 +1425,8 @@ yield py.violation(`${py.str(kind)} ${py.str(py.repr(tensor.name))}`, "the name 
 }
 }
 }
-function* outputs_survive_replay$replay(subject) {
-  let graph, location, node, producer, tensor;
+function* outputs_survive_replay$capture(subject) {
+  let actual, graph, location, node, producer, tensor;
 graph = subject.graph;
 for (tensor of py.iter(graph.outputs)) {
 location = `output ${py.str(tensor.name)}`;
@@ -1438,17 +1438,19 @@ if (!py.bool(graph.varies(tensor.name))) {
 continue;
 }
 producer = py.get(graph.producers, tensor.name);
-if (((producer != null) && py.bool(_copies$replay(graph, producer)))) {
+if (((producer != null) && py.bool(_copies$capture(graph, producer)))) {
 yield py.violation(location, `made by ${py.str(producer.op_type)}`, "an operator that computes");
 }
 for (node of py.iter(py.item(graph.ancestors(tensor.name), 1))) {
-if (((py.contains(_SCATTERS$25, node.op_type)) && py.bool(_shares_base$replay(graph, node)))) {
-yield py.violation(_node_location$replay(node), "updates a tensor that others read", "Where or Concat");
+if (((py.contains(_SCATTERS$25, node.op_type)) && py.bool(_shares_base$capture(graph, node)))) {
+location = `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_type)})`;
+actual = "updates a tensor that others read";
+yield py.violation(location, actual, "Where or Concat");
 }
 }
 }
 }
-function _copies$replay(graph, node) {
+function _copies$capture(graph, node) {
   let axes, axes_inputs, empty, has_axes, idle;
 if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
 return false;
@@ -1469,13 +1471,10 @@ return keeps_all_axes;
 }
 return py.and((py.contains(VARIADIC$24, operator)), () => (py.eq(inputs, 1)));
 }
-function _shares_base$replay(graph, node) {
+function _shares_base$capture(graph, node) {
   let base;
 base = py.item(node.input, 0);
 return py.or((!py.contains(graph.producers, base)), () => (py.compare(py.get(graph.uses, base, 0), 1) > 0));
-}
-function _node_location$replay(node) {
-return `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_type)})`;
 }
 function* fits_buffer$limits(subject) {
 yield* py.iter(_larger$limits(subject, py.item(subject.target.limits, "buffer_bytes")));
@@ -2171,8 +2170,8 @@ export const RULES = [
 {"id": "GO007", "severity": "error", "hint": "Pad both outputs to the same capacity.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO004", "GO006"], check: appearance_rows$outputs},
 {"id": "GO008", "severity": "error", "hint": "End the output on a cast to float32 or float16.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO001", "GO005"], check: output_dtype$outputs},
 {"id": "GO009", "severity": "warning", "hint": "Cast both to the same dtype.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO008"], check: output_dtypes_match$outputs},
-{"id": "GO010", "severity": "error", "hint": "Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003", "GM004"], check: count_declared$count},
-{"id": "GO011", "severity": "error", "hint": "Cast the count to int32 and reshape it to [1]; `gsgen explain GG016` says in which order.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO010"], check: count_is_int32$count},
+{"id": "GO010", "severity": "error", "hint": "Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003", "GM004"], check: count_declared$outputs},
+{"id": "GO011", "severity": "error", "hint": "Cast the count to int32 and reshape it to [1]; `gsgen explain GG016` says in which order.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO010"], check: count_is_int32$outputs},
 {"id": "GO013", "severity": "warning", "hint": "End the output on an operator, such as Mul by one; Identity may be removed again.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG019"], check: outputs_are_computed$graph_outputs},
 {"id": "GO014", "severity": "error", "hint": "Remove the second entry, or give it a tensor of its own through Mul by one.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: outputs_are_distinct$graph_outputs},
 {"id": "GO015", "severity": "error", "hint": "Pad float16 RGB to four channels, and SH to 12 or 48 channels.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GO002", "GO006", "GO008"], check: rows_fill_words$outputs},
@@ -2188,7 +2187,7 @@ export const RULES = [
 {"id": "GG003", "severity": "warning", "hint": "Compute both branches and select with Where; unroll loops of fixed length.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: no_control_flow$graph},
 {"id": "GG010", "severity": "error", "hint": "Draw the numbers before export and store them as weights.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG025"], check: no_random_operators$repeatability},
 {"id": "GG012", "severity": "error", "hint": "Rename the nodes; name inputs and outputs with letters, digits, dots, slashes and underscores.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: names_are_clean$naming},
-{"id": "GG016", "severity": "warning", "hint": "End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace Scatter by Concat, Where or Gather.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG019"], check: outputs_survive_replay$replay},
+{"id": "GG016", "severity": "warning", "hint": "End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace Scatter by Concat, Where or Gather.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG019"], check: outputs_survive_replay$capture},
 {"id": "GL002", "severity": "error", "hint": "Use float16, fewer SH degrees or a smaller capacity, or split the model.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "buffer_bytes", "needs": [], check: fits_buffer$limits},
 {"id": "GL001", "severity": "error", "hint": "Use float16, fewer SH degrees or a smaller capacity, or split the model.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "binding_bytes", "needs": ["GL002"], check: fits_binding$limits},
 {"id": "GL003", "severity": "error", "hint": "Lower the capacity, or split the model.", "kinds": ["gaussian-generator"], "target": "", "limit": "workgroups", "needs": ["GO004", "GL001", "GL002"], check: fits_dispatch$limits},
