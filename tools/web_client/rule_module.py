@@ -21,7 +21,6 @@ from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec import manifest_io
 from gsgen.contract.spec.fields.roles import KINDS
-from gsgen.contract.spec.schema_check import schema_faults
 from gsgen.contract.spec.targets import Target, load_target
 from gsgen.contract.validation.rule import Rule
 from web_client.javascript import FunctionTranslator, Untranslatable, literal
@@ -61,8 +60,6 @@ _OVERRIDES: Final = {
 }
 
 
-# Pages have no library that checks schemas.
-_SUBSTITUTES: Final = {"gsgen.contract.spec.manifest_io._errors": schema_faults}
 _PRELUDE: Final = """\
 // Written by `make web` from the Python rules of the contract; do not edit.
 // @ts-nocheck
@@ -175,7 +172,6 @@ class _Module:
         """Return the JavaScript expression of a global Python value, and define it if needed."""
         value = value.check if isinstance(value, Rule) else value
         value = inspect.unwrap(value) if callable(value) else value
-        value = _SUBSTITUTES.get(_path(value), value)
         override = _OVERRIDES.get(_path(value))
         if override is not None:
             return override

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from gsgen.contract.spec.manifest_io import _complaint
-from gsgen.contract.spec.schema_check import accepts, schema_faults
+from gsgen.contract.spec.schema_check import schema_faults
 
 FOLDER = resources.files("gsgen.contract").joinpath("schemas")
 SCHEMAS = {
@@ -74,16 +74,15 @@ def test_quick_acceptance_agrees_with_the_library(data, name):
             target[last] = data.draw(VALUES)
     schema = SCHEMAS[name]
     errors = list(Draft202012Validator(schema).iter_errors(document))
-    assert accepts(schema, document) == (not errors)
     assert described(schema_faults(document, schema)) == described(errors)
 
 
 @pytest.mark.parametrize("keyword", ["not", "if", "contains", "uniqueItems"])
-def test_an_unknown_keyword_is_left_to_the_library(keyword):
-    assert not accepts({keyword: True}, [])
+def test_unknown_keyword_is_a_fault(keyword):
+    assert list(schema_faults([], {keyword: True}))
 
 
 def test_true_is_not_one():
-    assert not accepts({"enum": [1]}, True)
-    assert not accepts({"type": "integer"}, True)
-    assert accepts({"type": "integer"}, 3.0)
+    assert list(schema_faults(True, {"enum": [1]}))
+    assert list(schema_faults(True, {"type": "integer"}))
+    assert not list(schema_faults(3.0, {"type": "integer"}))

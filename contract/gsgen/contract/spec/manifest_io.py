@@ -14,7 +14,7 @@ from gsgen.contract.errors import ManifestInvalid
 from gsgen.contract.spec.fields.json_schema import from_json, schema_of, to_json
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.manifest import Manifest, manifest_type
-from gsgen.contract.spec.schema_check import accepts
+from gsgen.contract.spec.schema_check import SchemaFault, schema_faults
 from gsgen.contract.spec.upgrades import CONTRACT, CURRENT, UPGRADES, Version, upgrade
 
 _MAX_BYTES = 4 << 20
@@ -81,15 +81,6 @@ def _published_schema(kind: str) -> dict[str, Any]:
     return document
 
 
-def _errors(document: dict[str, Any], schema: dict[str, Any]) -> list[Any]:
-    """Return all errors that jsonschema finds in the manifest ``document``."""
-    if accepts(schema, document):
-        return []
-    from jsonschema import Draft202012Validator
-
-    return list(Draft202012Validator(schema).iter_errors(document))
-
-
 def parse(text: str) -> Parsed:
     """Parse the JSON text of a manifest; faults are returned as data, never raised."""
     if len(text) > _MAX_BYTES:
@@ -132,10 +123,10 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
         return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
     newer = version > CURRENT and version not in UPGRADES
     document = upgrade(document, version)
-    errors = _errors(document, _published_schema(kind))
+    faults = list(schema_faults(document, _published_schema(kind)))
     if newer:  # a newer minor may have fields that this reader does not know
-        errors = [error for error in errors if error.validator != "additionalProperties"]
-    complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))
+        faults = [fault for fault in faults if fault.validator != "additionalProperties"]
+    complaints = tuple(_complaint(fault) for fault in sorted(faults, key=_place))
     if complaints:
         return Parsed(None, complaints, version, newer)
     manifest: Manifest = from_json(manifest_type(kind), document)
@@ -214,33 +205,33 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def _place(error: Any) -> tuple[str | int, ...]:
-    return tuple(error.absolute_path)
+def _place(fault: SchemaFault) -> tuple[str | int, ...]:
+    return fault.absolute_path
 
 
-def _is_unknown(name: str, error: Any) -> bool:
-    patterns = error.schema.get("patternProperties", ())
-    known = name in error.schema.get("properties", ())
+def _is_unknown(name: str, fault: SchemaFault) -> bool:
+    patterns = fault.schema.get("patternProperties", ())
+    known = name in fault.schema.get("properties", ())
     return not known and not any(re.search(pattern, name) for pattern in patterns)
 
 
-def _complaint(error: Any) -> Complaint:
-    """Translate a jsonschema error into location, actual and expected value."""
-    where = ".".join(str(part) for part in error.absolute_path)
-    expected = error.schema.get("description") if isinstance(error.schema, dict) else None
-    if error.validator == "required":
-        missing = error.message.split("'")[1]
+def _complaint(fault: SchemaFault) -> Complaint:
+    """Translate a fault of the schema into location, actual and expected value."""
+    where = ".".join(str(part) for part in fault.absolute_path)
+    expected = fault.schema.get("description") if isinstance(fault.schema, dict) else None
+    if fault.validator == "required":
+        missing = fault.message.split("'")[1]
         return Complaint("schema", where, f"no field {missing!r}", f"{missing!r} to be present")
-    if error.validator == "additionalProperties":
-        known = ", ".join(error.schema.get("properties", {}))
+    if fault.validator == "additionalProperties":
+        known = ", ".join(fault.schema.get("properties", {}))
         unmatched_entries = ", ".join(
-            repr(name) for name in error.instance if _is_unknown(name, error)
+            repr(name) for name in fault.instance if _is_unknown(name, fault)
         )
         return Complaint("schema", where, _short(unmatched_entries), f"only the fields {known}")
-    if error.validator == "enum":
-        options = ", ".join(str(option) for option in error.validator_value)
-        return Complaint("schema", where, _short(error.instance), f"one of {options}")
-    detail = f"{error.validator} {error.validator_value}"
+    if fault.validator == "enum":
+        options = ", ".join(str(option) for option in fault.validator_value)
+        return Complaint("schema", where, _short(fault.instance), f"one of {options}")
+    detail = f"{fault.validator} {fault.validator_value}"
     return Complaint(
-        "schema", where, _short(error.instance), f"{expected} ({detail})" if expected else detail
+        "schema", where, _short(fault.instance), f"{expected} ({detail})" if expected else detail
     )

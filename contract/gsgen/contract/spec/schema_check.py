@@ -1,11 +1,10 @@
-"""Checks JSON documents against a JSON Schema quickly, without a library.
+"""Checks JSON documents against the keywords that the JSON Schemas of manifests have.
 
-Importing jsonschema takes a sixth of a static validation. Documents that :func:`accepts` are valid;
-for all others, jsonschema decides. Web pages, which have no such library, report
-:func:`schema_faults`: this module is translated for them.
+Importing jsonschema takes a sixth of a static validation, and web pages, for which this module is
+translated, have no such library.
 """
 
-__all__ = ["Schema", "SchemaFault", "accepts", "schema_faults"]
+__all__ = ["Schema", "SchemaFault", "schema_faults"]
 
 import re
 from collections.abc import Iterator
@@ -37,11 +36,6 @@ class SchemaFault:
     schema: Any
     absolute_path: tuple[str | int, ...]
     message: str = ""
-
-
-def accepts(schema: Schema, document: object) -> bool:
-    """Return True only if a JSON document surely follows a schema; unknown keywords give False."""
-    return next(iter(schema_faults(document, schema)), None) is None
 
 
 def schema_faults(document: object, schema: Schema) -> Iterator[SchemaFault]:

@@ -1834,18 +1834,18 @@ function _dotted$manifest_io(version) {
 return `${py.str(py.item(version, 0))}.${py.str(py.item(version, 1))}`;
 }
 function _parse_body$manifest_io(document, version) {
-  let complaints, errors, kind, manifest, newer;
+  let complaints, faults, kind, manifest, newer;
 kind = py.get(document, "kind");
 if ((!py.contains(KINDS$0, kind))) {
 return _failed$manifest_io("schema", "kind", _short$manifest_io(kind), `one of ${py.str(py.list(KINDS$0).join(", "))}`);
 }
 newer = py.and((py.compare(version, CURRENT$34) > 0), () => (!py.contains(UPGRADES$4, version)));
 document = upgrade$upgrades(document, version);
-errors = schema_faults$schema_check(document, publishedSchema(kind));
+faults = py.list(schema_faults$schema_check(document, publishedSchema(kind)));
 if (py.bool(newer)) {
-errors = [...(function* () { for (const error of py.iter(errors)) if ((!py.eq(error.validator, "additionalProperties"))) yield error; })()];
+faults = [...(function* () { for (const fault of py.iter(faults)) if ((!py.eq(fault.validator, "additionalProperties"))) yield fault; })()];
 }
-complaints = py.list((function* () { for (const error of py.iter(py.sorted(errors, _place$manifest_io))) yield _complaint$manifest_io(error); })());
+complaints = py.list((function* () { for (const fault of py.iter(py.sorted(faults, _place$manifest_io))) yield _complaint$manifest_io(fault); })());
 if (py.bool(complaints)) {
 return new Parsed$manifest_io(null, complaints, version, newer);
 }
@@ -1987,33 +1987,33 @@ yield* py.iter(_faults$schema_check(part, rule, [...py.iter(path), name], defini
 }
 }
 }
-function _place$manifest_io(error) {
-return py.list(error.absolute_path);
+function _place$manifest_io(fault) {
+return fault.absolute_path;
 }
-function _complaint$manifest_io(error) {
+function _complaint$manifest_io(fault) {
   let detail, expected, known, missing, options, unmatched_entries, where;
-where = py.list((function* () { for (const part of py.iter(error.absolute_path)) yield py.str(part); })()).join(".");
-expected = (py.isinstance(error.schema, py.dict) ? py.get(error.schema, "description") : null);
-if ((py.eq(error.validator, "required"))) {
-missing = py.item(error.message.split("'"), 1);
+where = py.list((function* () { for (const part of py.iter(fault.absolute_path)) yield py.str(part); })()).join(".");
+expected = (py.isinstance(fault.schema, py.dict) ? py.get(fault.schema, "description") : null);
+if ((py.eq(fault.validator, "required"))) {
+missing = py.item(fault.message.split("'"), 1);
 return new Complaint$manifest_io("schema", where, `no field ${py.str(py.repr(missing))}`, `${py.str(py.repr(missing))} to be present`);
 }
-if ((py.eq(error.validator, "additionalProperties"))) {
-known = py.list(py.get(error.schema, "properties", py.dict([]))).join(", ");
-unmatched_entries = py.list((function* () { for (const name of py.iter(error.instance)) if (py.bool(_is_unknown$manifest_io(name, error))) yield py.repr(name); })()).join(", ");
+if ((py.eq(fault.validator, "additionalProperties"))) {
+known = py.list(py.get(fault.schema, "properties", py.dict([]))).join(", ");
+unmatched_entries = py.list((function* () { for (const name of py.iter(fault.instance)) if (py.bool(_is_unknown$manifest_io(name, fault))) yield py.repr(name); })()).join(", ");
 return new Complaint$manifest_io("schema", where, _short$manifest_io(unmatched_entries), `only the fields ${py.str(known)}`);
 }
-if ((py.eq(error.validator, "enum"))) {
-options = py.list((function* () { for (const option of py.iter(error.validator_value)) yield py.str(option); })()).join(", ");
-return new Complaint$manifest_io("schema", where, _short$manifest_io(error.instance), `one of ${py.str(options)}`);
+if ((py.eq(fault.validator, "enum"))) {
+options = py.list((function* () { for (const option of py.iter(fault.validator_value)) yield py.str(option); })()).join(", ");
+return new Complaint$manifest_io("schema", where, _short$manifest_io(fault.instance), `one of ${py.str(options)}`);
 }
-detail = `${py.str(error.validator)} ${py.str(error.validator_value)}`;
-return new Complaint$manifest_io("schema", where, _short$manifest_io(error.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
+detail = `${py.str(fault.validator)} ${py.str(fault.validator_value)}`;
+return new Complaint$manifest_io("schema", where, _short$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
 }
-function _is_unknown$manifest_io(name, error) {
+function _is_unknown$manifest_io(name, fault) {
   let known, patterns;
-patterns = py.get(error.schema, "patternProperties", []);
-known = (py.contains(py.get(error.schema, "properties", []), name));
+patterns = py.get(fault.schema, "patternProperties", []);
+known = (py.contains(py.get(fault.schema, "properties", []), name));
 return py.and(!py.bool(known), () => !py.list((function* () { for (const pattern of py.iter(patterns)) yield new RegExp(pattern).exec(name); })()).some(py.bool));
 }
 function manifest_type$manifest(kind) {
