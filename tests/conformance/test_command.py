@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from conformance.conftest import write
+from conformance.pytest_runs import write
 from support.commands import gsgen_here
 
 

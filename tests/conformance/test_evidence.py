@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance.conftest import write
+from conformance.pytest_runs import write
 from gsgen.conformance.evidence import Dumps, suspects
 from gsgen.conformance.rerun import find_probes, plan_for, save
 from gsgen.conformance.run import run_model

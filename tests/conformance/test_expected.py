@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance.conftest import run_pytest, write
+from conformance.pytest_runs import run_pytest, write
 from gsgen.conformance.expected import ExpectedFailure, read_expected, unmatched_entries
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.rules.catalogue import installed_rules

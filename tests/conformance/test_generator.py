@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from conformance.conftest import run_pytest, write
+from conformance.pytest_runs import run_pytest, write
 
 HEAD = """
 import pytest

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance.conftest import run_pytest, write
+from conformance.pytest_runs import run_pytest, write
 
 
 def reproduce(line: str, folder: Path) -> "subprocess.CompletedProcess[str]":

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance.conftest import run_pytest, write
+from conformance.pytest_runs import run_pytest, write
 
 
 def run(folder: Path, text: str, *words: str) -> "object":

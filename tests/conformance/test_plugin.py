@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance.conftest import run_pytest
+from conformance.pytest_runs import run_pytest
 
 HEAVY = {"numpy", "onnx", "onnxruntime", "jsonschema", "typer", "torch", "jaxtyping"}
 

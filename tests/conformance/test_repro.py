@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance.conftest import write
+from conformance.pytest_runs import write
 from gsgen.conformance.reproduction import reproduce
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.rules.catalogue import installed_rules

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from conformance.conftest import property_of, run_pytest, write
+from conformance.pytest_runs import property_of, run_pytest, write
 from gsgen.contract import validate
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance.conftest import write
+from conformance.pytest_runs import write
 from gsgen.conformance.run import suites_of
 from gsgen.conformance.suite import BASIC, SUITES, find_suite
 from gsgen.contract.errors import UnknownName

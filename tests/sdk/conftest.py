@@ -11,10 +11,7 @@ Exported = Callable[..., Path]
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
-    """Return the export of a class of ``support.models.generators``, with room for 256 Gaussians.
-
-    It is made once.
-    """
+    """Return what exports a class of ``support.models.generators`` once, with room for 256 rows."""
     from gsgen.sdk import GaussianGenerator, export
 
     folder = tmp_path_factory.mktemp("exported")

@@ -5,14 +5,10 @@ from typing import Any
 
 import pytest
 
-from gsgen.contract.spec.severity import Level
-from gsgen.contract.validation.settings import Settings
-from gsgen.reference_plugins.people.gauhuman_plugin import build
-from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_motion
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES, cached_ort
-from gsgen.sdk import export
 from support.web import pages
+from web.people import export_walking_person
 
 
 @pytest.fixture(scope="session")
@@ -56,9 +52,4 @@ def ort(site: pages.WebSite, ort_folder: Path) -> None:
 @pytest.fixture(scope="session")
 def walking_person(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return a small model of a person who walks on the spot, in 24 frames."""
-    folder = tmp_path_factory.mktemp("person")
-    write_gauhuman(folder / "run", PersonOptions(count=1200, vertices=600))
-    generator = build(folder / "run", motion=write_motion(folder / "walk.npz", frames=24))
-    path = folder / "walk.onnx"
-    export(generator, path, target="webgpu", settings=Settings(level=Level.STATIC))
-    return path.read_bytes()
+    return export_walking_person(tmp_path_factory.mktemp("person"))

@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 
 import pytest
 
@@ -9,11 +11,27 @@ from gsgen.conformance.fixtures import Fixture, example_of, find, fixtures
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validator import validate
 
 CORPUS = fixtures()
 GOOD = [fixture for fixture in CORPUS if not fixture.rule]
 BROKEN = [fixture for fixture in CORPUS if fixture.rule]
+
+Judge = Callable[[Fixture], Report]
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
+    """Validate each fixture once, however many tests ask for it."""
+
+    @cache
+    def judged(fixture: Fixture) -> Report:
+        return validate(fixture.write(tmp_path_factory.mktemp("corpus")), fixture.settings)
+
+    return judged
+
 
 each_rule = pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
 each_fixture = pytest.mark.parametrize("fixture", CORPUS, ids=lambda fixture: fixture.name)

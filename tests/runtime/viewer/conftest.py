@@ -1,7 +1,6 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
@@ -10,7 +9,7 @@ from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.scene_source import sources_of
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
-from support.rendering.viewers import Hand
+from support.rendering.viewers import Hand, round_cloud
 
 
 @pytest.fixture(scope="session")
@@ -21,11 +20,7 @@ def painter() -> SurfaceRenderer:
 
 @pytest.fixture(scope="module")
 def cloud() -> SplatData:
-    rng = np.random.default_rng(3)
-    rows = np.zeros((300, 10), np.float32)
-    rows[:, :3] = rng.normal(size=(300, 3)) * 0.5
-    rows[:, 3], rows[:, [4, 7, 9]] = 0.8, 0.01
-    return SplatData(rows, rng.uniform(size=(300, 27)).astype(np.float32) - 0.3, "sh")
+    return round_cloud()
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from rendercanvas.offscreen import OffscreenRenderCanvas
 
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.playback.live_playback import LivePlayback
+from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.viewer import Viewer
 from gsgen.runtime.viewer.window import attach
@@ -74,3 +75,12 @@ class Hand:
         made = self.settled()
         self.key("i")
         return made
+
+
+def round_cloud() -> SplatData:
+    """Return 300 small Gaussians with harmonics."""
+    rng = np.random.default_rng(3)
+    rows = np.zeros((300, 10), np.float32)
+    rows[:, :3] = rng.normal(size=(300, 3)) * 0.5
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.8, 0.01
+    return SplatData(rows, rng.uniform(size=(300, 27)).astype(np.float32) - 0.3, "sh")
