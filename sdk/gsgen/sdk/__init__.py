@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.errors import ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed
-    from gsgen.sdk.exporting.exporter import Exported, export
+    from gsgen.sdk.exporting.exporter import export
+    from gsgen.sdk.exporting.pipeline import Exported
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
     from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication, installed_plugins
 

@@ -26,7 +26,7 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk import export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
-from gsgen.sdk.exporting.exporter import Exported
+from gsgen.sdk.exporting.pipeline import Exported
 from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
 from support.checkpoints.golden_duplex import BACKDROP, golden_view
 from support.checkpoints.plugin_checks import (

@@ -21,7 +21,8 @@ from gsgen.reference_plugins.images.embeddings import read_embeddings
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.safetensors import read_safetensors, write_safetensors
 from gsgen.reference_plugins.synthetic import write_denoiser
-from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post_process
+from gsgen.sdk.exporting.pipeline import Exported
+from gsgen.sdk.exporting.post_process_exporter import export_post_process
 from plugins.images.diffusion_oracle import unet
 from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured
@@ -336,7 +337,7 @@ def test_steps_that_cannot_be_taken_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def model_and_export(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser, ExportedImage]:
+def model_and_export(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser, Exported]:
     folder = tmp_path_factory.mktemp("denoiser")
     model = command.build(write_denoiser(folder), timestep_input=True)
     path = folder / "denoiser.onnx"
@@ -345,7 +346,7 @@ def model_and_export(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser
 
 
 @pytest.mark.slow
-def test_the_timestep_steers_the_model(model_and_export: tuple[Denoiser, ExportedImage]) -> None:
+def test_the_timestep_steers_the_model(model_and_export: tuple[Denoiser, Exported]) -> None:
     model, exported = model_and_export
     session = onnxruntime.InferenceSession(exported.path)
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 16, 16)).astype(np.float32)
@@ -360,7 +361,7 @@ def test_the_timestep_steers_the_model(model_and_export: tuple[Denoiser, Exporte
 
 
 def test_the_manifest_declares_range_and_timestep(
-    model_and_export: tuple[Denoiser, ExportedImage],
+    model_and_export: tuple[Denoiser, Exported],
 ) -> None:
     manifest = model_and_export[1].manifest
     assert manifest.kind == "post-process"
@@ -371,7 +372,7 @@ def test_the_manifest_declares_range_and_timestep(
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(
-    model_and_export: tuple[Denoiser, ExportedImage],
+    model_and_export: tuple[Denoiser, Exported],
 ) -> None:
     assert_captured(model_and_export[1].report)
 

@@ -14,7 +14,8 @@ from gsgen.reference_plugins.images import stylise_plugin as command
 from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
 from gsgen.reference_plugins.loading.image_sizes import read_size
 from gsgen.reference_plugins.synthetic import write_stylise
-from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post_process
+from gsgen.sdk.exporting.pipeline import Exported
+from gsgen.sdk.exporting.post_process_exporter import export_post_process
 from support.models.captured import assert_captured
 
 
@@ -59,18 +60,18 @@ def test_the_network_is_what_it_says(seed: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> ExportedImage:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     folder = tmp_path_factory.mktemp("stylise")
     model = command.build(write_stylise(folder, channels=4, blocks=1), size="16x24")
     settings = Settings(level=Level.LIVE)
     return export_post_process(model, folder / "stylise.onnx", target="webgpu", settings=settings)
 
 
-def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: ExportedImage) -> None:
+def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: Exported) -> None:
     assert_captured(exported.report)
 
 
-def test_the_manifest_has_the_image_and_the_slider(exported: ExportedImage) -> None:
+def test_the_manifest_has_the_image_and_the_slider(exported: Exported) -> None:
     image, slider = exported.manifest.inputs
     assert (image.role, image.shape, image.range) == ("image", (1, 3, 16, 24), (0.0, 1.0))
     assert (slider.role, slider.range, slider.default) == ("control", (0.0, 1.0), 1.0)

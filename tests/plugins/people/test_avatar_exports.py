@@ -23,7 +23,7 @@ from gsgen.reference_plugins.synthetic import (
     write_r3,
 )
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.exporting.exporter import Exported
+from gsgen.sdk.exporting.pipeline import Exported
 from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
 from support.checkpoints.plugin_checks import MARGIN, acceptance, eager, run, stored, weights_of
 from support.commands import shared

@@ -23,7 +23,7 @@ from gsgen.sdk import wrap as wrapped
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from gsgen.sdk.binding import FrameSession
 from gsgen.sdk.exporting.constant_generator import write_constant
-from gsgen.sdk.exporting.exporter import Exported
+from gsgen.sdk.exporting.pipeline import Exported
 from gsgen.sdk.float16.convert_model import write_float16
 from gsgen.sdk.live.comparison import disagreements
 from gsgen.sdk.live.level import Frame, Live

@@ -93,8 +93,8 @@ def test_alpha_may_come_along_whatever_the_size(tmp_path: Path) -> None:
     [
         ([], "declares 0 image inputs, expected one"),
         ([inputs.image(), inputs.image(name="other")], "declares 2 image inputs, expected one"),
-        ([inputs.image(), inputs.timestep(0, name="image")], "is the name of two inputs"),
-        ([inputs.image(name="result")], "or of the result"),
+        ([inputs.image(), inputs.timestep(0, name="image")], "two inputs are named"),
+        ([inputs.image(name="result")], "is the name of the result"),
         ([inputs.image(), inputs.view()], "the role view"),
         ([inputs.image(range=(-1.0, 1.0))], "image_range is"),
     ],

@@ -9,7 +9,8 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk import GaussianGenerator
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
-from gsgen.sdk.exporting.exporter import _manifest, _probes
+from gsgen.sdk.exporting.pipeline import probes_of
+from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, manifest_of
 from gsgen.sdk.exporting.tracing.trace import trace_generator
 
 
@@ -26,7 +27,7 @@ class Traced:
 def traced(generator: GaussianGenerator, name: str, rows: int, degree: int | None) -> Traced:
     """Trace a generator of ``rows`` Gaussians; ``degree`` is that of its SH, None for RGB."""
     bounds = Bounds((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
-    manifest = _manifest(generator.eval(), name, "float32", degree, rows, bounds)
-    probes = _probes(manifest)
+    manifest = manifest_of(generator.eval(), name, "float32", degree, rows, bounds)
+    probes = probes_of(manifest, count=BOUNDS_PROBES)
     module = PackedGenerator(generator, Packed(torch.float32, rows))
     return Traced(trace_generator(module, probes[1], manifest, 18), module, manifest, probes)

@@ -3,6 +3,7 @@
 __all__ = ["WRAP_CALL", "input_order_hint", "validate_module"]
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 
 from torch import nn
@@ -25,7 +26,7 @@ def validate_module(module: Any, kind: type[GaussianGenerator] | type[PostProces
     """Raise if an object to export is not an initialised torch module with declared inputs.
 
     Finds classes in place of instances, torch modules of another kind, ``__init__`` without the
-    parent's, and ``inputs`` that are not a sequence of inputs.
+    parent's, and ``inputs`` that are not a sequence of inputs with names of their own and shapes.
 
     Args:
         module: The object.
@@ -46,7 +47,9 @@ def validate_module(module: Any, kind: type[GaussianGenerator] | type[PostProces
     if "_modules" not in vars(module):
         hint = "Begin it with super().__init__()."
         raise GeneratorInvalid("__init__ does not call super().__init__()", where=name, hint=hint)
-    _require_inputs(getattr(module, "inputs", ()), f"{name}.inputs")
+    declared = getattr(module, "inputs", ())
+    _require_inputs(declared, f"{name}.inputs")
+    _require_names_and_shapes(declared, kind, f"{name}.inputs")
 
 
 def _kind_hint(module: nn.Module, kind: type[nn.Module]) -> str:
@@ -73,6 +76,18 @@ def _require_inputs(declared: Any, where: str) -> None:
         if not isinstance(entry, Input):
             message = f"{entry!r} is not an input"
             raise GeneratorInvalid(message, where=f"{where}[{index}]", hint=_INPUTS_HINT)
+
+
+def _require_names_and_shapes(declared: Sequence[Input], kind: type[nn.Module], where: str) -> None:
+    names = [entry.name for entry in declared]
+    for entry in declared:
+        if names.count(entry.name) > 1:
+            hint = "Give each input a name of its own."
+            raise GeneratorInvalid(f"two inputs are named {entry.name!r}", where=where, hint=hint)
+        is_image = kind is PostProcess and entry.role == "image"
+        if entry.shape is None and not is_image:
+            hint = "Make inputs with the functions of gsgen.sdk.inputs."
+            raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
 
 
 def input_order_hint(module: nn.Module) -> str:

@@ -5,7 +5,7 @@ kernel to record.
 """
 
 __all__ = [
-    "ConstantRows", "ConstantSource", "ExportedConstant", "constant_manifest", "export_constant",
+    "ConstantRows", "ConstantSource", "constant_manifest", "export_constant",
     "write_constant",
 ]  # fmt: skip
 
@@ -25,7 +25,6 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
-from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import (
@@ -45,7 +44,15 @@ from gsgen.contract.spec.reader_needs import smallest_profile
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
-from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    Dtype,
+    Exported,
+    ExportOptions,
+    Progress,
+    silent,
+    write_export,
+)
 
 _IR_VERSION = 8
 _BOUNDS_MARGIN = 1e-3
@@ -91,24 +98,6 @@ class ConstantSource(ABC):
         """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportedConstant(ExportResult):
-    """The result of exporting a static scene."""
-
-    manifest: GeneratorManifest  # the embedded manifest
-    rows: ConstantRows  # the exported rows
-
-    @property
-    def dtype(self) -> Dtype:
-        """The dtype of the packed Gaussians."""
-        return self.rows.dtype
-
-    @property
-    def contents(self) -> str:
-        """A short description of the exported model: source of the Gaussians and their dtype."""
-        return f"{self.rows.description}, {self.rows.dtype}"
-
-
 def export_constant(
     source: ConstantSource,
     path: str | os.PathLike[str],
@@ -120,31 +109,33 @@ def export_constant(
     target: str = "core",
     settings: Settings | None = None,
     progress: Progress = silent,
-) -> ExportedConstant:
+) -> Exported:
     """Export a static scene as an ONNX generator that outputs equal Gaussians in every frame.
 
     Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
     source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
     and the file is replaced only by a model that passed every check.
     """
-    path = Path(path)
-    refuse_folder(path)
+    options = ExportOptions.of(
+        path, name, opset=opset, target=target, settings=settings, progress=progress
+    )
     progress("packing the rows")
     packed = source.pack(dtype, target)
-    manifest = constant_manifest(packed, name or path.stem, family=source.family, capacity=capacity)
-    assert manifest.outputs.gaussians is not None
+    manifest = constant_manifest(packed, options.name, family=source.family, capacity=capacity)
     outputs = _outputs(packed.rows, packed.appearance, manifest, len(packed.rows))
     _, report = write_export(
-        path,
+        options,
         lambda draft: _save(_model(outputs, manifest, opset), draft),
         lambda draft: _check(draft, outputs),
-        target=target,
-        settings=settings,
-        progress=progress,
         must_conform=not packed.passes_through,
     )
-    return ExportedConstant(
-        path=path, report=report, notes=packed.notes, manifest=manifest, rows=packed
+    return Exported(
+        path=options.path,
+        manifest=manifest,
+        report=report,
+        dtype=packed.dtype,
+        contents=f"{packed.description}, {packed.dtype}",
+        notes=packed.notes,
     )
 
 

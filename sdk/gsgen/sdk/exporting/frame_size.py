@@ -28,31 +28,33 @@ class _Sizes:
     color: int  # bytes of the appearance
 
 
-def _sizes(manifest: GeneratorManifest) -> _Sizes:
+def _sizes(manifest: GeneratorManifest, dtype: str) -> _Sizes:
     gaussians, appearance = manifest.outputs.gaussians, manifest.outputs.appearance
     assert gaussians is not None
     assert appearance is not None
     degree = appearance.degree
     channels = _RGB_CHANNELS if degree is None else 3 * coefficients(degree)
-    numbers = gaussians.capacity * np.dtype(gaussians.dtype).itemsize
+    numbers = gaussians.capacity * np.dtype(dtype).itemsize
     return _Sizes(layout.ROW * numbers, channels * numbers)
 
 
-def frame_bytes(manifest: GeneratorManifest) -> int:
-    """Return the size in bytes of one frame's outputs, as the exported model stores them."""
-    sizes = _sizes(manifest)
+def frame_bytes(manifest: GeneratorManifest, dtype: str | None = None) -> int:
+    """Return the size in bytes of one frame's outputs, stored in the manifest's or another dtype."""
+    assert manifest.outputs.gaussians is not None
+    sizes = _sizes(manifest, dtype or manifest.outputs.gaussians.dtype)
     return sizes.rows + sizes.color
 
 
-def describe_size(manifest: GeneratorManifest, *, seconds: float, runs: int) -> str:
+def describe_size(manifest: GeneratorManifest, dtype: str, *, seconds: float, runs: int) -> str:
     """Return a sentence about size, time and memory of a large export; empty for a small one.
 
     Args:
         manifest: Declares the outputs.
+        dtype: The dtype in which they are stored in the end.
         seconds: The time of one run in eager torch.
         runs: Number of runs in eager torch and in ONNX Runtime that follow.
     """
-    size = frame_bytes(manifest)
+    size = frame_bytes(manifest, dtype)
     if size < _LARGE:
         return ""
     assert manifest.outputs.gaussians is not None
@@ -65,7 +67,9 @@ def describe_size(manifest: GeneratorManifest, *, seconds: float, runs: int) -> 
     )
 
 
-def check_fits(generator: GaussianGenerator, manifest: GeneratorManifest, target: str) -> None:
+def check_fits(
+    generator: GaussianGenerator, manifest: GeneratorManifest, target: str, dtype: str
+) -> None:
     """Raise if an output of the generator model exceeds the storage buffer size of the target GPU.
 
     Raises:
@@ -76,14 +80,14 @@ def check_fits(generator: GaussianGenerator, manifest: GeneratorManifest, target
         return
     assert manifest.outputs.gaussians is not None
     assert manifest.outputs.appearance is not None
-    sizes = _sizes(manifest)
+    sizes = _sizes(manifest, dtype)
     largest, name = max(
         (sizes.rows, manifest.outputs.gaussians.name),
         (sizes.color, manifest.outputs.appearance.name),
     )
     if largest <= limit:
         return
-    halves = manifest.outputs.gaussians.dtype == "float32" and largest // 2 <= limit
+    halves = dtype == "float32" and largest // 2 <= limit
     options = (["--dtype float16"] if halves else []) + list(generator.smaller)
     raise GeneratorInvalid(
         f"{name} has {format_mebibytes(largest, 0)} a frame, but {target} binds at most "

@@ -1,28 +1,34 @@
-"""The last steps of every export: write a temporary file, verify, validate and rename it."""
+"""The beginning and the end of every export: its options, and a file that is verified and valid."""
 
 __all__ = [
     "OPSET",
     "VECTORS",
     "Dtype",
-    "ExportResult",
+    "ExportOptions",
+    "Exported",
     "Progress",
-    "check_contract",
+    "probes_of",
     "silent",
     "write_export",
 ]
 
-from abc import ABC, abstractmethod
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, Self, TypeVar
 
-from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.process.atomic_files import atomic_write, refuse_folder
+from gsgen.contract.spec.fields.roles import ROLES
+from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import SAFEST_OPSET
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.report import Report
     from gsgen.contract.validation.settings import Settings
+    from gsgen.sdk.float16.convert_image_model import Float16ImageResult
+    from gsgen.sdk.float16.convert_model import Float16Result
     from gsgen.sdk.parity import Parity
     from gsgen.sdk.rewriting.rewrite import Change
 
@@ -41,70 +47,124 @@ def silent(_: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExportResult(ABC):
-    """Base class of an export's result: path, validation report and statistics."""
+class ExportOptions:
+    """The options that exports of every kind have."""
+
+    path: Path  # the model file
+    name: str  # the name in the manifest
+    opset: int  # the ONNX operator set
+    target: str  # the consumer to rewrite and validate for
+    settings: "Settings | None"  # level, limits and severities of the validation
+    progress: Progress  # called with a message when a step begins
+    rewrite: bool = True  # whether to rewrite the graph so that it is captured
+
+    @classmethod
+    def of(
+        cls,
+        path: str | os.PathLike[str],
+        name: str | None,
+        *,
+        opset: int,
+        target: str,
+        settings: "Settings | None",
+        progress: Progress,
+        rewrite: bool = True,
+    ) -> Self:
+        """Return the options of an export; raise if the path of the model file is a folder."""
+        path = Path(path)
+        refuse_folder(path)
+        return cls(
+            path=path,
+            name=name or path.stem,
+            opset=opset,
+            target=target,
+            settings=settings,
+            progress=progress,
+            rewrite=rewrite,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """The result of exporting a generator, a post-process model or a scene that does not change.
+
+    Attributes:
+        path: The model file.
+        manifest: The embedded manifest.
+        report: The validator's report on the file.
+        dtype: The dtype of the outputs.
+        contents: A short description of the outputs.
+        parity: How closely the model agrees with eager torch; None if no module was exported.
+        changes: The rewrites of the graph.
+        notes: Further facts for the user, a sentence each.
+        halved: Which nodes and weights became float16; None if the outputs are float32.
+    """
 
     path: Path
-    report: "Report"  # the validator's report on it
-    # how closely it agrees with eager torch; None if no torch module was exported
+    manifest: Manifest
+    report: "Report"
+    dtype: Dtype
+    contents: str
     parity: "Parity | None" = None
-    changes: "tuple[Change, ...]" = ()  # the rewrites of the graph
-    notes: tuple[str, ...] = ()  # further facts for the user, a sentence each
+    changes: "tuple[Change, ...]" = ()
+    notes: tuple[str, ...] = ()
+    halved: "Float16Result | Float16ImageResult | None" = None
 
-    @property
-    @abstractmethod
-    def dtype(self) -> Dtype:
-        """The dtype of the exported model's outputs."""
 
-    @property
-    @abstractmethod
-    def contents(self) -> str:
-        """A short description of the exported model's outputs."""
+def probes_of(
+    manifest: Manifest,
+    *,
+    count: int,
+    seed: int = 0,
+    image: tuple[Dtype, tuple[int, ...]] | None = None,
+) -> tuple[Probe, ...]:
+    """Return test inputs for a manifest.
+
+    A post-process model takes ``image``: the dtype of images, and any shape that they leave open;
+    its other inputs are float32.
+    """
+    roles = {entry.name: entry.role for entry in manifest.inputs}
+    if image is None:
+        shape: tuple[int, ...] = ()
+        dtypes = {name: ROLES[role].dtype[0] for name, role in roles.items()}
+    else:
+        dtype, shape = image
+        dtypes = {name: dtype if role == "image" else "float32" for name, role in roles.items()}
+    shapes = {entry.name: entry.shape or shape for entry in manifest.inputs}
+    return default_probes(manifest, shapes, dtypes, seed, count)
 
 
 def write_export(
-    path: Path,
+    options: ExportOptions,
     save: Callable[[Path], None],
     verify: Callable[[Path], _Verified],
     *,
-    target: str,
-    settings: "Settings | None",
-    progress: Progress,
     must_conform: bool = True,
 ) -> "tuple[_Verified, Report]":
     """Save a model to a temporary file, verify and validate it, and rename it on success.
 
     ``save`` writes the draft; ``verify`` raises if the draft differs from its reference.
+
+    Raises:
+        ExportRejected: The model breaks a rule; the error carries the report.
     """
-    with atomic_write(path) as draft:
+    with atomic_write(options.path) as draft:
         save(draft)
         verified = verify(draft)
-        report = check_contract(draft, path, target, settings, progress, must_conform=must_conform)
+        report = _validate(draft, options, must_conform=must_conform)
     return verified, report
 
 
-def check_contract(
-    draft: Path,
-    path: Path,
-    target: str,
-    settings: "Settings | None",
-    progress: Progress,
-    *,
-    must_conform: bool = True,
-) -> "Report":
-    """Validate an exported model before it gets its final name; raise if it breaks a rule.
-
-    Raises :class:`ExportRejected`, which carries the report, if the model breaks a rule.
-    """
+def _validate(draft: Path, options: ExportOptions, *, must_conform: bool) -> "Report":
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings
     from gsgen.contract.validator import validate
     from gsgen.sdk.errors import ExportRejected
 
-    base = settings or Settings(level=Level.BEHAVIOUR)
-    settings = replace(base, target=load_target(target))
-    report = replace(validate(draft, settings, progress=progress), path=str(path))
+    base = options.settings or Settings(level=Level.BEHAVIOUR)
+    settings = replace(base, target=load_target(options.target))
+    report = replace(validate(draft, settings, progress=options.progress), path=str(options.path))
     if must_conform and report.verdict != "conforms":
         errors = [f for f in report.findings if f.severity >= Severity.ERROR]
         message = "; ".join(
@@ -112,5 +172,5 @@ def check_contract(
             for finding in errors or report.findings
         )
         hint = (errors or report.findings)[0].hint if report.findings else ""
-        raise ExportRejected(message, report, where=path.name, hint=hint)
+        raise ExportRejected(message, report, where=options.path.name, hint=hint)
     return report

@@ -1,11 +1,11 @@
 """Exports a post-process model to ONNX: runs it in torch, traces, rewrites and verifies it."""
 
-__all__ = ["ExportedImage", "export_post_process"]
+__all__ = ["export_post_process"]
 
 import copy
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.contract.probing.probes import Probe, default_probes
-from gsgen.contract.process.atomic_files import refuse_folder
+from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS, ROLES
 from gsgen.contract.spec.manifest import (
     ImageOutput,
@@ -34,10 +33,19 @@ from gsgen.sdk.authoring.post_process import PostProcess
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import call_module
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
-from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    Dtype,
+    Exported,
+    ExportOptions,
+    Progress,
+    probes_of,
+    silent,
+    write_export,
+)
 from gsgen.sdk.exporting.tracing.trace import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
-from gsgen.sdk.float16.convert_image_model import Float16ImageResult, image_to_float16
+from gsgen.sdk.float16.convert_image_model import image_to_float16
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
 
@@ -47,33 +55,6 @@ _RUNS_PER_SIZE = 4
 _HALF_PROBES = 3
 # Height and width: models of any size are traced at the first, and compared at both.
 _TRACED_SIZE, _SECOND_SIZE = (64, 64), (48, 80)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportedImage(ExportResult):
-    """The result of exporting a post-process model.
-
-    Attributes:
-        manifest: The embedded manifest.
-        parity: How closely the model agrees with eager torch, as a share of the output's range.
-        halved: Which nodes and weights became float16; None if the images are float32.
-    """
-
-    manifest: PostProcessManifest
-    parity: Parity
-    halved: Float16ImageResult | None = None
-
-    @property
-    def dtype(self) -> Dtype:
-        """The dtype of the model's images."""
-        return self.manifest.outputs.image.dtype
-
-    @property
-    def contents(self) -> str:
-        """A short description of the exported model: size and dtype of its input image."""
-        shape = _image(self.manifest.inputs).shape
-        size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
-        return f"an image of {size}, {self.dtype}"
 
 
 def export_post_process(
@@ -87,7 +68,7 @@ def export_post_process(
     rewrite: bool = True,
     settings: Settings | None = None,
     progress: Progress = silent,
-) -> ExportedImage:
+) -> Exported:
     """Export a post-process model as an ONNX file that conforms and agrees with torch.
 
     Args:
@@ -110,64 +91,68 @@ def export_post_process(
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
     """
-    path = Path(path)
-    refuse_folder(path)
+    options = ExportOptions.of(
+        path,
+        name,
+        opset=opset,
+        target=target,
+        settings=settings,
+        progress=progress,
+        rewrite=rewrite,
+    )
     validate_module(model, PostProcess)
     model = model.eval().cpu()
     # Step 1: eager reference.
     _check_inputs(model)
-    manifest = _manifest(model, name or path.stem, dtype)
+    manifest = _manifest(model, options.name, dtype)
     probes = list(_probes_of_sizes(model, manifest, dtype))
     progress("running the module in eager torch")
     expected = [_run_eager(model, probe) for probe in probes]
-    # Step 3: tracing, in float32 if a search decides which nodes become float16.
+    # Step 2: tracing, in float32 if a search decides which nodes become float16.
     progress("tracing the graph")
-    searches = dtype == "float16" and rewrite
-    half = dtype == "float16" and not rewrite
-    example = _widened(probes[1]) if searches else probes[1]
-    graph = _trace(model, example, opset, half=half)
-    # Steps 4 and 5: rewriting and manifest.
+    half = dtype == "float16"
+    graph = _trace(model, probes[1], opset, half=half and not rewrite)
+    # Steps 3 and 4: rewriting and manifest.
     progress("rewriting the graph")
     changes = rewrite_and_embed(graph, manifest, load_target(target), rewrite=rewrite)
-    allowed = model.half_tolerance if dtype == "float16" else model.tolerance
+    allowed = model.half_tolerance if half else model.tolerance
     halved = None
-    if searches:
+    if half and rewrite:
         pairs = zip(probes, expected, strict=True)
         finite = [probe for probe, image in pairs if np.isfinite(image).all()]
         image_name = _image(model.inputs).name
         halved = image_to_float16(graph, image_name, finite[:_HALF_PROBES], allowed, progress)
-    # Steps 6 to 8: verification, validation and atomic write.
+    # Steps 5 to 7: verification, validation and atomic write.
     parity, report = write_export(
-        path,
+        options,
         lambda draft: save_model(graph, draft),
         lambda draft: _check_parity(draft, manifest, probes, expected, allowed, progress),
-        target=target,
-        settings=settings,
-        progress=progress,
     )
-    return ExportedImage(
-        path=path,
+    shape = _image(manifest.inputs).shape
+    size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
+    return Exported(
+        path=options.path,
         manifest=manifest,
-        parity=parity,
         report=report,
+        dtype=dtype,
+        contents=f"an image of {size}, {dtype}",
+        parity=parity,
         changes=tuple(changes),
         halved=halved,
     )
 
 
 def _trace(model: PostProcess, example: Probe, opset: int, *, half: bool) -> ir.Model:
-    """Trace a post-process model to an ONNX graph; with ``half``, trace a float16 copy."""
-    module = _Positional(copy.deepcopy(model).half() if half else model)
-    names = TensorNames(tuple(example.inputs), (OUTPUT,), _open_axes(model.inputs))
-    return trace_module(module, example, names, opset, where=type(model).__name__)
-
-
-def _widened(probe: Probe) -> Probe:
+    """Trace a post-process model to an ONNX graph in float32, or a float16 copy of it."""
+    dtype = np.float16 if half else np.float32
     inputs = {
-        name: value.astype(np.float32) if value.dtype == np.float16 else value
-        for name, value in probe.inputs.items()
+        name: value.astype(dtype) if value.dtype == np.float16 else value
+        for name, value in example.inputs.items()
     }
-    return replace(probe, inputs=inputs)
+    module = _Positional(copy.deepcopy(model).half() if half else model)
+    names = TensorNames(tuple(inputs), (OUTPUT,), _open_axes(model.inputs))
+    where = type(model).__name__
+    return trace_module(module, replace(example, inputs=inputs), names, opset, where=where)
 
 
 class _Positional(nn.Module):
@@ -189,7 +174,6 @@ def _image(inputs: Any) -> Input:
 
 def _check_inputs(model: PostProcess) -> None:
     where = f"{type(model).__name__}.inputs"
-    names = [entry.name for entry in model.inputs]
     images = [entry.name for entry in model.inputs if entry.role == "image"]
     if len(images) != 1:
         hint = "Give one gsgen.sdk.inputs.image()."
@@ -204,17 +188,14 @@ def _check_inputs(model: PostProcess) -> None:
         hint = "Give inputs.image() the same range."
         raise GeneratorInvalid(message, where=where, hint=hint)
     for entry in model.inputs:
-        if names.count(entry.name) > 1 or entry.name == OUTPUT:
-            message = f"{entry.name!r} is the name of two inputs, or of the result"
-            raise GeneratorInvalid(message, where=where, hint="Give each input a name of its own.")
+        if entry.name == OUTPUT:
+            message = f"{entry.name!r} is the name of the result"
+            raise GeneratorInvalid(message, where=where, hint="Give the input another name.")
         if POST_PROCESS not in ROLES[entry.role].kinds:
             message = (
                 f"{entry.name!r} has the role {entry.role}, which post-process models do not have"
             )
             raise GeneratorInvalid(message, where=where)
-        if entry.shape is None and entry.role != "image":
-            hint = "Make inputs with the functions of gsgen.sdk.inputs."
-            raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
 
 
 def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
@@ -235,17 +216,8 @@ def _probes_of_sizes(
     """Yield the test inputs for each tested image size: two sizes if the model takes any size."""
     any_size = _image(model.inputs).shape is None
     for size in (_TRACED_SIZE, _SECOND_SIZE) if any_size else (_TRACED_SIZE,):
-        yield from _probes(manifest, dtype, (1, model.channels, *size))
-
-
-def _probes(
-    manifest: PostProcessManifest, dtype: str, open_shape: tuple[int, ...]
-) -> tuple[Probe, ...]:
-    shapes = {entry.name: entry.shape or open_shape for entry in manifest.inputs}
-    dtypes = {
-        entry.name: dtype if entry.role == "image" else "float32" for entry in manifest.inputs
-    }
-    return default_probes(manifest, shapes, dtypes, count=_RUNS_PER_SIZE)
+        shape = (1, model.channels, *size)
+        yield from probes_of(manifest, count=_RUNS_PER_SIZE, image=(dtype, shape))
 
 
 def _open_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:

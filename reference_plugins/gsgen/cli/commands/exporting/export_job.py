@@ -13,7 +13,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError
 
 if TYPE_CHECKING:
     from gsgen.cli.commands.exporting.export_options import ExportRequest
-    from gsgen.sdk.exporting.pipeline import ExportResult
+    from gsgen.sdk.exporting.pipeline import Exported
 
 
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
@@ -57,7 +57,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         _show(result)
 
 
-def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
+def _export(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
     """Check the options, build the torch module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
@@ -131,7 +131,7 @@ def _show_failure(error: GsgenError) -> None:
         typer.echo(f"gsgen: {error}", err=True)
 
 
-def _show(result: "ExportResult") -> None:
+def _show(result: "Exported") -> None:
     from gsgen.cli.output import show
     from gsgen.contract.reporters.text import render
     from gsgen.contract.spec.units import format_bytes
@@ -151,7 +151,7 @@ def _show(result: "ExportResult") -> None:
         )
 
 
-def _verdict(result: "ExportResult") -> str:
+def _verdict(result: "Exported") -> str:
     report = result.report
     if report.verdict != "conforms":
         return "does NOT conform; the packed Gaussians were passed through unchanged"
