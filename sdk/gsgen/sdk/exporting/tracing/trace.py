@@ -4,7 +4,7 @@ __all__ = ["TensorNames", "trace_generator", "trace_module"]
 
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from io import StringIO
@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import onnx_ir as ir
 import torch
+from onnx import TensorProto
+from onnxscript import opset18
 from torch import nn
 
 from gsgen.contract.probing.probes import Probe
@@ -22,7 +24,6 @@ from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
 from gsgen.sdk.exporting.tracing.hazards import Hazard
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
-from gsgen.sdk.exporting.tracing.translations import TRANSLATIONS
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 _MOST = 3
@@ -83,7 +84,7 @@ def trace_module(
                 output_names=list(names.outputs),
                 opset_version=opset,
                 dynamic_shapes=names.dynamic and (names.dynamic,),
-                custom_translation_table=TRANSLATIONS,
+                custom_translation_table=_TRANSLATIONS,
                 verbose=False,
             )
     except GeneratorInvalid:
@@ -148,3 +149,33 @@ def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> Ex
         where=line or first.where,
         hint="\n  ".join([first.hint, *(str(hazard) for hazard in likely[1:_MOST])]),
     )
+
+
+# Its types are those of single operators, not of what they return.
+_OP: Any = opset18
+
+
+def _searchsorted(
+    boundaries: Any, values: Any, *, right: bool = False, side: str | None = None, **_: Any
+) -> Any:
+    """Translate searchsorted to float32 counts of boundaries; WebGPU cannot sum int64."""
+    each = _OP.Unsqueeze(values, _OP.Constant(value_ints=[-1]))
+    row = _OP.Unsqueeze(boundaries, _OP.Constant(value_ints=[-2]))
+    is_right = right or side == "right"
+    is_below = _OP.LessOrEqual(row, each) if is_right else _OP.Less(row, each)
+    ones = _OP.Cast(is_below, to=TensorProto.FLOAT)
+    count = _OP.ReduceSum(ones, _OP.Constant(value_ints=[-1]), keepdims=0)
+    return _OP.Cast(count, to=TensorProto.INT64)
+
+
+def _prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
+    """Translate ``prims.prod``, to which torch reduces ``cumprod``, to the operator ReduceProd."""
+    axes = _OP.Constant(value_ints=list(dims))
+    return _OP.ReduceProd(values, axes, keepdims=0)
+
+
+# ONNX forms of torch operators that torch's own exporter does not translate.
+_TRANSLATIONS: dict[Callable[..., Any], Callable[..., Any]] = {
+    torch.ops.aten.searchsorted.Tensor: _searchsorted,
+    torch.ops.prims.prod.default: _prod,
+}
