@@ -9,12 +9,11 @@ import pytest
 from gsgen.conformance.fixtures.corpus import find
 from gsgen.contract.errors import InputUnreadable, UnknownName
 from gsgen.contract.manifest import FutureOutput, TrajectoryManifest, UncertaintyOutput
-from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.contract.spec.geometry import quaternion_product, rotation_matrix
 from gsgen.tiles.prediction.poses import (
     Pose,
     interpolate,
     matrix_quaternion,
-    quaternion_product,
     rotation_quaternion,
     rotation_vector,
 )

@@ -48,8 +48,8 @@ def _rotation_elements(quaternion: Float[np.ndarray, "n 4"]) -> list[list[Float[
 
 
 def quaternion_product(
-    left: Float[np.ndarray, "4"], right: Float[np.ndarray, "n 4"]
-) -> Float[np.ndarray, "n 4"]:
+    left: Float[np.ndarray, "4"], right: Float[np.ndarray, "*n 4"]
+) -> Float[np.ndarray, "*n 4"]:
     """Return the Hamilton products of quaternions (w, x, y, z): rotate by ``right``, then ``left``."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])

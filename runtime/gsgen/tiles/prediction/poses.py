@@ -1,13 +1,6 @@
 """Camera poses over time: differences of rotations, and interpolation."""
 
-__all__ = [
-    "Pose",
-    "interpolate",
-    "matrix_quaternion",
-    "quaternion_product",
-    "rotation_quaternion",
-    "rotation_vector",
-]
+__all__ = ["Pose", "interpolate", "matrix_quaternion", "rotation_quaternion", "rotation_vector"]
 
 import math
 from collections.abc import Sequence
@@ -16,6 +9,8 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float64
+
+from gsgen.contract.spec.geometry import quaternion_product
 
 Quaternion = Float64[np.ndarray, " 4"]
 Vector = Float64[np.ndarray, " 3"]
@@ -35,21 +30,6 @@ class Pose:
     time: float
     position: Vector
     quaternion: Quaternion
-
-
-def quaternion_product(first: Quaternion, second: Quaternion) -> Quaternion:
-    """Return the quaternion of two rotations, the second applied before the first."""
-    # In Python's numbers: NumPy takes ten times as long for so few.
-    a, b, c, d = first.tolist()
-    w, x, y, z = second.tolist()
-    return np.array(
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ]
-    )
 
 
 def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:

@@ -9,12 +9,8 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.tiles.prediction.poses import (
-    Pose,
-    quaternion_product,
-    rotation_quaternion,
-    rotation_vector,
-)
+from gsgen.contract.spec.geometry import quaternion_product
+from gsgen.tiles.prediction.poses import Pose, rotation_quaternion, rotation_vector
 
 WINDOW: Final = 0.5
 """Seconds of the past from which constant velocity is taken."""
