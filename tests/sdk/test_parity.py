@@ -1,5 +1,6 @@
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +9,15 @@ import torch
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
-from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs, Tolerances
+from gsgen.contract.spec.manifest import Tolerances
 from gsgen.sdk import Gaussians, ParityFailed
 from gsgen.sdk.exporting import eager_reference, verification
 from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
+from gsgen.sdk.exporting.prepare import manifest_of
+from gsgen.sdk.exporting.source_vectors import RowRecorder
 from gsgen.sdk.exporting.verification import _nudged, check_parity
-from gsgen.sdk.parity import ModelOutput, Parity, compare, references_equal
+from gsgen.sdk.parity import Comparison, ModelOutput, Parity, compare, references_equal
 from support.models.generators import Drift
 
 
@@ -124,6 +127,13 @@ def culled(n: int, gone: list[int]) -> Reference:
     return Reference(Probe(label="p", inputs={"time": np.float32([0.5])}), made, n)
 
 
+def compared_nearby(known: Reference, outputs: list[ModelOutput], near: list[Reference]) -> Parity:
+    comparison = Comparison(Tolerances(), nearby=lambda _: near)
+    for output in outputs:
+        comparison.add(known, output)
+    return comparison.parity
+
+
 @pytest.mark.parametrize(
     ("n", "gone", "holds"), [(100, [5], True), (100, [5, 6], False), (30_000, [5, 9, 20_000], True)]
 )
@@ -134,7 +144,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     outputs = [ModelOutput(*layout.encode(model.gaussians), n)]
     assert not compare([known], outputs, Tolerances()).holds
     near = [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]
-    parity = compare([known], outputs, Tolerances(), nearby=lambda _: near)
+    parity = compared_nearby(known, outputs, near)
     assert parity.holds is holds
     assert parity.rows_at_threshold == (len(gone) if holds else 0)
     assert ("at a threshold" in parity.describe()) is holds
@@ -144,7 +154,7 @@ def test_a_row_that_torch_never_has_is_no_jump() -> None:
     known, model = culled(100, []), culled(100, [7])
     outputs = [ModelOutput(*layout.encode(model.gaussians), 100)]
     near = [culled(100, []), culled(100, [8])]
-    parity = compare([known], outputs, Tolerances(), nearby=lambda _: near)
+    parity = compared_nearby(known, outputs, near)
     assert not parity.holds
     (worst,) = [field for field in parity.fields if field.excess > 1]
     assert (worst.field, worst.row) == ("opacity", 7)
@@ -180,17 +190,23 @@ def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatc
     references = EagerRuns(
         module, [Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9)]
     )
-    outputs = [ModelOutput(*layout.encode(one.gaussians), one.count) for one in references]
-    outputs[0].rows[7, 3] = 0 if outputs[0].rows[7, 3] else module.opacity[7].item()
-    manifest = GeneratorManifest(name="m", outputs=GeneratorOutputs(), inputs=Drift.inputs)
+    outputs = [
+        {"gaussians": rows, "color_sh": color, "num_points": np.array([one.count])}
+        for one in references
+        for rows, color in [layout.encode(one.gaussians)]
+    ]
+    rows = outputs[0]["gaussians"]
+    rows[7, 3] = 0 if rows[7, 3] else module.opacity[7].item()
+    manifest = manifest_of(module, "m", "float32", 3)
     suspects = Suspects(module, references[0].probe, (), True)
-    monkeypatch.setattr(verification, "_run", lambda *_: outputs)
-    parity = check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
-    assert parity.rows_at_threshold == 1
-    outputs[0].rows[8, 3] += 0.1
+    recorder = RowRecorder(references, range(0), 0)
+    check = partial(check_parity, Path("m.onnx"), manifest, references, suspects, print, recorder)
+    monkeypatch.setattr(verification, "run_exported", lambda *_, **__: iter(outputs))
+    assert check().rows_at_threshold == 1
+    rows[8, 3] += 0.1
     monkeypatch.setattr(verification, "diagnose", lambda *_: ("", "hint"))
     with pytest.raises(ParityFailed, match="opacity of Gaussian 8 differs"):
-        check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
+        check()
 
 
 def test_results_that_do_not_fit_are_run_again(monkeypatch) -> None:

@@ -5,7 +5,7 @@ a few rows at a threshold may match slightly changed inputs, and rows may come i
 """
 
 __all__ = [
-    "ModelOutput", "Parity", "Reference", "compare", "references_equal",
+    "Comparison", "ModelOutput", "Parity", "Reference", "compare", "references_equal",
 ]  # fmt: skip
 
 from collections.abc import Callable, Iterable
@@ -130,42 +130,72 @@ class Parity:
 Nearby = Callable[[Reference], Iterable[Reference]]
 
 
+class Comparison:
+    """The largest error of each field, over the runs of a model that are added one at a time.
+
+    Args:
+        tolerances: Of each field.
+        roundings: How often values were rounded to the storage dtype: twice, if the references
+            were, too.
+        nearby: Returns the expected outputs for slightly changed inputs, which a few rows may match
+            instead: at a threshold, such as the border of a frustum, one kernel jumps a little
+            sooner than another.
+        any_order: Whether the rows of a probe may agree as a set: where the values that a module
+            sorts by are equal, the order of rows is that of a kernel.
+    """
+
+    def __init__(
+        self,
+        tolerances: Tolerances,
+        *,
+        roundings: int = 1,
+        nearby: Nearby | None = None,
+        any_order: bool = False,
+    ) -> None:
+        self._allowance = Allowance(tolerances, roundings)
+        self._nearby, self._any_order = nearby, any_order
+        self._worst: dict[str, FieldError] = {}
+        self._probes = self._jumped = self._reordered = 0
+
+    def add(self, reference: Reference, output: ModelOutput) -> None:
+        """Compare a model's outputs with the expected outputs for one set of test inputs."""
+        self._probes += 1
+        if reference.probe.zeros and not _all_finite(reference):
+            return  # the module's own fault, which rule GI009 reports
+        fields, excused = _compare_probe(reference, output, self._allowance, self._nearby)
+        is_set = self._any_order and reference.cells is None
+        if is_set and not all(field.excess <= 1 for field in fields):
+            sorted_output = _in_order_of(reference, output)
+            as_set, _ = _compare_probe(reference, sorted_output, self._allowance, None)
+            if all(field.excess <= 1 for field in as_set):
+                fields, excused = as_set, 0
+                self._reordered += 1
+        self._jumped += excused
+        for field in fields:
+            _keep_worse(self._worst, field)
+
+    @property
+    def parity(self) -> Parity:
+        """The result for the runs so far."""
+        fields = tuple(self._worst.values())
+        return Parity(fields, self._probes, self._jumped, self._reordered)
+
+
 def compare(
     references: Iterable[Reference],
     outputs: Iterable[ModelOutput],
     tolerances: Tolerances,
     *,
     roundings: int = 1,
-    nearby: Nearby | None = None,
-    any_order: bool = False,
 ) -> Parity:
     """Compare a model's outputs with the expected outputs for each set of test inputs.
 
     Iterators are advanced together, so that a caller may hold one probe's arrays at a time.
-
-    ``roundings`` counts how often values were rounded to the storage dtype: twice, if the
-    references were, too. ``nearby`` returns the expected outputs for slightly changed inputs. A few
-    rows may match these instead: at a threshold, such as the border of a frustum, one kernel jumps
-    a little sooner than another. With ``any_order``, the rows of a probe may agree as a set: where
-    the values that a module sorts by are equal, the order of rows is that of a kernel.
     """
-    allowance = Allowance(tolerances, roundings)
-    worst: dict[str, FieldError] = {}
-    probes = jumped = reordered = 0
+    comparison = Comparison(tolerances, roundings=roundings)
     for reference, output in zip(references, outputs, strict=True):
-        probes += 1
-        if reference.probe.zeros and not _all_finite(reference):
-            continue  # the module's own fault, which rule GI009 reports
-        fields, excused = _compare_probe(reference, output, allowance, nearby)
-        if any_order and reference.cells is None and not all(f.excess <= 1 for f in fields):
-            sorted_output = _in_order_of(reference, output)
-            as_set, _ = _compare_probe(reference, sorted_output, allowance, None)
-            if all(field.excess <= 1 for field in as_set):
-                fields, excused, reordered = as_set, 0, reordered + 1
-        jumped += excused
-        for field in fields:
-            _keep_worse(worst, field)
-    return Parity(tuple(worst.values()), probes, jumped, reordered)
+        comparison.add(reference, output)
+    return comparison.parity
 
 
 def _in_order_of(reference: Reference, output: ModelOutput) -> ModelOutput:

@@ -11,10 +11,10 @@ Each step passes a frozen record to the next:
    manifest into the graph; :mod:`gsgen.sdk.float16` converts weights and outputs if requested.
 4. :mod:`verification` compares the draft with the eager reference, :mod:`parity_diagnosis` explains
    a difference, and :mod:`source_vectors` records rows of the module.
-5. :func:`pipeline.write_export` validates the draft, and moves it into place.
+5. :func:`pipeline.check_contract` validates the draft, which is then moved into place.
 
 :mod:`exporter` takes a generator through these steps, :mod:`post_process_exporter` a post-process
 model, and :mod:`constant_generator` a scene without inputs, whose graph needs no torch. All three
-begin with :class:`pipeline.ExportOptions` and end with :func:`pipeline.write_export`, which give a
+begin with :class:`pipeline.ExportOptions`, end with :func:`pipeline.check_contract`, and give a
 :class:`pipeline.Exported`. :mod:`repair` changes models that exist already.
 """

@@ -25,6 +25,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import (
@@ -50,8 +51,8 @@ from gsgen.sdk.exporting.pipeline import (
     Exported,
     ExportOptions,
     Progress,
+    check_contract,
     silent,
-    write_export,
 )
 
 _IR_VERSION = 8
@@ -123,12 +124,10 @@ def export_constant(
     packed = source.pack(dtype, target)
     manifest = constant_manifest(packed, options.name, family=source.family, capacity=capacity)
     outputs = _outputs(packed.rows, packed.appearance, manifest, len(packed.rows))
-    _, report = write_export(
-        options,
-        lambda draft: _save(_model(outputs, manifest, opset), draft),
-        lambda draft: _check(draft, outputs),
-        must_conform=not packed.passes_through,
-    )
+    with atomic_write(options.path) as draft:
+        _save(_model(outputs, manifest, opset), draft)
+        _check(draft, outputs)
+        report = check_contract(draft, options, must_conform=not packed.passes_through)
     return Exported(
         path=options.path,
         manifest=manifest,

@@ -5,7 +5,6 @@ __all__ = ["export"]
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +15,7 @@ import torch
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.test_vectors import MOST_RECORDED
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage, TestVector, Tolerances
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
@@ -32,8 +32,8 @@ from gsgen.sdk.exporting.pipeline import (
     Exported,
     ExportOptions,
     Progress,
+    check_contract,
     silent,
-    write_export,
 )
 from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, Prepared, default_dtype, prepare
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
@@ -162,11 +162,10 @@ def export(
         progress("rewriting the graph")
         rewritten = _rewrite(traced, prepared, options, half=half)
         # Steps 5 to 7: verification, validation and atomic write.
-        evidence, report = write_export(
-            options,
-            partial(save_model, rewritten.model),
-            partial(_verify, prepared, rewritten, options, vectors, pictures),
-        )
+        with atomic_write(options.path) as draft:
+            save_model(rewritten.model, draft)
+            evidence = _verify(draft, prepared, rewritten, options, vectors, pictures)
+            report = check_contract(draft, options)
     gaussians = rewritten.manifest.outputs.gaussians
     assert gaussians is not None
     return Exported(
@@ -218,12 +217,12 @@ def _rewrite(
 
 
 def _verify(
+    draft: Path,
     prepared: Prepared,
     rewritten: _Rewritten,
     options: ExportOptions,
     vectors: int,
     pictures: int,
-    draft: Path,
 ) -> _Evidence:
     """Compare a draft with its module, and record rows and pictures of the module in it."""
     generator, manifest, watch = prepared.generator, rewritten.manifest, prepared.watch
@@ -232,14 +231,7 @@ def _verify(
     recorder = RowRecorder(prepared.references, prepared.recordable, 0 if is_sorting else vectors)
     slack, roundings = (None, 1) if rewritten.halved is None else (_HALF_SLACK, _HALF_ROUNDINGS)
     parity = check_parity(
-        draft,
-        manifest,
-        prepared.references,
-        suspects,
-        options.progress,
-        slack,
-        roundings,
-        observe=recorder.observe,
+        draft, manifest, prepared.references, suspects, options.progress, recorder, slack, roundings
     )
     check_memory(generator, watch, prepared.references)
     recorded = add_source_vectors(draft, recorder, slack)

@@ -7,19 +7,19 @@ __all__ = [
     "ExportOptions",
     "Exported",
     "Progress",
+    "check_contract",
     "probes_of",
     "silent",
-    "write_export",
 ]
 
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Literal, Self
 
 from gsgen.contract.probing.probes import Probe, default_probes
-from gsgen.contract.process.atomic_files import atomic_write, refuse_folder
+from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import SAFEST_OPSET
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 Dtype = Literal["float32", "float16"]
 Progress = Callable[[str], None]
-_Verified = TypeVar("_Verified")
 
 # The operator set of exported models unless another is requested: every runtime has its kernels.
 OPSET = SAFEST_OPSET
@@ -134,28 +133,12 @@ def probes_of(
     return default_probes(manifest, shapes, dtypes, seed, count)
 
 
-def write_export(
-    options: ExportOptions,
-    save: Callable[[Path], None],
-    verify: Callable[[Path], _Verified],
-    *,
-    must_conform: bool = True,
-) -> "tuple[_Verified, Report]":
-    """Save a model to a temporary file, verify and validate it, and rename it on success.
-
-    ``save`` writes the draft; ``verify`` raises if the draft differs from its reference.
+def check_contract(draft: Path, options: ExportOptions, *, must_conform: bool = True) -> "Report":
+    """Validate an exported model before it gets its final name.
 
     Raises:
         ExportRejected: The model breaks a rule; the error carries the report.
     """
-    with atomic_write(options.path) as draft:
-        save(draft)
-        verified = verify(draft)
-        report = _validate(draft, options, must_conform=must_conform)
-    return verified, report
-
-
-def _validate(draft: Path, options: ExportOptions, *, must_conform: bool) -> "Report":
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS, ROLES
 from gsgen.contract.spec.manifest import (
     ImageOutput,
@@ -39,9 +40,9 @@ from gsgen.sdk.exporting.pipeline import (
     Exported,
     ExportOptions,
     Progress,
+    check_contract,
     probes_of,
     silent,
-    write_export,
 )
 from gsgen.sdk.exporting.tracing.trace import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
@@ -123,11 +124,10 @@ def export_post_process(
         image_name = _image(model.inputs).name
         halved = image_to_float16(graph, image_name, finite[:_HALF_PROBES], allowed, progress)
     # Steps 5 to 7: verification, validation and atomic write.
-    parity, report = write_export(
-        options,
-        lambda draft: save_model(graph, draft),
-        lambda draft: _check_parity(draft, manifest, probes, expected, allowed, progress),
-    )
+    with atomic_write(options.path) as draft:
+        save_model(graph, draft)
+        parity = _check_parity(draft, manifest, probes, expected, allowed, progress)
+        report = check_contract(draft, options)
     shape = _image(manifest.inputs).shape
     size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
     return Exported(

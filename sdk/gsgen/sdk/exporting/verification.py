@@ -2,7 +2,7 @@
 
 __all__ = ["check_memory", "check_parity", "run_exported"]
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,18 +19,16 @@ from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.frame_size import frame_bytes
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
 from gsgen.sdk.exporting.pipeline import Progress
+from gsgen.sdk.exporting.source_vectors import RowRecorder
 from gsgen.sdk.exporting.tracing.hazards import Watch
 from gsgen.sdk.model_runs import run_in_groups
-from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare, references_equal
+from gsgen.sdk.parity import Comparison, ModelOutput, Parity, Reference, references_equal
 
 # Relative change of inputs that finds rows at a threshold: a few times the rounding of kernels.
 _NUDGE = 1e-5
 _PAIRS = 3
 # Sums over many threads differ by this much, relatively, from run to run.
 _ROUNDING = 1e-5
-
-# Called with the index of a set of test inputs, and the model's outputs in the manifest's order.
-Observe = Callable[[int, Mapping[str, np.ndarray]], None]
 
 
 def check_parity(
@@ -39,34 +37,38 @@ def check_parity(
     references: EagerRuns,
     suspects: Suspects,
     progress: Progress,
+    recorder: RowRecorder,
     allowed: Tolerances | None = None,
     roundings: int = 1,
-    *,
-    observe: Observe = lambda _index, _outputs: None,
 ) -> Parity:
     """Compare an exported model with eager torch, for normal test inputs and far cameras.
 
     ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
-    them ``roundings`` times. The error names the field, the row, and the likely cause. ``observe``
-    sees the outputs of each compared run.
+    them ``roundings`` times. The error names the field, the row, and the likely cause. ``recorder``
+    keeps rows of the compared runs.
     """
-    tolerances = allowed or manifest.tolerances or Tolerances()
 
     def nearby(reference: Reference) -> Iterator[Reference]:
         probes = _nudged(reference.probe)
         return (run_eager(suspects.generator, probe, checked=False) for probe in probes)
 
-    outputs = _told(_run(path, manifest, references.probes, observe), len(references), progress)
-    # Where values tie, kernels of sorts order rows in their own way.
-    any_order = any(hazard.kind == "order" for hazard in suspects.hazards)
-    parity = compare(
-        references, outputs, tolerances, roundings=roundings, nearby=nearby, any_order=any_order
+    comparison = Comparison(
+        allowed or manifest.tolerances or Tolerances(),
+        roundings=roundings,
+        nearby=nearby,
+        # Where values tie, kernels of sorts order rows in their own way.
+        any_order=any(hazard.kind == "order" for hazard in suspects.hazards),
     )
+    for index, outputs in enumerate(_runs(path, manifest, references.probes)):
+        progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
+        recorder.observe(index, outputs)
+        comparison.add(references[index], _output(outputs, manifest))
+    parity = comparison.parity
     if parity.holds:
         return parity
 
     def run(probes: list[Probe]) -> list[ModelOutput]:
-        return [output.copy() for output in _run(path, manifest, probes)]
+        return [_output(outputs, manifest).copy() for outputs in _runs(path, manifest, probes)]
 
     worst = max(parity.fields, key=lambda field: field.excess)
     element = "cell" if worst.field.startswith("cell") else "Gaussian"
@@ -79,13 +81,6 @@ def check_parity(
         hint=hint,
         parity=parity,
     )
-
-
-def _told(outputs: Iterable[ModelOutput], total: int, progress: Progress) -> Iterator[ModelOutput]:
-    """Yield the model's outputs for each set of test inputs, and report progress."""
-    for number, output in enumerate(outputs, start=1):
-        progress(f"comparing with eager torch: probe {number} of {total}")
-        yield output
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
@@ -103,23 +98,17 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
             yield replace(probe, inputs=moved)
 
 
-def _run(
-    path: Path,
-    manifest: GeneratorManifest,
-    probes: Sequence[Probe],
-    observe: Observe = lambda _index, _outputs: None,
-) -> Iterator[ModelOutput]:
+def _runs(
+    path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]
+) -> Iterator[dict[str, np.ndarray]]:
     """Yield a model's outputs for each set of test inputs; arrays are valid until the next one."""
-    rows, color, count, *cells = names = output_names(manifest)
-    runs = run_exported(path, names, probes, frame_bytes=frame_bytes(manifest))
-    for index, outputs in enumerate(runs):
-        observe(index, {name: outputs[name] for name in names})
-        yield ModelOutput(
-            outputs[rows],
-            outputs[color],
-            int(np.ravel(outputs[count])[0]),
-            *(outputs[name] for name in cells),
-        )
+    names = output_names(manifest)
+    return run_exported(path, names, probes, frame_bytes=frame_bytes(manifest))
+
+
+def _output(outputs: dict[str, np.ndarray], manifest: GeneratorManifest) -> ModelOutput:
+    rows, color, count, *cells = (outputs[name] for name in output_names(manifest))
+    return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
 
 def run_exported(
