@@ -6,14 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt32
 
 from gsgen.contract.spec import layout
-from gsgen.runtime.kernels.shared.shader import (
-    FINISHED,
-    MAX_ALPHA,
-    MIN_TRANSMITTANCE,
-    NOWHERE,
-    TILE,
-    WINDOW_HEIGHT,
-)
+from gsgen.runtime.kernels.shared.shader import MAX_ALPHA, NOWHERE, TILE, WINDOW_HEIGHT
+from gsgen.runtime.kernels.tiles.blend_tiles import MIN_TRANSMITTANCE
+from gsgen.runtime.kernels.tiles.blend_wsr import FINISHED
 from references.projection import Projected
 
 _WINDOW_WIDTH = 4  # tiles

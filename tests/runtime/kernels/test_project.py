@@ -210,7 +210,7 @@ def test_normals(renderer: Renderer) -> None:
 
 
 def test_a_shader_is_its_file_with_includes_and_constants() -> None:
-    text = source("blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, POLYNOMIAL=False)
+    text = source("blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, LAYERS=0)
     assert "//!" not in text
     assert "struct Frame" in text
     assert "const PICK: bool = false;" in text

@@ -6,11 +6,14 @@ from importlib.resources import files
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.project.project import NO_HARMONICS
+from gsgen.runtime.kernels.project.project import NO_HARMONICS, SPLAT_REACH
+from gsgen.runtime.kernels.project.project_cells import CELL_REACH
 from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
-from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
+from gsgen.runtime.kernels.shared.shader import source
 from gsgen.runtime.kernels.sort.order_ties import MOST_TIED
+from gsgen.runtime.kernels.tiles.blend_tiles import MIN_TRANSMITTANCE
+from gsgen.runtime.kernels.tiles.blend_wsr import FINISHED
 
 SHADERS = {
     file.name.removesuffix(".wgsl"): file.read_text("utf-8")
@@ -50,6 +53,17 @@ CONSTANTS: dict[str, int | float | bool] = {
     "PUBLISHED": False,
     "FIRST_PLANE": 0,
     "KEPT": 8,
+    "SPLAT_REACH": SPLAT_REACH,
+    "CELL_REACH": CELL_REACH,
+    "MIN_TRANSMITTANCE": MIN_TRANSMITTANCE,
+    "FINISHED": FINISHED,
+    "KEYS_ONLY": False,
+    "PLACED": False,
+    "RECORDS": False,
+    "CARRIED": False,
+    "CARRIED_OUTPUT": 0,
+    "STEEP": False,
+    "WINDOWS": False,
     "LAYERED": True,
     "LAYERS": 2,
     "TESTED": True,
@@ -71,7 +85,7 @@ CONSTANTS: dict[str, int | float | bool] = {
 }
 VARIANTS: dict[str, dict[str, int | float | bool]] = {
     "usual": {},
-    "panorama": {**PANORAMA_CONSTANTS, "CORNERS": 6},
+    "panorama": {"PANORAMA": True, "CORNERS": 6},
     "other branches": {
         "LAYERS": 0,
         "LAYERED": False,
@@ -91,7 +105,7 @@ VARIANTS: dict[str, dict[str, int | float | bool]] = {
         "LISTS": False,
         "WINDOWS": True,
     },
-    "64 bits at a time": {"WIDE": True},
+    "64 bits at a time": {"wide_words": True},
 }
 
 
@@ -101,7 +115,7 @@ def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) ->
     """wgpu raises for a name that neither the file nor its includes declare."""
     if "subgroup" in SHADERS[name] and not device.subgroups:
         pytest.skip("the device has no subgroups")
-    if ("u64" in SHADERS[name] or "WIDE" in VARIANTS[variant]) and not device.wide:
+    if ("u64" in SHADERS[name] or "wide_words" in VARIANTS[variant]) and not device.wide:
         pytest.skip("the device reads no 64 bits at a time")
     declared = set(re.findall(r"^const (\w+)", SHADERS[name], re.MULTILINE))
     constants = {

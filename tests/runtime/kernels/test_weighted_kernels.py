@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.kernels.project import project
+from gsgen.runtime.kernels.project.project import SPLAT_REACH
+from gsgen.runtime.kernels.project.project_cells import CELL_REACH
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT, CELL_REACH, SPLAT_REACH
+from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera

@@ -218,7 +218,7 @@ def test_without_layers_the_shader_binds_and_computes_nothing_of_them(
     assert len(kernel.layouts) == 1
     name = "blend_subgroups" if subgroups else "blend_tiles"
     constants = {"COLUMNS": 1, "QUADS": 2, "CELLS": 2, "LANES": 16, "PICK": False}
-    assert "layer_0" not in source(name, **constants)
+    assert "layer_0" not in source(name, **constants, LAYERS=0)
     text = source(name, **constants, LAYERS=2)
     assert "layer_1_1" in text
     assert "layer_2" not in text

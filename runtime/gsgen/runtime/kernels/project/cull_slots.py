@@ -9,7 +9,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN
 from gsgen.runtime.scene.splat_pool import REACH
 
 CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
@@ -41,7 +41,7 @@ class CullSlots:
             CULL_MARGIN=CULL_MARGIN,
             REACH=REACH,
             KEYS_ONLY=keys_only,
-            **(PANORAMA_CONSTANTS if panorama else {}),
+            PANORAMA=panorama,
         )
 
     def step(

@@ -4,6 +4,7 @@ __all__ = [
     "FRAME",
     "NO_HARMONICS",
     "PAGE",
+    "SPLAT_REACH",
     "ProjectKernel",
     "frame_uniform",
     "page_uniform",
@@ -22,9 +23,12 @@ from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, TILE
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE
 from gsgen.runtime.scene.camera import DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
+
+SPLAT_REACH: Final = 3.0
+"""Radius of a splat in a weighted sum, in standard deviations (Liu et al. 2025, their code)."""
 
 NO_HARMONICS: Final = 0xFF
 """The SH degree that stands for RGB colours in the uniforms of pages (GPU buffers)."""
@@ -255,9 +259,10 @@ class ProjectKernel:
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
             PACKED=packed,
+            PANORAMA=panorama,
+            SPLAT_REACH=SPLAT_REACH,
             WINDOWS=windows,
             **({"DRAWN": int(Counts.DRAWN)} if weighted else {}),
-            **(PANORAMA_CONSTANTS if panorama else {}),
             **(digits.constants if digits else {}),
         )
 

@@ -1,8 +1,8 @@
 """Projects cells (groups of Gaussians) for weighted-sum rendering: depth, circle, tile count."""
 
-__all__ = ["ProjectCells", "SlabCells"]
+__all__ = ["CELL_REACH", "ProjectCells", "SlabCells"]
 
-from typing import final
+from typing import Final, final
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -10,7 +10,9 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS
+
+CELL_REACH: Final = 2.0
+"""Radius of a cell, in standard deviations (Liu et al. 2025, their code)."""
 
 
 @final
@@ -25,7 +27,8 @@ class ProjectCells:
             ("uwwwrww", "ur"),
             THREADS=THREADS,
             DRAWN=int(Counts.DRAWN),
-            **(PANORAMA_CONSTANTS if panorama else {}),
+            PANORAMA=panorama,
+            CELL_REACH=CELL_REACH,
         )
 
     def step(
@@ -62,7 +65,8 @@ class SlabCells:
                 entry,
                 (resources, "ur"),
                 THREADS=THREADS,
-                **(PANORAMA_CONSTANTS if panorama else {}),
+                PANORAMA=panorama,
+                CELL_REACH=CELL_REACH,
             )
             for entry, resources in (("find_keys", "uw"), ("place_cells", "uwwwwr"))
         )

@@ -21,7 +21,7 @@ from gsgen.runtime.gpu.handles import (
 from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
 from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
-from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
+from gsgen.runtime.kernels.shared.shader import source
 
 _ROW_BYTES: Final = 256  # rows of a copied texture are multiples of this
 _UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
@@ -102,11 +102,7 @@ class DrawQuads:
     ) -> None:
         self._device = device
         code = source(
-            "draw_quads",
-            TESTED=tested,
-            RECORDS=records,
-            **COUNT_CONSTANTS,
-            **(PANORAMA_CONSTANTS if panorama else {}),
+            "draw_quads", TESTED=tested, RECORDS=records, PANORAMA=panorama, **COUNT_CONSTANTS
         )
         kinds = ["uniform"] + ["read-only-storage"] * 5
         self._pipeline, self._layout = render_pipeline(

@@ -18,6 +18,10 @@ struct Frame {
     tied_low: u32,       // … and, for rows or cells, its remainder, or the Gaussians of the cell in the slab
 }
 
+// A panorama draws a splat up to three times: a full turn to the left, where it is, and to the right.
+const FIRST_COPY = 1u - u32(PANORAMA);
+const COPIES = 1u + 2u * u32(PANORAMA);
+
 @group(0) @binding(0) var<uniform> frame: Frame;
 
 // Return how many tiles the image has, across and down.

@@ -58,7 +58,7 @@ class Kernel:
         raw = device.raw
         self._device = device
         self.label = entry
-        text = source(name, WIDE=device.wide, **constants)
+        text = source(name, wide_words=device.wide, **constants)
         key = text, entry, tuple(groups)
         if key not in device.pipelines:
             layouts = [_layout(raw, entry, kinds) for kinds in groups]

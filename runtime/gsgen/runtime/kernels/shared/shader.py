@@ -15,13 +15,9 @@ _REPEAT = re.compile(  # without another inside
     r"^//!repeat (\w+) (\w+)\n((?:(?!^//!repeat ).)*?)^//!end\n", re.MULTILINE | re.DOTALL
 )
 
-# Constants that every kernel may use.
+# Numbers that kernels share; those of one kernel stand in its module.
 MAX_ALPHA = 0.99
 """The largest opacity of one splat at a pixel (Kerbl et al. 2023)."""
-MIN_TRANSMITTANCE = 1e-4
-"""Transmittance below which a pixel is finished (Kerbl et al. 2023)."""
-FINISHED = 0.01
-"""Transmittance below which a pixel takes no further cell (Liu et al. 2025, their code)."""
 JACOBIAN_MARGIN = 0.3
 """Margin around the image, in half images, to which Jacobians are clamped (as in gsplat)."""
 TILE = 16
@@ -34,20 +30,28 @@ ABSENT = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without Gaussians."""
 NOWHERE = 3.4e38
 """The depth of empty pixels of an image layer: farther than any splat."""
-SPLAT_REACH = 3.0
-"""Radius of a splat in a weighted sum, in standard deviations (Liu et al. 2025, their code)."""
-CELL_REACH = 2.0
-"""Radius of a cell, in standard deviations (Liu et al. 2025, their code)."""
 MIN_EIGENVALUE_GAP = 0.1
 """Lower bound, in pixels⁴, of the squared half difference of a 2D covariance's eigenvalues."""
 POLE = 1e-3
 """Lower bound of the cosine of the latitude in a panorama's Jacobian."""
-PANORAMA_CONSTANTS: dict[str, int | bool] = {"PANORAMA": True, "FIRST_COPY": 0, "COPIES": 3}
-"""Constants of kernels that place splats in a panorama: each splat is drawn up to three times."""
+
+_SHARED: dict[str, int | float | bool] = {
+    "ABSENT": ABSENT,
+    "CULL_OPACITY": layout.CULL_OPACITY,
+    "DILATION": DILATION,
+    "MAX_ALPHA": MAX_ALPHA,
+    "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,
+    "NOWHERE": NOWHERE,
+    "PACKED": False,
+    "PANORAMA": False,
+    "POLE": POLE,
+    "TILE": TILE,
+    "WINDOW_HEIGHT": WINDOW_HEIGHT,
+}
 
 
 @lru_cache(maxsize=256, typed=True)  # a second renderer asks for the same fifty
-def source(name: str, **constants: int | float | bool) -> str:
+def source(name: str, *, wide_words: bool = False, **constants: int | float | bool) -> str:
     """Return the WGSL source of shader ``name`` with all files that it includes.
 
     Directives stand in lines of their own. ``//!include NAME`` inserts another file, once per
@@ -57,39 +61,13 @@ def source(name: str, **constants: int | float | bool) -> str:
 
     Args:
         name: Name of the shader's file without ``.wgsl``.
-        constants: Declared before the text as ``const NAME``; integers are u32, floats f32.
+        wide_words: Whether the shader reads and writes 64 bits at a time.
+        constants: Declared before the text as ``const NAME``, besides those that kernels share;
+            integers are u32, floats f32.
     """
-    shared: dict[str, int | float | bool] = {
-        "ABSENT": ABSENT,
-        "CULL_OPACITY": layout.CULL_OPACITY,
-        "DILATION": DILATION,
-        "MAX_ALPHA": MAX_ALPHA,
-        "MIN_TRANSMITTANCE": MIN_TRANSMITTANCE,
-        "FINISHED": FINISHED,
-        "POLE": POLE,
-        "TILE": TILE,
-        "NOWHERE": NOWHERE,
-        "PANORAMA": False,
-        "PACKED": False,
-        "RECORDS": False,
-        "KEYS_ONLY": False,
-        "PLACED": False,
-        "CARRIED": False,
-        "CARRIED_OUTPUT": 0,
-        "STEEP": False,
-        "WIDE": False,
-        "WINDOWS": False,
-        "WINDOW_HEIGHT": WINDOW_HEIGHT,
-        "SPLAT_REACH": SPLAT_REACH,
-        "CELL_REACH": CELL_REACH,
-        "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,
-        "FIRST_COPY": 1,
-        "COPIES": 1,
-        "LAYERS": 0,
-    }
-    known = shared | constants
+    known = _SHARED | constants
     lines = [_declaration(key, value) for key, value in known.items()]
-    text = _included(name, {name}, wide_words=bool(known["WIDE"]))
+    text = _included(name, {name}, wide_words=wide_words)
     while (match := _REPEAT.search(text)) is not None:
         text = text[: match.start()] + _repeated(match, known) + text[match.end() :]
     return "\n".join(lines) + "\n" + text

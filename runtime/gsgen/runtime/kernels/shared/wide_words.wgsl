@@ -1,6 +1,6 @@
 // A vector of four floats in memory, in two words of 64 bits.
 //
-// `source` of shader.py includes this file in place of words.wgsl if WIDE: software drivers read
+// `source` of shader.py includes this file in place of words.wgsl if `wide_words`: software drivers read
 // and write number by number for each invocation, and so in half as many steps.
 
 alias Quad = vec2<u64>;

@@ -9,7 +9,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, TILE
+from gsgen.runtime.kernels.shared.shader import TILE
 
 WALK_THREADS: Final = 64
 _BINDINGS = {
@@ -48,10 +48,10 @@ class BinTiles:
             "RUN": walk,
             "TILE": tile,
             "RECORDS": records,
+            "PANORAMA": panorama,
             **COUNT_CONSTANTS,
         }
         constants |= digits.constants if digits else {}
-        constants |= PANORAMA_CONSTANTS if panorama else {}
         self._measure, self._emit = (
             Kernel(device, shader, entry, (kinds,), **constants)
             for entry, kinds in _BINDINGS[shader].items()

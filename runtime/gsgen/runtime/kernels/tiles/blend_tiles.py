@@ -1,6 +1,13 @@
 """Blends the splats of each image tile, front to back."""
 
-__all__ = ["LEAST_DILATION", "BlendTiles", "Layers", "allocate_layers", "workgroup_shape"]
+__all__ = [
+    "LEAST_DILATION",
+    "MIN_TRANSMITTANCE",
+    "BlendTiles",
+    "Layers",
+    "allocate_layers",
+    "workgroup_shape",
+]
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,11 +16,14 @@ from typing import Final, final
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, TILE
+from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.shared.subgroups import lanes
 
 LEAST_DILATION: Final = 0.25
 """Dilation, in pixels², below which opacities may underflow within four pixels of a column."""
+
+MIN_TRANSMITTANCE: Final = 1e-4
+"""Transmittance below which a pixel is finished (Kerbl et al. 2023)."""
 
 _GPU_CELL: Final = {"LANES": 32, "CELL_WIDTH": 16, "CELL_HEIGHT": 8}
 _NARROW_CELL: Final = {"LANES": 4, "CELL_WIDTH": 4, "CELL_HEIGHT": 4}  # of SwiftShader
@@ -88,9 +98,9 @@ def workgroup_shape(
         "CELLS": columns * quads,
         "LANES": TILE // columns,
         "POLYNOMIAL": device.software,
+        "PANORAMA": panorama,
+        "LAYERS": layers,
     }
-    constants |= PANORAMA_CONSTANTS if panorama else {}
-    constants["LAYERS"] = layers
     return device.software and lanes(device) == TILE // columns, constants
 
 
@@ -149,6 +159,7 @@ class BlendTiles:
             RECORDS=records,
             CARRIED=carried > 0,
             CARRIED_OUTPUT=carried,
+            MIN_TRANSMITTANCE=MIN_TRANSMITTANCE,
             STEEP=steep,
             WINDOWS=windows,
             MASKED=self.shader == "blend_subgroups" and not panorama,

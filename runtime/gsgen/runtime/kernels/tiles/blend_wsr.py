@@ -1,6 +1,6 @@
 """Blends cells (groups of Gaussians) in each image tile front to back, by weighted sums."""
 
-__all__ = ["PLANES", "BlendWsr"]
+__all__ = ["FINISHED", "PLANES", "BlendWsr"]
 
 from typing import Final, final
 
@@ -8,6 +8,9 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
+
+FINISHED: Final = 0.01
+"""Transmittance below which a pixel takes no further cell (Liu et al. 2025, their code)."""
 
 PLANES: Final = {False: 4, True: 6}
 """Numbers per pixel that farther slabs go on from, beside the image: of colours, and of depths."""
@@ -48,6 +51,7 @@ class BlendWsr:
             PARTS=constants["CELLS"],  # this shader means cells of Gaussians by cells
             PICK=pick,
             PUBLISHED=published,
+            FINISHED=FINISHED,
             LAYERED=layers > 0,
             CARRIED=first_plane is not None,
             FIRST_PLANE=first_plane or 0,

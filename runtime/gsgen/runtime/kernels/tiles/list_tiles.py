@@ -10,14 +10,11 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, WINDOW_HEIGHT
 
 _INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
 _MOST_GROUPS: Final = 32
 _FEWEST_GROUPS: Final = 8
 _COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
-_WINDOW_WIDTH: Final = 4
-_WINDOW_BITS: Final = WINDOW_HEIGHT * _WINDOW_WIDTH
 
 
 def runs_for(tiles: int) -> int:
@@ -40,16 +37,23 @@ class ListTiles:
     """
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
-        constants = {"THREADS": _INVOCATIONS, **COUNT_CONSTANTS}
-        constants |= PANORAMA_CONSTANTS if panorama else {}
+        constants = {"PANORAMA": panorama, "RECORDS": False, **COUNT_CONSTANTS}
         self._tally, self._list = (
-            Kernel(device, "list_tiles", "walk", ("urrrwwrrw",), LISTS=lists, **constants)
+            Kernel(
+                device,
+                "list_tiles",
+                "walk",
+                ("urrrwwrrw",),
+                THREADS=_INVOCATIONS,
+                LISTS=lists,
+                **constants,
+            )
             for lists in (False, True)
         )
         self._total, self._begin = (
             Kernel(
                 device, "list_ranges", entry, ("urwww",),
-                RUNS=_INVOCATIONS, **constants | {"THREADS": THREADS},
+                THREADS=THREADS, RUNS=_INVOCATIONS, **constants,
             )
             for entry in ("total", "begin")
         )  # fmt: skip
