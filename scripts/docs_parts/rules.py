@@ -1,9 +1,9 @@
 """Rules in tables; their pages come from :mod:`gsgen.contract.reporters.rule_pages`."""
 
 from docs_parts.tables import table
-from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.rule import Registry
+from gsgen.tiles.validation.rules import all_rules
 
 
 def ours() -> Registry:
@@ -11,7 +11,7 @@ def ours() -> Registry:
 
     Ids of third parties' rules begin with a name and a slash.
     """
-    registry = installed_rules()
+    registry = all_rules()
     contract_rules = [rule for rule in registry.rules.values() if "/" not in rule.id]
     return Registry.of(contract_rules, registry.backends.values())
 

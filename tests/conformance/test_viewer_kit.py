@@ -30,6 +30,7 @@ from gsgen.contract import validate
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.settings import Settings
+from gsgen.runtime.checks.viewer_kit import draw_frames
 from support.commands import gsgen_here
 
 FIRST = kit_cases()[0].name
@@ -37,7 +38,7 @@ FIRST = kit_cases()[0].name
 
 @pytest.fixture(scope="module")
 def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_kit(tmp_path_factory.mktemp("kit") / "kit").parent
+    return write_kit(tmp_path_factory.mktemp("kit") / "kit", draw_frames).parent
 
 
 @pytest.mark.parametrize("case", kit_cases(), ids=lambda case: case.name)
@@ -211,7 +212,7 @@ def test_a_folder_that_is_no_kit_or_is_full_is_refused(tmp_path: Path) -> None:
     assert "index.json" in ran.err
     (tmp_path / "file").touch()
     with pytest.raises(ConfigInvalid, match="the output folder is not empty"):
-        write_kit(tmp_path)
+        write_kit(tmp_path, draw_frames)
 
 
 def test_a_missing_folder_of_pictures_is_one_error(kit: Path, tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from gsgen.cli.command_table import PANELS
-from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.sdk.passes.registry import REWRITES
+from gsgen.tiles.validation.rules import all_rules
 from support.commands import ROOT, gsgen_here
 from support.reports.pages import DOCS, README, anchors, links, name_of, pages
 
@@ -30,7 +30,7 @@ def test_every_relative_link_leads_to_a_file_and_a_heading(page):
 
 def test_every_rule_is_listed_and_has_a_page():
     listed = set(links(DOCS / "rules" / "index.md"))
-    assert listed == {f"{rule.id}.md" for rule in installed_rules().rules.values()}
+    assert listed == {f"{rule.id}.md" for rule in all_rules().rules.values()}
 
 
 @pytest.mark.parametrize("page", [README, DOCS / "commands.md"], ids=name_of)
@@ -60,7 +60,7 @@ def test_every_page_of_the_navigation_exists():
     assert len(named) == len(set(named))
     on_site = {page.relative_to(DOCS).as_posix() for page in pages() if page != README}
     rules = {
-        f"rules/{rule.id}.md" for rule in installed_rules().rules.values()
+        f"rules/{rule.id}.md" for rule in all_rules().rules.values()
     }  # found through their index
     passes = {f"passes/{one.name}.md" for one in REWRITES}
     assert set(named) == on_site - rules - passes

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Severity
+from gsgen.tiles.validation.rules import all_rules
 
 SPEC = Path(__file__).parents[2] / "docs" / "spec"
 PAGE = SPEC / "requirements.md"
@@ -69,7 +69,7 @@ def test_each_sentence_has_a_row_and_each_row_a_sentence(page: Path) -> None:
 
 @each_row
 def test_a_rule_has_the_severity_of_its_sentence(row: Requirement) -> None:
-    rules = installed_rules().rules
+    rules = all_rules().rules
     words = {word.lower() for word in _WORD.findall(row.sentence)}
     if plain(row.checked_by).startswith(("no rule: ", "a definition")):
         return

@@ -26,11 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract import Level, Settings, validate
+from gsgen.contract import Level, Settings
 from gsgen.contract.errors import GsgenError
 from gsgen.tiles.loading.info import describe_tileset
 from gsgen.tiles.stores.zip_store import write_archive
 from gsgen.tiles.validation.fixtures import tiles_fixtures
+from gsgen.tiles.validation.validate import validate
 from support.tiles import foreign_tiles as foreign
 
 MEMORY = 1 << 30

@@ -81,7 +81,7 @@ def test_texts_are_escaped() -> None:
 
 
 def test_without_a_renderer_the_table_remains(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_notebook, "registered_entry_points", lambda _: [])
+    monkeypatch.setattr(_notebook, "_renderers", [])
     html = garden(300)._repr_html_()
     assert "<table>" in html
     assert "<img" not in html

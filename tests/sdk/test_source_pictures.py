@@ -14,7 +14,9 @@ from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
+from gsgen.runtime.checks.eager_pictures import draw_source_frames
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
+from gsgen.sdk.source_pictures import SourcePictures
 from support.commands import gsgen_here
 
 RENDER = Settings(level=Level.RENDER)
@@ -48,7 +50,7 @@ class Ball(GaussianGenerator):
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     path = tmp_path_factory.mktemp("pictured") / "ball.onnx"
-    return export(Ball(), path, pictures=2, vectors=0)
+    return export(Ball(), path, pictures=SourcePictures(2, draw_source_frames), vectors=0)
 
 
 def test_pictures_of_the_module_are_declared_as_those_of_the_source(exported):
@@ -91,7 +93,7 @@ def test_swapped_channels_are_seen_at_level_render_without_recorded_rows(exporte
 
 def test_more_pictures_than_probes_are_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(ConfigInvalid, match="--pictures") as raised:
-        export(Ball(), tmp_path / "ball.onnx", pictures=9)
+        export(Ball(), tmp_path / "ball.onnx", pictures=SourcePictures(9, draw_source_frames))
     assert "expected from 1 to 8" in str(raised.value)
     assert list(tmp_path.iterdir()) == []
 

@@ -1,23 +1,22 @@
 """Shows objects in Jupyter notebooks as HTML: a table and an embedded picture."""
 
-__all__ = ["preview_png", "summary_html"]
+__all__ = ["draw_previews_with", "preview_png", "summary_html"]
 
 import base64
 from collections.abc import Callable, Sequence
 from html import escape
 
-from gsgen.contract._entry_points import registered_entry_points
+_renderers: "list[Callable[[object], bytes | None]]" = []
 
-_GROUP = "gsgen.previews"
+
+def draw_previews_with(draw: Callable[[object], bytes | None]) -> None:
+    """Draw previews with a function, which returns a PNG, or None for what it cannot draw."""
+    _renderers.append(draw)
 
 
 def preview_png(value: object) -> bytes | None:
-    """Return a PNG picture of splats or a scene; None if no renderer is installed.
-
-    A renderer is registered under the entry point group ``gsgen.previews``.
-    """
-    for point in registered_entry_points(_GROUP):
-        draw: Callable[[object], bytes | None] = point.load()
+    """Return a PNG picture of splats or a scene; None if no renderer draws it."""
+    for draw in _renderers:
         if (picture := draw(value)) is not None:
             return picture
     return None

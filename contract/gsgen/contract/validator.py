@@ -3,9 +3,7 @@
 __all__ = ["validate"]
 
 import os
-from pathlib import Path
 
-from gsgen.contract.file_validators import find_validator
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.engine import Progress, silent, validate_with
 from gsgen.contract.validation.report import Report
@@ -23,20 +21,16 @@ def validate(
     """Validate the model at ``path`` by every installed rule and return the report.
 
     Args:
-        path: An ONNX file, or a file of a kind that an installed validator recognises.
+        path: An ONNX file; ``gsgen.tiles.validate`` validates tilesets.
         settings: Level, target, limits and severities.
         registry: The rules to check; by default, all installed rules.
         progress: Called with a short text at the start of each stage.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model.
-        InputUnreadable: A file of another kind cannot be read.
     """
     settings, registry = settings or Settings(), registry or installed_rules()
     if settings.only:
         registry = registry.with_needs(settings.only)
-    validator = find_validator(Path(path))
-    if validator is not None:
-        return validator.validate(Path(path), settings, registry, progress)
     models = registry.of_scope(tilesets=False)
     return validate_with(models, path, settings, progress=progress)

@@ -11,6 +11,7 @@ The names below are loaded when first used.
 from typing import TYPE_CHECKING
 
 from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from gsgen.contract._notebook import draw_previews_with
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.bake_frames import bake
@@ -61,5 +62,13 @@ __all__ = [
     "view",
 ]
 
+
+def _draw_preview(value: object) -> bytes | None:
+    from gsgen.runtime.checks.preview import draw_preview
+
+    return draw_preview(value)
+
+
+draw_previews_with(_draw_preview)
 __getattr__ = lazy_getattr(__name__)
 __dir__ = lazy_dir(__name__)

@@ -11,7 +11,7 @@ import numpy as np
 
 from gsgen.formats.codecs import CODECS, Codec, Content
 from gsgen.formats.loss import Difference, differences
-from gsgen.formats.open import find_tiled_reader, open_splats
+from gsgen.formats.open import open_splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.parts import PART_WRITERS, PlyParts, open_parts, with_degree
 from gsgen.formats.ply.ply import write_ply
@@ -22,6 +22,7 @@ from gsgen.formats.shared.splat_values import ARRAYS, rows_of
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import is_streamed_meta
 from gsgen.formats.sog.sog import written_bytes
+from gsgen.formats.tileset_paths import names_tileset
 
 __all__ = ["Conversion", "convert"]
 
@@ -206,7 +207,7 @@ def merged(parts: Sequence[Splats]) -> Splats:
 
 
 def _total_bytes(paths: Sequence[FilePath]) -> int:
-    is_known = all(Path(path).is_file() and find_tiled_reader(path) is None for path in paths)
+    is_known = all(Path(path).is_file() and not names_tileset(path) for path in paths)
     return sum(map(written_bytes, paths)) if is_known else 0
 
 

@@ -2,36 +2,13 @@
 
 __all__ = ["open_splats"]
 
-from typing import Protocol
-
-from gsgen.contract._entry_points import registered_entry_points
 from gsgen.formats.codecs import codec_of_suffix, format_titles, recognised
 from gsgen.formats.ply.ply import read_ply
 from gsgen.formats.shared.bytes import contents
-from gsgen.formats.shared.errors import NotRecognised
+from gsgen.formats.shared.errors import NotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-
-
-class SplatReader(Protocol):
-    """Plug-in that reads splats of many files (entry point group ``gsgen.splat_readers``)."""
-
-    def recognises(self, path: FilePath) -> bool:
-        """Return whether ``path`` names a set of files that this plug-in reads."""
-        ...
-
-    def read_leaves(self, source: FilePath) -> Splats:
-        """Return all splats of a tiled file set at the finest level of detail."""
-        ...
-
-
-def find_tiled_reader(path: FilePath) -> SplatReader | None:
-    """Return the plug-in that reads ``path`` as a set of files, such as a tileset."""
-    for point in registered_entry_points("gsgen.splat_readers"):
-        reader: SplatReader = point.load()
-        if reader.recognises(path):
-            return reader
-    return None
+from gsgen.formats.tileset_paths import names_tileset
 
 
 def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
@@ -39,7 +16,7 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
 
     ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that
     no other format recognises. If no format fits, the suffix chooses the reader that explains
-    the fault. A tileset (tileset.json, .3tz, or the address of one) gives all its leaves.
+    the fault. ``gsgen.tiles.open_splats`` also reads tilesets and addresses.
 
     Args:
         path: The file.
@@ -52,11 +29,15 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
 
     Raises:
         FormatError: The file cannot be read; the subclass names the cause.
-        InputUnreadable: A file of the tileset is missing or invalid.
     """
-    tiled_reader = find_tiled_reader(path)
-    if tiled_reader is not None:
-        return tiled_reader.read_leaves(path)
+    if names_tileset(path):
+        raise NotSupported(
+            "names a tileset",
+            where="path",
+            expected="one file of splats",
+            hint="gsgen.tiles.open_splats reads tilesets",
+            path=str(path),
+        )
     with contents(path) as data:
         codec, first = recognised(path, data), bytes(data[:5])
     codec = codec or codec_of_suffix(path)

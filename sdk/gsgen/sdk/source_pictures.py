@@ -4,16 +4,15 @@ They are drawn from torch's own outputs, so that level ``render`` sees whatever 
 picture: a tool that rewrites the file, swapped channels, a mirrored axis, other signs of SH.
 """
 
-__all__ = ["add_source_pictures"]
+__all__ = ["SourcePictures", "add_source_pictures"]
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model, write_manifest_text
@@ -26,51 +25,56 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.tools.recording import evenly_spaced
 
-# The group of entry points that draw frames: (manifest, frames) → PNGs with declarations.
-_GROUP = "gsgen.source_pictures"
 _MOST = 16
 
 Outputs = Mapping[str, np.ndarray]
 Draw = Callable[
     [GeneratorManifest, Sequence[tuple[Probe, Outputs]]], list[tuple[bytes, ReferenceImage]]
 ]
+"""Draws frames as PNGs with declarations; see gsgen.runtime.checks.eager_pictures."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourcePictures:
+    """How many pictures of an eager module an export declares, and the function that draws them.
+
+    The pictures are spread over the probes of the model.
+    """
+
+    count: int
+    draw: Draw
 
 
 def add_source_pictures(
-    draft: Path, run: Callable[[Probe], Outputs], count: int
+    draft: Path, run: Callable[[Probe], Outputs], pictures: SourcePictures
 ) -> tuple[ReferenceImage, ...]:
     """Render a torch module's outputs to PNG files, and list the files in the model's manifest.
 
     Args:
         draft: The exported model, whose manifest is changed; pictures go next to it.
         run: Computes the module's outputs in eager torch, by the names of the model's outputs.
-        count: The number of pictures, spread over the probes.
+        pictures: How many pictures to draw, and what draws them.
 
     Returns:
         The declarations of the pictures.
 
     Raises:
-        ConfigInvalid: No renderer is installed, or the number is out of range.
+        ConfigInvalid: The number is out of range.
         GsgenError: No graphics device can be opened, or the outputs cannot be drawn.
     """
-    points = registered_entry_points(_GROUP)
-    if not points:
-        hint = "pip install 'gsgen[runtime]'"
-        raise ConfigInvalid("no renderer is installed", where="--pictures", hint=hint)
     subject = inspect_model(open_model(draft), load_target("core"), Limits())
     assert subject.generator is not None
     probes = make_plan(subject, Level.VALUES).probes
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
-    most = min(_MOST, len(candidates))
+    count, most = pictures.count, min(_MOST, len(candidates))
     if not 1 <= count <= most:
         message = f"is {count}, expected from 1 to {most}, the model's probes"
         raise ConfigInvalid(message, where="--pictures", hint=f"The most is --pictures {most}.")
-    draw: Draw = points[0].load()
     frames = [(probe, run(probe)) for probe in evenly_spaced(candidates, count)]
     folder = draft.parent / f"{draft.stem}-references"
     folder.mkdir()
     images = []
-    for number, (png, declaration) in enumerate(draw(subject.generator, frames)):
+    for number, (png, declaration) in enumerate(pictures.draw(subject.generator, frames)):
         (folder / f"{number}.png").write_bytes(png)
         images.append(replace(declaration, path=f"{folder.name}/{number}.png"))
     document = json.loads(subject.file.manifest_text or "{}")

@@ -23,17 +23,17 @@ import numpy as np
 import pytest
 
 from gsgen.formats import Splats, write_ply
+from gsgen.formats.merging.levels import choose_cells, merge_level, stored_degree
+from gsgen.formats.merging.mixture import Mixture
+from gsgen.formats.merging.moments import merge_clusters
+from gsgen.formats.merging.morton import Cube, morton_codes
+from gsgen.formats.merging.splat_mixtures import mixture_of, splats_of
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
-from gsgen.tiles.build.merging.levels import choose_cells, merge_level, stored_degree
-from gsgen.tiles.build.merging.mixture import Mixture
-from gsgen.tiles.build.merging.moments import merge_clusters
-from gsgen.tiles.build.merging.morton import Cube, morton_codes
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import Silent
-from gsgen.tiles.build.tile import mixture_of, splats_of
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.loading.leaves import read_leaves
 from support.measures import print_figure

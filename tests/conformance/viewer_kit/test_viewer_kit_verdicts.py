@@ -21,6 +21,7 @@ from gsgen.conformance.viewer_kit.check_viewer import (
 from gsgen.conformance.viewer_kit.picture_files import encode_png
 from gsgen.conformance.viewer_kit.write import TOLERANCE, kit_cases, write_kit
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.checks.viewer_kit import draw_frames
 from support.commands import Ran, gsgen_here
 
 TOTAL = sum(len(case.frames) for case in kit_cases())
@@ -33,7 +34,7 @@ ROUNDINGS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @pytest.fixture(scope="module")
 def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_kit(tmp_path_factory.mktemp("kit") / "kit").parent
+    return write_kit(tmp_path_factory.mktemp("kit") / "kit", draw_frames).parent
 
 
 @pytest.fixture
@@ -229,4 +230,4 @@ def test_the_script_makes_the_folder_of_its_page(kit: Path, pictures: Path, tmp_
 def test_a_file_in_the_place_of_the_kit_is_called_a_file(tmp_path: Path) -> None:
     (tmp_path / "kit").touch()
     with pytest.raises(ConfigInvalid, match="is a file, expected a folder"):
-        write_kit(tmp_path / "kit")
+        write_kit(tmp_path / "kit", draw_frames)

@@ -10,11 +10,12 @@ from gsgen.contract.reporters.html import to_html
 from gsgen.contract.reporters.plots import histogram, number_line
 from gsgen.contract.reporters.summary import plural
 from gsgen.contract.spec.severity import Level
-from gsgen.contract.tools import pictures
+from gsgen.contract.tools.pictures import with_picture
 from gsgen.contract.validation.finding import Distribution, Location, Statistic
 from gsgen.contract.validation.report import Picture, Unreadable
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
+from gsgen.runtime.checks import probe_picture
 
 PNG = b"\x89PNG\r\n\x1a\n"
 VOID = {"meta", "img", "rect", "br"}
@@ -118,20 +119,22 @@ def test_a_picture_is_part_of_the_page_and_its_absence_has_a_reason(reports):
     [
         ("still_sh0", Level.STATIC, "the model did not run"),
         ("post_process", Level.STATIC, "only generators are drawn"),
-        ("still_sh0", Level.VALUES, "no renderer is installed: pip install 'gsgen[runtime]'"),
+        ("still_sh0", Level.VALUES, "wgpu is not installed pip install 'gsgen[runtime]'"),
     ],
 )
 def test_what_cannot_be_drawn_is_said(monkeypatch, tmp_path, name, level, problem):
-    monkeypatch.setattr(pictures, "registered_entry_points", lambda _: [])
+    monkeypatch.setattr(probe_picture, "find_spec", lambda _: None)
     settings = Settings(level=level)
     report = validate(find(name).write(tmp_path), settings)
-    assert pictures.with_picture(report, settings).picture == Picture(problem=problem)
+    assert with_picture(report, settings, probe_picture.draw_probe).picture.problem.split() == (
+        problem.split()
+    )
 
 
 def test_the_probe_of_a_finding_is_drawn(tmp_path):
     settings = Settings(level=Level.VALUES)
     report = validate(find("nan_late").write(tmp_path), settings)
-    picture = pictures.with_picture(report, settings).picture
+    picture = with_picture(report, settings, probe_picture.draw_probe).picture
     assert picture.probe == "time=1"
     assert picture.png.startswith(PNG) or picture.problem
 

@@ -72,9 +72,7 @@ def plugin(monkeypatch):
             monkeypatch.setitem(sys.modules, point.value, plugin_module)
         points.append(point)
 
-    monkeypatch.setattr(
-        installed, "registered_entry_points", lambda group: points if group == "gsgen.rules" else []
-    )
+    monkeypatch.setattr(installed, "registered_entry_points", lambda group: points)
     installed_rules.cache_clear()
     yield register
     installed_rules.cache_clear()

@@ -9,11 +9,12 @@ import pytest
 
 from gsgen.conformance.fixtures import Fixture, example_of, find, fixtures
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
+from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Rule
 from gsgen.contract.validator import validate
+from gsgen.tiles.validation.rules import all_rules
 
 CORPUS = fixtures()
 GOOD = [fixture for fixture in CORPUS if not fixture.rule]
@@ -109,7 +110,7 @@ def test_an_unknown_fixture_is_answered_with_the_nearest():
         find("opacity_is_logit")
 
 
-@pytest.mark.parametrize("rule", installed_rules().rules.values(), ids=lambda rule: rule.id)
+@pytest.mark.parametrize("rule", all_rules().rules.values(), ids=lambda rule: rule.id)
 def test_the_example_that_explain_names_is_found(rule: Rule):
     assert find(example_of(rule.id)).rule == rule.id
 

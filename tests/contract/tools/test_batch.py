@@ -1,4 +1,4 @@
-"""Several files: which rules they get, and how processes end when the user stops them."""
+"""Several files: how processes end when the user stops them."""
 
 import multiprocessing
 import time
@@ -6,20 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.contract.rules.catalogue import installed_rules, model_rules
-from gsgen.contract.tools.batch import registry_for
+from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.tools.worker_pool import validate_in_processes
 from gsgen.contract.validation.report import Entry
 from gsgen.contract.validation.settings import Settings
 
 DURATION = 20.0
-
-
-def test_rules_of_tilesets_are_loaded_for_tilesets_alone() -> None:
-    assert registry_for([Path("a.onnx"), Path("b.ONNX")]).rules == model_rules().rules
-    every_rule = installed_rules().rules
-    assert registry_for([Path("a.onnx"), Path("tileset.json")]).rules == every_rule
-    assert every_rule.keys() > model_rules().rules.keys()
 
 
 def write_slowly(path: Path, settings: Settings) -> Entry:
@@ -40,7 +32,7 @@ def test_workers_and_no_other_children_end_when_the_user_interrupts(tmp_path: Pa
 
     paths = [tmp_path / "first", tmp_path / "second"]
     with pytest.raises(KeyboardInterrupt):
-        validate_in_processes(write_slowly, paths, Settings(), 2, interrupt)
+        validate_in_processes(write_slowly, installed_rules, paths, Settings(), 2, interrupt)
     for process in set(multiprocessing.active_children()).difference(others):
         process.join()
     assert not paths[1].exists()

@@ -13,7 +13,6 @@ from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.reporters.text import render
-from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.manifest import Bounds
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation import engine
@@ -22,6 +21,7 @@ from gsgen.contract.validation.report import exit_code
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
+from gsgen.tiles.validation.rules import all_rules
 from support.models.small_models import (
     good_rows,
     manifest_of,
@@ -42,7 +42,7 @@ def good(tmp_path_factory):
 
 
 def with_rules(*rules):
-    return Registry.of([*installed_rules().rules.values(), *rules])
+    return Registry.of([*all_rules().rules.values(), *rules])
 
 
 def statuses(report):
@@ -56,9 +56,9 @@ def levels(report):
 def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     report = validate(good)
     assert (report.verdict, report.findings) == ("conforms", ())
-    models = installed_rules().of_scope(tilesets=False)
+    models = all_rules().of_scope(tilesets=False)
     assert list(statuses(report)) == list(models.rules)
-    assert len(models.rules) < len(installed_rules().rules)
+    assert len(models.rules) < len(all_rules().rules)
     checked_statuses = [
         finding.status for finding in report.outcomes if finding.rule.level <= report.level
     ]

@@ -11,6 +11,7 @@ from gsgen.conformance.viewer_kit.faults import FAULTS
 from gsgen.conformance.viewer_kit.picture_files import encode_png
 from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
 from gsgen.runtime import Camera, Renderer, Scene
+from gsgen.runtime.checks.viewer_kit import draw_frames
 from gsgen.runtime.gpu.device import Device
 from runtime.checks.wrong_viewers import WRONG_VIEWERS, Render, Viewer
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_kit(tmp_path_factory.mktemp("kit") / "kit").parent
+    return write_kit(tmp_path_factory.mktemp("kit") / "kit", draw_frames).parent
 
 
 @pytest.fixture(scope="module", params=["tiles", "quads"])

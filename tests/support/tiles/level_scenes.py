@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.formats import Splats
+from gsgen.formats.merging.mixture import surface_area
 from gsgen.formats.shared.quantities import logit, rotations, sigmoid
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.tiles.build.merging.mixture import surface_area
 
 SHARED = Path(os.environ.get("GSGEN_SHARED", "shared"))
 C0 = 0.5 / math.sqrt(math.pi)

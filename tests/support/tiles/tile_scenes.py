@@ -7,7 +7,7 @@ import numpy as np
 
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats import Splats
-from gsgen.tiles.build.merging.mixture import Mixture
+from gsgen.formats.merging.mixture import Mixture
 
 
 def mixture(rng: np.random.Generator, count: int, *, origin: float = 0.0) -> Mixture:

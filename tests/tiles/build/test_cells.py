@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from gsgen.tiles.build.merging.levels import choose_cells, merge_level, stored_degree
-from gsgen.tiles.build.merging.morton import (
-    DEPTH,
-    Cube,
-    cell_codes,
-    morton_codes,
-    separation_depths,
-)
+from gsgen.formats.merging.levels import choose_cells, merge_level, stored_degree
+from gsgen.formats.merging.morton import DEPTH, Cube, cell_codes, morton_codes, separation_depths
 from support.tiles.tile_scenes import mixture
 
 

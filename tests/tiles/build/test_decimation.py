@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gsgen.formats.merging.decimation import decimate
+from gsgen.formats.merging.mixture import surface_area
 from gsgen.formats.shared.quantities import sigmoid
-from gsgen.tiles.build.decimation import decimate
-from gsgen.tiles.build.merging.mixture import surface_area
 from support.splat_files import assert_near, scene
 
 

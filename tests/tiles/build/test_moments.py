@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec.geometry import rotation_matrix, symmetric
-from gsgen.tiles.build.merging.mixture import Mixture, concatenate, surface_area
-from gsgen.tiles.build.merging.moments import MAX_OPACITY, ellipsoids, merge_clusters
+from gsgen.formats.merging.mixture import Mixture, concatenate, surface_area
+from gsgen.formats.merging.moments import MAX_OPACITY, ellipsoids, merge_clusters
 from support.tiles.tile_scenes import mixture
 
 P = 1.6075

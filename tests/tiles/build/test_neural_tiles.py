@@ -9,8 +9,8 @@ import pytest
 
 from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.moving import drifting
-from gsgen.contract import validate
 from gsgen.formats import write_ply
+from gsgen.tiles import validate
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from support.commands import gsgen_here

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gsgen.tiles.build.merging.morton import DEPTH, Cube
+from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.plan import (
     coordinates_of,
     depth_of,

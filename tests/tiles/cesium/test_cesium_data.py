@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsgen.contract import validate
 from gsgen.formats import FormatWarning
+from gsgen.tiles import validate
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset

@@ -13,8 +13,8 @@ from jsonschema import Draft202012Validator
 
 from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.moving import drifting
-from gsgen.contract import validate
 from gsgen.contract.spec.manifest import Bounds
+from gsgen.tiles import validate
 from gsgen.tiles.build.frame import globe_transform
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonObject

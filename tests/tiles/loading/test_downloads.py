@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.formats import FormatError, open_splats, read_sog, write_ply, write_sog
+from gsgen.formats import FormatError, read_sog, write_ply, write_sog
 from gsgen.tiles.errors import ContentMissing
+from gsgen.tiles.loading.leaves import open_splats
 from gsgen.tiles.serving.server import serve_folder
 from support.commands import gsgen_here
 from support.splat_files import assert_near, scene

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.contract import validate
 from gsgen.contract.spec.geometry import covariance_upper, symmetric
-from gsgen.formats import FormatWarning, open_splats, read_ply
-from gsgen.tiles.loading.leaves import finest_contents, read_leaves, read_tile_content
+from gsgen.formats import FormatWarning, read_ply
+from gsgen.tiles import validate
+from gsgen.tiles.loading.leaves import finest_contents, open_splats, read_leaves, read_tile_content
 from gsgen.tiles.loading.tileset_loader import load_tileset, open_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.zip_store import write_archive

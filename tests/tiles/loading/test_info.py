@@ -80,8 +80,8 @@ def test_neither_wgpu_nor_scipy_nor_onnx_runtime_is_needed(tmp_path: Path) -> No
     explicit_sketch().write(tmp_path / "tileset.json")
     code = (
         "import sys\n"
-        "from gsgen.contract import Level, Settings, validate\n"
-        "from gsgen.tiles.loading.info import describe_tileset\n"
+        "from gsgen.contract import Level, Settings\n"
+        "from gsgen.tiles import describe_tileset, validate\n"
         f"describe_tileset({str(tmp_path)!r})\n"
         f"report = validate({str(tmp_path)!r}, Settings(level=Level.STATIC))\n"
         "assert report.verdict == 'conforms'\n"

@@ -12,7 +12,6 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, Player
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.loading.quality_ladder import load_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
@@ -21,6 +20,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.session import SessionOptions, open_session
+from gsgen.tiles.streaming.tiles_source import open_stream
 from support.tiles.builds import SMALL, build
 from support.tiles.tile_scenes import scattered
 
@@ -115,7 +115,7 @@ def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path, tmp_path:
 def test_a_window_draws_the_finest_qualities_in_the_end(town: Path) -> None:
     renderer = Renderer(Device.open(), rasteriser="tiles")
     settings = StreamSettings(max_error=2.0, wait=0)
-    live = open_source(town, streaming=settings)
+    live = open_stream(town, settings=settings)
     player = Player([live], renderer=renderer)
     frame = player.render(FrameRequest(VIEW))
     for _ in range(600):
@@ -124,7 +124,7 @@ def test_a_window_draws_the_finest_qualities_in_the_end(town: Path) -> None:
             break
         live._session.wait(0.05)  # type: ignore[attr-defined]
     live.close()
-    still = open_source(town, streaming=replace(settings, wait=30.0))
+    still = open_stream(town, settings=replace(settings, wait=30.0))
     expected = Player([still], renderer=renderer).render(FrameRequest(VIEW))
     still.close()
     np.testing.assert_allclose(frame.rgba, expected.rgba, atol=1e-6)

@@ -20,7 +20,6 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.generator_worker import GeneratorWorker
-from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.volumes import Box
@@ -32,6 +31,7 @@ from gsgen.tiles.streaming import generator_opening
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import SessionOptions, open_session
+from gsgen.tiles.streaming.tiles_source import open_stream
 from support.commands import gsgen_here
 from tiles.streaming.neural_scenes import SPACING, generated, transforms, write_neural_tileset
 
@@ -73,7 +73,7 @@ def psnr(a: np.ndarray | None, b: np.ndarray | None) -> float:
 def draw(index: Path, renderer: Renderer, camera: Camera, times: list[float], **settings: object):
     """Pictures of a tileset at some times, all finished; and the source, which is closed."""
     options = StreamSettings(max_error=0.01, **settings)  # type: ignore[arg-type]
-    source = open_source(index, streaming=options)
+    source = open_stream(index, settings=options)
     player = Player([source], renderer=renderer)
     try:
         pictures = [
@@ -231,7 +231,7 @@ def test_generators_run_on_the_execution_provider_that_was_asked_for(
     monkeypatch.setattr(generator_opening, "GeneratorWorker", open_worker)
     index = write_neural_tileset(tmp_path / "tiles", [moving(0)])
     settings = StreamSettings(max_error=0.01)
-    source = open_source(index, provider="webgpu", streaming=settings)
+    source = open_stream(index, provider="webgpu", settings=settings)
     Player([source], renderer=renderer).render(FrameRequest(watching(1), [{"time": 0.0}]))
     source.close()
     assert providers == ["webgpu"]

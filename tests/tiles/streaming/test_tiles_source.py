@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsgen.formats import open_splats, write_ply
+from gsgen.formats import write_ply
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, Player
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
 from gsgen.runtime.sources.stream_settings import StreamSettings
+from gsgen.tiles.loading.leaves import open_splats
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.streaming import tiles_source
 from gsgen.tiles.streaming.session import SessionOptions, open_session
-from gsgen.tiles.streaming.tiles_source import TilesSource
+from gsgen.tiles.streaming.tiles_source import TilesSource, open_stream
 from support.commands import gsgen_here
 from support.tiles.builds import build
 from support.tiles.serving import served
@@ -52,7 +52,7 @@ def psnr(a: np.ndarray | None, b: np.ndarray | None) -> float:
 def test_a_complete_cut_of_leaves_is_the_picture_of_all_splats(
     town: Path, renderer: Renderer
 ) -> None:
-    source = open_source(town / "tileset.json", streaming=StreamSettings(max_error=0.01))
+    source = open_stream(town / "tileset.json", settings=StreamSettings(max_error=0.01))
     frame = Player([source], renderer=renderer).render(FrameRequest(VIEW))
     splats = SplatData.from_splats(open_splats(town / "tileset.json"))
     expected = renderer.render(Scene([splats]), VIEW)
@@ -103,7 +103,7 @@ def test_no_frame_writes_more_than_the_upload_budget(
 def test_a_coarse_cut_draws_fewer_splats_and_nearly_the_same_picture(
     town: Path, renderer: Renderer
 ) -> None:
-    source = open_source(town, streaming=StreamSettings(max_error=64))
+    source = open_stream(town, settings=StreamSettings(max_error=64))
     frame = Player([source], renderer=renderer).render(FrameRequest(VIEW))
     expected = renderer.render(Scene([SplatData.from_splats(open_splats(town))]), VIEW)
     assert 0 < source.count < 0.7 * 6000
@@ -116,7 +116,7 @@ def test_a_placed_tileset_follows_its_transform_and_settings(
 ) -> None:
     transform = np.diag([2.0, 2, 2, 1])
     transform[:3, 3] = 1, 2, 3
-    inner = open_source(town, streaming=StreamSettings(max_error=0.01))
+    inner = open_stream(town, settings=StreamSettings(max_error=0.01))
     placed = PlacedSource(inner, transform, DrawSettings(opacity_scale=0.5, sh_degree=0))
     eye, target = (transform[:3, :3] @ p + transform[:3, 3] for p in ([9, -7, 4], [0.5, 0.2, 0]))
     view = Camera.look_at(tuple(eye), tuple(target), up=(0, 0, 1), width=96, height=64)

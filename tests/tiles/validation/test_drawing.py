@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.contract import Level, Report, Settings, validate
+from gsgen.contract import Level, Report, Settings
 from gsgen.formats import Splats, write_ply
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
@@ -21,6 +21,7 @@ from gsgen.tiles.validation import drawing
 from gsgen.tiles.validation import validate as validation
 from gsgen.tiles.validation.drawing import ComparedLevels, DrawnTileset, draw_tileset
 from gsgen.tiles.validation.sketches import TilesetSketch, explicit_sketch
+from gsgen.tiles.validation.validate import validate
 from support.tiles.level_scenes import knot
 
 RENDER = Settings(level=Level.RENDER)

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.fixtures import Fixture
-from gsgen.contract import Level, Report, Severity, validate
-from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract import Level, Report, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.tiles.validation.fixtures import tiles_fixtures
-from gsgen.tiles.validation.rules import RULES
+from gsgen.tiles.validation.rules import RULES, all_rules
+from gsgen.tiles.validation.validate import validate
 
 FIXTURES = tiles_fixtures()
 GOOD = [fixture for fixture in FIXTURES if not fixture.rule]
@@ -38,7 +38,7 @@ def test_a_broken_tileset_breaks_its_rule_and_no_other(fixture: Fixture, judge) 
     report = judge(fixture)
     told = [(finding.rule, str(finding.where), finding.message) for finding in report.findings]
     assert {finding.rule for finding in report.findings} == {fixture.rule}, told
-    warns = installed_rules().rules[fixture.rule].severity is Severity.WARNING
+    warns = all_rules().rules[fixture.rule].severity is Severity.WARNING
     assert report.verdict == ("conforms" if warns else "invalid")
 
 
@@ -69,7 +69,7 @@ def test_a_silent_rule_is_noticed(rule: Rule, tmp_path: Path) -> None:
     fixture = next(entry for entry in BROKEN if entry.rule == rule.id)
     rules = [
         replace(entry, check=silent) if entry.id == rule.id else entry
-        for entry in installed_rules().rules.values()
+        for entry in all_rules().rules.values()
     ]
     report = validate(fixture.write(tmp_path), fixture.settings, registry=Registry.of(rules))
     assert rule.id not in {finding.rule for finding in report.findings}

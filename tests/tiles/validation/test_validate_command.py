@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.contract import Level, Settings, validate
+from gsgen.contract import Level, Settings
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.validation.waivers import Waiver
 from gsgen.tiles.stores.zip_store import write_archive
 from gsgen.tiles.validation.sketches import explicit_sketch
+from gsgen.tiles.validation.validate import validate
 from support.commands import gsgen_here
 from support.tiles.serving import served
 

@@ -1,6 +1,6 @@
 """Writes the viewer test kit: models, expected pictures, index.json and a comparing script."""
 
-__all__ = ["PICTURES_GROUP", "DrawFrames", "kit_cases", "picture_name", "write_kit"]
+__all__ = ["DrawFrames", "kit_cases", "picture_name", "write_kit"]
 
 import json
 import re
@@ -18,12 +18,8 @@ from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import FAULTS
 from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
 from gsgen.conformance.viewer_kit.row_cases import ROW_CASES
-from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import atomic_write
-
-PICTURES_GROUP: Final = "gsgen.kit_pictures"
-"""Entry point group of the function that draws the expected pictures."""
 
 TOLERANCE: Final = {"pixel": 0.02, "share": 0.005, "mean": 0.001}
 """Largest difference of a channel, share of the pixels that may exceed it, and mean difference."""
@@ -46,27 +42,26 @@ def picture_name(case: str, number: int) -> str:
     return f"{case}-{number}"
 
 
-def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
+def write_kit(folder: Path, draw: DrawFrames) -> Path:
     """Write the viewer test kit into ``folder``, and return the path of its index.json.
 
     Args:
         folder: A folder that does not exist, or is empty.
-        draw: Draws the expected pictures; by default the function that the runtime registers.
+        draw: Draws the expected pictures, as gsgen.runtime.checks.viewer_kit.draw_frames does.
 
     Raises:
-        ConfigInvalid: The folder holds files or is a file, or no renderer is installed.
+        ConfigInvalid: The folder holds files or is a file.
     """
     hint = "Name a folder that does not exist yet."
     if folder.exists() and not folder.is_dir():
         raise ConfigInvalid("is a file, expected a folder", where=str(folder), hint=hint)
     if folder.exists() and any(folder.iterdir()):
         raise ConfigInvalid("the output folder is not empty", where=str(folder), hint=hint)
-    draw_frames = draw or _registered_renderer()
     index_path = folder / "index.json"
     with atomic_write(index_path) as draft:
         for name in ("models", "expected"):
             (draft.parent / name).mkdir()
-        document = _index([_write_case(draft.parent, case, draw_frames) for case in kit_cases()])
+        document = _index([_write_case(draft.parent, case, draw) for case in kit_cases()])
         text = json.dumps(document, indent=1, ensure_ascii=False)
         draft.write_text(text + "\n", "utf-8")
         for name, schema in viewer_kit_schemas().items():
@@ -83,19 +78,6 @@ def _script() -> str:
     script, count = _IMPORT.subn(lambda _: module, text)
     assert count == 1, "check_viewer.py imports picture_files on one line"
     return script
-
-
-def _registered_renderer() -> DrawFrames:
-    points = registered_entry_points(PICTURES_GROUP)
-    if not points:
-        hint = "pip install 'gsgen[runtime]'"
-        raise ConfigInvalid(
-            "no renderer is installed to draw the expected pictures",
-            where="viewer-kit write",
-            hint=hint,
-        )
-    draw: DrawFrames = points[0].load()
-    return draw
 
 
 def _write_case(folder: Path, case: KitCase, draw: DrawFrames) -> dict[str, Any]:

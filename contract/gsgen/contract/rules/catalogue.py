@@ -1,6 +1,6 @@
 """The installed rules: those of the contract, and those that other packages register."""
 
-__all__ = ["FAMILIES", "builtin_rules", "installed_rules", "model_rules"]
+__all__ = ["FAMILIES", "builtin_rules", "installed_rules"]
 
 import re
 import traceback
@@ -118,33 +118,17 @@ def builtin_rules() -> list[Rule]:
     return sorted(rules, key=lambda entry: (order.index(entry.family), entry.id))
 
 
-# The group of rules of models, and that of files of other kinds, such as tilesets.
-_MODEL_GROUP = "gsgen.rules"
-_FILE_GROUP = "gsgen.file_rules"
-
-
 @cache
 def installed_rules() -> Registry:
-    """Return the built-in rules and those that packages register as entry points.
+    """Return the built-in rules and those that packages register under ``gsgen.rules``.
 
-    The group ``gsgen.rules`` is for rules of models, ``gsgen.file_rules`` for those of other files.
     An entry point names a module that defines rules and level backends, or a list of them. An
-    entry point that does not load becomes a crashed rule in every report.
+    entry point that does not load becomes a crashed rule in every report. gsgen's rules of
+    tilesets are in ``gsgen.tiles.all_rules``.
     """
-    return _registry(_MODEL_GROUP, _FILE_GROUP)
-
-
-@cache
-def model_rules() -> Registry:
-    """Return the installed rules for ONNX models, without those for tilesets."""
-    return _registry(_MODEL_GROUP)
-
-
-def _registry(*groups: str) -> Registry:
     rules = builtin_rules()
     backends: list[LevelBackend] = []
-    points = [point for group in groups for point in registered_entry_points(group)]
-    for number, point in enumerate(points):
+    for number, point in enumerate(registered_entry_points("gsgen.rules")):
         try:
             loaded, loaded_backends = _load(point)
             # Raises if an id or a level is already taken.

@@ -3,38 +3,38 @@
 __all__ = ["expand_paths"]
 
 import glob
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.file_validators import find_validator
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 
 _WILDCARDS = frozenset("*?[")
 
 
-def expand_paths(names: Iterable[Path]) -> list[Path]:
+def expand_paths(
+    names: Iterable[Path], is_one: Callable[[Path], bool] = lambda folder: False
+) -> list[Path]:
     """Return the model files that names, folders and globs denote, each once, in order.
 
     A folder gives the models in it and below, sorted by path, without hidden files and folders. A
-    folder that an installed validator recognises, such as that of a tileset, stays one entry. A
-    name with wildcards that no file has by itself is a glob, in which ``**`` matches any folders.
+    folder for which ``is_one`` returns True, such as that of a tileset, stays one entry. A name with wildcards that no file has by itself is a glob, in which ``**`` matches any folders.
 
     Raises:
         ConfigInvalid: A folder holds no model, or a glob matches no file.
     """
-    return list(dict.fromkeys(path for name in names for path in _expand(name)))
+    return list(dict.fromkeys(path for name in names for path in _expand(name, is_one)))
 
 
-def _expand(name: Path) -> Iterator[Path]:
+def _expand(name: Path, is_one: Callable[[Path], bool]) -> Iterator[Path]:
     if not name.is_dir() and not name.exists() and _WILDCARDS & set(str(name)):
         matches = sorted(glob.glob(str(name), recursive=True))
         if not matches:
             hint = "Check the folder that the command runs in."
             raise ConfigInvalid("the pattern matches no file", where=str(name), hint=hint)
         for match in matches:
-            yield from _expand(Path(match))
-    elif name.is_dir() and find_validator(name) is None:
+            yield from _expand(Path(match), is_one)
+    elif name.is_dir() and not is_one(name):
         models = sorted(path for path in name.rglob(f"*{MODEL_SUFFIX}") if _is_visible(path, name))
         if not models:
             hint = f"Name a folder with {MODEL_SUFFIX} files, or a file."

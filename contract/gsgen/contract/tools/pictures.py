@@ -1,8 +1,4 @@
-"""Adds pictures of validated models to reports, drawn by an installed renderer.
-
-A renderer is registered under the entry point group ``gsgen.pictures``: a function that takes a
-model, the label of a probe and settings, and returns a PNG or raises a GsgenError.
-"""
+"""Adds pictures of validated models to reports."""
 
 __all__ = ["with_picture"]
 
@@ -10,36 +6,30 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.fields.roles import GENERATOR
 from gsgen.contract.validation.gates import PACKED_ROWS
 from gsgen.contract.validation.report import Picture, Report
 from gsgen.contract.validation.settings import Settings
 
-_GROUP = "gsgen.pictures"
 _NEEDS = (*PACKED_ROWS, "GO005")
 _ZEROS = "all inputs zero"
 
 Draw = Callable[[Path, str, Settings], bytes]
+"""Draws a model at the probe of a label as a PNG, or raises a GsgenError."""
 
 
-def with_picture(report: Report, settings: Settings) -> Report:
+def with_picture(report: Report, settings: Settings, draw: Draw) -> Report:
     """Add to a validation report a picture of the model at the inputs of its first finding."""
-    return replace(report, picture=_picture(report, settings))
+    return replace(report, picture=_picture(report, settings, draw))
 
 
-def _picture(report: Report, settings: Settings) -> Picture:
-    points = registered_entry_points(_GROUP)
-    problem = _obstacle(report)
-    if problem or not points:
-        return Picture(problem=problem or "no renderer is installed: pip install 'gsgen[runtime]'")
+def _picture(report: Report, settings: Settings, draw: Draw) -> Picture:
+    if problem := _obstacle(report):
+        return Picture(problem=problem)
     probe = _probe(report)
     try:
-        draw: Draw = points[0].load()
         return Picture(probe, draw(Path(report.path), probe, settings))
-    except ImportError as error:
-        return Picture(probe, problem=f"the renderer cannot be loaded: {error}")
     except GsgenError as error:
         return Picture(probe, problem=str(error).replace("\n", " "))
 

@@ -7,16 +7,16 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import ClassVar
 
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.process.parent_watchdog import exit_with_parent
-from gsgen.contract.rules.catalogue import installed_rules, model_rules
 from gsgen.contract.validation.engine import Progress
 from gsgen.contract.validation.report import Entry
-from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
 
@@ -28,6 +28,7 @@ class WorkerDied(GsgenError):
 
 def validate_in_processes(
     validate: Callable[[Path, Settings], Entry],
+    rules: Callable[[], Registry],
     paths: Sequence[Path],
     settings: Settings,
     jobs: int,
@@ -37,6 +38,7 @@ def validate_in_processes(
 
     Args:
         validate: Validates one file; a function of a module, which the processes import.
+        rules: Returns all rules that reports may name; a function of a module, too.
         paths: The files.
         settings: Level, target, limits and severities.
         jobs: Number of processes.
@@ -47,7 +49,7 @@ def validate_in_processes(
     """
     context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
     others = multiprocessing.active_children()
-    with ProcessPoolExecutor(jobs, context, _start_worker) as pool:
+    with ProcessPoolExecutor(jobs, context, _start_worker, (rules,)) as pool:
         futures = [pool.submit(validate, path, settings) for path in paths]
         try:
             return [
@@ -72,17 +74,18 @@ def _result(future: "Future[Entry]", text: str, progress: Progress) -> Entry:
     return entry
 
 
-def _start_worker() -> None:
+def _start_worker(rules: Callable[[], Registry]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
     exit_with_parent()
-    ForkingPickler.register(Rule, _reduce_rule)
+    ForkingPickler.register(Rule, partial(_reduce_rule, rules))
 
 
-def _reduce_rule(rule: Rule) -> tuple[Callable[[str], Rule], tuple[str]]:
+def _reduce_rule(
+    rules: Callable[[], Registry], rule: Rule
+) -> tuple[Callable[..., Rule], tuple[Callable[[], Registry], str]]:
     """Pickle a rule as its id only, since the parent process has the same rules installed."""
-    return _find_rule, (rule.id,)
+    return _find_rule, (rules, rule.id)
 
 
-def _find_rule(rule_id: str) -> Rule:
-    known = model_rules().rules
-    return known[rule_id] if rule_id in known else installed_rules().rules[rule_id]
+def _find_rule(rules: Callable[[], Registry], rule_id: str) -> Rule:
+    return rules().rules[rule_id]

@@ -66,7 +66,8 @@ def build(
 
 
 def _read(file: Path) -> "Splats | PointCloud | PackedRows":
-    from gsgen.formats import FormatWarning, open_splats
+    from gsgen.formats import FormatWarning
+    from gsgen.tiles.loading.leaves import open_splats
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)

@@ -1,4 +1,4 @@
-"""Draws frames of an eager torch module, by the entry point ``gsgen.source_pictures``."""
+"""Draws frames of an eager torch module, as reference images of its export."""
 
 __all__ = ["draw_source_frames"]
 

@@ -1,4 +1,4 @@
-"""Draws small previews of splats and scenes in notebooks (entry point ``gsgen.previews``)."""
+"""Draws small previews of splats and scenes in notebooks."""
 
 __all__ = ["draw_preview"]
 

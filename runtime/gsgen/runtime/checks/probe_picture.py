@@ -1,4 +1,4 @@
-"""Draws a model for one set of test inputs (a probe), by the entry point ``gsgen.pictures``."""
+"""Draws a model for one set of test inputs (a probe), for HTML reports."""
 
 __all__ = ["draw_probe"]
 

@@ -1,4 +1,4 @@
-"""Draws the expected pictures of a viewer test kit, by the entry point ``gsgen.kit_pictures``."""
+"""Draws the expected pictures of a viewer test kit."""
 
 __all__ = ["draw_frames", "on_screen", "runtime_camera"]
 

@@ -3,21 +3,21 @@
 __all__ = ["open_source"]
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
-from gsgen.contract._entry_points import registered_entry_points
+from gsgen.formats.tileset_paths import names_tileset
+from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.source import GeneratorSource, Source, StillSource
-from gsgen.runtime.sources.stream_settings import StreamOpener, StreamSettings
+from gsgen.runtime.sources.stream_settings import StreamOpener
 
 
 def open_source(
     path: Path,
     provider: str = "cpu",
     sizes: Mapping[str, int] | None = None,
-    streaming: StreamSettings | None = None,
+    stream: StreamOpener | None = None,
 ) -> Source:
     """Open a file of Gaussians or triangles, a tileset or an ONNX generator for the renderer.
 
@@ -25,7 +25,7 @@ def open_source(
         path: The file.
         provider: ONNX Runtime's execution provider for a generator, and for those of neural tiles.
         sizes: Symbol → size of an open dimension of a generator.
-        streaming: How a tileset is streamed.
+        stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
 
     Raises:
         SceneUnreadable: The file holds no Gaussians or triangles that can be read.
@@ -35,9 +35,12 @@ def open_source(
     """
     if path.suffix.lower() == ".onnx":
         return GeneratorSource(path, provider, sizes)
-    for point in registered_entry_points("gsgen.sources"):
-        opener: StreamOpener = point.load()
-        if opener.recognises(path):
-            settings = replace(streaming or StreamSettings(), provider=provider)
-            return opener.open_stream(path, settings)
+    if names_tileset(path):
+        if stream is None:
+            raise SceneUnreadable(
+                "is a tileset, which this function was given nothing to open with",
+                where=str(path),
+                hint="Pass stream=gsgen.tiles.open_stream.",
+            )
+        return stream(path, provider)
     return MeshSource(path) if is_mesh(path) else StillSource(path)

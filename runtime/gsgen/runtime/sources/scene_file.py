@@ -26,7 +26,7 @@ from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
 from gsgen.runtime.sources.scene_fields import Fields, fields_of, refuse
 from gsgen.runtime.sources.source import Source
-from gsgen.runtime.sources.stream_settings import StreamSettings
+from gsgen.runtime.sources.stream_settings import StreamOpener
 
 VERSION: Final = "1.0"
 Result = TypeVar("Result")
@@ -137,7 +137,7 @@ def open_scene(
     scene: SceneFile | str | Path,
     provider: str = "cpu",
     sizes: Mapping[Path, Mapping[str, int]] | None = None,
-    streaming: StreamSettings | None = None,
+    stream: StreamOpener | None = None,
 ) -> list[Source]:
     """Open the files of a scene file: first each model, then each mesh.
 
@@ -147,7 +147,7 @@ def open_scene(
         scene: The scene file, or its path.
         provider: ONNX Runtime's execution provider for generators.
         sizes: Path of a generator → symbol → size of an open dimension.
-        streaming: How tilesets are streamed.
+        stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
 
     Raises:
         SceneUnreadable: A file cannot be read.
@@ -157,7 +157,7 @@ def open_scene(
     with ExitStack() as stack:
         sources: list[Source] = []
         for model in scene_file.models:
-            sources.append(_open_model(model, provider, (sizes or {}).get(model.path), streaming))
+            sources.append(_open_model(model, provider, (sizes or {}).get(model.path), stream))
             stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes]
         stack.pop_all()  # from here on the caller closes the sources
@@ -165,15 +165,12 @@ def open_scene(
 
 
 def _open_model(
-    model: SceneModel,
-    provider: str,
-    sizes: Mapping[str, int] | None,
-    streaming: StreamSettings | None,
+    model: SceneModel, provider: str, sizes: Mapping[str, int] | None, stream: StreamOpener | None
 ) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
     inner = _locate_errors(
-        lambda: open_source(model.path, provider, sizes, streaming), f"{model.where}.path"
+        lambda: open_source(model.path, provider, sizes, stream), f"{model.where}.path"
     )
     try:
         return PlacedSource(

@@ -16,6 +16,7 @@ from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene
 from gsgen.runtime.sources.source import Source, StaticSource
+from gsgen.runtime.sources.stream_settings import StreamOpener
 
 
 @final
@@ -45,8 +46,13 @@ class SceneSource(StaticSource):
         return linear @ center + offset, reach * scale
 
 
-def sources_of(scene: Scene | SplatData | str | Path | Sequence[str | Path]) -> list[Source]:
-    """Return sources of Gaussians for a scene: an object in memory, or paths of files."""
+def sources_of(
+    scene: Scene | SplatData | str | Path | Sequence[str | Path], stream: StreamOpener | None = None
+) -> list[Source]:
+    """Return sources of Gaussians for a scene: an object in memory, or paths of files.
+
+    ``stream`` opens tilesets, as ``gsgen.tiles.open_stream`` does.
+    """
     if isinstance(scene, SplatData):
         scene = Scene([scene])
     if isinstance(scene, Scene):
@@ -60,7 +66,10 @@ def sources_of(scene: Scene | SplatData | str | Path | Sequence[str | Path]) -> 
     opened: list[Source] = []
     try:
         for path in map(Path, paths):
-            opened += open_scene(path) if is_scene_file(path) else [open_source(path)]
+            is_scene = is_scene_file(path)
+            opened += (
+                open_scene(path, stream=stream) if is_scene else [open_source(path, stream=stream)]
+            )
     except BaseException:
         for source in opened:
             source.close()

@@ -2,9 +2,10 @@
 
 __all__ = ["StreamOpener", "StreamSettings"]
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, final
 
 if TYPE_CHECKING:
     from gsgen.runtime.sources.source import Source
@@ -25,7 +26,6 @@ class StreamSettings:
         log: File of events as JSON lines; None for none.
         allow_origins: Other origins that redirects of a server may lead to.
         neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
-        provider: Execution provider of ONNX Runtime for these models.
         wait: Most seconds that a frame waits for all tiles that its camera needs; 0 to draw what
             is there, as a window does, with cross-fades.
     """
@@ -39,21 +39,8 @@ class StreamSettings:
     log: Path | None = None
     allow_origins: tuple[str, ...] = ()
     neural_sessions: int = 4
-    provider: str = "cpu"
     wait: float = 30.0
 
 
-class StreamOpener(Protocol):
-    """Protocol of plug-ins that open streamed scenes (entry point group ``gsgen.sources``)."""
-
-    def recognises(self, path: Path) -> bool:
-        """Return whether ``path`` names a file or an address that this plug-in streams."""
-        ...
-
-    def open_stream(self, path: Path, settings: StreamSettings) -> "Source":
-        """Open a file or an address as a scene that is streamed as the camera needs.
-
-        Raises:
-            GsgenError: The file is invalid, or cannot be read.
-        """
-        ...
+StreamOpener = Callable[[Path, str], "Source"]
+"""Opens a tileset for an execution provider of ONNX Runtime, as gsgen.tiles.open_stream does."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from gsgen.runtime.errors import DisplayUnavailable
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.stream_settings import StreamOpener
 from gsgen.runtime.viewer.viewer import Event, Viewer
 
 if TYPE_CHECKING:
@@ -131,6 +132,7 @@ def view(
     camera: str | None = None,
     size: tuple[int, int] = (960, 540),
     canvas: "BaseRenderCanvas | None" = None,
+    stream: StreamOpener | None = None,
 ) -> "BaseRenderCanvas":
     """Show a scene in a notebook, or in a window of your own event loop.
 
@@ -142,6 +144,7 @@ def view(
         camera: A value of ``gsgen view --camera``.
         size: Width and height of the canvas, in pixels.
         canvas: A rendercanvas canvas; by default a widget or a window, as available.
+        stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
 
     Returns:
         The canvas.
@@ -155,7 +158,7 @@ def view(
     from gsgen.runtime.sources.scene_source import sources_of
 
     window_canvas = canvas if canvas is not None else _canvas(size)
-    playback = LivePlayback(sources_of(scene))
+    playback = LivePlayback(sources_of(scene, stream))
     viewer = Viewer(playback, viewpoint(camera, *size), print_line=_print)
     attach(viewer, window_canvas)
     return window_canvas

@@ -14,7 +14,7 @@ import html
 import json
 import re
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final, final
 
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
-from gsgen.formats import FormatError, Splats, open_splats, write_ply
+from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, write_ply
 from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
@@ -87,7 +87,11 @@ def client_file(name: str) -> bytes:
     return _CLIENT.joinpath(name).read_bytes()
 
 
-def model_bytes(path: Path) -> bytes:
+Reader = Callable[..., Splats | PointCloud | PackedRows]
+"""Reads a file of splats, as ``open_splats`` of gsgen.formats or of gsgen.tiles does."""
+
+
+def model_bytes(path: Path, read: Reader = open_splats) -> bytes:
     """Return a model file's bytes for a web page; splat formats that no page reads become a PLY.
 
     Raises:
@@ -103,7 +107,7 @@ def model_bytes(path: Path) -> bytes:
                 where=str(path),
                 hint=hint,
             )
-        content = open_splats(path, drop_invalid=True)
+        content = read(path, drop_invalid=True)
         raw = path.read_bytes()
     except (OSError, FormatError) as error:
         raise SceneUnreadable(str(error)) from error
@@ -144,13 +148,16 @@ for (;;) {
 """
 
 
-def single_file_page(paths: Iterable[Path], view: ModelView, ort: Path | None) -> str:
+def single_file_page(
+    paths: Iterable[Path], view: ModelView, ort: Path | None, read: Reader = open_splats
+) -> str:
     """Return an HTML page that opens from disk: it embeds the models and the browser client.
 
     Args:
         paths: The models.
         view: How they are shown.
         ort: Folder of ONNX Runtime Web, for generators.
+        read: Reads files of splats.
 
     Raises:
         SceneUnreadable: A model cannot be read.
@@ -163,7 +170,7 @@ def single_file_page(paths: Iterable[Path], view: ModelView, ort: Path | None) -
         head.append(_inlined("gsgen-ort", (ort / "ort.webgpu.bundle.min.mjs").read_bytes()))
         wasm = (ort / "ort-wasm-simd-threaded.asyncify.wasm").read_bytes()
         head.append(_inlined("gsgen-ort-wasm", wasm))
-    head += [_inlined(f"model-{i}", model_bytes(path)) for i, path in enumerate(models)]
+    head += [_inlined(f"model-{i}", model_bytes(path, read)) for i, path in enumerate(models)]
     figures = [_figure(f"#model-{i}", path, view) for i, path in enumerate(models)]
     start = '<script type="module">import "gsgen/gsgen.js";</script>'
     return _page([path.name for path in models], head, figures, start)

@@ -11,8 +11,16 @@ from typing import Final, final
 from urllib.parse import quote, unquote, urlsplit
 
 from gsgen.contract.errors import GsgenError
+from gsgen.formats import open_splats
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
-from gsgen.runtime.web.pages import ModelView, client_file, client_names, model_bytes, served_page
+from gsgen.runtime.web.pages import (
+    ModelView,
+    Reader,
+    client_file,
+    client_names,
+    model_bytes,
+    served_page,
+)
 
 _TYPES: Final = {
     ".js": "text/javascript",
@@ -34,6 +42,7 @@ class ModelServer(ThreadingHTTPServer):
         view: How they are shown.
         ort: Folder of ONNX Runtime Web; None without generators.
         port: Port; 0 takes one that is free.
+        read: Reads files of splats.
 
     Attributes:
         address: Address of the page.
@@ -42,7 +51,13 @@ class ModelServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(
-        self, models: Sequence[Path], view: ModelView, *, ort: Path | None, port: int = 0
+        self,
+        models: Sequence[Path],
+        view: ModelView,
+        *,
+        ort: Path | None,
+        port: int = 0,
+        read: Reader = open_splats,
     ) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
         self.address = f"http://127.0.0.1:{self.server_port}/"
@@ -58,7 +73,7 @@ class ModelServer(ThreadingHTTPServer):
         for name in ORT_FILES if ort is not None else ():
             self._files[f"/gsgen/ort/{name}"] = partial(_file, ort / name if ort else Path())
         for address, path in self._models.items():
-            self._files[address] = partial(_model, path)
+            self._files[address] = partial(_model, path, read)
 
     def content(self, path: str) -> Content | None:
         """Return content type and bytes of the file at a URL path; None if no file is there."""
@@ -83,8 +98,8 @@ def _file(path: Path) -> Content:
     return _TYPES[path.suffix], path.read_bytes()
 
 
-def _model(path: Path) -> Content:
-    return "application/octet-stream", model_bytes(path)
+def _model(path: Path, read: Reader) -> Content:
+    return "application/octet-stream", model_bytes(path, read)
 
 
 @final

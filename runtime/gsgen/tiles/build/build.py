@@ -17,10 +17,10 @@ from typing import Final, TypeVar, final
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
-from gsgen.tiles.build.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.neural_tiles import Generator
 from gsgen.tiles.build.octree import load_built
 from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64, UInt64
 
+from gsgen.formats.merging.levels import merge_level
+from gsgen.formats.merging.mixture import Mixture, concatenate
+from gsgen.formats.merging.morton import DEPTH, cell_codes, morton_codes
 from gsgen.tiles.build.files import read_json, save_array, write_json
-from gsgen.tiles.build.merging.levels import merge_level
-from gsgen.tiles.build.merging.mixture import Mixture, concatenate
-from gsgen.tiles.build.merging.morton import DEPTH, cell_codes, morton_codes
 from gsgen.tiles.build.plan import Partition, Plan, depth_of, group_small
 from gsgen.tiles.build.spill import Rows, anchors_of, load_partition
 from gsgen.tiles.build.tile import Tile, tile_from_json, write_leaf, write_level

@@ -22,7 +22,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Int64, UInt64
 
-from gsgen.tiles.build.merging.morton import Cube
+from gsgen.formats.merging.morton import Cube
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.scan import location_codes
 from gsgen.tiles.build.source import Chunk

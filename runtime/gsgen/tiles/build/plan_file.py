@@ -8,9 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from gsgen.formats.merging.morton import Cube
 from gsgen.formats.ply.chunks import PlyTable
 from gsgen.tiles.build.files import read_json, write_json
-from gsgen.tiles.build.merging.morton import Cube
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.plan import Partition, Plan
 from gsgen.tiles.build.source import Chunk, SceneFile

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt64
 
 from gsgen.formats import Splats
+from gsgen.formats.merging.morton import DEPTH, Cube, cell_codes, morton_codes
 from gsgen.formats.shared.splat_values import ARRAYS
-from gsgen.tiles.build.merging.morton import DEPTH, Cube, cell_codes, morton_codes
 from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk, valid_rows
 from gsgen.tiles.gltf.encoding import SIGMAS
 

@@ -22,9 +22,10 @@ from jaxtyping import Bool
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
-from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, splats_of_rows
+from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, splats_of_rows
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.splats import SH_COUNTS
+from gsgen.tiles.loading.leaves import open_splats
 
 CHUNK_BYTES: Final = 64 << 20
 """Bytes of a PLY file that one task reads."""

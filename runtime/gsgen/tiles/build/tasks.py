@@ -13,8 +13,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Int64, UInt64
 
+from gsgen.formats.merging.morton import Cube
 from gsgen.tiles.build.files import read_json, save_array, write_json
-from gsgen.tiles.build.merging.morton import Cube
 from gsgen.tiles.build.octree import build_partition, build_top
 from gsgen.tiles.build.plan_file import load_plan
 from gsgen.tiles.build.scan import ChunkFacts, count_cells, scan_chunk

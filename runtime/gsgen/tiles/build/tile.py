@@ -1,14 +1,6 @@
 """Writes the content files of a tile, and describes the written tile."""
 
-__all__ = [
-    "Content",
-    "Tile",
-    "mixture_of",
-    "splats_of",
-    "tile_from_json",
-    "write_leaf",
-    "write_level",
-]
+__all__ = ["Content", "Tile", "tile_from_json", "write_leaf", "write_level"]
 
 import hashlib
 from collections.abc import Mapping
@@ -19,13 +11,11 @@ from typing import Any, cast, final
 import numpy as np
 from jaxtyping import UInt64
 
-from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.formats import Splats
-from gsgen.formats.shared.quantities import log, logit, sigmoid, unit
-from gsgen.formats.shared.splats import SH_COUNTS
+from gsgen.formats.merging.levels import Level, stored_degree
+from gsgen.formats.merging.mixture import Mixture
+from gsgen.formats.merging.splat_mixtures import mixture_of, splats_of
 from gsgen.tiles.build.files import write_bytes
-from gsgen.tiles.build.merging.levels import Level, stored_degree
-from gsgen.tiles.build.merging.mixture import Mixture
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.spill import Rows
 from gsgen.tiles.format.implicit_tiling.writing import implicit_uri
@@ -94,32 +84,6 @@ def tile_from_json(value: Mapping[str, Any]) -> Tile:
 
 def _point(values: list[float]) -> tuple[float, float, float]:
     return cast(tuple[float, float, float], tuple(values))
-
-
-def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
-    """Convert splats to Gaussians for merging, in the same order."""
-    scale = np.exp(splats.log_scale.astype(np.float64))
-    rotation = unit(splats.rotation)
-    return Mixture(
-        code=codes,
-        mean=splats.position.astype(np.float64),
-        covariance=covariance_upper(scale, rotation),
-        scale=scale,
-        rotation=rotation,
-        opacity=sigmoid(splats.logit_opacity).astype(np.float64),
-        sh=splats.sh,
-    )
-
-
-def splats_of(mixture: Mixture, degree: int) -> Splats:
-    """Convert merged Gaussians to splats, with spherical harmonics up to ``degree``."""
-    return Splats(
-        position=mixture.mean.astype(np.float32),
-        rotation=mixture.rotation,
-        log_scale=log(mixture.scale),
-        logit_opacity=logit(mixture.opacity),
-        sh=np.ascontiguousarray(mixture.sh[:, : SH_COUNTS[degree]]),
-    )
 
 
 def _leaf_splats(rows: Rows) -> Splats:

@@ -3,24 +3,24 @@
 __all__ = [
     "decode_tile_content",
     "finest_contents",
+    "open_splats",
     "read_leaves",
     "read_tile_content",
-    "recognises",
 ]
 
 import os
 import posixpath
 import warnings
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.formats.codecs import codec_named
+from gsgen.formats import open_splats as open_splat_file
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.format.uris import resolve_uri
@@ -29,7 +29,7 @@ from gsgen.tiles.gltf.decoding import decode_content
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed, place
 from gsgen.tiles.loading.downloads import names_one_file, read_download
 from gsgen.tiles.loading.tileset_loader import load_tileset
-from gsgen.tiles.stores.opening import INDEX, open_store
+from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 
 MAX_CONTENT: Final = 512 << 20
@@ -75,15 +75,23 @@ def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
                 yield tile, content
 
 
-def recognises(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names a tileset: a file by its suffix, an address, or a folder."""
-    text = os.fspath(path)
-    name = Path(text).name.lower()
-    if text.lower().startswith(("http:/", "https:/")) or name.endswith(".3tz"):
-        return True
-    if name.endswith(".json"):
-        return name not in codec_named("sog").suffixes
-    return (Path(text) / INDEX).is_file()
+def open_splats(
+    path: str | os.PathLike[str], *, drop_invalid: bool = False
+) -> Splats | PointCloud | PackedRows:
+    """Read a splat file of any format, or all leaf tiles of a tileset as one set of splats.
+
+    Args:
+        path: A file, a tileset (tileset.json, its folder, .3tz), or an address.
+        drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them.
+
+    Raises:
+        FormatError: The file cannot be read.
+        TilesetInvalid: A file of the tileset is missing or wrong.
+        StoreUnavailable: The store cannot be read now.
+    """
+    if names_tileset(path):
+        return read_leaves(path)
+    return open_splat_file(path, drop_invalid=drop_invalid)
 
 
 def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedRows:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from gsgen.contract.spec.units import MEBIBYTE
-from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
+from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.shared.joined import joined
 from gsgen.runtime.renderer.renderer import Renderer
@@ -30,7 +30,7 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import open_splats, read_tile_content
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.opening import open_store

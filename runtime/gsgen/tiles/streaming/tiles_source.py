@@ -1,6 +1,6 @@
 """Streams a tileset into the renderer: each frame draws the tiles that the camera needs."""
 
-__all__ = ["TilesSource", "open_stream", "recognises"]
+__all__ = ["TilesSource", "open_stream"]
 
 import math
 import sys
@@ -22,7 +22,6 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
 from gsgen.runtime.sources.source import Source, Values
 from gsgen.runtime.sources.stream_settings import StreamSettings
-from gsgen.tiles.loading.leaves import recognises
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS
@@ -233,13 +232,21 @@ class TilesSource(Source):
         self._session.close()
 
 
-def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
+def open_stream(
+    path: Path, provider: str = "cpu", settings: StreamSettings | None = None
+) -> TilesSource:
     """Open a tileset as a source of Gaussians for the renderer.
+
+    Args:
+        path: The tileset's index, folder, archive or address.
+        provider: ONNX Runtime's execution provider for the generators of neural tiles.
+        settings: How tiles are chosen, fetched and kept.
 
     Raises:
         TilesetInvalid: The index is wrong.
         ConfigInvalid: A setting is wrong, or an address is given and urllib3 is not installed.
     """
+    settings = settings or StreamSettings()
     options = SessionOptions(
         max_error=settings.max_error,
         max_splats=settings.max_splats,
@@ -251,7 +258,7 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         allow_origins=settings.allow_origins,
         log=settings.log,
         neural_sessions=settings.neural_sessions,
-        provider=settings.provider,
+        provider=provider,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
     session = open_session(path, options)

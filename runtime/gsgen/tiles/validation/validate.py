@@ -1,11 +1,9 @@
-"""Validates a tileset, or one content file, by the tileset rules (GT), for `gsgen validate`.
+"""Validates a tileset, or one content file, by the tileset rules (GT)."""
 
-Registered under the entry point group ``gsgen.validators``.
-"""
-
-__all__ = ["recognises", "validate"]
+__all__ = ["validate"]
 
 import hashlib
+import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -15,34 +13,31 @@ from pathlib import Path
 from typing import Final
 
 from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.engine import Progress, silent
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.stores.opening import INDEX, address_of, open_store
+from gsgen.tiles.stores.opening import address_of, open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.content_inspection import inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.headers import headers
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+from gsgen.tiles.validation.rules import all_rules
 
 _CONTENTS: Final = (".glb", ".gltf")
-_INDICES: Final = (".json", ".3tz")
-_ADDRESSES: Final = ("http:/", "https:/")
 _NOTHING_DRAWN: Final = "the rules that drawing needs do not hold"
 
 
-def recognises(path: Path) -> bool:
-    """Return whether a path names a tileset or a tile content, by the path's suffix."""
-    is_address = str(path).lower().startswith(_ADDRESSES)
-    has_suffix = path.suffix.lower() in (*_CONTENTS, *_INDICES)
-    return has_suffix or is_address or (path.is_dir() and (path / INDEX).is_file())
-
-
 def validate(
-    path: Path, settings: Settings, registry: Registry, progress: Callable[[str], None]
+    path: str | os.PathLike[str],
+    settings: Settings | None = None,
+    *,
+    registry: Registry | None = None,
+    progress: Progress = silent,
 ) -> Report:
     """Validate a tileset or a tile's content file, and return the report.
 
@@ -50,11 +45,14 @@ def validate(
         path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
         settings: How far to go (static: JSON and headers; values: all splats; render: pictures of
             two tiles and their children), and severities.
-        registry: The rules.
+        registry: The rules to check; by default, all installed rules.
         progress: Called with a few words whenever a new stage begins.
     """
     start = time.perf_counter()
-    settings = settings.for_model(path)
+    path, registry = Path(path), registry or all_rules()
+    settings = (settings or Settings()).for_model(path)
+    if settings.only:
+        registry = registry.with_needs(settings.only)
     progress(f"reading {path.name}")
     registry = registry.of_scope(tilesets=True)
     kind = TILE_CONTENT if path.suffix.lower() in _CONTENTS else TILESET

@@ -14,7 +14,7 @@ from gsgen.formats.editing.filters import (
     without_floaters,
 )
 from gsgen.formats.editing.transforms import rotated, scaled, translated
-from gsgen.formats.shared.decimators import decimated
+from gsgen.formats.merging.decimation import decimate
 from gsgen.formats.shared.errors import ValueInvalid, shown
 from gsgen.formats.shared.splats import Splats
 
@@ -91,11 +91,11 @@ def _decimation(text: str) -> Edit:
         raise ValueInvalid(shown(text), expected="a number of splats, or a percentage such as 25%")
     is_share = text.endswith("%")
 
-    def decimate(splats: Splats) -> Splats:
+    def merge(splats: Splats) -> Splats:
         count = int(len(splats) * amount / 100) if is_share else int(amount)
-        return decimated(splats, max(1, count))
+        return decimate(splats, max(1, count))
 
-    return decimate
+    return merge
 
 
 def _scaling(text: str) -> Edit:

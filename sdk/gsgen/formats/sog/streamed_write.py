@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt64
 
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.formats.shared.decimators import decimated
+from gsgen.formats.merging.decimation import decimate
 from gsgen.formats.shared.files import FilePath, make_folder, replacing
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splat_values import rows_of
@@ -74,7 +74,6 @@ def write_levels(
         chunks: Levels and sizes.
 
     Raises:
-        NotSupported: Splats cannot be merged, since gsgen's tiles are not installed.
         FileUnwritable: A file cannot be written.
     """
     leaves: list[_Leaf] = []
@@ -143,7 +142,7 @@ def _files(
     used = 0
     for leaf in leaves:
         if level:
-            leaf.splats = decimated(leaf.splats, max(1, len(leaf.splats) // _SHARE))
+            leaf.splats = decimate(leaf.splats, max(1, len(leaf.splats) // _SHARE))
         if members and used + len(leaf.splats) > file_rows:
             yield members
             members, used = [], 0

@@ -46,7 +46,7 @@ from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import Change
 from gsgen.sdk.rewriting.rewrite import prepare as prepare_graph
-from gsgen.sdk.source_pictures import add_source_pictures
+from gsgen.sdk.source_pictures import SourcePictures, add_source_pictures
 
 # Compared probes of a quick comparison, besides the all-zero one.
 _QUICK_PROBES = 2
@@ -91,7 +91,7 @@ def export(
     target: str = "core",
     rewrite: bool = True,
     verify: Literal["quick", "full"] = "full",
-    pictures: int = 0,
+    pictures: SourcePictures | None = None,
     vectors: int = VECTORS,
     settings: Settings | None = None,
     progress: Progress = silent,
@@ -115,7 +115,7 @@ def export(
         verify: How many probes are compared with eager torch: ``quick`` takes a third of them.
             Bounds are measured at all of them in either case.
         pictures: How many pictures of the eager module become reference images of the model, which
-            level ``render`` compares with; the renderer draws them (``gsgen[runtime]``).
+            level ``render`` compares with, and what draws them; none if absent.
         vectors: How many test vectors with a few rows of the eager module the manifest gets, which
             level ``behaviour`` compares with; at most four. None are written if ``forward`` sorts,
             as equal keys may come in another order elsewhere.
@@ -222,7 +222,7 @@ def _verify(
     rewritten: _Rewritten,
     options: ExportOptions,
     vectors: int,
-    pictures: int,
+    pictures: SourcePictures | None,
 ) -> _Evidence:
     """Compare a draft with its module, and record rows and pictures of the module in it."""
     generator, manifest, watch = prepared.generator, rewritten.manifest, prepared.watch
@@ -240,7 +240,7 @@ def _verify(
         return packed_outputs(run_eager(generator, probe), manifest)
 
     images: tuple[ReferenceImage, ...] = ()
-    if pictures:
+    if pictures is not None:
         options.progress("drawing the module in eager torch")
         images = add_source_pictures(draft, run_packed, pictures)
     return _Evidence(parity, recorded, images)

@@ -41,6 +41,7 @@ def card(
     from gsgen.contract.tools.pictures import with_picture
     from gsgen.contract.validation.settings import Settings
     from gsgen.contract.validator import validate
+    from gsgen.runtime.checks.probe_picture import draw_probe
 
     if output is not None:
         refuse_model(output, [model])
@@ -58,7 +59,7 @@ def card(
         report = validate(model, settings)
         picture = ""
         if output is not None:
-            report = with_picture(report, settings)
+            report = with_picture(report, settings, draw_probe)
             if report.picture is not None and report.picture.png:
                 path = output.with_suffix(".png")
                 with atomic_write(path) as draft:

@@ -23,11 +23,11 @@ def explain(
     ] = False,
 ) -> None:
     """Explain what the rule RULE requires, why, and how to repair a model that breaks it."""
+    from gsgen.cli.commands.checking.validate_file import every_rule
     from gsgen.conformance.fixtures import example_of
     from gsgen.contract.reporters.rule_pages import page, to_dict
-    from gsgen.contract.rules.catalogue import installed_rules
 
-    registry = installed_rules()
+    registry = every_rule()
     entries = [registry.find(name) for name in rules]
     if as_json:
         document = [to_dict(entry, example_of(entry.id)) for entry in entries]

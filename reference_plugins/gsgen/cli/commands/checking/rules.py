@@ -33,12 +33,12 @@ def rules(
 
     Exits 2 if no rule matches a WORD.
     """
+    from gsgen.cli.commands.checking.validate_file import every_rule
     from gsgen.cli.output import write_text
     from gsgen.conformance.fixtures import example_of
     from gsgen.contract.reporters.rule_pages import index, page, to_dict
-    from gsgen.contract.rules.catalogue import installed_rules
 
-    registry = installed_rules()
+    registry = every_rule()
     selected = _selected(registry, words) if words else list(registry.rules.values())
     if pages is not None:
         for rule in registry.rules.values():

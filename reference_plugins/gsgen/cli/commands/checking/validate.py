@@ -88,12 +88,16 @@ def validate(
     Exits 0 if all conform, 1 if one is invalid or a required rule was not checked, 2 for wrong
     options, 3 if a rule crashed, 4 if a file is not an ONNX model.
     """
+    from gsgen.cli.commands.checking.validate_file import every_rule, is_tileset, validate_file
     from gsgen.cli.progress import progress
     from gsgen.contract.process.atomic_files import refuse_missing_folder, refuse_model
-    from gsgen.contract.tools.batch import registry_for, validate_all
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.tools.batch import validate_all
     from gsgen.contract.tools.model_paths import expand_paths
 
-    files = expand_paths(paths)
+    files = expand_paths(paths, is_tileset)
+    has_tileset = any(is_tileset(file) for file in files)
+    rules = every_rule if has_tileset else installed_rules
     if output:
         refuse_model(output, [*files, *(path for path in (config, baseline) if path)])
         refuse_missing_folder(output)
@@ -111,9 +115,11 @@ def validate(
         "strict": strict,
         "timings": times,
     }
-    settings = _settings(registry_for(files), options)
+    settings = _settings(rules(), options)
     known = _baseline(baseline) if baseline else None
-    entries = validate_all(files, settings, jobs=jobs, progress=progress)
+    entries = validate_all(
+        files, settings, jobs=jobs, progress=progress, validate=validate_file, rules=rules
+    )
     if known:
         entries = [_against(known, entry) for entry in entries]
     if format is Format.HTML:
@@ -124,13 +130,13 @@ def validate(
 
 def _settings(registry: "Registry", options: dict[str, Any]) -> "Settings":
     """Return validation settings; rule names may be those of model rules or of tileset rules."""
-    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.cli.commands.checking.validate_file import every_rule
     from gsgen.contract.validation.settings_from_options import make_settings
 
     try:
         return make_settings(registry, **options)
     except UnknownName:
-        return make_settings(installed_rules(), **options)
+        return make_settings(every_rule(), **options)
 
 
 def _baseline(path: Path) -> "Baseline":
@@ -148,8 +154,9 @@ def _against(known: "Baseline", entry: "Entry") -> "Entry":
 def _drawn(entry: "Entry", settings: "Settings") -> "Entry":
     from gsgen.contract.tools.pictures import with_picture
     from gsgen.contract.validation.report import Report
+    from gsgen.runtime.checks.probe_picture import draw_probe
 
-    return with_picture(entry, settings) if isinstance(entry, Report) else entry
+    return with_picture(entry, settings, draw_probe) if isinstance(entry, Report) else entry
 
 
 def _print(

@@ -32,8 +32,9 @@ def write(
     Exits 0 if it was written, 2 if it cannot be.
     """
     from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
+    from gsgen.runtime.checks.viewer_kit import draw_frames
 
-    index = write_kit(output)
+    index = write_kit(output, draw_frames)
     typer.echo(
         f"{index}: {len(kit_cases())} cases; check pictures with {output / 'check_viewer.py'}"
     )

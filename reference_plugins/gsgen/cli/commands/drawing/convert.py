@@ -33,6 +33,7 @@ from gsgen.contract.process.atomic_files import refuse_itself
 from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
 from gsgen.formats.editing.statistics import Statistics, statistics_text
 from gsgen.formats.shared.files import FilePath
+from gsgen.formats.tileset_paths import names_tileset
 
 if TYPE_CHECKING:
     from gsgen.formats import FormatError
@@ -142,7 +143,8 @@ def convert(
         sh_degree=sh_degree,
         edits=edits,
         drop_invalid=drop_invalid,
-        read=_reader(spz_axes, drop_invalid=drop_invalid),
+        read=_tileset_reader(sources, drop_invalid=drop_invalid)
+        or _reader(spz_axes, drop_invalid=drop_invalid),
         read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
         write=_writer(codec, spz_version, spz_axes, encoding),
     )
@@ -225,6 +227,17 @@ def _writer(
         options["axes"] = spz_axes
     assert codec.write is not None
     return partial(codec.write, **options) if options else None
+
+
+def _tileset_reader(
+    sources: list[str], *, drop_invalid: bool
+) -> Callable[[FilePath], Content] | None:
+    """Return a reader of splat files and tilesets; None if no source is a tileset."""
+    if not any(names_tileset(source) for source in sources):
+        return None
+    from gsgen.cli.commands.drawing.opening import read_splats
+
+    return partial(read_splats, drop_invalid=drop_invalid)
 
 
 def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content] | None:

@@ -1,6 +1,6 @@
 """Opens the scenes and post-process models of a command, and prints their warnings."""
 
-__all__ = ["open_scenes", "read_scene_files"]
+__all__ = ["open_scenes", "read_scene_files", "read_splats", "tileset_opener"]
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,12 +12,14 @@ import typer
 
 from gsgen.cli.output import echo_error
 from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
+from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
+from gsgen.formats.tileset_paths import names_tileset
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.sources.source import Source
-    from gsgen.runtime.sources.stream_settings import StreamSettings
+    from gsgen.runtime.sources.stream_settings import StreamOpener, StreamSettings
 
 
 def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
@@ -68,6 +70,7 @@ def open_scenes(
     from gsgen.runtime.sources.world_origins import beside_the_first
 
     sizes = sizes_of(size)
+    stream = tileset_opener(streaming)
     files = read_scene_files(scenes)
     model_paths = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:
@@ -79,9 +82,9 @@ def open_scenes(
                 for path in scenes:
                     progress(f"reading {path}")
                     opened_sources = (
-                        open_scene(files[path], provider, sizes_by_path, streaming)
+                        open_scene(files[path], provider, sizes_by_path, stream)
                         if path in files
-                        else [open_source(path, provider, sizes_by_path.get(path), streaming)]
+                        else [open_source(path, provider, sizes_by_path.get(path), stream)]
                     )
                     sources += opened_sources
                     for source in opened_sources:
@@ -95,6 +98,26 @@ def open_scenes(
             finally:
                 clear()
         yield beside_the_first(sources), models
+
+
+def tileset_opener(settings: "StreamSettings | None" = None) -> "StreamOpener":
+    """Return a function that opens a tileset as a source; gsgen.tiles is imported when it does."""
+
+    def open_tileset(path: Path, provider: str) -> "Source":
+        from gsgen.tiles.streaming.tiles_source import open_stream
+
+        return open_stream(path, provider, settings)
+
+    return open_tileset
+
+
+def read_splats(path: Path, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
+    """Read a splat file, or all leaves of a tileset, for which gsgen.tiles is imported."""
+    if names_tileset(path):
+        from gsgen.tiles.loading.leaves import open_splats as open_tileset
+
+        return open_tileset(path, drop_invalid=drop_invalid)
+    return open_splats(path, drop_invalid=drop_invalid)
 
 
 @contextmanager

@@ -190,6 +190,7 @@ def _serve_page(
     """Serve a web page of the scenes until Ctrl-C, and open the page in the browser."""
     import webbrowser
 
+    from gsgen.cli.commands.drawing.opening import read_splats
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
     from gsgen.runtime.web.onnxruntime_web import ort_folder
     from gsgen.runtime.web.pages import model_bytes
@@ -202,11 +203,11 @@ def _serve_page(
                 where=str(path),
                 hint=f"--web serves a page; `gsgen export html SCENE -o {path.name}` writes one.",
             )
-        model_bytes(path)  # an unreadable file is an error here, not in the page alone
+        model_bytes(path, read_splats)  # an unreadable file is an error here, not in the page alone
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
     folder = ort_folder(ort) if has_generator else None
     try:
-        server = ModelServer(scenes, shown, ort=folder, port=port)
+        server = ModelServer(scenes, shown, ort=folder, port=port, read=read_splats)
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."
         message = f"cannot listen: {error.strerror}"
@@ -254,11 +255,12 @@ def _title(scenes: Sequence[Path]) -> str:
 
 def _file_opener(*, play: bool) -> "Callable[[Sequence[Path]], LivePlayback]":
     """Return a function that opens dropped files for live playback."""
+    from gsgen.cli.commands.drawing.opening import tileset_opener
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.sources.scene_source import sources_of
 
     def open_files(paths: Sequence[Path]) -> LivePlayback:
-        playback = LivePlayback(sources_of(list(paths)))
+        playback = LivePlayback(sources_of(list(paths), tileset_opener()))
         playback.playing = play and playback.frames > 1
         return playback
 

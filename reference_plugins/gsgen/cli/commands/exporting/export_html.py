@@ -35,6 +35,7 @@ def export_html(
 
     Exits 2 for wrong options, 4 if a model cannot be read.
     """
+    from gsgen.cli.commands.drawing.opening import read_splats
     from gsgen.cli.output import echo_error
     from gsgen.contract.errors import ExitCode
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write, require_page
@@ -53,7 +54,9 @@ def export_html(
     )
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
     try:
-        page = single_file_page(models, view, ort_folder(ort) if has_generator else None)
+        page = single_file_page(
+            models, view, ort_folder(ort) if has_generator else None, read=read_splats
+        )
     except SceneUnreadable as error:
         echo_error(error)
         raise typer.Exit(ExitCode.UNREADABLE) from error

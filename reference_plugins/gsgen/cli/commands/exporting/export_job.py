@@ -98,7 +98,12 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
         return export_post_process(module, request.output, dtype=dtype, **options)
     # Case 3: a generator.
     options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
-    options |= {"pictures": request.pictures, "vectors": request.vectors}
+    options["vectors"] = request.vectors
+    if request.pictures:
+        from gsgen.runtime.checks.eager_pictures import draw_source_frames
+        from gsgen.sdk.source_pictures import SourcePictures
+
+        options["pictures"] = SourcePictures(request.pictures, draw_source_frames)
     return export(module, request.output, **options)
 
 

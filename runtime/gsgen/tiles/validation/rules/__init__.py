@@ -1,8 +1,11 @@
-"""Which rules (GT) must hold for a tileset of splats?
+"""Which rules (GT) must hold for a tileset of splats?"""
 
-Registered under the entry point group ``gsgen.file_rules``.
-"""
+__all__ = ["RULES", "all_rules"]
 
+from functools import cache
+
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.validation.rule import Registry
 from gsgen.tiles.validation.rules.contents import (
     content_whole,
     counts_agree,
@@ -54,3 +57,10 @@ RULES = (
     levels_agree,
 )
 """All rules, in order of their ids; the entry point names this."""
+
+
+@cache
+def all_rules() -> Registry:
+    """Return all installed rules: those of models, and those of tilesets."""
+    models = installed_rules()
+    return Registry.of([*models.rules.values(), *RULES], models.backends.values())

@@ -8,10 +8,10 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt64
 
+from gsgen.formats.merging.mixture import Mixture
+from gsgen.formats.merging.moments import merge_clusters
+from gsgen.formats.merging.morton import DEPTH, cell_codes, separation_depths
 from gsgen.formats.shared.splats import SH_COUNTS
-from gsgen.tiles.build.merging.mixture import Mixture
-from gsgen.tiles.build.merging.moments import merge_clusters
-from gsgen.tiles.build.merging.morton import DEPTH, cell_codes, separation_depths
 
 REDUCTION: Final = 4
 """How many splats of the finer level one splat of a level replaces, on average."""

@@ -29,8 +29,8 @@ from jaxtyping import Float, Float32, Float64, Int64
 
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.layout import UPPER_TRIANGLE
+from gsgen.formats.merging.mixture import Mixture, surface_area
 from gsgen.formats.shared.quantities import rotations
-from gsgen.tiles.build.merging.mixture import Mixture, surface_area
 
 MAX_OPACITY: Final = 0.999
 SPREAD: Final = 2.0

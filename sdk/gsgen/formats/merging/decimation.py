@@ -5,12 +5,12 @@ __all__ = ["decimate"]
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from gsgen.formats.merging.levels import stored_degree
+from gsgen.formats.merging.mixture import Mixture
+from gsgen.formats.merging.moments import merge_clusters
+from gsgen.formats.merging.morton import DEPTH, Cube, morton_codes, separation_depths
+from gsgen.formats.merging.splat_mixtures import mixture_of, splats_of
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.build.merging.levels import stored_degree
-from gsgen.tiles.build.merging.mixture import Mixture
-from gsgen.tiles.build.merging.moments import merge_clusters
-from gsgen.tiles.build.merging.morton import DEPTH, Cube, morton_codes, separation_depths
-from gsgen.tiles.build.tile import mixture_of, splats_of
 
 
 def decimate(splats: Splats, count: int) -> Splats:
