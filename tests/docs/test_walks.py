@@ -1,4 +1,4 @@
-"""The two walks name modules that exist, in the order of the rooms."""
+"""The walks and the page of the first modules name modules that exist; walks in their order."""
 
 import re
 import tomllib
@@ -67,6 +67,21 @@ def test_every_module_of_a_walk_exists(name: str) -> None:
     assert len(modules) == len(set(modules)) == sum(map(len, legs(name)))
     assert [path for path in modules if not (ROOT / path).is_file()] == []
     assert len(text.splitlines()) < 150
+
+
+def test_the_page_of_the_first_modules_names_fifteen_and_other_files_that_exist() -> None:
+    text = (DOCS / "start-here.md").read_text("utf-8")
+    rows = re.findall(r"^\| (\d+) \| `([\w/]+\.py)` \|", text, re.MULTILINE)
+    assert [int(number) for number, _ in rows] == list(range(1, 16))
+    modules = {module for _, module in rows}
+    assert len(modules) == 15
+    others = set(re.findall(r"`([\w/]+\.py)`", text)) - modules
+    renderer = ROOT / "runtime/gsgen/runtime"
+    paths = [*map(ROOT.joinpath, modules)]
+    paths += [
+        (ROOT if path.startswith(("sdk/", "runtime/")) else renderer) / path for path in others
+    ]
+    assert [path for path in paths if not path.is_file()] == []
 
 
 @pytest.mark.parametrize("name", WALKS)
