@@ -2,12 +2,14 @@
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsgen.tiles.loading.tileset_loader import open_tileset
+from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.client import Simulation, simulate
@@ -90,6 +92,38 @@ def test_prefetching_raises_hits_and_delays_nothing(
         knowing = run(tmp_path, tree, journey, network, "oracle").metrics
         assert predicting.hit_rate >= 0.9 * knowing.hit_rate
         assert knowing.waste <= 0.15
+
+
+class RandomPredictor:
+    """Predicts poses anywhere in the town, so that most prefetched tiles stay unseen."""
+
+    name, reach = "random", 10.0
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+
+    def observe(self, pose: Pose) -> None:
+        self._last = pose
+
+    def predict(self, ahead: Sequence[float]) -> list[Pose]:
+        places = self._rng.uniform((-80, -80, 0), (80, 80, 8), (len(ahead), 3))
+        turns = self._rng.normal(size=(len(ahead), 4))
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+        times = [self._last.time + seconds for seconds in ahead]
+        return [Pose(*pose) for pose in zip(times, places, turns, strict=True)]
+
+
+def test_random_predictor_wastes_less_than_a_quarter_and_delays_nothing(
+    tmp_path: Path, tree: TileTree
+) -> None:
+    reacting = run(tmp_path, tree, "wander", "mobile", "reactive").metrics
+    path, trace = read_path(tmp_path / "path.csv"), read_trace(tmp_path / "trace.csv")
+    result = simulate(
+        tree, path, trace, policy="predictive", predictor=RandomPredictor, view=SMALL
+    ).metrics
+    assert 0.02 < result.waste <= 0.25
+    assert result.requests > reacting.requests
+    assert result.p95_delay_s <= reacting.p95_delay_s
 
 
 def test_equal_simulations_are_equal_bit_for_bit(tmp_path: Path, tree: TileTree) -> None:

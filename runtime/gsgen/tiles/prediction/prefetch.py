@@ -18,13 +18,8 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 HORIZON: Final = 2.0
 """Seconds ahead for which tiles are fetched."""
-MOST_WASTE: Final = 0.15
-"""Share of the bytes that may be wasted: above it the horizon is halved."""
-
 _SHARES: Final = (0.125, 0.25, 0.5, 1.0)  # of the horizon: the moments that are looked at
-_TRUST: Final = (1.0, 0.9, 0.75, 0.6)  # of the largest waste: later moments leave room for sooner
 _INTERVAL: Final = 0.1  # seconds between plans
-_LEAST_HORIZON: Final = 0.125
 
 
 @final
@@ -56,15 +51,12 @@ class ViewSettings:
 class Prefetch(Protocol):
     """Protocol of prefetchers: predict which tiles the camera will need soon."""
 
-    def observe(self, pose: Pose, waste: float) -> None:
-        """Record the camera pose of a frame, and the share of received bytes that were wasted."""
+    def observe(self, pose: Pose) -> None:
+        """Record the camera pose of a frame."""
         ...
 
-    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
-        """Return missing tiles that the camera will need, the most urgent first.
-
-        Each comes with the share of the largest waste that may be risked for it.
-        """
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Return missing tiles that the camera will need, the most urgent first."""
         ...
 
 
@@ -88,38 +80,30 @@ class HorizonPrefetch:
     ) -> None:
         self._tree, self._predictor = tree, predictor
         self._frustum_at, self._max_error = frustum_at, max_error
-        self.horizon = HORIZON
         self._time = 0.0
         self._planned: float | None = None
-        self._order: list[tuple[int, float]] = []
+        self._order: list[int] = []
 
-    def observe(self, pose: Pose, waste: float) -> None:
-        """Record a camera pose; halve the prediction horizon if too many bytes were wasted."""
+    def observe(self, pose: Pose) -> None:
+        """Record the camera pose of a frame."""
         self._predictor.observe(pose)
         self._time = pose.time
-        if self._planned is not None and self._time - self._planned < _INTERVAL:
-            return
-        self._planned = None
-        longer, shorter = min(HORIZON, self.horizon * 1.05), max(_LEAST_HORIZON, self.horizon / 2)
-        self.horizon = shorter if waste > MOST_WASTE else longer
 
-    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the tiles that predicted poses see, the earliest first, in order of request."""
-        if self._planned is None:
+        if self._planned is None or self._time - self._planned >= _INTERVAL:
             self._planned = self._time
             self._order = self._plan()
-        return [(tile, trust) for tile, trust in self._order if not loaded[tile]]
+        return [tile for tile in self._order if not loaded[tile]]
 
-    def _plan(self) -> list[tuple[int, float]]:
-        reach = min(self.horizon, self._predictor.reach)
-        trusts: dict[int, float] = {}  # in order of the first predicted pose that sees each tile
-        poses = self._predictor.predict([reach * share for share in _SHARES])
-        for pose, trust in zip(poses, _TRUST, strict=False):
+    def _plan(self) -> list[int]:
+        reach = min(HORIZON, self._predictor.reach)
+        order: dict[int, None] = {}  # each tile once, where the first predicted pose sees it
+        for pose in self._predictor.predict([reach * share for share in _SHARES]):
             frustum = self._frustum_at(pose.position, pose.quaternion)
             cut = cut_tree(self._tree, frustum, self._max_error)
-            for tile in request_order(self._tree, cut).tolist():
-                trusts.setdefault(tile, trust)
-        return list(trusts.items())
+            order.update(dict.fromkeys(request_order(self._tree, cut).tolist()))
+        return list(order)
 
 
 @final
@@ -149,16 +133,15 @@ class PathPrefetch:
             before = cut.wanted
         self._time = -np.inf
 
-    def observe(self, pose: Pose, waste: float) -> None:
+    def observe(self, pose: Pose) -> None:
         """Record a frame's time: tiles that the known camera path needs later are prefetched."""
-        del waste
         self._time = pose.time
 
-    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the tiles that a known camera path will need, the earliest first."""
         entries = [
             (next((time for time in times if time > self._time), np.inf), tile)
             for tile, times in enumerate(self._times)
             if times and not loaded[tile]
         ]
-        return [(tile, 1.0) for time, tile in sorted(entries) if time < np.inf]
+        return [tile for time, tile in sorted(entries) if time < np.inf]

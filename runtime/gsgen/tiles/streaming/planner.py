@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.prediction.prefetch import HORIZON, MOST_WASTE, PathPrefetch, Prefetch
+from gsgen.tiles.prediction.prefetch import HORIZON, PathPrefetch, Prefetch
 from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.request_order import missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -21,6 +21,7 @@ CANCEL_BELOW: Final = 0.5
 _Purpose = Literal["needed", "prefetched", "finer"]
 """Why a tile was requested."""
 
+_MOST_WASTE: Final = 0.15  # of the received bytes, as far as they are expected to stay unseen
 _MOST_UNSEEN: Final = 0.25  # of the bytes: those that may still be seen included
 _PATIENCE: Final = 2 * HORIZON  # seconds after which a prefetched tile counts as wasted
 _PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
@@ -89,8 +90,7 @@ class RequestPlanner:
         self._demand = request_order(self._tree, cut)
         if self._prefetch:
             self._ledger.frame(pose.time, cut.seen & loaded)
-            wasted = self._recorder.unseen_bytes - self._ledger.pending_bytes
-            self._prefetch.observe(pose, wasted / max(self._recorder.bytes, 1))
+            self._prefetch.observe(pose)
         for tile in self._requested("prefetched"):
             if cut.seen[tile]:
                 self._in_flight[tile] = "needed"
@@ -150,15 +150,15 @@ class RequestPlanner:
             return None, "needed"
         # 2. The most urgent tile that will be seen, if its expected waste is within the bound.
         candidates = self._prefetch.candidates(loaded) if self._prefetch else []
-        for tile, trust in candidates:
+        for tile in candidates:
             if tile not in self._in_flight:
-                if self._may_waste(int(self._tree.size[tile]), trust):
+                if self._may_waste(int(self._tree.size[tile])):
                     return tile, "prefetched"
                 break
         # 3. The finer file that shows most for its bytes.
         return next((tile for tile in finer if tile not in self._in_flight), None), "finer"
 
-    def _may_waste(self, size: int, trust: float) -> bool:
+    def _may_waste(self, size: int) -> bool:
         """Return whether one more prefetch keeps the expected share of unused bytes low enough."""
         if not self._is_bounded:
             return True
@@ -166,7 +166,7 @@ class RequestPlanner:
         received, unseen = self._recorder.bytes + asked, self._recorder.unseen_bytes + asked
         pending = self._ledger.pending_bytes + asked
         expected = unseen - pending * self._ledger.precision
-        return expected <= MOST_WASTE * trust * received and unseen <= _MOST_UNSEEN * received
+        return expected <= _MOST_WASTE * received and unseen <= _MOST_UNSEEN * received
 
 
 @final
