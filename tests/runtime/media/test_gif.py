@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from gsgen.runtime.media.gif import save_gif
+from gsgen.runtime.media.pictures import save_gif
 
 
 def read(path: Path) -> list[np.ndarray]:

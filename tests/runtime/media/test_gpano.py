@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from gsgen.runtime.media.gpano import gpano
+from gsgen.runtime.media.pictures import gpano
 from gsgen.runtime.scene.camera import Camera
 
 ORIGIN = (0.0, 0.0, 0.0)

@@ -8,11 +8,16 @@ from pathlib import Path
 from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.camera_files.camera_lists import (
+    is_own,
+    is_path,
+    is_training,
+    read_own,
+    read_path,
+    read_training,
+)
 from gsgen.runtime.camera_files.colmap import FOLDERS, model_folder, read_colmap
 from gsgen.runtime.camera_files.file import CameraFile
-from gsgen.runtime.camera_files.own_json import is_own, read_own
-from gsgen.runtime.camera_files.path_json import is_path, read_path
-from gsgen.runtime.camera_files.training_json import is_training, read_training
 from gsgen.runtime.camera_files.transforms_json import is_transforms, read_transforms
 
 _LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras take a tenth of them

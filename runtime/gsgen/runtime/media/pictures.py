@@ -8,20 +8,23 @@ __all__ = [
     "Mode",
     "array_of",
     "depth_range",
+    "gpano",
     "levels_of",
     "picture_of",
     "png_of",
     "require_pillow",
     "save_array",
+    "save_gif",
     "save_picture",
     "save_video",
 ]
 
 import io
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -29,10 +32,11 @@ from jaxtyping import Float, Float32, UInt8
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media import mp4
-from gsgen.runtime.media.gif import save_gif
-from gsgen.runtime.media.gpano import gpano
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame, Output
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Mode = Literal["color", "depth", "median-depth", "normal", "alpha"]
 
@@ -55,6 +59,23 @@ OPAQUE_SUFFIXES: Final = (".jpg", ".jpeg", ".mp4", ".bmp")
 """Suffixes of formats without transparency."""
 
 _OUTLIERS: Final = 2.0  # percent of the depths, at each end, outside the grey scale
+
+# Animated GIFs have 256 colours a picture, and pixels that are opaque or absent.
+_MILLISECONDS: Final = 1000
+_HALF: Final = 128
+"""The least alpha of pixels that are shown as opaque."""
+_OPAQUE: Final = 255
+_ABSENT: Final = 255
+"""The palette index of transparent pixels, and the number of colours."""
+_CLEARED: Final = 2
+"""GIF's disposal "restore to background": transparent pixels hide the previous frame."""
+
+_PACKET: Final = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/">'
+    '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<rdf:Description rdf:about="" xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
+    "{}/></rdf:RDF></x:xmpmeta>"
+)
 
 
 def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
@@ -145,6 +166,34 @@ def _metadata(camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]) -> di
     return {} if packet is None else {"xmp": packet}
 
 
+def gpano(camera: Camera) -> bytes | None:
+    """Return the XMP packet of a panorama camera, in the terms of Google's Photo Sphere.
+
+    The terms place the picture in the full sphere, whose middle is the camera's direction. The
+    result is None for other cameras, and where the terms do not suffice: for a sphere that is not
+    twice as wide as high, and for a picture across its seam.
+    """
+    width, height = round(camera.period), round(math.pi * camera.fy)
+    left = round(width / 2 - camera.cx)
+    top = round(height / 2 - camera.cy)
+    is_inside = left >= 0 and top >= 0
+    is_inside &= left + camera.width <= width and top + camera.height <= height
+    if camera.kind != "panorama" or width != 2 * height or not is_inside:
+        return None
+    terms = {
+        "ProjectionType": "equirectangular",
+        "UsePanoramaViewer": "True",
+        "FullPanoWidthPixels": width,
+        "FullPanoHeightPixels": height,
+        "CroppedAreaImageWidthPixels": camera.width,
+        "CroppedAreaImageHeightPixels": camera.height,
+        "CroppedAreaLeftPixels": left,
+        "CroppedAreaTopPixels": top,
+    }
+    attributes = " ".join(f'GPano:{name}="{value}"' for name, value in terms.items())
+    return _PACKET.format(attributes).encode()
+
+
 def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
     """Write an array as an .npy file atomically."""
     with atomic_write(path) as draft:
@@ -169,6 +218,36 @@ def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: fl
     frames = list(pictures)
     with atomic_write(path) as draft:
         save_gif(draft, frames, fps)
+
+
+def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: float) -> None:
+    """Write grey, RGB or RGBA pictures with straight alpha as a GIF that repeats for ever.
+
+    A pixel with an alpha of half or more is opaque, in its own colour; others are transparent.
+    """
+    image = _image()
+    options: dict[str, Any] = {"duration": round(_MILLISECONDS / fps), "loop": 0}
+    if any(picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE for picture in pictures):
+        frames = [_with_transparent_color(picture) for picture in pictures]
+        options |= {"disposal": _CLEARED, "transparency": _ABSENT, "optimize": False}
+    else:
+        frames = [
+            image.fromarray(picture[..., :3] if picture.ndim == 3 else picture)
+            for picture in pictures
+        ]
+    frames[0].save(path, "gif", save_all=True, append_images=frames[1:], **options)
+
+
+def _with_transparent_color(picture: UInt8[np.ndarray, "h w 4"]) -> "Image":
+    """Quantise a picture to 255 colours and a transparent one."""
+    image = _image()
+    is_opaque = picture[..., 3] >= _HALF
+    colors = image.fromarray(picture[..., :3] * is_opaque[..., None]).quantize(_ABSENT)
+    indices = np.where(is_opaque, np.asarray(colors), _ABSENT).astype(np.uint8)
+    frame: Image = image.frombytes("P", colors.size, indices.tobytes())
+    palette = colors.getpalette() or []
+    frame.putpalette(palette + [0] * (3 * (_ABSENT + 1) - len(palette)))
+    return frame
 
 
 def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:

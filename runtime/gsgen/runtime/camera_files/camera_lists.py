@@ -1,0 +1,134 @@
+"""Reads camera files that are lists of cameras in JSON, of three programs.
+
+1. gsgen: the attributes of ``Camera`` and a name.
+2. The training of 3D Gaussian Splatting (Kerbl et al. 2023, ``camera_to_JSON``): ``rotation`` is
+   camera → world, its columns are the camera's axes (+x right, +y down, +z forward), ``position``
+   is the camera centre. The principal point is the middle of the image, as in the training.
+3. nerfstudio's viewer: one camera per frame of a video. ``camera_to_world`` is the matrix of an
+   OpenGL camera, sixteen numbers row by row; ``fov`` is the vertical angle in degrees. The file
+   also holds the frames between the viewer's keyframes.
+"""
+
+__all__ = ["is_own", "is_path", "is_training", "read_own", "read_path", "read_training"]
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.camera_files.fields import camera_at, matrix, number, side, text
+from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
+from gsgen.runtime.camera_files.poses import view_from_opencv, view_from_opengl
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.camera import Camera
+
+_STRAIGHT: Final = "perspective"
+_PANORAMA: Final = "equirectangular"
+
+
+def is_own(document: object) -> bool:
+    """Return whether a JSON document is one gsgen camera, or a list that begins with one camera."""
+    first = document[0] if isinstance(document, list) and document else document
+    return isinstance(first, dict) and not first.keys().isdisjoint(("view", "fx", "fy"))
+
+
+def read_own(document: object, path: str) -> CameraFile:
+    """Read the cameras of a JSON document: one gsgen camera, or a list of cameras."""
+    entries = document if isinstance(document, list) else [document]
+    if not entries:
+        raise ConfigInvalid("has no cameras, expected at least one", where=path)
+    cameras = tuple(_own_camera(entry, index, path) for index, entry in enumerate(entries))
+    return CameraFile(path, "cameras of gsgen", cameras)
+
+
+def _own_camera(document: object, index: int, path: str) -> NamedCamera:
+    name = str(index)
+    if isinstance(document, dict):
+        name = text(document, "name", name)
+        document = {key: value for key, value in document.items() if key != "name"}
+    try:
+        return NamedCamera(name, Camera.from_dict(document))
+    except SceneInvalid as error:
+        where = f"{path}, camera {index}, {error.where}"
+        raise SceneInvalid(error.message, where=where, hint=error.hint) from error
+
+
+def is_training(document: object) -> bool:
+    """Return whether a JSON document is a cameras.json of 3D Gaussian Splatting."""
+    first = document[0] if isinstance(document, list) and document else None
+    return isinstance(first, dict) and {"rotation", "position"} <= first.keys()
+
+
+def read_training(document: list[Any], path: str) -> CameraFile:
+    """Read the cameras of a cameras.json of 3D Gaussian Splatting."""
+    cameras = tuple(_trained_camera(entry, index, path) for index, entry in enumerate(document))
+    return CameraFile(path, "cameras.json of 3D Gaussian Splatting", cameras)
+
+
+def _trained_camera(document: object, index: int, path: str) -> NamedCamera:
+    where = f"{path}, camera {index}"
+    entry = _object(document, where)
+    axes = matrix(entry, "rotation", (3, 3), where)
+    view = view_from_opencv(axes, matrix(entry, "position", (3,), where))
+    width, height = side(entry, "width", where), side(entry, "height", where)
+    fx, fy = number(entry, "fx", where), number(entry, "fy", where)
+    middle = {"cx": width / 2, "cy": height / 2}
+    camera = camera_at(where, view=view, fx=fx, fy=fy, width=width, height=height, **middle)
+    return NamedCamera(text(entry, "img_name", str(index)), camera)
+
+
+def is_path(document: object) -> bool:
+    """Return whether a JSON document is a camera path of nerfstudio."""
+    return isinstance(document, dict) and isinstance(document.get("camera_path"), list)
+
+
+def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
+    """Read the camera of each frame of a nerfstudio camera path."""
+    kind = text(document, "camera_type", _STRAIGHT).lower()
+    if kind not in (_STRAIGHT, _PANORAMA):
+        raise ConfigInvalid(
+            f"camera_type is {kind!r}, expected {_STRAIGHT} or {_PANORAMA}", where=path
+        )
+    if not document["camera_path"]:
+        raise ConfigInvalid("has no frames, expected at least one", where=path)
+    width, height = (side(document, "render_width", path), side(document, "render_height", path))
+    cameras = tuple(
+        _path_camera(frame, index, path, (width, height), kind)
+        for index, frame in enumerate(document["camera_path"])
+    )
+    return CameraFile(path, "a camera path of nerfstudio", cameras)
+
+
+def _path_camera(
+    document: object, index: int, path: str, size: tuple[int, int], kind: str
+) -> NamedCamera:
+    where = f"{path}, frame {index}"
+    entry = _object(document, where)
+    width, height = size
+    to_world = matrix(entry, "camera_to_world", (16,), where).reshape(4, 4)
+    values: dict[str, Any] = {
+        "view": view_from_opengl(to_world),
+        "cx": width / 2,
+        "cy": height / 2,
+        "width": width,
+        "height": height,
+    }
+    if kind == _PANORAMA:
+        values |= {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
+    else:
+        degrees = number(entry, "fov", where)
+        if not 0 < degrees < 180:
+            raise ConfigInvalid(
+                f"fov is {degrees}, expected degrees between 0 and 180", where=where
+            )
+        focal = height / 2 / math.tan(math.radians(degrees) / 2)
+        values |= {"fx": focal, "fy": focal}
+    return NamedCamera(str(index), camera_at(where, **values))
+
+
+def _object(document: object, where: str) -> dict[str, Any]:
+    if not isinstance(document, dict):
+        raise ConfigInvalid(
+            f"the JSON value is a {type(document).__name__}, expected an object", where=where
+        )
+    return document
