@@ -1,0 +1,119 @@
+"""The order of requests beside simpler ones: how good are the pictures, how many have holes?
+
+    python -m pytest tests/bench/tiles/bench_request_order.py -o python_files='bench_*.py' \
+        -o python_functions='bench_*' -s -q
+
+A town of tiles with three files each is streamed along five journeys over three slow networks, on
+a virtual clock. The utility of a frame is the area of the drawn tiles × the worth of their files,
+less the worth that their screen-space error costs, as a share of that of the wanted tiles.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.tiles.loading.quality_ladder import SSIM, QualityLadder
+from gsgen.tiles.loading.tileset_loader import open_tileset
+from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.prefetch import ViewSettings
+from gsgen.tiles.selection.cut import Cut, cut_tree
+from gsgen.tiles.selection.request_order import finer_file_order, missing_tiles, request_order
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
+from gsgen.tiles.simulate.tables import read_path
+from gsgen.tiles.streaming.drawing import drawable_tiles
+from support.tiles.journeys import PATH_HEADER, journeys, write_rows, write_town
+
+ORDERS = ("finest files", "coarsest first", "root alone, then coarsest first")
+NETWORKS = (2.0, 5.0, 12.0)  # megabits a second
+_HALF_WORTH = 228.0  # pixels of error that halve the worth of a tile
+_SHARES = np.array([1.0, 0.69, 0.52])  # bytes of the files at qualities 0, 2 and 4 of a town
+_GOOD = 0.9
+
+
+def utility(
+    tree: TileTree, ladder: QualityLadder, cut: Cut, held: np.ndarray, drawn: np.ndarray, eye
+) -> float:
+    """The worth of the drawn tiles, as a share of that of all wanted tiles at the finest file."""
+    reach = np.linalg.norm(tree.half_axes, axis=(1, 2))
+    distance = np.linalg.norm(tree.center - eye, axis=1)
+    area = np.where(cut.wanted, np.minimum(reach / np.maximum(distance, 1e-9), 1) ** 2, 0)
+    ideal_area = area.copy()
+    for row in range(len(tree) - 1, 0, -1):  # a coarse tile covers what the tiles below it cover
+        area[tree.parent[row]] += area[row]
+    density = 1 / (1 + np.where(tree.is_leaf, 0, cut.error) / _HALF_WORTH)
+    shown = (area * density * ladder.worth[held])[drawn].sum()
+    return float(shown / (ideal_area * density)[cut.wanted].sum() / ladder.worth[0])
+
+
+def stream(
+    tree: TileTree, ladder: QualityLadder, path: Sequence[Pose], mbps: float, order: str
+) -> tuple[list[float], int]:
+    """Stream a town; return the utility of each frame, and the number of frames with holes."""
+    clock = VirtualClock(path[0].time)
+    trace = RateTrace(np.array([0.0]), np.array([mbps * 125_000]))
+    size = tree.size.astype(float)
+    link = SimulatedLink(clock, trace, size, rtt=0.05, connections=6)
+    view = ViewSettings(width=640, height=360)
+    held, in_flight = np.full(len(tree), -1), {}
+    utilities, holes = [], 0
+    first_quality = 0 if order == "finest files" else len(ladder.worth) - 1
+
+    def request(cut: Cut, drawn: np.ndarray, eye: np.ndarray) -> None:
+        loaded = held >= 0
+        seen = request_order(tree, cut)
+        missing = seen[~loaded[seen]]
+        if order == ORDERS[2]:
+            missing = missing_tiles(seen, loaded)
+        pairs = [(int(tile), first_quality) for tile in missing]
+        if not len(missing):
+            pairs = [(int(tile), 0) for tile in finer_file_order(tree, ladder, held, drawn, eye)]
+        for tile, quality in pairs:
+            if link.free and tile not in in_flight:
+                size[tile] = ladder.size[tile, quality]
+                in_flight[tile] = quality
+                link.request(tile)
+
+    cut = drawn = pose = None
+    for pose in path:
+        while (delivery := link.advance(pose.time)) is not None:
+            held[delivery.tile] = in_flight.pop(delivery.tile)
+            if cut is not None:
+                request(cut, drawn, pose.position)
+        cut = cut_tree(tree, view.frustum(pose.position, pose.quaternion), 8.0)
+        if not cut.wanted.any():
+            continue
+        drawn = drawable_tiles(tree, cut, held >= 0)
+        covered = drawn.copy()
+        for rows in tree.rows_of_level[1:]:
+            covered[rows] |= covered[tree.parent[rows]]
+        below = drawn.copy()
+        for row in range(len(tree) - 1, 0, -1):
+            below[tree.parent[row]] |= below[row]
+        holes += bool((cut.wanted & ~covered & ~below).any())
+        utilities.append(utility(tree, ladder, cut, held, drawn, pose.position))
+        request(cut, drawn, pose.position)
+    return utilities, holes
+
+
+def bench_request_order(tmp_path: Path) -> None:
+    tree = TileTree.of_tileset(open_tileset(write_town(tmp_path)))
+    sizes = tree.size[:, None] * _SHARES
+    ladder = QualityLadder(tiles=(), size=sizes, worth=np.array([SSIM[q] for q in (0, 2, 4)]))
+    print(f"\n{len(tree)} tiles: mean utility, frames below {_GOOD}, frames with holes")
+    means = {}
+    for order in ORDERS:
+        frames, holes = [], []
+        for rows in journeys().values():
+            path = read_path(write_rows(tmp_path / "path.csv", PATH_HEADER, rows))
+            for mbps in NETWORKS:
+                values, count = stream(tree, ladder, path, mbps, order)
+                frames += values
+                holes.append(count)
+        means[order] = np.mean(frames), np.mean(holes)
+        below = np.mean(np.array(frames) < _GOOD)
+        print(f"{order:32} {np.mean(frames):.3f}  {below:.3f}  {np.mean(holes):.1f}")
+    finest, coarsest, alone = (means[order] for order in ORDERS)
+    assert coarsest[0] > finest[0]
+    assert alone[1] <= coarsest[1]
