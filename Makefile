@@ -10,7 +10,7 @@ READY := $(VENV)/.gsgen-ready
 # Some containers forbid Python to write bytecode: each process would compile the project anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
+.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web ort fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
 
 setup: $(READY)
 
@@ -90,11 +90,6 @@ bench: setup
 SIZE ?= 640x360
 exactness: setup drivers
 	PYTHONPATH=tests $(BIN)/python tests/bench/exactness.py --size $(SIZE)
-
-# The whole adversarial set: the share of faults that are refused with the right cause first, and
-# false alarms on right models. Tests measure every fourth model.
-adversarial: setup
-	GSGEN_ADVERSARIAL=whole $(BIN)/python -m pytest tests/contract/adversarial -q -s
 
 # Mutants of models and manifests, which must not crash, hang or bloat the validator. A run that
 # was stopped goes on where it was; what failed is kept in out/fuzz, with the way to see it again.

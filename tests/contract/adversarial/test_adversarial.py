@@ -1,10 +1,9 @@
 """Measures the validator on the adversarial set, and compares with the first measurement.
 
-Every fourth model is measured; ``make adversarial`` measures all of them, in three to four minutes.
+Every fourth model is measured, and all of them in the nightly tests.
 """
 
 import json
-import os
 import re
 from pathlib import Path
 
@@ -21,18 +20,24 @@ FIRST_RUNS = [
 ]
 # The share of decidable faults that are refused with the right cause first.
 BAR = 0.98
-STEP = 1 if os.environ.get("GSGEN_ADVERSARIAL") == "whole" else 4
 
 
-def sampled(cases: tuple[Fault, ...] | tuple[RightModel, ...]) -> list:
-    return sorted(cases, key=lambda case: case.name)[::STEP]
+def sampled(cases: tuple[Fault, ...] | tuple[RightModel, ...], step: int) -> list:
+    return sorted(cases, key=lambda case: case.name)[::step]
 
 
-@pytest.fixture(scope="module")
-def measurement() -> Measurement:
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(4, marks=pytest.mark.slow, id="every fourth"),
+        pytest.param(1, marks=pytest.mark.nightly, id="all"),
+    ],
+)
+def measurement(request: pytest.FixtureRequest) -> Measurement:
     decidable = tuple(case for case in all_faults() if case.decidable)
     heuristic = tuple(case for case in all_faults() if not case.decidable)
-    return measure([*sampled(decidable), *sampled(heuristic)], sampled(all_right_models()))
+    faults = [*sampled(decidable, request.param), *sampled(heuristic, request.param)]
+    return measure(faults, sampled(all_right_models(), request.param))
 
 
 def test_the_set_is_as_large_and_as_varied_as_it_claims() -> None:

@@ -11,6 +11,9 @@ import pytest
 
 from support.reports.pages import DOCS, blocks
 
+pytestmark = pytest.mark.slow
+
+
 PAGE = DOCS / "guides" / "five-commonest-mistakes.md"
 PICTURES = DOCS / "assets" / "mistakes"
 MOST_BYTES = 40_000
@@ -32,7 +35,6 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     for block in blocks(PAGE):
         name = "find_mistakes.py" if block.mark == "five-mistakes" else block.mark
         (folder / name).write_text(block.text, "utf-8")
-    # In this process, where exports share torch's operators.
     output = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, chdir(folder), redirect_stdout(output):
         patch.syspath_prepend(folder)

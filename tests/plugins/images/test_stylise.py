@@ -67,6 +67,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     return export_post_process(model, folder / "stylise.onnx", target="webgpu", settings=settings)
 
 
+@pytest.mark.slow
 def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: Exported) -> None:
     assert_captured(exported.report)
 

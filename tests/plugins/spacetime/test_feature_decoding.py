@@ -157,6 +157,7 @@ def _weights(rows: np.ndarray, camera: Camera) -> np.ndarray:
     return shares
 
 
+@pytest.mark.slow
 def test_the_page_exports_both_models_and_draws_with_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,6 +177,7 @@ def test_the_page_exports_both_models_and_draws_with_them(
     assert np.median(np.abs(frame.rgba[..., :3] - expected)) <= 1e-5
 
 
+@pytest.mark.slow
 def test_the_passes_are_exported_in_half_precision(tmp_path: Path) -> None:
     run_folder = write_spacetime(tmp_path / "run", count=30, full=True)
     model = plugin.build(run_folder, decode="features")

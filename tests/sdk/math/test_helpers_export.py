@@ -94,6 +94,7 @@ def test_every_helper_is_listed() -> None:
     assert set(CALLS) == set(math.__all__)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALLS)
 def test_the_exported_helper_gives_what_torch_gives(
     session: onnxruntime.InferenceSession, name: str
