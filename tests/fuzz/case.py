@@ -16,7 +16,7 @@ from gsgen.contract.spec.severity import Level
 
 _MANIFEST_SHARE, _BYTES_SHARE = 0.3, 0.15
 _TARGETS = ("core", "webgpu", "visionary", "gsgen")
-_COMMAND_SHARE, _SPAWN_SHARE, _BEHAVIOUR_SHARE = 0.01, 0.01, 0.05
+_COMMAND_SHARE, _BEHAVIOUR_SHARE = 0.01, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,6 @@ class Case:
         content: Bytes of the file.
         target: What it is judged for.
         command: It goes through the command line in a process of its own.
-        spawn: ONNX Runtime's process is started afresh, as it is for users.
         level: How far judging goes.
     """
 
@@ -42,7 +41,6 @@ class Case:
     content: bytes
     target: str
     command: bool
-    spawn: bool
     level: Level = Level.VALUES
 
 
@@ -54,9 +52,9 @@ def draw(seed: int, index: int, corpus: Sequence[Base]) -> Case:
     content = _mutated(base.content, rng, names)
     target = base.target if rng.random() < 0.6 else rng.choice(_TARGETS)
     way = rng.random()
-    command, spawn = way < _COMMAND_SHARE, way < _COMMAND_SHARE + _SPAWN_SHARE
+    command = way < _COMMAND_SHARE
     level = Level.BEHAVIOUR if way > 1 - _BEHAVIOUR_SHARE else Level.VALUES
-    return Case(seed, index, base, tuple(names), content, target, command, spawn, level)
+    return Case(seed, index, base, tuple(names), content, target, command, level)
 
 
 def _mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:

@@ -3,9 +3,7 @@
 __all__ = ["MEMORY", "Verdict", "judge", "peak"]
 
 import json
-import os
 import resource
-import select
 import subprocess
 import sys
 import traceback
@@ -17,7 +15,7 @@ from pathlib import Path
 
 from fuzz.case import Case
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.probing import sandbox, sandbox_worker
+from gsgen.contract.probing import sandbox
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.reporters.json_report import to_json
 from gsgen.contract.reporters.text import render_all
@@ -59,7 +57,7 @@ def judge(case: Case, path: Path, registry: Registry | None = None) -> Verdict:
     ended: list[int | None] = []
     entry: Entry
     try:
-        with _children(ended, spawn=case.spawn):
+        with _children(ended):
             entry = validate(path, settings, registry=registry)
     except ModelUnreadable as error:
         entry = Unreadable(str(path), error)
@@ -125,17 +123,12 @@ def _by_command(case: Case, path: Path) -> Verdict:
 
 
 @contextmanager
-def _children(ended: list[int | None], *, spawn: bool) -> Iterator[None]:
-    """Note how ONNX Runtime's processes end; unless ``spawn``, fork them.
-
-    To start Python and to import ONNX Runtime takes a third of a second, a fork a hundredth. The
-    child does the same work in the same way, under the same limits.
-    """
+def _children(ended: list[int | None]) -> Iterator[None]:
+    """Note how ONNX Runtime's processes end."""
     product = sandbox._run_child
 
     def noted(folder: Path, seconds: float, module: str) -> int | None:
-        start = product if spawn or module != sandbox._WORKER else _forked
-        ended.append(start(folder, seconds, module))
+        ended.append(product(folder, seconds, module))
         return ended[-1]
 
     sandbox._run_child = noted
@@ -143,38 +136,6 @@ def _children(ended: list[int | None], *, spawn: bool) -> Iterator[None]:
         yield
     finally:
         sandbox._run_child = product
-
-
-def _forked(folder: Path, seconds: float, _: str) -> int | None:
-    import onnxruntime  # noqa: F401 - so that the child need not
-
-    child = os.fork()
-    if child == 0:
-        _work(folder)
-    descriptor = os.pidfd_open(child)
-    try:
-        ready, _, _ = select.select([descriptor], [], [], seconds)
-        if not ready:
-            os.killpg(child, 9)
-        _, status = os.waitpid(child, 0)
-    finally:
-        os.close(descriptor)
-    return os.waitstatus_to_exitcode(status) if ready else None
-
-
-def _work(folder: Path) -> None:
-    """Be the child: never return."""
-    code = 1
-    try:
-        os.setsid()
-        with (folder / "log").open("wb") as log:
-            for stream in (1, 2):
-                os.dup2(log.fileno(), stream)
-        code = sandbox_worker.main(folder)
-    except BaseException:
-        os.write(2, traceback.format_exc().encode())
-    finally:
-        os._exit(code)
 
 
 def peak() -> int:

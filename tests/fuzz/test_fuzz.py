@@ -1,7 +1,6 @@
 """A slice of what ``make fuzz`` does, and proof that the fuzzer sees what it looks for."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -19,7 +18,6 @@ from gsgen.conformance.fixtures import fixtures
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.rule import Registry
-from gsgen.contract.validation.settings import Settings
 from support.reports.rules import crashing, made_up
 
 TESTS = Path(__file__).parents[1]
@@ -36,8 +34,7 @@ def write(case, folder):
     return path
 
 
-# Other threads of this process, such as a test runner's, take no lock that a child needs.
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")]
+pytestmark = pytest.mark.slow
 
 
 def registry_with(*rules):
@@ -100,7 +97,7 @@ def good(corpus, tmp_path):
     name = next(one.name for one in fixtures() if not one.rule)
     base = next(one for one in corpus if one.name == name)
     case = replace(draw(0, 0, corpus), base=base, content=base.content, target="core")
-    return replace(case, command=False, spawn=False, level=Level.VALUES)
+    return replace(case, command=False, level=Level.VALUES)
 
 
 def test_a_good_model_fails_nothing_and_runs(good, tmp_path):
@@ -129,25 +126,13 @@ def test_an_error_that_escapes_is_seen(good, tmp_path, monkeypatch):
 
 
 def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
-    monkeypatch.setattr(judging.sandbox_worker, "main", lambda _: os.kill(os.getpid(), 9))
+    monkeypatch.setattr(judging.sandbox, "_run_child", lambda *_: -9)
     path = write(good, tmp_path)
     told = judging.judge(good, path)
     assert (told.word, told.failures) == ("invalid", ())  # GV025 says so
     blind = registry_with(made_up("GV025", over="execution"))
     verdict = judging.judge(good, path, blind)
     assert any("ended with [-9], and the report does not" in one for one in verdict.failures)
-
-
-def test_a_forked_child_gives_the_same_report_as_a_fresh_one(good, tmp_path):
-    path = write(good, tmp_path)
-    ended = []
-    reports = []
-    for spawn in (False, True):
-        with judging._children(ended, spawn=spawn):
-            reports.append(judging.validate(path, Settings(level=Level.VALUES)))
-    first, second = ([(o.rule.id, o.status, o.items) for o in r.outcomes] for r in reports)
-    assert first == second
-    assert ended == [0, 0]
 
 
 def test_a_worker_that_hangs_or_dies_is_replaced_and_told_of():
