@@ -123,7 +123,7 @@ def test_every_make_target_and_entry_point_group_exists() -> None:
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
     project = (ROOT / "pyproject.toml").read_text("utf-8")
     groups = re.findall(r"entry point `([\w.]+)`", TEXT)
-    assert groups == ["gsgen.generators", "gsgen.commands"]
+    assert groups == ["gsgen.generators"]
     for group in groups:
         assert f'[project.entry-points."{group}"]' in project
 

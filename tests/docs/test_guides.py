@@ -16,7 +16,7 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.contract.validation.rule import Scope
 from gsgen.contract.validation.settings import read_config
 from support.commands import ROOT
-from support.reports.pages import DOCS, Block, blocks, name_of, pages
+from support.reports.pages import DOCS, README, Block, blocks, name_of, pages
 
 _BINARIES = Path(sys.executable).parent
 
@@ -52,7 +52,13 @@ def is_run(block: Block) -> bool:
 _RUN = [page for page in pages() if any(is_run(block) for block in blocks(page))]
 
 
-@pytest.mark.parametrize("page", _RUN, ids=name_of)
+def _tier(page: Path) -> object:
+    """Return a page as a test of the fast tier if it is a guide or README."""
+    is_guide = page == README or page.parent.name == "guides"
+    return pytest.param(page, id=name_of(page), marks=[] if is_guide else pytest.mark.slow)
+
+
+@pytest.mark.parametrize("page", [_tier(page) for page in _RUN])
 def test_every_block_runs(page, tmp_path):
     for block in blocks(page):
         if is_run(block):
