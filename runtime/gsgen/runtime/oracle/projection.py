@@ -91,12 +91,15 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
+        # Step 1: turn centres and covariances into camera space.
         position = (rows[:, :3] @ linear.T + offset - camera.eye) @ turn.T
         both = turn @ linear
         sigma = np.einsum("ij,njk,lk->nil", both, symmetric(rows[:, 4:]), both)
+        # Step 2: project them by the derivative of the projection at the centre, and dilate.
         mean, covariance = _flattened(position, sigma, camera)
         dilated = covariance + camera.dilation * np.eye(2)
         depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
+        # Step 3: a row is drawn only if all of its numbers make an ellipse.
         sound = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
         sound &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
     return Ellipses(
@@ -153,6 +156,7 @@ def drawn_splats(
     rows = data.rows[: data.count].astype(np.float64)
     shapes = ellipses(rows, splat_set, camera)
     with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
+        # Step 1: scale the opacity, fade it with the depth, and dim splats thinner than a pixel.
         opacity = rows[:, 3] * splat_set.opacity_scale * visibility
         if far is not None:
             opacity = opacity * (1 - shapes.depth / far)
@@ -162,6 +166,7 @@ def drawn_splats(
             opacity = opacity * np.sqrt(np.maximum(ratio, 0))
         color = _colors(splat_set, camera)
         low, high = (-np.inf, np.inf) if clip is None else (clip.low, clip.high)
+        # Step 2: drop what is clipped, too near, nearly transparent or not finite.
         drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= CULL)
         drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
         drawn &= np.isfinite(color).all(axis=1)
@@ -190,6 +195,7 @@ def _flattened(
         return focal * position[:, :2] + center, ahead @ sigma @ ahead.T
     if camera.kind == "panorama":
         return _unrolled(position, sigma, focal, center)
+    # Far beside the image the derivative is that at its margin: else it would grow without limit.
     slope = position[:, :2] / position[:, 2:]
     low = -(center + _MARGIN * size / 2) / focal
     high = (size - center + _MARGIN * size / 2) / focal
@@ -227,6 +233,7 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
     if data.space == "rgb":
         return np.asarray(channels[:, :3])
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
+    # Harmonics turn with the set: its transform is a stretch and then this rotation.
     left_vectors, _, right = np.linalg.svd(linear)
     rows = data.rows[: data.count, :3].astype(np.float64)
     offsets = rows @ linear.T + offset - camera.eye

@@ -42,10 +42,12 @@ def render(
         background: Red, green, blue and alpha of the background.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
     """
+    # Step 1: draw what is no depth-sorted splat: meshes, and the layer of weighted sums before them.
     walls = cast(scene.meshes, camera, scene.color_space)
     veil = sums(scene, camera, walls.depth)
     if not scene.meshes and scene.sets and all(splat_set.weighted for splat_set in scene.sets):
         return alone(veil, background, published=published)
+    # Step 2: project all depth-sorted sets, and sort their splats together.
     no_rows = SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
     first, parts = 0, [projection.drawn_splats(SplatSet(no_rows), camera, 0)]
     for splat_set in scene.sets:
@@ -56,6 +58,7 @@ def render(
     joined = Splats(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     )
+    # A stable sort: splats of one depth stay in the order of the sets.
     splats = joined.take(np.argsort(joined.depth, kind="stable"))
     return _blend(splats, camera, background, walls, veil.veil())
 
@@ -80,19 +83,23 @@ def _blend(
         if left >= right or top >= bottom:
             nearer_hit[nearer_window] = False
             continue
+        # Step 1: the splat's opacity at the pixels that it may reach.
         unclamped, dx = _opacity(splats, i, inverses[i], window, camera)
         alpha = np.minimum(unclamped, MOST_ALPHA)
+        # Step 2: where the layer of weighted sums is nearer, it takes its light first.
         if waiting[window].any():
             covered = np.zeros_like(waiting)
             covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
             _cover(covered, veil, color, normal, depth, through, median, fragile_median)
             waiting &= ~covered
+        # Step 3: the splat is drawn where it is opaque enough, before walls, and leaves enough light.
         before = through[window].copy()
         in_front = splats.depth[i] <= walls.depth[window]
         hit = (alpha >= CULL) & ~finished[window] & in_front
         visible += bool((alpha >= CULL).any())
         after = before * (1 - alpha)
         stop = hit & (after <= _FINISHED)
+        # Step 4: mark pixels where the last bits of float32 may decide otherwise.
         near_edge = _is_near_edge(unclamped, dx, camera)
         near_wall = _touches(splats.depth[i], walls.depth[window])
         near_wall |= _touches(splats.depth[i], veil.depth[window])
@@ -103,17 +110,20 @@ def _blend(
             fragile[window] |= hit & nearer_hit[window]
         nearer_hit[nearer_window] = False
         nearer_hit[window], nearer_window = hit, window
+        # Step 5: add the share of the light that the splat takes, and keep the rest.
         finished[window] |= stop
         drawn = hit & ~stop
         amount = np.where(drawn, alpha * before, 0)
         color[window] += amount[..., None] * splats.color[i]
         normal[window] += amount[..., None] * splats.normal[i]
         depth[window] += amount * splats.depth[i]
+        # Step 6: the median depth is where half of the light is gone.
         halved = hit & (before >= 0.5) & (after < 0.5)
         median[window] = np.where(halved, splats.depth[i], median[window])
         ids[window] = np.where(halved, splats.index[i], ids[window])
         fragile_median[window] |= hit & (np.abs(after - 0.5) <= BAND)
         through[window] = np.where(drawn, after, before)
+    # Step 7: behind all splats come the layer and the meshes.
     _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
     # The remaining light goes to the meshes, which are opaque.
     wall = np.isfinite(walls.depth)

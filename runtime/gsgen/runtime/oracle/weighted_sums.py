@@ -148,12 +148,14 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
     """Sum the Gaussians of a scene's weighted splat sets that are in front of the meshes."""
     shape = (camera.height, camera.width)
     limit = np.full(shape, np.inf) if walls is None else walls
+    # Step 1: find the cells of all sets, and sort them by depth.
     first, cells = 0, []
     for splat_set in scene.sets:
         if splat_set.weighted is not None:
             cells += _cells(splat_set, camera, first)
         first += len(splat_set.data)
     cells.sort(key=lambda cell: cell.depth)  # stable
+    # Step 2: add the cells, nearest first; cells of nearly one depth may change places in float32.
     state = _State(shape)
     before: _Cell | None = None
     touched = np.zeros(shape, bool)
@@ -191,12 +193,14 @@ class _State:
     def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
         """Add the weighted sums of the next cell (group of Gaussians); return touched pixels."""
         (divisor, behind), splats = cell.factors, cell.splats
+        # Step 1: all Gaussians of the cell are weighted by the light before it; finished pixels take none.
         entered = self.through.copy()
         entered_pixels = cell.box & (entered >= _FINISHED)
         changed, most = np.zeros_like(entered_pixels), np.zeros(entered_pixels.shape)
         second, strongest = (np.zeros(entered_pixels.shape), np.full(entered_pixels.shape, -1))
         x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
         for k, depth in enumerate(splats.depth):
+            # Step 2: a Gaussian counts within its circle, where it is opaque enough, and before meshes.
             dx = projection.across(x, splats.mean[k, 0], camera)
             dy = y - splats.mean[k, 1]
             (a, b), (_, c) = np.linalg.inv(splats.covariance[k])
@@ -204,6 +208,7 @@ class _State:
             far = np.hypot(dx, dy)
             reached = (unclamped >= CULL) & (far <= cell.radius[k])
             hit = reached & entered_pixels & (depth <= limit)
+            # Step 3: mark pixels where the last bits of float32 may decide otherwise.
             near = np.abs(unclamped / CULL - 1) <= BAND
             near |= np.abs(far - cell.radius[k]) <= cell.ring[k]
             near |= np.abs(depth - limit) <= _EQUAL * depth
@@ -211,6 +216,7 @@ class _State:
             around = cell.box | cell.unsure
             self.fragile |= is_reached & near & around & (entered >= _FINISHED * (1 - BAND))
             self.fragile |= reached & cell.unsure
+            # Step 4: add its weighted values, and take its share of the light.
             alpha = np.where(hit, np.minimum(unclamped, MOST_ALPHA) / divisor, 0)
             self.through *= np.maximum(1 - alpha, 0)
             amount = alpha * entered
@@ -221,10 +227,12 @@ class _State:
             self.behind += amount * behind
             changed |= reached & cell.box
             self.visible += bool((reached & cell.box).any())
+            # Step 5: remember the most opaque Gaussian: at the median depth, it stands for the cell.
             is_larger = alpha > most
             second = np.where(is_larger, most, np.maximum(second, alpha))
             most = np.where(is_larger, alpha, most)
             strongest = np.where(is_larger, k, strongest)
+        # Step 6: the median depth is in the cell where half of the light is gone.
         near_end = np.abs(entered / _FINISHED - 1) <= BAND
         self.fragile |= changed & (near_end | tied)
         halved = (entered >= 0.5) & (self.through < 0.5)

@@ -106,11 +106,14 @@ class DepthOrder:
     ) -> tuple[list[Step], Columns]:
         """Return the dispatches that sort splats by the depths' low parts, then by depth keys."""
         keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
+        # Step 1: sort by the remainders, which drops absent splats.
         first, side = self._by_key(capacity, counts, by_low, histograms, first_keys=lows)
         sorted_lows = by_low[side]
+        # Step 2: fetch the depth key of each splat in that order.
         gather = self._gather().step(counts, keys, sorted_lows.values, sorted_lows.keys)
         if side:
             by_low.reverse()
+        # Step 3: sort by the keys; this sort is stable, so that equal keys keep the order of remainders.
         then, side = self._sort.steps(
             counts,
             histograms,

@@ -79,6 +79,7 @@ class Plan:
         layers: int = 0,
     ) -> None:
         device, sizes, outputs = kernels.device, method.slabs, image.outputs
+        # Step 1: divide the sets by the way in which they are blended.
         summed, placed = weighted_pages(placed), sorted_pages(placed)
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
@@ -88,6 +89,7 @@ class Plan:
         self._tiles = image.tiles(kernels.cut.tile)
         n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
+        # Step 2: allocate what each frame writes: uniforms, counts, and buffers that begin as zeros.
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
@@ -106,6 +108,8 @@ class Plan:
         self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared()
         self.images: dict[str, Buffer] = {}
+        # Step 3: find out who writes the image. Meshes and weighted sets become layers among the splats,
+        # unless weighted sets are alone.
         # Weighted sets become a layer, which quads do not blend.
         quads = method.rasteriser == "quads" and not summed
         alone = bool(summed) and not placed and not meshes  # they write the image, without layers
@@ -116,6 +120,7 @@ class Plan:
             self._layers = allocate_layers(
                 self._storage, count, image.size, normal=normal, numbers=numbers
             )
+        # Step 4: record the stages, in the order of their execution.
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -406,6 +411,8 @@ class Plan:
         """
         band, state = band or Band.of(camera), state or SlabState()
         device = self._device
+        # Step 1: write what changes from frame to frame. The uniforms of depths and normals have no
+        # background.
         if self._weighted is not None:
             self._weighted.write(weighted_pages(placed), camera)
         placed = sorted_pages(placed)
@@ -417,6 +424,7 @@ class Plan:
             device.write(self._mesh_rays, mesh_rays(camera))
         for slot, mesh in enumerate(meshes):
             device.write(self._mesh_slots, mesh_uniform(mesh, camera), slot * MESH_UNIFORM.itemsize)
+        # Step 2: clear what shaders add to.
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
             clock.begin()
@@ -425,6 +433,7 @@ class Plan:
         cell_clears = self._weighted.clears if self._weighted and keeps_cells else []
         for clear in [entry for entry in self.clears if entry not in cell_clears]:
             encoder.clear_buffer(*clear)
+        # Step 3: encode meshes, whose depths hide splats, then the compute stages, then quads.
         if self._meshes is not None and (only is None or "meshes" in only):
             self._meshes.encode(encoder, background, clock.around("meshes") if clock else None)
         for name, steps in self.stages.items():
@@ -434,6 +443,7 @@ class Plan:
             self._quads.encode(encoder, background, clock.around("quads") if clock else None)
         if clock is not None:
             clock.encode(encoder)
+        # Step 4: copy what the host reads, and submit all at once.
         (staging or self._readback.staging).encode(encoder, None if fetch else self._held)
         device.submit(encoder)
 

@@ -313,8 +313,10 @@ class Renderer:
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         """Redraw until all splat-tile pairs fit their buffer and equal depth keys are ordered."""
         while True:
+            # Step 1: draw with the present sizes of buffers.
             plan = self.plan(placed, band.camera, requested, meshes)
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
+            # Step 2: the counts tell if pairs, or the order of equal depths, are missing.
             try:
                 if not self._must_redraw(counts):
                     self._grow_early(counts)
@@ -324,6 +326,7 @@ class Renderer:
                 if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed):
                     raise
                 continue
+            # Step 3: rows that were rearranged in memory, and share a depth, return to their own order.
             if counts[Counts.TIED]:
                 for splat_set in scene.sets:
                     self._residency.restore_order(splat_set.data)

@@ -353,11 +353,14 @@ class Slabs:
             before[:], ranked = [tally_stage], tied  # the keys stay the same
             return self._device.read(self.tally, np.uint32, BINS)
 
+        # Step 1: count the keys of all splats, and choose ranges of at most ``capacity``.
         ranges = slab_ranges(tally, self.capacity)
+        # Step 2: rows that were rearranged in memory cannot be divided by rows.
         if self._row_origins and any(len(keys.tied) == _BY_ROW for keys in ranges):
             total = np.zeros(counting.BYTES // 4, np.uint32)
             total[Counts.TIED] = 1  # rows return to their own order, and the frame is drawn again
             return total, {}
+        # Step 3: draw the slabs, nearest first: pixels go on from the state that the last one left.
         for number, keys in enumerate(ranges):
             self._choose(keys.low, keys.high)
             state = self._state(ranges, number)

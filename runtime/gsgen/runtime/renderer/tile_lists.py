@@ -57,6 +57,8 @@ def list_splats(
     """Return stages that list splats by image tile, the buffer of lists, and buffers to clear."""
     if kernels.lists:
         return _counted(kernels, lists, panorama=panorama)
+    # A pair has the tile as its key. Pairs are listed in order of depth and sorted by tile, stably:
+    # each tile then has its splats together, nearest first.
     pairs = [allocate_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
     bits = kernels.tile_bits(lists.tiles - 1)
     histograms = kernels.sort.histograms(lists.pair_capacity, bits)
@@ -73,6 +75,8 @@ def _counted(
     kernels: Kernels, lists: TileLists, *, panorama: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
     """Return the results of ``list_splats`` for kernels that count splats instead of sorting."""
+    # Each run of sorted splats counts its splats by tile. Sums of those counters tell where each run
+    # lists its splats of a tile, so that a list is in order of depth without a sort.
     counters = lists.storage("counters of tiles", 4 * runs_for(lists.tiles) * lists.tiles)
     totals = lists.storage("totals of tiles", 4 * lists.tiles)
     members = lists.storage("splats of tiles", 4 * lists.pair_capacity)

@@ -108,6 +108,7 @@ class WeightedPart:
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: frozenset[Output]
     ) -> dict[str, list[Step]]:
         n = self._gaussians
+        # Stage 1: a splat for each Gaussian, and depth, circle and members for each cell.
         shapes, weights, colors = (
             self._storage(f"weighted {name}", VEC4 * n) for name in ("shapes", "weights", "colors")
         )
@@ -121,12 +122,15 @@ class WeightedPart:
             stages = self._project_slab(self.slabs, placed, splats, (*cells, lows), normals)
         else:
             stages = self._project_all(placed, splats, (cells, lows), normals)
+        # Stage 2: sort the cells by depth; within a cell the order of Gaussians does not matter.
         stages["sort cells"], order = self._sort(columns, lows)
+        # Stage 3: list the tiles of each cell, and sort the pairs by tile.
         pairs = [
             self._columns(f"pairs of cells {side}", self._method.pair_capacity) for side in "ab"
         ]
         stages["bin cells"] = self._bin(order, circles, pairs[0])
         stages["group cells"], members = self._group(pairs)
+        # Stage 4: sum the Gaussians of the cells of each tile, once per output.
         known = (self._ranges, members, spans, shapes, weights)
         if "color" in outputs or self._layers is not None:
             stages["sum"] = [self._blend("color", (*known, colors))]

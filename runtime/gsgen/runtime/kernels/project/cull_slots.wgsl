@@ -47,6 +47,7 @@ fn may_be_seen(slot: u32) -> bool {
 fn cull_slots(
     @builtin(workgroup_id) workgroup: vec3u, @builtin(local_invocation_index) thread: u32
 ) {
+    // Step 1: one invocation decides, and adds the slot to the list and to the dispatch of projection.
     let slot = workgroup.x;
     if (thread == 0u) {
         eye = slot_eye(slot);
@@ -59,6 +60,7 @@ fn cull_slots(
     if (workgroupUniformLoad(&is_seen) == 1u) {
         return;
     }
+    // Step 2: no projection writes the rows of other slots, so their keys are written here.
     for (var row = thread; row < SLOT_ROWS; row += THREADS) {
         let own = slot * SLOT_ROWS + row;
         keys[select(page.base + own, own, KEYS_ONLY)] = ABSENT;

@@ -15,17 +15,20 @@ struct ProjectedCell {
 // Return the cell in row `own` of the bound cells, whose `eye` is set.
 fn project_cell(own: u32) -> ProjectedCell {
     var result = ProjectedCell(ABSENT, ABSENT, vec4f(0.0));
+    // Step 1: find the depth, exactly, because cells are sorted by it.
     let center = read_center(own);
     var at = page.linear * ((center.position - eye.at) - eye.rest);
     let distance = depth_of(at);
     let exact = exact_depth(center.position, distance);
     let depth = exact.x;
     at.z = select(depth, at.z, PANORAMA);
+    // Step 2: drop cells that are invisible, behind the near plane, or have no finite ellipse.
     let flat = flatten(at, distance, read_covariance(own));
     let is_there = depth > frame.near && depth <= LARGEST;
     if (!(flat.is_valid && is_there && center.opacity > 0.0 && center.opacity <= LARGEST)) {
         return result;
     }
+    // Step 3: count the tiles of the circle around the ellipse; tiles of two copies count once.
     let radius = circle(flat.scaled, flat.determinant, flat.unit, CELL_REACH);
     var tiles = 0u;
     var listed = 0u;

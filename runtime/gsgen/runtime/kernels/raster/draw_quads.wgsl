@@ -42,6 +42,7 @@ fn corner_and_copy(vertex: u32) -> vec2u {
 fn corner_of(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instance: u32) -> Corner {
     let numbers = corner_and_copy(vertex);
     let corner = numbers.x;
+    // Step 1: take the farthest splat first: the hardware blends in order, each over those before.
     let id = order[counts[VISIBLE] - 1u - instance];
     var shape = shapes[shape_at(id)];
     if (PANORAMA) {
@@ -52,6 +53,7 @@ fn corner_of(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instan
     let yy = weight.w;
     let xy = -shape.w / shape.z * yy;
     let xx = weight.x / shape.z * yy;
+    // Step 2: find the axes of the ellipse, which are the eigenvectors.
     let middle = 0.5 * (xx + yy);
     let apart = sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy);
     var long_axis = vec2f(1.0, 0.0);
@@ -59,12 +61,14 @@ fn corner_of(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instan
         // The longer of two forms of the eigenvector: the other may vanish.
         long_axis = normalize(select(vec2f(xy, middle + apart - xx), vec2f(middle + apart - yy, xy), xx > yy));
     }
+    // Step 3: move the corner along both axes, as far as opacities reach CULL_OPACITY.
     let reach = 2.0 * weight.y * SLACK;
     let length = sqrt(reach * (middle + apart)) + EDGE;
     let width = sqrt(reach * max(middle - apart, 0.0)) + EDGE;
     let side = vec2f(f32(corner & 1u), f32(corner >> 1u)) * 2.0 - 1.0;
     let offset = side.x * length * long_axis + side.y * width * vec2f(-long_axis.y, long_axis.x);
     let pixel = (shape.xy + frame.origin + offset) / vec2f(frame.size);
+    // Step 4: the depth of a corner is compared with those of meshes.
     let nearness = select(0.5, frame.near / weight.z, TESTED);  // as draw_meshes.wgsl has it
     let clip = vec4f(2.0 * pixel.x - 1.0, 1.0 - 2.0 * pixel.y, nearness, 1.0);
     return Corner(clip, shape, weight.xy, colors[id].xyz);

@@ -87,10 +87,12 @@ class Scan:
         uniform = self._device.uniform("scan", 16)
         words = np.array([source, block, rows, _EFFECTS[total]], np.uint32)
         self._device.write(uniform, words)
+        # Case 1: one workgroup scans all, where more would not be faster.
         blocks = -(-numbers.size // (4 * _BLOCK))
         if not self._always_in_blocks and (self._device.software or blocks <= 2):
             kernel = self._whole()
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
+        # Case 2: sum each block, scan the sums, and scan within the blocks from there.
         sums = self._device.storage("sums of blocks", 4 * blocks)
         reduce, scan, spread = self._reduce(), self._sums(), self._spread()
         resources = (uniform, counts, numbers, sums)

@@ -20,16 +20,19 @@ fn scan(@builtin(local_invocation_id) local: vec3u) {
     let run = groups(length, THREADS);
     let start = min(local.x * run, length);
     let end = min(start + run, length);
+    // Step 1: sum a run for each invocation. Sums saturate: a wrapped one would pass for room.
     var sum = 0u;
     for (var i = start; i < end; i++) {
         sum = min(sum + numbers[i], MANY);
     }
+    // Step 2: scan the sums of the runs, and write each run from there.
     var before = sum_before(local.x, sum);
     for (var i = start; i < end; i++) {
         let number = numbers[i];
         numbers[i] = before;
         before = min(before + number, MANY);
     }
+    // Step 3: the last invocation has the total, which later dispatches take their sizes from.
     if (local.x == THREADS - 1u) {
         if (scan_of.effect == 1u) {
             announce(VISIBLE, before, SORT_VISIBLE_GROUPS, WALK_VISIBLE_GROUPS, WALK_BLOCK);

@@ -19,12 +19,14 @@ fn reduce(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loc
     let length = length_for(counts[scan_of.source]);
     let start = group.x * BLOCK;
     let end = min(start + BLOCK, length);
+    // Step 1: sum every THREADS-th number, so that neighbours read neighbouring addresses.
     var sum = 0u;
     for (var i = start + local.x; i < end; i += THREADS) {
         sum = min(sum + numbers[i], MANY);
     }
     sums[local.x] = sum;
     workgroupBarrier();
+    // Step 2: add up the invocations, half of them at a time.
     for (var half = THREADS / 2u; half > 0u; half /= 2u) {
         if (local.x < half) {
             sums[local.x] = min(sums[local.x] + sums[local.x + half], MANY);
@@ -40,6 +42,7 @@ fn reduce(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loc
 fn spread(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let length = length_for(counts[scan_of.source]);
     let start = group.x * BLOCK;
+    // Step 1: read the block into workgroup memory, neighbours by neighbours.
     for (var k = local.x; k < BLOCK; k += THREADS) {
         var number = 0u;
         if (start + k < length) {
@@ -48,6 +51,7 @@ fn spread(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loc
         block[k] = number;
     }
     workgroupBarrier();
+    // Step 2: scan the runs; all blocks before add their sum.
     let run = local.x * RUN;
     var sum = 0u;
     for (var k = run; k < run + RUN; k++) {
@@ -63,6 +67,7 @@ fn spread(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loc
         before = min(before + number, MANY);
     }
     workgroupBarrier();
+    // Step 3: write the block back.
     for (var k = local.x; k < BLOCK; k += THREADS) {
         if (start + k < length) {
             numbers[start + k] = block[k];

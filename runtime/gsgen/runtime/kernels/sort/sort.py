@@ -146,9 +146,11 @@ class RadixSort:
             totals.append(self._device.storage("digit totals", 4 << self._cut.digit_bits))
         recorded: list[Step] = []
         for number in range(passes):
+            # Step 1: a pass sorts by the next digit, stably, so that the digits before stay sorted.
             digits = min(width, bits - number * width)
             next_digits = max(0, min(width, bits - (number + 1) * width))
             first = number == 0 and compacting is not None
+            # Step 2: a compacting first pass reads all keys; later ones only as many as it kept.
             now = Counts.GAUSSIANS if first else source
             dispatch: Dispatch = (counts, 4 * groups)
             if number == 0 and compacting is not None:
@@ -156,6 +158,7 @@ class RadixSort:
             words = [number * width, digits, now, first, next_digits, 1 << width, 0, 0]
             uniform = self._device.uniform("digit", 32)
             self._device.write(uniform, np.array(words, np.uint32))
+            # Step 3: buffers and histograms take turns, so that no pass writes what it reads.
             before, after = columns[number % 2], columns[1 - number % 2]
             if first and first_keys is not None:
                 before = Columns(first_keys, first_keys)  # a compacting pass reads no values
@@ -164,6 +167,7 @@ class RadixSort:
             count, scatter, *rows = (
                 Step(kernel, (kernel.bind(*resources),), dispatch) for kernel in self._kernels
             )
+            # Step 4: count the digits, sum the counts before each, and scatter keys and values.
             # Else the scatter before, or the kernel that writes the keys, has counted.
             if not self._cut.staged or (number == 0 and not counted):
                 recorded.append(count)

@@ -64,11 +64,13 @@ fn count_run(block: u32, thread: u32, total: u32) {
 fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let total = counts[digit.source];
     let blocks = (total + BLOCK - 1u) / BLOCK;
+    // Step 1: count the digits of each run, each in a column of its own: no atomics, no timing.
     count_run(group.x, local.x, total);
     workgroupBarrier();
     if (group.x >= blocks) {
         return;
     }
+    // Step 2: for each digit, replace the amounts of the runs by sums of those before, and add up the block.
     let runs = runs_of(group.x);
     for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
         var sum = 0u;

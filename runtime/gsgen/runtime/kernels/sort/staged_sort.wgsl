@@ -57,6 +57,7 @@ fn row_of(value: u32) -> u32 {
 @compute @workgroup_size(THREADS)
 fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let total = counts[digit.source];
+    // Step 1: count the digits of the block in workgroup memory, whose atomics are cheap.
     for (var d = local.x; d < DIGITS; d += THREADS) {
         atomicStore(&words[d], 0u);
     }
@@ -71,6 +72,7 @@ fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loca
         }
     }
     workgroupBarrier();
+    // Step 2: write them as the column of the block; the order of atomic additions does not show in sums.
     if (group.x < groups(total, BLOCK)) {
         for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
             histogram[row_of(d) + group.x] = atomicLoad(&words[d]);
@@ -108,6 +110,7 @@ fn scan_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) 
         firsts[slot] = below;
     }
     workgroupBarrier();
+    // Step 3: replace each column by the sum before it, and clear the histogram that this pass fills.
     var before = below - firsts[min(slot, rows - 1u)];
     for (var i = start; i < end; i++) {
         let amount = histogram[row + i];
@@ -117,6 +120,7 @@ fn scan_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) 
         }
         before += amount;
     }
+    // Step 4: the last invocation of a row has the sum of all: the keys of the digit.
     if (is_row && lane == lanes - 1u) {
         totals[value] = before;
     }

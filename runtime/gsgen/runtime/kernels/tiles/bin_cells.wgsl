@@ -5,6 +5,8 @@
 
 @compute @workgroup_size(THREADS)
 fn emit(@builtin(global_invocation_id) invocation: vec3u) {
+    // The cells of a run are sorted, and runs follow each other, so that the stable sort by tile keeps
+    // their order of depth.
     let run = run_of(invocation.x);
     var pair = run.pair;
     for (var rank = run.first; rank < run.end; rank++) {

@@ -51,11 +51,13 @@ fn emit(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(local_invocation_index) thread: u32
 ) {
+    // Step 1: clear the sums of the workgroup, whose pairs begin in `first_block`.
     for (var i = thread; i < NEAR * DIGITS; i += THREADS) {
         atomicStore(&digit_sums[i], 0u);
     }
     first_block = run_of(workgroup.x * THREADS).pair / SORT_BLOCK;
     workgroupBarrier();
+    // Step 2: list the tiles of each splat of the run, in order of depth: the sort by tile is stable.
     let run = run_of(invocation.x);
     var pair = run.pair;
     for (var rank = run.first; rank < run.end; rank++) {
@@ -75,6 +77,7 @@ fn emit(
             }
         }
     }
+    // Step 3: add the digits that all invocations counted.
     workgroupBarrier();
     add_sums(thread);
 }

@@ -29,6 +29,7 @@ fn read_splat(pair: u32, slot: u32, tile: vec2u, open_cells: u32) {
     batch_shapes[slot] = shape;
     batch_weights[slot] = weight.xyz;
     batch_colors[slot] = vector_of(colors[id]).xyz;
+    // Note the splat for the unfinished cells that it touches; a bit keeps its rank in the batch.
     var touched = open_cells & cells_touched(tile, shape, weight) & ((2u << (THREADS / LANES - 1u)) - 1u);
     while (touched != 0u) {
         let cell = firstTrailingBit(touched);

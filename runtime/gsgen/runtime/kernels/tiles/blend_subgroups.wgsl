@@ -44,6 +44,7 @@ fn blend(
     let range = begin_tile(tile.xy, local.xy);
     var open = ~0u;  // cells with a pixel that is not finished
     for (var first = range.x; first < range.y; first += LANES) {
+        // Step 1: each lane reads another splat, and finds the cells that it touches.
         let own_id = pair_splats[min(first + lane, range.y - 1u)];
         let own_shape = vector_of(shapes[shape_at(own_id)]);
         var own_weight = vector_of(weights[weight_at(own_id)]);
@@ -53,6 +54,7 @@ fn blend(
         }
         let own_cells = open & cells_touched(tile.xy, own_shape, own_weight);
         let own_falloff = falloff_of(tile.xy, own_shape, own_weight);
+        // Step 2: blend the splats of all lanes, nearest first, over the pixels of each lane.
         let count = min(LANES, range.y - first);
         for (var j = 0u; j < count; j++) {
             let id = subgroupShuffle(own_id, j);
@@ -66,6 +68,7 @@ fn blend(
                 blend_splat(id, subgroupShuffle(own_shape, j), weight, color);
             }
         }
+        // Step 3: end the tile when no cell of any lane has an open pixel.
         open = subgroupOr(open_cells());
         if (open == 0u) {
             break;

@@ -145,11 +145,13 @@ fn passed_by(layer: LayerCell, light: vec4f) -> vec4f {
 fn blended(cell: Cell, alpha: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
     var result = cell;
     // At a finished pixel all three are negative.
+    // Step 1: the splat takes a share of the light that is left, if enough remains behind it.
     let before = cell.transmittance;
     let share = alpha * before;
     let after = before - share;
     let is_open = after > vec4f(MIN_TRANSMITTANCE);
     let amount = select(ZERO, share, is_open);
+    // Step 2: its colour, or its depth, is weighted by that share.
     if (PICK) {
         let is_halved = (before >= vec4f(0.5)) & (after < vec4f(0.5));
         result.red += amount * depth;
@@ -162,6 +164,7 @@ fn blended(cell: Cell, alpha: vec4f, id: u32, depth: f32, color: vec3f) -> Cell 
         result.green += amount * color.y;
         result.blue += amount * color.z;
     }
+    // Step 3: the sign finishes a pixel, and its amount stays for the background.
     result.transmittance = select(-abs(cell.transmittance), after, is_open);
     return result;
 }

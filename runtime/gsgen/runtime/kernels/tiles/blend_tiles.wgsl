@@ -13,7 +13,9 @@
 
 @compute @workgroup_size(TILE / COLUMNS, TILE / (4u * QUADS))
 fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    // Step 1: begin with all light, and an empty colour.
     let range = begin_tile(tile.xy, local.xy);
+    // Step 2: blend the splats of the tile, nearest first, until no pixel is open.
     for (var pair = range.x; pair < range.y; pair++) {
         let id = pair_splats[pair];
         let shape = vector_of(shapes[shape_at(id)]);
@@ -22,5 +24,6 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
             break;
         }
     }
+    // Step 3: what light is left shows the background.
     end_tile();
 }

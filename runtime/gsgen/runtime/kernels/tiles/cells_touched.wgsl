@@ -14,6 +14,7 @@ fn cells_touched(tile: vec2u, shape: vec4f, weight: vec4f) -> u32 {
     var touched = 0u;
     for (var band = 0u; band < TILE / CELL_HEIGHT; band++) {
         let top = first.y + f32(band * CELL_HEIGHT);
+        // A band is touched if rows of the ellipse are in it, and a cell if their columns reach it.
         if (top <= ellipse.half_height && top + height >= -ellipse.half_height) {
             let ends = extent(ellipse, vec2f(top, top + height)) - first.x;
             for (var side = 0u; side < TILE / CELL_WIDTH; side++) {

@@ -48,6 +48,7 @@ fn column_opacity(splat: Falloff, exponent: f32, y: f32) -> vec4f {
         let rows = vec4f(y, y + 1.0, y + 2.0, y + 3.0);
         alpha = POWER_SCALE * CULL_OPACITY * exp2(exponent - splat.bend * rows * rows);
     } else {
+        // Two exponentials: the first opacity, and the ratio of the second to it.
         let powers = exp2(vec2f(first, -(slope + slope) - splat.bend));
         let second_ratio = powers.y * splat.change;
         alpha.x = POWER_SCALE * CULL_OPACITY * powers.x;

@@ -18,6 +18,7 @@ fn total(@builtin(global_invocation_id) invocation: vec3u) {
     if (invocation.x >= tiles) {
         return;
     }
+    // The counters of a tile are those of all runs, four beside each other.
     var sum = vec4u(0u);
     for (var group = 0u; group < arrayLength(&counters); group += QUADS * tiles) {
         for (var quad = 0u; quad < QUADS; quad++) {
@@ -33,6 +34,7 @@ fn begin(@builtin(global_invocation_id) invocation: vec3u) {
     if (invocation.x >= tiles) {
         return;
     }
+    // Step 1: a counter becomes the number of splats before it, in nearer runs: lists stay sorted.
     let first = totals[invocation.x];
     var index = first;
     for (var group = 0u; group < arrayLength(&counters); group += QUADS * tiles) {
@@ -46,6 +48,7 @@ fn begin(@builtin(global_invocation_id) invocation: vec3u) {
             index = fourth + amounts.w;
         }
     }
+    // Step 2: splats beyond the capacity are not listed, and the frame is drawn again with a larger one.
     let capacity = vec2u(counts[PAIR_CAPACITY]);
     ranges[invocation.x] = select(vec2u(0u), min(vec2u(first, index), capacity), index > first);
 }

@@ -53,6 +53,7 @@ fn walk(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
+    // Step 1: find the run of this invocation, and its counters.
     let across = image_tiles().x;
     let tiles = across * image_tiles().y;
     let first = group.x * THREADS * tiles + local;
@@ -64,6 +65,7 @@ fn walk(
     capacity = counts[PAIR_CAPACITY];
     var splat = 0u;
     var window = 0u;
+    // Step 2: walk the tiles of the run's splats, nearest splat first.
     // One turn takes one tile, so that invocations with few tiles need not wait for others. In each
     // turn all of them read their next splat, needed or not: Mesa's llvmpipe branches for each
     // invocation that may read, and the CPU cannot predict which ones do.

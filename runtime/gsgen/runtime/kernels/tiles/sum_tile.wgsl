@@ -211,12 +211,15 @@ fn added(part: Part, number: u32, id: u32, shape: vec4f, weight: vec4f, color: v
     let dy = y + f32(offset.y) - shape.y;
     let bend = 0.5 * weight.x;
     let above = weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
+    // Step 1: a Gaussian counts within its circle, where it is opaque enough, and before meshes.
     var is_hit = (above >= ZERO) & (dx * dx + dy * dy <= vec4f(weight.w)) & (part.open > ZERO);
     if (LAYERED) {
         is_hit = is_hit & (vec4f(weight.z) <= part.limit);
     }
     var result = part;
     if (any(is_hit)) {
+        // Step 2: weights use the light before the cell, so that the order within it does not matter;
+        // the light behind the cell is the product of all.
         let alpha = select(ZERO, factors.x * opacity(above), is_hit);
         let amount = alpha * part.open;
         result.transmittance *= max(1.0 - alpha, ZERO);

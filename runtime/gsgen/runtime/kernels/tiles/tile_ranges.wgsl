@@ -14,10 +14,13 @@ fn mark(@builtin(global_invocation_id) invocation: vec3u) {
     if (start >= end) {
         return;
     }
+    // Step 1: the tile of the pair before tells whether the run begins a tile.
     var before = ABSENT;
     if (start > 0u) {
         before = pair_tiles[start - 1u];
     }
+    // Step 2: where the tile changes, one range ends and the next begins. No two invocations see the
+    // same change, so none overwrites another.
     for (var pair = start; pair < end; pair++) {
         let tile = pair_tiles[pair];
         if (tile != before) {
@@ -28,6 +31,7 @@ fn mark(@builtin(global_invocation_id) invocation: vec3u) {
         }
         before = tile;
     }
+    // Step 3: the last tile has no change after it.
     if (end == pairs) {
         ranges[before].y = pairs;
     }
