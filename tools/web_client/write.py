@@ -13,7 +13,7 @@ CLIENT: Final = Path(__file__).parents[2] / "runtime/gsgen/runtime/web/client"
 
 def markup_text() -> str:
     """Return the text of ``element_markup.js``, the ES module with the HTML and CSS of the element."""
-    markup = (CLIENT / "element.html").read_text("utf-8")
+    markup = Path(__file__).with_name("element.html").read_text("utf-8")
     return f"// Written by `make web` from element.html.\nexport const MARKUP = {json.dumps(markup)};\n"
 
 

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.formats.tileset_paths import INDEX
 from gsgen.tiles.build.files import read_json
 from gsgen.tiles.build.neural_tiles import Generator, add_neural_tiles
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
@@ -24,7 +25,6 @@ from gsgen.tiles.format.index import (
     write_tileset,
 )
 from gsgen.tiles.format.json_values import JsonDict
-from gsgen.tiles.stores.opening import INDEX
 
 ERROR_PER_CELL: Final = 4.0
 """Geometric error, in side lengths of the grid cell in which splats are merged.

@@ -1,19 +1,17 @@
 """Opens the file store of a tileset from a path or an address."""
 
-__all__ = ["INDEX", "address_of", "open_store"]
+__all__ = ["address_of", "open_store"]
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 from urllib.parse import unquote, urlsplit
 
+from gsgen.formats.tileset_paths import INDEX
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import ZipStore
-
-INDEX: Final = "tileset.json"
 
 
 def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tuple[Store, str]:

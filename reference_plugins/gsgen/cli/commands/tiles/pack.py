@@ -24,7 +24,7 @@ def pack(
     has no tileset.json.
     """
     from gsgen.contract.process.atomic_files import refuse_itself
-    from gsgen.tiles.stores.opening import INDEX
+    from gsgen.formats.tileset_paths import INDEX
     from gsgen.tiles.stores.zip_store import write_archive
 
     if not (folder / INDEX).is_file():
