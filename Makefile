@@ -56,7 +56,7 @@ test-nightly: tools
 # The share of the contract's lines that its own tests run; those of a process that they start count.
 coverage: tools
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -q tests/cli tests/conformance tests/contract
+	$(BIN)/coverage run -m pytest -q -n auto --dist loadfile -m "not nightly" tests/cli tests/conformance tests/contract
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include='contract/*' --fail-under=90
 

@@ -41,6 +41,7 @@ def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_kit(tmp_path_factory.mktemp("kit") / "kit", draw_frames).parent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", kit_cases(), ids=lambda case: case.name)
 def test_a_model_conforms_but_for_the_rules_that_it_breaks_on_purpose(case, kit):
     path = kit / "models" / f"{case.name}.onnx"
