@@ -254,7 +254,7 @@ def test_another_build_replaces_the_first_and_leaves_no_stale_file(scene, town, 
     assert digests(tmp_path / "tiles") == digests(town)
 
 
-def test_fresh_forgets_what_was_there(scene, town, tmp_path):
+def test_fresh_build_ignores_earlier_work(scene, town, tmp_path):
     (tmp_path / "tiles" / WORK / "old").mkdir(parents=True)
     report = build([scene], tmp_path / "tiles", fresh=True)
     assert not report.up_to_date

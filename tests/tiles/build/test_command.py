@@ -31,7 +31,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_tileset_is_built_and_said(scene, tmp_path):
+def test_build_command_prints_splats_then_up_to_date(scene, tmp_path):
     done = gsgen(scene, "-o", tmp_path / "tiles", "--leaf", 2000, "--workers", 2)
     assert done.returncode == 0, done.stderr
     assert "20,000 splats" in done.stdout

@@ -11,7 +11,7 @@ from support.splat_files import assert_near, scene
 
 @pytest.mark.parametrize("count", [1, 7, 50, 333, 999])
 @pytest.mark.parametrize("degree", [0, 2])
-def test_the_number_is_reached_from_below(count, degree):
+def test_decimation_gives_at_most_the_target_count(count, degree):
     splats = scene(1000, degree, seed=count)
     merged = decimate(splats, count)
     assert 0.85 * count - 7 <= len(merged) <= count

@@ -70,7 +70,7 @@ def test_workers_that_die_again_and_again_end_the_build(engine):
         list(running.run(die, range(3)))
 
 
-def test_engines_that_are_not_there_are_named(monkeypatch):
+def test_unknown_or_missing_engine_is_named(monkeypatch):
     for name in ("threads", "cloud", "local"):  # before, between and after known names
         with pytest.raises(ConfigInvalid, match=f"unknown engine '{name}'"):
             open_engine(name)

@@ -49,7 +49,7 @@ def test_axes_point_east_north_and_up(place):
 
 
 @pytest.mark.parametrize("place", [(181, 0, 0), (0, 91, 0), (0, 0, 2e7), (float("nan"), 0, 0)])
-def test_places_that_are_nowhere_are_refused(place):
+def test_invalid_longitude_or_latitude_is_refused(place):
     with pytest.raises(ConfigInvalid):
         globe_transform(*place)
 
@@ -70,7 +70,7 @@ def test_a_transform_is_read_by_rows_or_by_columns(tmp_path):
      json.dumps(np.diag([1, 1, -1, 1]).tolist()), json.dumps(np.zeros((4, 4)).tolist()),
      json.dumps((np.eye(4) + np.eye(4)[::-1] * 0.1).tolist()), "[[1,2],[3]]"],
 )  # fmt: skip
-def test_what_is_not_a_similarity_is_refused(tmp_path, text):
+def test_transform_that_is_not_a_similarity_is_refused(tmp_path, text):
     (tmp_path / "transform.json").write_text(text)
     with pytest.raises(ConfigInvalid) as caught:
         read_transform(tmp_path / "transform.json")

@@ -95,7 +95,7 @@ def test_duplicates_keep_their_shape_but_for_the_widening():
     assert merged.opacity[0] == pytest.approx(min(7 * single.opacity[0], MAX_OPACITY))
 
 
-def test_what_cannot_be_seen_does_not_count():
+def test_invisible_members_do_not_move_the_mean():
     members = mixture(np.random.default_rng(1), 4)
     members.opacity[[1, 3]] = 0
     merged = merge_clusters(members, np.array([0, 2, 3]))
@@ -103,7 +103,7 @@ def test_what_cannot_be_seen_does_not_count():
     np.testing.assert_array_equal(merged.code, members.code[[0, 2]])
 
 
-def test_something_is_left_of_nothing_that_can_be_seen():
+def test_invisible_members_merge_into_one_invisible_splat():
     members = mixture(np.random.default_rng(1), 4)
     members.opacity[:] = 0
     merged = merge_clusters(members, np.array([0, 2]))

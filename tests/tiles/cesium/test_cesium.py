@@ -77,7 +77,7 @@ def test_every_tile_loads_and_the_scene_stands_upright(
     assert np.nonzero(towers)[0].mean() < np.nonzero(ground)[0].mean() - 3
 
 
-def test_a_missing_tile_is_seen_to_fail(viewer: Viewer, tmp_path: Path) -> None:
+def test_viewer_reports_a_tile_that_does_not_load(viewer: Viewer, tmp_path: Path) -> None:
     """The test above would notice a tile that does not load."""
     sketch = sketches.explicit_sketch(transform=east_north_up(2.2945, 48.8584, 35.0), record=False)
     sketch.write(tmp_path / "tileset.json")

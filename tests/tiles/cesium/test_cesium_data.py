@@ -51,7 +51,7 @@ def test_the_first_draft_is_named_in_the_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_indices_on_the_globe(legacy: bool, tmp_path: Path) -> None:
+def test_splats_on_the_globe_keep_five_millimetres(legacy: bool, tmp_path: Path) -> None:
     """Splats in a box far from the frame's origin stand within 5 mm of their positions."""
     index: Any = first_draft.tower(is_legacy=legacy)
     box = np.array(index["root"]["boundingVolume"]["box"])

@@ -194,7 +194,7 @@ def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path:
     assert 4 < float(reach[1]) < 8
 
 
-def test_a_tile_without_content_is_named(tmp_path: Path) -> None:
+def test_neural_tile_without_content_breaks_gt020(tmp_path: Path) -> None:
     sketch = _neural()
     no_content(sketch)
     sketch.write(tmp_path / "tileset.json")

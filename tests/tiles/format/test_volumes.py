@@ -51,7 +51,7 @@ def test_cells_of_a_level_fill_the_volume(dimensions: int) -> None:
     assert np.allclose(widths, (2 * np.pi - 6.2) / 4)
 
 
-def test_the_globe_there_and_back() -> None:
+def test_geodetic_inverts_ecef() -> None:
     longitude = RNG.uniform(-np.pi, np.pi, 1000)
     latitude = RNG.uniform(-1.57, 1.57, 1000)
     height = RNG.uniform(-5000, 10_000, 1000)

@@ -42,7 +42,7 @@ def sigma(splats: Splats) -> np.ndarray:
     return symmetric(covariance_upper(scale, splats.rotation))
 
 
-def test_floats_come_back_as_they_were() -> None:
+def test_khr_content_returns_the_written_floats() -> None:
     splats = far()
     back = read(write_content(splats, CENTER, codec="khr"))
     assert np.abs(back.positions() - splats.position.astype(np.float64)).max() < 2e-4
@@ -154,7 +154,7 @@ def test_rows_without_harmonics_are_packed_in_fewer_bytes() -> None:
     assert view["byteLength"] < 0.95 * len(container.pack(frame, shuffled))
 
 
-def test_what_cannot_be_stored_is_refused() -> None:
+def test_content_that_cannot_be_encoded_is_refused() -> None:
     with pytest.raises(ValueInvalid):
         write_content(far(1), np.array([1e9, 0, 0]))
     with pytest.raises(ValueInvalid):

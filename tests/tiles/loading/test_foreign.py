@@ -42,7 +42,7 @@ def conforms(path: Path) -> bool:
     return report.verdict == "conforms"
 
 
-def test_explicit_add_and_replace(tmp_path: Path) -> None:
+def test_explicit_tileset_reads_add_and_replace(tmp_path: Path) -> None:
     parts = {name: foreign.cloud(n) for n, name in enumerate(("coarse", "fine", "more"))}
     files = {f"{name}.glb": foreign.gltf(part) for name, part in parts.items()}
     leaf = {
@@ -138,7 +138,9 @@ def test_positions_in_ecef_without_a_root_transform(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "branching"), [("QUADTREE", 4), ("OCTREE", 8)])
-def test_implicit_trees(tmp_path: Path, scheme: str, branching: int) -> None:
+def test_implicit_tileset_gives_exact_tiles_and_splats(
+    tmp_path: Path, scheme: str, branching: int
+) -> None:
     """Subtrees of two levels, three levels in all; cells are those of the specification."""
     octree = branching == 8
     name = "{level}-{x}-{y}-{z}.glb" if octree else "{level}-{x}-{y}.glb"

@@ -105,7 +105,7 @@ def test_a_tileset_within_itself_is_named(tmp_path: Path) -> None:
     assert "a/b.json, root.content.uri" in caught.value.location
 
 
-def test_nesting_has_an_end(tmp_path: Path) -> None:
+def test_forty_nested_tilesets_are_refused(tmp_path: Path) -> None:
     files = {"tileset.json": foreign.tileset(leaf("0.json"))}
     for number in range(40):
         files[f"{number}.json"] = foreign.tileset(leaf(f"{number + 1}.json"))

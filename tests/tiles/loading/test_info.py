@@ -20,7 +20,7 @@ def counted(folder: Path) -> dict[str, int]:
 
 
 @pytest.mark.parametrize(("make", "levels"), [(explicit_sketch, 2), (implicit_sketch, 3)])
-def test_numbers_are_those_of_the_files(tmp_path: Path, make, levels: int) -> None:
+def test_info_counts_tiles_splats_and_bytes_of_the_files(tmp_path: Path, make, levels: int) -> None:
     path = tmp_path / "tileset.json"
     sketch = make()
     sketch.write(path)

@@ -90,7 +90,7 @@ def test_constant_velocity_continues_a_steady_path_exactly(flip: bool) -> None:
         assert_same_rotation(predicted.quaternion, pose.quaternion)
 
 
-def test_too_little_is_known_at_first() -> None:
+def test_constant_velocity_predicts_nothing_from_one_pose() -> None:
     predictor = ConstantVelocity()
     assert predictor.predict([1.0]) == []
     predictor.observe(steady(np.random.default_rng(3), np.array([0.0]))[0])
@@ -146,7 +146,7 @@ def test_a_model_continues_a_path_between_its_steps(
         assert_same_rotation(predicted.quaternion, turned, 1e-4)
 
 
-def test_what_is_no_predictor_is_named(tmp_path: Path) -> None:
+def test_name_or_file_that_is_not_a_predictor_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match="constant-velocity"):
         predictor_maker("constant-speed")
     generator = tmp_path / "generator.onnx"

@@ -102,7 +102,7 @@ def test_a_read_at_the_end_of_a_file_asks_the_store_for_nothing(
     assert requests == [3]
 
 
-def test_what_is_missing_or_too_large_is_named(store: Store) -> None:
+def test_missing_or_oversized_file_is_named_in_the_error(store: Store) -> None:
     with pytest.raises(ContentMissing, match=r"nowhere\.glb"):
         store.read("nowhere.glb")
     with pytest.raises(ContentMissing):
@@ -223,7 +223,7 @@ def test_a_server_that_always_fails_is_named(folder: Path, failure) -> None:
     assert "a b.glb" in str(caught.value)
 
 
-def test_nobody_listening_is_named() -> None:
+def test_refused_connection_is_reported_as_no_answer() -> None:
     with (
         HttpStore("http://127.0.0.1:9/x.json", timeout=0.2) as store,
         pytest.raises(StoreUnavailable, match="the server gives no answer"),
@@ -254,12 +254,12 @@ def test_shares_of_failures_are_those_asked_for() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "404", "200:0.1", "404:2", "cut:x", "404:1.0.0", "::"])
-def test_a_failure_that_cannot_be_meant_is_refused(text: str) -> None:
+def test_invalid_failure_option_is_refused(text: str) -> None:
     with pytest.raises(ConfigInvalid):
         parse_failure(text)
 
 
-def test_headers_of_the_server(folder: Path) -> None:
+def test_server_sends_cors_etag_and_range_headers(folder: Path) -> None:
     import urllib3
 
     pool = urllib3.PoolManager()
@@ -288,7 +288,7 @@ def test_headers_of_the_server(folder: Path) -> None:
             assert pool.request("GET", f"{address}{path}").status == 404, path
 
 
-def test_what_is_typed_names_store_and_index(tmp_path: Path) -> None:
+def test_path_or_address_gives_store_and_index(tmp_path: Path) -> None:
     store, index = open_store("https:/example.org/a/b.json")  # as a Path has it
     assert (store.name, index) == ("https://example.org/a", "b.json")
     store.close()

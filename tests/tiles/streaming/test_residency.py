@@ -105,7 +105,7 @@ def drawn_by_a_walk(tree: TileTree, cut: Cut, resident: np.ndarray) -> set[int]:
     return draw(0) if cut.seen[0] else set()
 
 
-def test_what_is_drawn_is_that_of_a_walk(tree: TileTree) -> None:
+def test_drawable_tiles_equal_those_of_a_recursive_walk(tree: TileTree) -> None:
     rng = np.random.default_rng(1)
     for _ in range(300):
         cut = random_cut(rng, tree)

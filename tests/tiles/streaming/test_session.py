@@ -408,7 +408,7 @@ def test_redirects_to_another_origin_need_permission(town: Path) -> None:
                 thread.join()
 
 
-def test_what_was_fetched_is_on_disk_the_next_time(town: Path, tmp_path: Path) -> None:
+def test_second_session_reads_tiles_from_the_disk_cache(town: Path, tmp_path: Path) -> None:
     options = replace(OPTIONS, cache_bytes=1 << 24, cache_folder=tmp_path)
     log: list[str] = []
     with serve_folder(town, log=log.append) as server:

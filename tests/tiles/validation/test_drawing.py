@@ -95,7 +95,7 @@ def test_levels_of_a_build_agree(knot_tiles: Path) -> None:
 
 
 @pytest.mark.parametrize("edit", [turned, shifted, halved, recolored])
-def test_other_parents_disagree(
+def test_parents_unlike_their_children_break_gt022(
     edit: Callable[[Splats], Splats], knot_tiles: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     edited_parents(edit, monkeypatch)
@@ -122,7 +122,7 @@ def test_children_that_add_are_not_compared(tmp_path: Path) -> None:
     assert len(result.tiles) == 2
 
 
-def test_equal_tiles_are_equal(tmp_path: Path) -> None:
+def test_child_equal_to_its_parent_has_ssim_one(tmp_path: Path) -> None:
     """A root with one child of the same content has SSIM 1."""
     sketch = explicit_sketch()
     root = sketch.document["root"]
@@ -134,7 +134,7 @@ def test_equal_tiles_are_equal(tmp_path: Path) -> None:
     )
 
 
-def test_tiles_with_too_many_splats_are_not_passed(
+def test_gt022_is_skipped_for_tiles_with_too_many_splats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drawing, "MAX_DRAWN", 30)  # the children have 48, each tile fewer

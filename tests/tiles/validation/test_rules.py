@@ -65,7 +65,7 @@ def silent(_: object) -> Iterator[Violation]:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.id)
-def test_a_silent_rule_is_noticed(rule: Rule, tmp_path: Path) -> None:
+def test_fixture_fails_when_its_rule_is_silent(rule: Rule, tmp_path: Path) -> None:
     fixture = next(entry for entry in BROKEN if entry.rule == rule.id)
     rules = [
         replace(entry, check=silent) if entry.id == rule.id else entry

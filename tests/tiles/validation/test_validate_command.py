@@ -39,7 +39,7 @@ def test_exit_codes_are_those_of_models(name: str, code: int, tmp_path: Path) ->
     assert gsgen_here("validate", path).code == code
 
 
-def test_a_warning_fails_where_it_is_asked_to(tmp_path: Path) -> None:
+def test_fail_on_and_severity_turn_a_warning_into_failure(tmp_path: Path) -> None:
     path = find("tiles_draft_names").write(tmp_path)
     assert gsgen_here("validate", path, "--fail-on", "warning").code == 1
     assert gsgen_here("validate", path, "--severity", "GT019=error").code == 1
@@ -51,7 +51,7 @@ def test_a_warning_fails_where_it_is_asked_to(tmp_path: Path) -> None:
     ("name", "data"),
     [("none.json", None), ("text.json", b"hello"), ("none.3tz", None), ("bad.3tz", b"PK")],
 )
-def test_what_cannot_be_judged_ends_with_four(name: str, data, tmp_path: Path) -> None:
+def test_unreadable_input_exits_with_four(name: str, data, tmp_path: Path) -> None:
     path = tmp_path / name
     if data is not None:
         path.write_bytes(data)
@@ -93,7 +93,7 @@ def test_a_baseline_and_a_waiver_hold(tmp_path: Path) -> None:
     assert report.findings[0].waiver
 
 
-def test_the_level_says_how_far_it_goes(good: Path) -> None:
+def test_report_lists_the_levels_that_ran(good: Path) -> None:
     static = validate(good, Settings(level=Level.STATIC))
     assert [level.level for level in static.levels] == [Level.STATIC]
     render = validate(good, Settings(level=Level.RENDER))
@@ -104,7 +104,7 @@ def test_the_level_says_how_far_it_goes(good: Path) -> None:
     assert values.outcome("GT021").status == "skipped"
 
 
-def test_time_that_is_up_skips_and_does_not_pass(tmp_path: Path) -> None:
+def test_rules_over_values_are_skipped_when_time_is_up(tmp_path: Path) -> None:
     """Rules over values that saw only a part of the contents are not reported as passed."""
     explicit_sketch().write(tmp_path / "tileset.json")
     report = validate(tmp_path, Settings(limits=Limits(seconds=1e-9)))
