@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
@@ -26,9 +26,9 @@ from gsgen.contract.validation.agreement import (
     cell_errors,
     drawn_cells,
     excess_of,
+    keep_worst,
     live_cells,
     row_errors,
-    worst_errors,
 )
 
 # Largest share of a probe's rows that may match nearby inputs instead; one row always may.
@@ -172,7 +172,9 @@ class Comparison:
                 self._reordered += 1
         self._jumped += excused
         for field in fields:
-            _keep_worse(self._worst, field)
+            known = self._worst.get(field.field)
+            if known is None or field.excess > known.excess:
+                self._worst[field.field] = field
 
     @property
     def parity(self) -> Parity:
@@ -220,12 +222,6 @@ def _in_order_of(reference: Reference, output: ModelOutput) -> ModelOutput:
         actual @ direction, kind="stable"
     )
     return ModelOutput(output.rows[order], output.color[order], output.count)
-
-
-def _keep_worse(worst: dict[str, FieldError], field: FieldError) -> None:
-    known = worst.get(field.field)
-    if known is None or not field.excess <= known.excess:
-        worst[field.field] = field
 
 
 def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
@@ -277,7 +273,7 @@ def _compare_probe(
             errors = errors_at(rows, reference)
             agrees = np.all([excess_of(*pair) <= 1 for pair in errors.values()], axis=0)
             distant.append((_selected(errors, ~agrees), rows[~agrees]))
-            _keep_worst(worst, _selected(errors, agrees), rows[agrees], label)
+            keep_worst(worst, _selected(errors, agrees), rows[agrees], label)
         rows = np.concatenate([rows for _, rows in distant]) if distant else np.zeros(0, np.int64)
         # Step 2: a few others may be as they are nearby.
         allowed_jumps = max(1, _JUMPING_SHARE * n) - jumps
@@ -288,19 +284,12 @@ def _compare_probe(
                 jumps += excused
         # Step 3: what remains of the others counts.
         for errors, rows in distant:
-            _keep_worst(worst, errors, rows, label)
+            keep_worst(worst, errors, rows, label)
     return list(worst.values()), jumps
 
 
 def _selected(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
     return {name: (error[mask], allowed[mask]) for name, (error, allowed) in errors.items()}
-
-
-def _keep_worst(
-    worst: dict[str, FieldError], errors: Errors, rows: Int[np.ndarray, " n"], probe: str
-) -> None:
-    for field in worst_errors([(errors, rows)], probe).values():
-        _keep_worse(worst, field)
 
 
 def _excused(

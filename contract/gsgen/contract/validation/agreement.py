@@ -13,21 +13,21 @@ __all__ = [
     "drawn_cells",
     "excess_of",
     "field_errors",
+    "keep_worst",
     "live_cells",
     "row_errors",
     "tolerance_of",
     "view_directions",
-    "worst_errors",
 ]
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
 from typing import Final
 
 import numpy as np
 
-from gsgen.contract._array_types import Bool, Float
+from gsgen.contract._array_types import Bool, Float, Int
 from gsgen.contract.probing.differences import signed_difference
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import (
@@ -184,24 +184,21 @@ def excess_of(
     return np.asarray(ratio)
 
 
-def worst_errors(
-    blocks: Iterable[tuple[Errors, np.ndarray]], probe: str = ""
-) -> dict[str, FieldError]:
-    """Return the row with the largest excess of each field, of blocks of errors and row numbers."""
-    worst: dict[str, FieldError] = {}
-    for errors, rows in blocks:
-        for name, (error, allowed) in errors.items() if len(rows) else ():
-            excess = excess_of(error, allowed)
-            index = int(np.argmax(excess))
-            if name not in worst or excess[index] > worst[name].excess:
-                worst[name] = FieldError(
-                    field=name,
-                    error=float(error[index]),
-                    excess=float(excess[index]),
-                    probe=probe,
-                    row=int(rows[index]),
-                )
-    return worst
+def keep_worst(
+    worst: dict[str, FieldError], errors: Errors, rows: Int[np.ndarray, " n"], probe: str
+) -> None:
+    """Update the largest excess of each field with the errors of more rows."""
+    for name, (error, allowed) in errors.items() if len(rows) else ():
+        excess = excess_of(error, allowed)
+        index = int(np.argmax(excess))
+        if name not in worst or excess[index] > worst[name].excess:
+            worst[name] = FieldError(
+                field=name,
+                error=float(error[index]),
+                excess=float(excess[index]),
+                probe=probe,
+                row=int(rows[index]),
+            )
 
 
 def field_errors(
@@ -219,15 +216,13 @@ def field_errors(
     allowance = Allowance(values)
     live = max(first.count, second.count)
 
-    def row_blocks() -> Iterator[tuple[Errors, np.ndarray]]:
-        for start in range(0, live, BLOCK):
-            block = slice(start, min(start + BLOCK, live))
-            seen = None if colors is None else (colors[0][block], colors[1][block])
-            packed = rows[0][block], rows[1][block]
-            errors = row_errors(packed, seen, allowance, is_sh=first.is_sh)
-            yield errors, np.arange(block.start, block.stop)
-
-    yield from _beyond(row_blocks())
+    worst: dict[str, FieldError] = {}
+    for start in range(0, live, BLOCK):
+        block = slice(start, min(start + BLOCK, live))
+        seen = None if colors is None else (colors[0][block], colors[1][block])
+        packed = rows[0][block], rows[1][block]
+        errors = row_errors(packed, seen, allowance, is_sh=first.is_sh)
+        keep_worst(worst, errors, np.arange(block.start, block.stop), first.probe)
     if cells is not None:
         total = live_cells(live, len(rows[0]), len(cells[0]))
         drawn = np.logical_or(
@@ -237,11 +232,8 @@ def field_errors(
             )
         )
         errors = cell_errors((cells[0][:total], cells[1][:total]), drawn[:total], allowance)
-        yield from _beyond([(errors, np.arange(total))])
-
-
-def _beyond(blocks: Iterable[tuple[Errors, np.ndarray]]) -> Iterator[FieldError]:
-    return (error for error in worst_errors(blocks).values() if error.excess > 1)
+        keep_worst(worst, errors, np.arange(total), first.probe)
+    yield from (error for error in worst.values() if error.excess > 1)
 
 
 def tolerance_of(error: FieldError, tolerances: Sequence[Tolerance]) -> Tolerance:

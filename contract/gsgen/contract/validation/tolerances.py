@@ -1,6 +1,6 @@
 """Tolerances for comparing outputs of an ONNX generator by field, and the origin of each."""
 
-__all__ = ["as_tolerances", "effective_tolerances"]
+__all__ = ["effective_tolerances"]
 
 import json
 from dataclasses import fields
@@ -33,13 +33,6 @@ def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
             source="config" if field.name in configured else sources.get(field.name, "default"),
         )
         for field in fields(Tolerances)
-    )
-
-
-def as_tolerances(subject: InspectedModel) -> Tolerances:
-    """Return a model's tolerances in effect as one object with a value for each field."""
-    return Tolerances(
-        **{tolerance.field: tolerance.value for tolerance in effective_tolerances(subject)}
     )
 
 

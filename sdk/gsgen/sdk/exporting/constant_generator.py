@@ -117,19 +117,25 @@ def export_constant(
     source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
     and the file is replaced only by a model that passed every check.
     """
-    options = ExportOptions.of(
-        path, name, opset=opset, target=target, settings=settings, progress=progress
+    path = Path(path)
+    options = ExportOptions(
+        path=path,
+        name=name or path.stem,
+        opset=opset,
+        target=target,
+        settings=settings,
+        progress=progress,
     )
     progress("packing the rows")
     packed = source.pack(dtype, target)
     manifest = constant_manifest(packed, options.name, family=source.family, capacity=capacity)
     outputs = _outputs(packed.rows, packed.appearance, manifest, len(packed.rows))
-    with atomic_write(options.path) as draft:
+    with atomic_write(path) as draft:
         _save(_model(outputs, manifest, opset), draft)
         _check(draft, outputs)
         report = check_contract(draft, options, must_conform=not packed.passes_through)
     return Exported(
-        path=options.path,
+        path=path,
         manifest=manifest,
         report=report,
         dtype=packed.dtype,

@@ -129,9 +129,10 @@ def export(
         ExportRejected: The model breaks a rule; the error carries the report.
         ConfigInvalid: ``vectors`` or ``pictures`` is out of range.
     """
-    options = ExportOptions.of(
-        path,
-        name,
+    path = Path(path)
+    options = ExportOptions(
+        path=path,
+        name=name or path.stem,
         opset=opset,
         target=target,
         settings=settings,
@@ -162,14 +163,14 @@ def export(
         progress("rewriting the graph")
         rewritten = _rewrite(traced, prepared, options, half=half)
         # Steps 5 to 7: verification, validation and atomic write.
-        with atomic_write(options.path) as draft:
+        with atomic_write(path) as draft:
             save_model(rewritten.model, draft)
             evidence = _verify(draft, prepared, rewritten, options, vectors, pictures)
             report = check_contract(draft, options)
     gaussians = rewritten.manifest.outputs.gaussians
     assert gaussians is not None
     return Exported(
-        path=options.path,
+        path=path,
         manifest=replace(
             rewritten.manifest, reference_images=evidence.images, test_vectors=evidence.vectors
         ),

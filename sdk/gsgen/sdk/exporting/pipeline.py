@@ -12,11 +12,10 @@ __all__ = [
     "silent",
 ]
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal
 
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
@@ -57,30 +56,8 @@ class ExportOptions:
     progress: Progress  # called with a message when a step begins
     rewrite: bool = True  # whether to rewrite the graph so that it is captured
 
-    @classmethod
-    def of(
-        cls,
-        path: str | os.PathLike[str],
-        name: str | None,
-        *,
-        opset: int,
-        target: str,
-        settings: "Settings | None",
-        progress: Progress,
-        rewrite: bool = True,
-    ) -> Self:
-        """Return the options of an export; raise if the path of the model file is a folder."""
-        path = Path(path)
-        refuse_folder(path)
-        return cls(
-            path=path,
-            name=name or path.stem,
-            opset=opset,
-            target=target,
-            settings=settings,
-            progress=progress,
-            rewrite=rewrite,
-        )
+    def __post_init__(self) -> None:
+        refuse_folder(self.path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

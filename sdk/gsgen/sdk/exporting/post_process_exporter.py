@@ -92,9 +92,10 @@ def export_post_process(
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
     """
-    options = ExportOptions.of(
-        path,
-        name,
+    path = Path(path)
+    options = ExportOptions(
+        path=path,
+        name=name or path.stem,
         opset=opset,
         target=target,
         settings=settings,
@@ -124,14 +125,14 @@ def export_post_process(
         image_name = _image(model.inputs).name
         halved = image_to_float16(graph, image_name, finite[:_HALF_PROBES], allowed, progress)
     # Steps 5 to 7: verification, validation and atomic write.
-    with atomic_write(options.path) as draft:
+    with atomic_write(path) as draft:
         save_model(graph, draft)
         parity = _check_parity(draft, manifest, probes, expected, allowed, progress)
         report = check_contract(draft, options)
     shape = _image(manifest.inputs).shape
     size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
     return Exported(
-        path=options.path,
+        path=path,
         manifest=manifest,
         report=report,
         dtype=dtype,

@@ -2,15 +2,15 @@
 
 __all__ = ["disagreements", "wrong_replays"]
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from gsgen.contract.errors import LayoutMismatch
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
-from gsgen.contract.spec import layout
-from gsgen.contract.validation.tolerances import as_tolerances
+from gsgen.contract.validation.agreement import FieldError, comparable_parts, field_errors
+from gsgen.contract.validation.report import Tolerance
+from gsgen.contract.validation.tolerances import effective_tolerances
 from gsgen.sdk.binding.replay_check import (
     WrongReplay,
     agree,
@@ -19,7 +19,6 @@ from gsgen.sdk.binding.replay_check import (
     wrong_outputs,
 )
 from gsgen.sdk.live.level import Frame, Live, Outputs
-from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare
 
 # Of more rows than this, evenly spaced ones are compared.
 _MOST_ROWS = 1 << 14
@@ -39,51 +38,56 @@ def wrong_replays(live: Live) -> Iterator[WrongReplay]:
 def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
     """Yield (location, actual, expected) for each output field in which CPU and WebGPU differ."""
     frames = [frame for frame in live.frames if frame.uncaptured is not None]
-    packed = _compare_rows(live, frames)
-    if packed is not None:
-        for field in packed.fields:
-            if not field.excess <= 1:
-                times = f"{field.excess:.3g} times the tolerance"
-                actual = f"off by {field.error:.3g} at row {field.row}, {times} ({field.probe})"
-                yield f"field {field.field}", actual, _EXPECTED
-    compared = _declared_names(live) if packed is not None else set()
+    pairs = [_compared_rows(live, frame) for frame in frames]
+    packed = [pair for pair in pairs if pair is not None]
+    if len(packed) < len(pairs) or live.subject.generator is None:
+        packed = []
+    for error in _worst(packed, effective_tolerances(live.subject)):
+        times = f"{error.excess:.3g} times the tolerance"
+        actual = f"off by {error.error:.3g} at row {error.row}, {times} ({error.probe})"
+        yield f"field {error.field}", actual, _EXPECTED
+    compared = _declared_names(live) if packed else set()
     for name in frames[0].cpu if frames else ():
         if name not in compared:
             yield from _compare_whole(name, frames)
 
 
-def _compare_rows(live: Live, frames: list[Frame]) -> Parity | None:
-    """Compare packed Gaussians of two runs field by field; None for a model without Gaussians."""
-    generator = live.subject.generator
-    if generator is None:
+def _worst(
+    pairs: list[tuple[ModelOutputs, ModelOutputs]], tolerances: Sequence[Tolerance]
+) -> Iterable[FieldError]:
+    """Return the largest excess of each field in which packed rows of two providers differ."""
+    worst: dict[str, FieldError] = {}
+    for cpu, gpu in pairs:
+        if cpu.count == gpu.count:
+            errors = list(field_errors(cpu, gpu, tolerances))
+        else:
+            apart = float(abs(cpu.count - gpu.count))
+            errors = [FieldError(field="count", error=apart, excess=np.inf, probe=cpu.probe)]
+        for error in errors:
+            if error.field not in worst or error.excess > worst[error.field].excess:
+                worst[error.field] = error
+    return worst.values()
+
+
+def _compared_rows(live: Live, frame: Frame) -> tuple[ModelOutputs, ModelOutputs] | None:
+    """Return some rows of both providers; None without packed rows, colours and cells in both."""
+    cpu, gpu = (_model_outputs(live, frame, outputs) for outputs in (frame.cpu, frame.uncaptured))
+    rows, colors, cells = comparable_parts(cpu, gpu)
+    if rows is None or colors is None or (cells is None) != (cpu.cells is None):
         return None
-    references, gpu_outputs = [], []
-    for frame in frames:
-        cpu, gpu = (
-            _model_outputs(live, frame, outputs) for outputs in (frame.cpu, frame.uncaptured)
+    row_numbers, cell_numbers = _some_rows(cpu)
+    live_rows = int(np.count_nonzero(row_numbers < cpu.count))
+    first, second = (
+        replace(
+            outputs,
+            gaussians=rows[side][row_numbers],
+            appearance=colors[side][row_numbers],
+            cells=None if cells is None else cells[side][cell_numbers],
+            count=live_rows if outputs.count == cpu.count else outputs.count,
         )
-        space = cpu.declared.space if cpu.declared else None
-        if cpu.gaussians is None or cpu.appearance is None or space is None:
-            return None
-        if gpu.gaussians is None or gpu.appearance is None:
-            return None
-        rows, cells = _some_rows(cpu)
-        if cells is not None and gpu.cells is None:
-            return None
-        try:
-            expected = layout.decode(cpu.gaussians[rows], cpu.appearance[rows], space)
-        except LayoutMismatch:
-            return None
-        alive = int(np.count_nonzero(rows < cpu.count))
-        count = alive if gpu.count == cpu.count else gpu.count
-        output = ModelOutput(gpu.gaussians[rows], gpu.appearance[rows], count)
-        reference = Reference(frame.probe, expected, alive)
-        if cells is not None and cpu.cells is not None and gpu.cells is not None:
-            reference = replace(reference, cells=layout.decode_cells(cpu.cells[cells]))
-            output = replace(output, cells=gpu.cells[cells])
-        references.append(reference)
-        gpu_outputs.append(output)
-    return compare(references, gpu_outputs, as_tolerances(live.subject), roundings=2)
+        for side, outputs in enumerate((cpu, gpu))
+    )
+    return first, second
 
 
 def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
