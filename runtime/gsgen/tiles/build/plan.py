@@ -127,9 +127,11 @@ def make_partitions(
     while pending:
         group = pending.pop()
         cell = group[0]
+        # Case 1: the cells fit one partition, or cannot be divided.
         if len(group) > 1 or total[cell] <= limit or cell not in children:
             add(group, sum(total[member] for member in group), anchored=False)
             continue
+        # Case 2: divide the cell; splats that are too large for its children are a partition.
         top.append(cell)
         below = sorted(children[cell])
         runs = group_small([total[child] for child in below], leaf)
@@ -187,6 +189,7 @@ def partition_of(
         for location in partition.locations:
             key = depth_of(location), partition.anchored
             groups.setdefault(key, []).append((location, partition.index))
+    # One binary search a depth; a partition of large splats takes those anchored at its depth.
     for (depth, anchored), members in groups.items():
         members.sort()
         known = np.array([location for location, _ in members], np.uint64)

@@ -123,6 +123,7 @@ class SimulatedLink:
         """
         while True:
             now = self._clock.now()
+            # 1. Deliver a transfer that is complete.
             active = [entry for entry in self._transfers if entry.start <= now]
             done = [entry for entry in active if entry.remaining <= _DONE]
             if done:
@@ -130,12 +131,14 @@ class SimulatedLink:
                 return Delivery(done[0].tile, now)
             if now >= until:
                 return None
+            # 2. Find the next moment at which a rate changes, or a transfer begins or ends.
             share = self._trace.rate(now) / max(len(active), 1)
             waiting = [entry.start for entry in self._transfers if entry.start > now]
             moment = min([until, self._trace.next_change(now), *waiting])
             if active and share > 0:
                 least = min(entry.remaining for entry in active)
                 moment = min(moment, max(now + least / share, math.nextafter(now, math.inf)))
+            # 3. Move all transfers to that moment; until then each has an equal share of the rate.
             for entry in active:
                 spent = share * (moment - now)
                 left = entry.remaining - spent

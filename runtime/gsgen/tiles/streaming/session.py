@@ -280,19 +280,23 @@ class TilesetSession:
         """Return the tiles to upload and to draw now, without waiting for the network."""
         time = self._clock.now()
         self._frustum = frustum
+        # 1. Take what arrived, and select the tiles that this camera needs.
         received = self._receive(time)
         cut = self._fitting_cut(frustum)
         needed = cut.seen | (self._fades.values > 0)
         if self._partial:
             needed[self._partial.tile] = True
+        # 2. Upload arrivals; tiles that are not needed leave for them.
         self._residents.frame(time, needed)
         evicted, arrivals = self._upload(time, cut)
         dead = self._dead(time)
         there = self._residents.resident | self._is_empty
         if self._partial and not self._partial.is_upgrade:
             there[self._partial.tile] = False
+        # 3. Request what is missing.
         self._recorder.frame(time, cut, there)
         self._request(time, cut, there | dead)
+        # 4. Draw the tiles that are there in place of those that are not.
         drawn = drawable_tiles(self.tree, cut, there)
         self._fades.frame(time, drawn, cut.seen)
         fades = self._fades.values

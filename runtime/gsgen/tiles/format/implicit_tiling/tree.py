@@ -164,10 +164,11 @@ def _expand_subtree(
     content_rows = [np.cumsum(bits) - 1 for bits in subtree.contents]
     coordinates = _coordinates(tree, origin, available)
     first_below = tile_count(tree.branching, tree.subtree_levels)
+    # Tiles stand breadth first: from the last one back, children are built before their parent.
     built: dict[int, Tile] = {}
     for index in reversed([int(entry) for entry in available]):
         children = [index * tree.branching + 1 + k for k in range(tree.branching)]
-        if children[0] < first_below:
+        if children[0] < first_below:  # within this subtree; else the roots of other subtrees
             below = [built.pop(child) for child in children if child in built]
         else:
             below = list(

@@ -169,12 +169,14 @@ def _implicit_root(
 
 def _subtrees(cells: list[_Cell], levels: int, quality: int) -> Iterable[tuple[str, bytes]]:
     """Yield the URI and bytes of every subtree file of an implicit octree."""
+    # 1. Group cells by the root of their subtree: its level, and its place on that level.
     groups: dict[tuple[int, tuple[int, int, int]], list[_Cell]] = {}
     for cell in cells:
         level = cell.record.level
         top = level - level % levels
         x, y, z = (value >> (level - top) for value in cell.record.coordinates)
         groups.setdefault((top, (x, y, z)), []).append(cell)
+    # 2. Write each group with the subtrees that begin below its last level.
     for (top, (x, y, z)), members in sorted(groups.items()):
         below = [
             child
@@ -203,17 +205,18 @@ def _subtree(
         )
         return tile_count(_BRANCHING, depth) + morton((local[0], local[1], local[2]))
 
+    # Bits and rows of property tables are in breadth-first order, in Morton order on each level.
     ordered = sorted(members, key=lambda cell: index(cell.record.level, cell.record.coordinates))
     indices = [index(cell.record.level, cell.record.coordinates) for cell in ordered]
     filled = [cell for cell in ordered if cell.record.contents]
     content_indices = [index(c.record.level, c.record.coordinates) for c in filled]
     first = tile_count(_BRANCHING, levels)
-    hanging = [index(top + levels, child) - first for child in below]
+    children = [index(top + levels, child) - first for child in below]
     writer = _SubtreeWriter()
     document: JsonDict = {
         "tileAvailability": writer.bits(indices, first),
         "contentAvailability": [writer.bits(content_indices, first)],
-        "childSubtreeAvailability": writer.bits(hanging, _BRANCHING**levels),
+        "childSubtreeAvailability": writer.bits(children, _BRANCHING**levels),
         "tileMetadata": 0,
         "propertyTables": [writer.table(TILE_CLASS, len(ordered), _tile_columns(ordered))],
     }
