@@ -222,7 +222,7 @@ def test_results_that_do_not_fit_are_run_again(monkeypatch) -> None:
     single = EagerRuns(module, probes)[0]
     module.runs = 0
     monkeypatch.setattr(eager_reference, "KEPT_BYTES", 2 * single.nbytes)
-    runs = EagerRuns(module, probes[:1], [single]) + EagerRuns(module, probes[1:])
+    runs = EagerRuns(module, probes[:1], [single]).at(probes)
     assert [reference.probe for reference in runs] == probes
     assert module.runs == 2
     assert references_equal(runs[0], single)

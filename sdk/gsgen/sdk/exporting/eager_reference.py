@@ -39,49 +39,39 @@ class EagerRuns:
     Args:
         generator: The module.
         probes: The inputs of each run.
-        known: Results of the first probes.
+        known: Results for some of the probes.
     """
 
     def __init__(
         self, generator: GaussianGenerator, probes: Sequence[Probe], known: Sequence[Reference] = ()
     ) -> None:
         self.generator, self.probes = generator, tuple(probes)
-        self._kept: dict[int, Reference] = {}
-        self._room = KEPT_BYTES
-        for index, reference in enumerate(known):
-            self._keep(index, reference)
+        self._known = list(known)
 
     def __len__(self) -> int:
         return len(self.probes)
 
     def __getitem__(self, index: int) -> Reference:
-        index %= len(self.probes)
-        if index in self._kept:
-            return self._kept[index]
-        reference = run_eager(self.generator, self.probes[index])
-        self._keep(index, reference)
+        probe = self.probes[index]
+        for reference in self._known:
+            if reference.probe is probe:
+                return reference
+        reference = run_eager(self.generator, probe)
+        if sum(known.nbytes for known in self._known) + reference.nbytes <= KEPT_BYTES:
+            self._known.append(reference)
         return reference
 
     def __iter__(self) -> Iterator[Reference]:
         return (self[index] for index in range(len(self)))
 
-    def __add__(self, other: "EagerRuns") -> "EagerRuns":
-        """Concatenate two lists of test inputs, with torch outputs where already computed."""
-        joined = EagerRuns(self.generator, (*self.probes, *other.probes))
-        for index, reference in self._kept.items():
-            joined._keep(index, reference)
-        for index, reference in other._kept.items():
-            joined._keep(len(self) + index, reference)
-        return joined
-
-    def select(self, indices: Iterable[int]) -> "EagerRuns":
-        """Return the test inputs at some indices, with torch outputs where already computed."""
-        chosen = [int(index) for index in indices]
-        selected = EagerRuns(self.generator, [self.probes[index] for index in chosen])
-        for position, index in enumerate(chosen):
-            if index in self._kept:
-                selected._keep(position, self._kept[index])
-        return selected
+    def at(self, probes: Sequence[Probe]) -> "EagerRuns":
+        """Return the runs at other test inputs, with the results of those already computed."""
+        known = [
+            reference
+            for reference in self._known
+            if any(reference.probe is probe for probe in probes)
+        ]
+        return EagerRuns(self.generator, probes, known)
 
     def has_inputs_of(self, other: "EagerRuns") -> bool:
         """Return whether two sets of eager torch runs have bit-identical test inputs."""
@@ -90,11 +80,6 @@ class EagerRuns:
             for a, b in zip(self.probes, other.probes, strict=True)
             for name, array in a.inputs.items()
         )
-
-    def _keep(self, index: int, reference: Reference) -> None:
-        if reference.nbytes <= self._room:
-            self._room -= reference.nbytes
-            self._kept[index] = reference
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe, *, checked: bool = True) -> Reference:

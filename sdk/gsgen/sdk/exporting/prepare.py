@@ -102,13 +102,14 @@ def prepare(
     references, example = first_runs, first_probes[0]
     if generator.inputs:
         # Cameras orbit the bounds, so they are placed a second time, around the measured bounds.
-        placed = EagerRuns(generator, probes_of(manifest, count=BOUNDS_PROBES))
+        placed = first_runs.at(probes_of(manifest, count=BOUNDS_PROBES))
         every = first_runs if placed.has_inputs_of(first_runs) else placed
         manifest = replace(manifest, bounds=measure_bounds(chain(first_runs, every)))
         # Bounds need every probe that the validator has; a quick comparison takes some of them.
         indices = np.linspace(1, len(every) - 1, compared).round().astype(int)
-        far = EagerRuns(generator, tuple(_far_probes(manifest)))
-        references, example = every.select([0, *indices]) + far, every.probes[1]
+        compared_probes = [every.probes[index] for index in (0, *indices)]
+        references = every.at([*compared_probes, *_far_probes(manifest)])
+        example = every.probes[1]
     return Prepared(
         generator=generator,
         manifest=manifest,
