@@ -56,6 +56,7 @@ class Plan:
         layers: Image layers that the caller writes, into inputs; only for sorted colours.
 
     Attributes:
+        image: The images to draw.
         stages: Steps of a frame, by stage.
         buffers: Buffers of the plan, by name.
         clears: Buffers whose bytes are zero at the start of a frame, from an offset on; None for
@@ -85,7 +86,7 @@ class Plan:
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
-        self._image, self._method = image, method
+        self.image, self._method = image, method
         self._tiles = image.tiles(kernels.cut.tile)
         n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
@@ -216,7 +217,7 @@ class Plan:
                 pair_capacity=self._method.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],
             ),
-            panorama=self._image.panorama,
+            panorama=self.image.panorama,
             records=self._records,
         )
         stages |= tile_stages
@@ -233,23 +234,23 @@ class Plan:
 
     def _lay_inputs(self, count: int) -> Layers:
         """Allocate GPU buffers for image layers (colours and depths) that the application fills."""
-        layers = allocate_layers(self._storage, count, self._image.size, normal=False)
+        layers = allocate_layers(self._storage, count, self.image.size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
         return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
         """Record drawing the meshes; return dispatches that copy the pixels to an image layer."""
-        self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._image.size))
-        self._meshes = self._kernels.meshes(panorama=self._image.panorama).step(
-            self._image.size, meshes, self._mesh_slots, self._mesh_rays, self._layers
+        self._mesh_rays = self._storage("rays of meshes", 8 * sum(self.image.size))
+        self._meshes = self._kernels.meshes(panorama=self.image.panorama).step(
+            self.image.size, meshes, self._mesh_slots, self._mesh_rays, self._layers
         )
         return list(self._meshes.layers)
 
     def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
         kernel = self._kernels.quads(
-            tested=self._meshes is not None, panorama=self._image.panorama, records=self._records
+            tested=self._meshes is not None, panorama=self.image.panorama, records=self._records
         )
-        size = self._image.size
+        size = self.image.size
         self.images["color"] = self._storage("color image", kernel.row_bytes(size[0]) * size[1])
         resources = (self._frame, self._counts, order, *self._splats, colors)
         image = self.images["color"]
@@ -275,21 +276,21 @@ class Plan:
                 self._counts,
                 self._slots,
                 normals,
-                panorama=self._image.panorama,
+                panorama=self.image.panorama,
                 records=self._records,
             )
             return {
-                "keys": self.slabs.key_steps(outputs, self._slots, panorama=self._image.panorama),
+                "keys": self.slabs.key_steps(outputs, self._slots, panorama=self.image.panorama),
                 "tally": self.slabs.tally_steps(self._slots),
                 "project": steps,
             }
         recorded = list[Step]()
         for slot, (_, page) in enumerate(placed):
             if page.slots is not None:
-                cull = self._kernels.cull_slots(page, panorama=self._image.panorama)
+                cull = self._kernels.cull_slots(page, panorama=self.image.panorama)
                 recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
             kernel = self._kernels.project(
-                page, panorama=self._image.panorama, records=self._records
+                page, panorama=self.image.panorama, records=self._records
             )
             recorded.append(kernel.step((*outputs, *digits), self._slots, slot, page))
         if normals is not None:
@@ -322,16 +323,16 @@ class Plan:
         )
 
     def _blend(self, name: Output, members: Buffer, colors: Buffer) -> Step:
-        self.images[name] = self._storage(f"{name} image", VEC4 * self._image.pixels)
+        self.images[name] = self._storage(f"{name} image", VEC4 * self.image.pixels)
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
         kernel = self._kernels.blend(
             name,
-            panorama=self._image.panorama,
+            panorama=self.image.panorama,
             layers=layers.count if layers else 0,
             records=self._records,
-            steep=self._image.dilation == "small",
+            steep=self.image.dilation == "small",
             carried=self.slabs is not None,
         )
         among = None
@@ -454,7 +455,7 @@ class Plan:
     def readback(self) -> FrameReadback:
         """Return a new readback of a frame's GPU counters and images."""
         return FrameReadback(
-            self._device, self._kernels, self._held, self.images, self._image.size, self._origins
+            self._device, self._kernels, self._held, self.images, self.image.size, self._origins
         )
 
     def collect(self, *, fetch: bool = True, state: SlabState | None = None) -> Drawing:

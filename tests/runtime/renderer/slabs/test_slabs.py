@@ -47,7 +47,7 @@ def test_layers_in_bands(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(renderer.device, "largest_binding", two_layers_of_32_rows)
     monkeypatch.setattr(renderer, "_pairs", two_layers_of_32_rows // 4)
     assert np.array_equal(renderer.render(scene, view).rgba, expected)
-    assert renderer._plan._size == (view.width, view.height % 32)  # of the last band
+    assert renderer._plan.image.size == (view.width, view.height % 32)  # of the last band
 
 
 def test_a_panorama_in_bands(renderers: tuple[Renderer, Renderer]) -> None:

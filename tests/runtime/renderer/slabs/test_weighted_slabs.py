@@ -68,7 +68,7 @@ def test_ten_thousand_gaussians_are_those_of_the_oracle(
 def test_slabs_in_bands(renderers: tuple[Renderer, Renderer]) -> None:
     view = camera(width=32, height=75)
     compare(renderers, crowd(), view)
-    assert renderers[1]._plan._size == (32, 75 % 32)  # of the last band
+    assert renderers[1]._plan.image.size == (32, 75 % 32)  # of the last band
 
 
 @pytest.mark.parametrize(("cells", "per_cell"), [(MOST // 4, 4), (MOST // 4 + 1, 4)])
