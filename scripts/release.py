@@ -1,4 +1,4 @@
-"""Check what is released: the working tree before the build, and the wheel after it.
+"""Check a release: the working tree before the build, and the wheel after it.
 
     python scripts/release.py tree          version, changelog, placeholders, tag, changes
     python scripts/release.py wheel FOLDER  installs the wheel of a folder, measures and runs it

@@ -2,7 +2,7 @@
 
 Usage: ``python scripts/write_operator_tables.py MEASURED.json``. The measurement runs each operator
 between two Mul nodes with graph capture on, and says for each runtime, operator, variant, dtype and
-operator set what became of it. The tables keep what a graph can be asked: variants that a node
+operator set the outcome. The tables keep what a graph can be asked: variants that a node
 does not show are merged, and an operator set is named only where the outcome changes.
 """
 
@@ -36,7 +36,7 @@ VARIANTS = {
     ("ScatterND", "red=add idx init"): "add",
     ("ScatterElements", "red=add idx init"): "add",
 }
-# Arguments that decide shapes: a rule of their own judges these, whatever the kernel.
+# Arguments that decide shapes: a rule of their own checks these for every kernel.
 LEFT_OUT = {("Slice", "starts i64 runtime input")}
 # Where variants that no graph tells apart disagree, the better one stands: no false alarm.
 ORDER = ("capture", "stale", "wrong", "cpu", "run_error", "error", "control_flow")

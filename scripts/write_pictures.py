@@ -67,7 +67,7 @@ class Block:
         name: Of the picture or the script.
         language: ``bash`` or ``python``.
         text: The code.
-        parts: Files that the picture is put together from; none where it is no picture.
+        parts: Files that the picture is put together from; empty for a script.
         columns: How many of them stand in a row; 0 for all.
         enlarged: How many pixels one becomes, each way.
         needs: A file of data without which it cannot run; empty for none.

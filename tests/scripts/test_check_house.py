@@ -20,8 +20,8 @@ CASES = {
         {f"sdk/room/m{n}.py": "" for n in range(15)} | {"sdk/room/__init__.py": ""},
     ),
     "lengths": (
-        {"sdk/a.py": "def f():\n" + "    pass\n" * 80},
-        {"sdk/a.py": "def f():\n" + "    pass\n" * 79},
+        {"sdk/a.py": 'def f():\n    """Do it."""\n' + "    pass\n" * 81},
+        {"sdk/a.py": 'def f():\n    """Do it."""\n' + "    pass\n" * 80},
     ),
     "placeholders": (
         {"sdk/a.py": "def f(count):\n    made_2 = made = _kept2 = count\n"},

@@ -70,8 +70,7 @@ def _blend(
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
     through, depth = np.ones((height, width)), np.zeros((height, width))
     median = np.full((height, width), np.inf)
-    ids = np.full((height, width), -1)
-    finished = np.zeros((height, width), bool)
+    ids, finished = np.full((height, width), -1), np.zeros((height, width), bool)
     fragile, fragile_median = walls.fragile | veil.fragile, finished.copy()
     waiting = np.isfinite(veil.depth)
     close = _ties(splats.depth)
@@ -123,9 +122,8 @@ def _blend(
         ids[window] = np.where(halved, splats.index[i], ids[window])
         fragile_median[window] |= hit & (np.abs(after - 0.5) <= BAND)
         through[window] = np.where(drawn, after, before)
-    # Step 7: behind all splats come the layer and the meshes.
+    # Step 7: behind all splats come the layer, and the meshes, which take the remaining light.
     _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
-    # The remaining light goes to the meshes, which are opaque.
     wall = np.isfinite(walls.depth)
     remaining = np.where(wall, through, 0)
     color += remaining[..., None] * walls.color
@@ -133,12 +131,11 @@ def _blend(
     depth += remaining * np.where(wall, walls.depth, 0)
     median = np.where(wall & (through >= 0.5), walls.depth, median)
     through = through - remaining
-    alpha_all = 1 - through
-    covered = alpha_all > 0
+    covered = through < 1
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     return Picture(
         rgba=_over(background, color, through),
-        depth=np.where(covered, depth / np.where(covered, alpha_all, 1), np.inf),
+        depth=np.where(covered, depth / np.where(covered, 1 - through, 1), np.inf),
         median_depth=median,
         ids=ids,
         normal=normal / np.where(size > 0, size, 1),
