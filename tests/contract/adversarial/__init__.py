@@ -6,7 +6,4 @@ module for each family of mistakes, and ``right`` the right ones, a module for e
 all of them::
 
     PYTHONPATH=tests python -m contract.adversarial
-
-``first_run.json`` and ``later_run.json`` are the first measurements of ``faults`` and of
-``later_faults``, each taken before any rule was changed for it.
 """

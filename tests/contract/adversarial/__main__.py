@@ -1,14 +1,12 @@
 """Measures the validator on the whole set, or on models whose names contain a word."""
 
 import argparse
-from pathlib import Path
 
 from contract.adversarial.case import all_faults, all_right_models
-from contract.adversarial.runner import as_json, measure, table
+from contract.adversarial.runner import measure, table
 
 parser = argparse.ArgumentParser(prog="python -m contract.adversarial")
 parser.add_argument("word", nargs="?", default="", help="only models with this in their name")
-parser.add_argument("--write", type=Path, help="write counts and verdicts as JSON")
 parser.add_argument("--texts", action="store_true", help="show first findings")
 options = parser.parse_args()
 
@@ -24,5 +22,3 @@ for model in result.models:
         print(f"{model.name}: {model.first} {model.first_text}")
 print()
 print(table(result))
-if options.write:
-    options.write.write_text(as_json(result), "utf-8")

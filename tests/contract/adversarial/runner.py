@@ -1,12 +1,12 @@
 """Builds every model of the set, judges it, and sums up in a table."""
 
-__all__ = ["Measured", "Measurement", "as_json", "measure", "summary", "table", "write_model"]
+__all__ = ["Measured", "Measurement", "measure", "summary", "table", "write_model"]
 
 import json
 import re
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -227,13 +227,3 @@ def _line(model: Measured) -> str:
     mark = "ok  " if fine else "MISS"
     speaking = ", ".join([*model.errors, *model.warnings]) or "no finding"
     return f"{mark} {model.sort:<10}{model.name:<54}{model.verdict:<10}{speaking}"
-
-
-def as_json(measurement: Measurement) -> str:
-    """Return counts and one entry for each model as JSON."""
-    models = []
-    for model in measurement.models:
-        entry = asdict(model)
-        del entry["first_text"], entry["broken_promises"]
-        models.append(entry)
-    return json.dumps({"summary": summary(measurement), "models": models}, indent=1) + "\n"

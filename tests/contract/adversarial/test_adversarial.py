@@ -1,9 +1,8 @@
-"""Measures the validator on the adversarial set, and compares with the first measurement.
+"""Measures the validator on the adversarial set.
 
 Every fourth model is measured, and all of them in the nightly tests.
 """
 
-import json
 import re
 from pathlib import Path
 
@@ -12,14 +11,11 @@ import pytest
 from contract.adversarial.case import Fault, RightModel, all_faults, all_right_models
 from contract.adversarial.runner import Measurement, measure, summary, table
 
-HERE = Path(__file__).parent
-SPECIFICATION = HERE.parents[2] / "docs" / "spec"
-FIRST_RUNS = [
-    json.loads((HERE / name).read_text("utf-8"))
-    for name in ("first_run.json", "later_run.json", "third_run.json")
-]
+SPECIFICATION = Path(__file__).parents[3] / "docs" / "spec"
 # The share of decidable faults that are refused with the right cause first.
 BAR = 0.98
+# The share of heuristic faults that a finding names.
+HEURISTIC_BAR = 0.85
 
 
 def sampled(cases: tuple[Fault, ...] | tuple[RightModel, ...], step: int) -> list:
@@ -101,45 +97,10 @@ def test_decidable_faults_are_refused_with_the_right_cause_first(measurement: Me
     assert counts[right_cause] >= BAR * decidable, missed
 
 
-def test_the_verdict_is_at_least_as_true_as_at_first(
+def test_heuristic_faults_are_named(
     measurement: Measurement, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with capsys.disabled():
         print("\n" + table(measurement))
-    now, first = summary(measurement), first_counts({model.name for model in measurement.models})
-    for key, whole in (
-        ("decidable_refused", "decidable"),
-        ("decidable_refused_with_right_cause_first", "decidable"),
-        ("heuristic_named", "heuristic"),
-    ):
-        assert now[key] / now[whole] >= first[key] / first[whole], key
-
-
-def first_counts(names: set[str]) -> dict[str, int]:
-    """Return the counts of the first measurement, of the models ``names`` alone."""
-    models = [model for run in FIRST_RUNS for model in run["models"] if model["name"] in names]
-    decidable = [model for model in models if model["sort"] == "decidable"]
-    heuristic = [model for model in models if model["sort"] == "heuristic"]
-    refused = [model for model in decidable if model["verdict"] in ("invalid", "unreadable")]
-    return {
-        "decidable": len(decidable),
-        "heuristic": len(heuristic),
-        "decidable_refused": len(refused),
-        "decidable_refused_with_right_cause_first": sum(m["cause_first"] for m in refused),
-        "heuristic_named": sum(model["cause_named"] for model in heuristic),
-    }
-
-
-@pytest.mark.parametrize("run", FIRST_RUNS, ids=["first", "later", "third"])
-def test_the_first_measurements_count_what_they_list(run) -> None:
-    models, counts = run["models"], run["summary"]
-    for sort in ("decidable", "heuristic", "right"):
-        assert counts[sort] == sum(model["sort"] == sort for model in models)
-    decidable = [model for model in models if model["sort"] == "decidable"]
-    refused = [m for m in decidable if m["verdict"] in ("invalid", "unreadable")]
-    assert counts["decidable_refused"] == len(refused)
-    assert counts["decidable_refused_with_right_cause_first"] == sum(
-        model["cause_first"] for model in refused
-    )
-    heuristic = [model for model in models if model["sort"] == "heuristic"]
-    assert counts["heuristic_named"] == sum(model["cause_named"] for model in heuristic)
+    counts = summary(measurement)
+    assert counts["heuristic_named"] >= HEURISTIC_BAR * counts["heuristic"]

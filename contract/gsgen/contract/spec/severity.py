@@ -3,6 +3,7 @@
 __all__ = ["Level", "Severity"]
 
 from enum import IntEnum
+from typing import Self
 
 from gsgen.contract.errors import UnknownName
 
@@ -20,6 +21,13 @@ class _Named(IntEnum):
         """The lower-case names of all members of an enumeration, lowest first."""
         return tuple(member.word for member in cls)
 
+    @classmethod
+    def parse(cls, word: str, where: str = "") -> Self:
+        """Return the severity or level called ``word``; raise UnknownName if it is unknown."""
+        if word.lower() not in cls.words():
+            raise UnknownName.among(cls.__name__.lower(), word, cls.words(), where)
+        return cls[word.upper()]
+
 
 class Severity(_Named):
     """The severity of a rule's violation, from info to error."""
@@ -27,13 +35,6 @@ class Severity(_Named):
     INFO = 1
     WARNING = 2
     ERROR = 3
-
-    @classmethod
-    def parse(cls, word: str, where: str = "") -> "Severity":
-        """Return the severity called ``word``; raise UnknownName if it is unknown."""
-        if word.lower() not in cls.words():
-            raise UnknownName.among("severity", word, cls.words(), where)
-        return cls[word.upper()]
 
 
 class Level(_Named):
@@ -44,10 +45,3 @@ class Level(_Named):
     BEHAVIOUR = 3
     LIVE = 4
     RENDER = 5
-
-    @classmethod
-    def parse(cls, word: str, where: str = "") -> "Level":
-        """Return the validation level called ``word``; raise UnknownName if it is unknown."""
-        if word.lower() not in cls.words():
-            raise UnknownName.among("level", word, cls.words(), where)
-        return cls[word.upper()]
