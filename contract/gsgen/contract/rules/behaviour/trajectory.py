@@ -44,7 +44,7 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Every predicted standard deviation, or every variance on the diagonal, is above 0.
 
     Why:
-        A prefetcher spreads sigma points by it. Zero claims certainty, which no camera path
+        A viewer may weigh predictions by it. Zero claims certainty, which no camera path
         allows, and a negative number is usually the logarithm of a variance.
 
     Hint:
