@@ -1,152 +1,79 @@
-"""The autoencoder between images and latents (AutoencoderKL of diffusers).
+"""The autoencoder between images and latents: that of diffusers, with Difix's skip connections.
 
-That of Difix also has skip connections from the levels of the encoder to those of the decoder (Wu et al. 2025 take them from Parmar et al. 2024, "One-Step Image
-Translation with Text-to-Image Models").
+The skip connections lead from the levels of the encoder to those of the decoder (Wu et al. 2025
+take them from Parmar et al. 2024, "One-Step Image Translation with Text-to-Image Models").
 """
 
-__all__ = ["SKIP", "Autoencoder"]
+__all__ = ["SKIP", "Autoencoder", "autoencoder_of"]
 
 from collections.abc import Sequence
+from typing import Any
 
-import torch.nn.functional as F  # noqa: N812
+from diffusers import AutoencoderKL
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.diffusion.blocks import Downsample, ImageAttention, Residual, Upsample
+from gsgen.reference_plugins.diffusion.model_config import ModelConfig, arguments_of
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions
 
-_EPS = 1e-6
 # Name of the convolutions of skip connections; a number follows, from 1 for the coarsest.
 SKIP = "skip_conv_"
 
 
-class _Level(nn.Module):
-    """Residual blocks of one image resolution, then a change of resolution."""
-
-    def __init__(self, options: AutoencoderOptions, inputs: int, outputs: int, layers: int) -> None:
-        super().__init__()
-        self.resnets = nn.ModuleList(
-            _residual(options, inputs if i == 0 else outputs, outputs) for i in range(layers)
-        )
-        self.downsamplers: nn.ModuleList | None = None
-        self.upsamplers: nn.ModuleList | None = None
-
-    def forward(self, image: Tensor) -> Tensor:
-        for block in self.resnets:
-            image = block(image)
-        for sampler in (self.downsamplers, self.upsamplers):
-            image = image if sampler is None else sampler[0](image)
-        return image
-
-
-class _Middle(nn.Module):
-    def __init__(self, options: AutoencoderOptions) -> None:
-        super().__init__()
-        width = options.channels[-1]
-        self.resnets = nn.ModuleList(_residual(options, width, width) for _ in range(2))
-        self.attends = options.attends
-        if options.attends:
-            self.attentions = nn.ModuleList(
-                [ImageAttention(width, 1, width, groups=options.groups, eps=_EPS)]
-            )
-
-    def forward(self, image: Tensor) -> Tensor:
-        image = self.resnets[0](image)
-        if self.attends:
-            image = self.attentions[0](image)
-        output: Tensor = self.resnets[1](image)
-        return output
-
-
-def _residual(options: AutoencoderOptions, inputs: int, outputs: int) -> Residual:
-    return Residual(inputs, outputs, groups=options.groups, eps=_EPS)
-
-
-class _Encoder(nn.Module):
-    def __init__(self, options: AutoencoderOptions) -> None:
-        super().__init__()
-        channels = options.channels
-        self.conv_in = nn.Conv2d(options.inputs, channels[0], 3, padding=1)
-        self.down_blocks = nn.ModuleList()
-        for index, outputs in enumerate(channels):
-            level = _Level(options, channels[max(index - 1, 0)], outputs, options.layers)
-            if index < len(channels) - 1:
-                level.downsamplers = nn.ModuleList([Downsample(outputs, padding=0)])
-            self.down_blocks.append(level)
-        self.mid_block = _Middle(options)
-        self.conv_norm_out = nn.GroupNorm(options.groups, channels[-1], eps=_EPS)
-        self.conv_out = nn.Conv2d(channels[-1], 2 * options.latent, 3, padding=1)
-
-    def forward(self, image: Tensor) -> tuple[Tensor, list[Tensor]]:
-        image = self.conv_in(image)
-        entered = []
-        for level in self.down_blocks:
-            entered.append(image)
-            image = level(image)
-        moments: Tensor = self.conv_out(F.silu(self.conv_norm_out(self.mid_block(image))))
-        return moments, entered
-
-
-class _Decoder(nn.Module):
-    def __init__(self, options: AutoencoderOptions) -> None:
-        super().__init__()
-        channels = options.channels[::-1]
-        self.conv_in = nn.Conv2d(options.latent, channels[0], 3, padding=1)
-        self.mid_block = _Middle(options)
-        self.up_blocks = nn.ModuleList()
-        for index, outputs in enumerate(channels):
-            level = _Level(options, channels[max(index - 1, 0)], outputs, options.layers + 1)
-            if index < len(channels) - 1:
-                level.upsamplers = nn.ModuleList([Upsample(outputs)])
-            self.up_blocks.append(level)
-        self.conv_norm_out = nn.GroupNorm(options.groups, channels[-1], eps=_EPS)
-        self.conv_out = nn.Conv2d(channels[-1], options.outputs, 3, padding=1)
-        self.skips = options.skips
-        for index in range(0 if options.skips is None else len(channels)):
-            before = channels[max(index - 1, 0)]
-            entered = channels[min(index + 1, len(channels) - 1)]
-            skip = nn.Conv2d(entered, before, 1, bias=False)
-            setattr(self, f"{SKIP}{index + 1}", skip)
-
-    def forward(self, latent: Tensor, entered: Sequence[Tensor] = ()) -> Tensor:
-        image = self.mid_block(self.conv_in(latent))
-        for index, level in enumerate(self.up_blocks):
-            if self.skips is not None:
-                skip = getattr(self, f"{SKIP}{index + 1}")
-                image = image + skip(entered[-1 - index] * self.skips)
-            image = level(image)
-        output: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
-        return output
-
-
-class Autoencoder(nn.Module):
+class Autoencoder(AutoencoderKL, nn.Module):  # type: ignore[misc]
     """An image autoencoder; latents are means, not samples, so that frames are consistent."""
 
-    def __init__(self, options: AutoencoderOptions) -> None:
-        super().__init__()
-        self.options = options
-        before, behind = options.quantised
-        self.encoder, self.decoder = _Encoder(options), _Decoder(options)
-        moments, latent = 2 * options.latent, options.latent
-        self.quant_conv = nn.Conv2d(moments, moments, 1) if before else None
-        self.post_quant_conv = nn.Conv2d(latent, latent, 1) if behind else None
+    options: AutoencoderOptions
+    encoder: Any
+    decoder: Any
+    quant_conv: Any
+    post_quant_conv: Any
 
     def encode(
         self, image: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b l i j"], list[Tensor]]:
         """Return the latent of an image, scaled for the U-Net, and the skip connections."""
-        moments, entered = self.encoder(image)
+        encoder, entered = self.encoder, []
+        features = encoder.conv_in(image)
+        for level in encoder.down_blocks:
+            entered.append(features)
+            features = level(features)
+        features = encoder.conv_norm_out(encoder.mid_block(features))
+        moments: Tensor = encoder.conv_out(encoder.conv_act(features))
         if self.quant_conv is not None:
             moments = self.quant_conv(moments)
-        mean: Tensor = moments[:, : self.options.latent]
+        mean = moments[:, : self.options.latent]
         return (mean - self.options.shift) * self.options.scale, entered
 
     def decode(
         self, latent: Float[Tensor, "b l i j"], entered: Sequence[Tensor] = ()
     ) -> Float[Tensor, "b c h w"]:
         """Decode a latent, with the skip connections of the encoder, to an image."""
+        decoder = self.decoder
         unscaled = latent / self.options.scale + self.options.shift
         if self.post_quant_conv is not None:
             unscaled = self.post_quant_conv(unscaled)
-        image: Tensor = self.decoder(unscaled, entered)
+        features = decoder.mid_block(decoder.conv_in(unscaled))
+        for index, level in enumerate(decoder.up_blocks):
+            if self.options.skips is not None:
+                skip = getattr(decoder, f"{SKIP}{index + 1}")
+                features = features + skip(entered[-1 - index] * self.options.skips)
+            features = level(features)
+        image: Tensor = decoder.conv_out(decoder.conv_act(decoder.conv_norm_out(features)))
         return image
+
+
+def autoencoder_of(config: ModelConfig, *, skips: bool = False) -> Autoencoder:
+    """Return the autoencoder that a ``config.json`` of diffusers describes, without weights.
+
+    With ``skips``, it has the skip connections of Difix.
+    """
+    options = AutoencoderOptions.of(config, skips=skips)
+    autoencoder = Autoencoder(**arguments_of(Autoencoder, config))
+    autoencoder.options = options
+    channels = options.channels[::-1]
+    for index in range(len(channels) if skips else 0):
+        before, entered = channels[max(index - 1, 0)], channels[min(index + 1, len(channels) - 1)]
+        skip = nn.Conv2d(entered, before, 1, bias=False)
+        setattr(autoencoder.decoder, f"{SKIP}{index + 1}", skip)
+    return autoencoder

@@ -1,10 +1,11 @@
 """Reads the options of a network from a ``config.json`` of diffusers."""
 
-__all__ = ["ModelConfig", "read_model_config"]
+__all__ = ["ModelConfig", "arguments_of", "read_model_config"]
 
+import inspect
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,17 +69,6 @@ class ModelConfig:
             )
         return tuple(value or ())
 
-    def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
-        """Return an integer option per resolution level; a single number counts for all levels."""
-        if not isinstance(self.values.get(name), list):
-            return (self.integer(name, default),) * levels
-        numbers = self.integers(name)
-        if len(numbers) != levels:
-            raise self.option_error(
-                f"has {len(numbers)} numbers, expected {levels}, one per level", where=name
-            )
-        return numbers
-
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
         """Convert the block type of each network resolution level to the name that gsgen uses."""
         names = self.values.get(name)
@@ -127,3 +117,9 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
         message = f"holds a {type(values).__name__}, expected an object"
         raise CheckpointInvalid(message, where=str(path))
     return ModelConfig(path, values)
+
+
+def arguments_of(network: Callable[..., object], config: ModelConfig) -> dict[str, Any]:
+    """Return the options of a ``config.json`` that are arguments of a network."""
+    known = inspect.signature(network).parameters
+    return {name: value for name, value in config.values.items() if name in known}

@@ -1,4 +1,4 @@
-"""Parses the ``config.json`` of diffusers into options of the networks that gsgen supports."""
+"""Checks the ``config.json`` of diffusers: which networks are supported, and what they take."""
 
 __all__ = ["AutoencoderOptions", "UNetOptions", "VectorOptions"]
 
@@ -10,7 +10,6 @@ _DOWN = {"DownBlock2D": "", "AttnDownBlock2D": "image", "CrossAttnDownBlock2D": 
 _UP = {"UpBlock2D": "", "AttnUpBlock2D": "image", "CrossAttnUpBlock2D": "context"}
 _MID = {"UNetMidBlock2D": "image", "UNetMidBlock2DCrossAttn": "context", None: None}
 _UNCONDITIONAL, _CONDITIONAL = "UNet2DModel", "UNet2DConditionModel"
-_TIME = 4
 
 # Option → its supported values, the default first.
 _REQUIRED = {
@@ -63,31 +62,17 @@ class VectorOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UNetOptions:
-    """The layer sizes and options of a U-Net."""
+    """What a U-Net takes and returns, and how its layers are counted."""
 
     inputs: int  # channels of the image
     outputs: int  # channels of the result
     channels: tuple[int, ...]  # channels of each level, finest first
-    # attention after the residual blocks of each level on the way down: empty for no attention,
-    # ``image`` for self-attention, or ``context`` for a transformer
-    down: tuple[str, ...]
-    middle: str | None  # the same for the middle block; None without a middle block
-    up: tuple[str, ...]  # the same on the way up, coarsest first
+    up: tuple[str, ...]  # attention of each level on the way up, coarsest first: empty for none
     layers: int  # residual blocks of each level
-    heads: tuple[int, ...]  # heads of attention of each level
-    depth: tuple[int, ...]  # transformer blocks of each level
     context: int | None  # length of a conditioning vector; None without conditioning
     groups: int  # groups of every norm
-    eps: float  # epsilon of the norms of residual blocks
-    shrink: float  # divisor of the sums in the middle block
-    shifts: bool  # time scales and shifts norms
-    linear: bool  # transformers project by linear layers
-    padding: int  # padding of the convolutions of stride 2
-    kernels: tuple[int, int]  # kernel sizes of the first and the last convolution
     flip: bool  # cosines of the time come before its sines
     shift: float  # number subtracted from the number of frequencies
-    centre: bool  # the image is converted from 0 … 1 to −1 … 1 first
-    attends: bool  # the middle block has attention
     sample: tuple[int, int] | None  # height and width of training samples, if known
     vector: VectorOptions | None  # options of the vector that is added to the embedded time, if any
 
@@ -117,74 +102,27 @@ class UNetOptions:
             inputs=config.integer("in_channels", 4 if conditional else 3),
             outputs=config.integer("out_channels", 4 if conditional else 3),
             channels=channels,
-            down=down,
-            middle=middle,
             up=up,
             layers=config.integer("layers_per_block", 2),
-            heads=_heads_per_level(config, channels, conditional=conditional),
-            depth=config.per_level("transformer_layers_per_block", levels, 1),
             context=context,
             groups=config.integer("norm_num_groups", 32),
-            eps=config.number("norm_eps", 1e-5),
-            shrink=config.number("mid_block_scale_factor", 1.0),
-            shifts=config.values.get("resnet_time_scale_shift") == "scale_shift",
-            linear=config.flag("use_linear_projection", default=False),
-            padding=config.integer("downsample_padding", 1, least=0),
-            kernels=(config.integer("conv_in_kernel", 3), config.integer("conv_out_kernel", 3)),
             flip=config.flag("flip_sin_to_cos", default=True),
             shift=config.number("freq_shift", 0.0),
-            centre=config.flag("center_input_sample", default=False),
-            attends=config.flag("add_attention", default=True),
             sample=config.size("sample_size"),
             vector=VectorOptions.of(config) if conditional else None,
         )
 
-    @property
-    def time(self) -> int:
-        """The length of a U-Net's timestep embedding."""
-        return _TIME * self.channels[0]
-
-
-def _heads_per_level(
-    config: ModelConfig, channels: tuple[int, ...], *, conditional: bool
-) -> tuple[int, ...]:
-    """Return the number of attention heads at each level of a U-Net.
-
-    In conditional U-Nets, ``attention_head_dim`` is this number, in spite of its name.
-    """
-    levels = len(channels)
-    if conditional:
-        name = "num_attention_heads"
-        if config.values.get(name) is None:
-            name = "attention_head_dim"
-        heads = config.per_level(name, levels, 8)
-    elif config.values.get("attention_head_dim", 8) is None:
-        heads = (1,) * levels
-    else:
-        width = config.integer("attention_head_dim", 8)
-        heads = tuple(max(1, count // width) for count in channels)
-    for count, head in zip(channels, heads, strict=True):
-        if count % head:
-            problem = f"{head} heads do not divide {count} channels"
-            raise config.option_error(problem, where="attention_head_dim")
-    return heads
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoencoderOptions:
-    """The layer sizes and options of an image autoencoder (AutoencoderKL)."""
+    """What an image autoencoder (AutoencoderKL) takes and returns."""
 
     inputs: int  # channels of the image
     outputs: int  # channels of the decoded image
     latent: int  # channels of the latent
     channels: tuple[int, ...]  # channels of each level, finest first
-    layers: int  # residual blocks of each level of the encoder; the decoder has one more
-    groups: int  # groups of every norm
     scale: float  # factor of the latent that the U-Net receives
     shift: float  # number subtracted from the latent before scaling
-    attends: bool  # the middle block has attention
-    # whether a 1×1 convolution precedes the latent, and whether one follows it
-    quantised: tuple[bool, bool]
     # factor of the skip connections, which lead the input of each encoder level through a 1×1
     # convolution to the decoder (Difix); None without them
     skips: float | None = None
@@ -212,14 +150,7 @@ class AutoencoderOptions:
             outputs=config.integer("out_channels", 3),
             latent=config.integer("latent_channels", 4),
             channels=channels,
-            layers=config.integer("layers_per_block", 1),
-            groups=config.integer("norm_num_groups", 32),
             scale=config.number("scaling_factor", 0.18215),
             shift=0.0 if shift is None else config.number("shift_factor", 0.0),
-            attends=config.flag("mid_block_add_attention", default=True),
-            quantised=(
-                config.flag("use_quant_conv", default=True),
-                config.flag("use_post_quant_conv", default=True),
-            ),
             skips=config.number("gamma", 1.0) if skips else None,
         )

@@ -19,13 +19,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.diffusion.autoencoder import SKIP, Autoencoder
+from gsgen.reference_plugins.diffusion.autoencoder import SKIP, Autoencoder, autoencoder_of
 from gsgen.reference_plugins.diffusion.lora import Adapter, read_lora
 from gsgen.reference_plugins.diffusion.lora_homes import layers_by_name
 from gsgen.reference_plugins.diffusion.lora_merge import merge
 from gsgen.reference_plugins.diffusion.model_config import ModelConfig, read_model_config
-from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
-from gsgen.reference_plugins.diffusion.unet import UNet
+from gsgen.reference_plugins.diffusion.unet import UNet, unet_of
 from gsgen.reference_plugins.images.difix import Difix, read_difix, split_fused_lora
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.safetensors import read_safetensors
@@ -109,7 +108,7 @@ def read_diffusion(
     """
     change = Difix() if difix is None else read_difix(difix)
     unet_folder = folder / "unet" if (folder / "unet").is_dir() else folder
-    unet = _network(unet_folder, _unet, change.unet, difix)
+    unet: _Read[UNet] = _network(unet_folder, lambda config, _: unet_of(config), change.unet, difix)
     read: list[_Read[Any]] = [unet]
     autoencoder = None
     if vae is not None or (folder / "vae").is_dir():
@@ -162,7 +161,8 @@ def _network(
     try:
         with torch.device("meta"):
             module = network(config, weights)
-    except (ValueError, ZeroDivisionError) as error:  # torch rejects a size
+    except (ValueError, TypeError, ZeroDivisionError, NotImplementedError) as error:
+        # Torch rejects a size, or diffusers an option.
         message = f"does not describe a valid network: {error}"
         raise CheckpointInvalid(message, where=str(config.path)) from error
     expected = {name: tuple(value.shape) for name, value in module.state_dict().items()}
@@ -171,13 +171,9 @@ def _network(
     return _Read(module.eval().requires_grad_(False), path, inside)
 
 
-def _unet(config: ModelConfig, _: Mapping[str, Any]) -> UNet:
-    return UNet(UNetOptions.of(config))
-
-
 def _autoencoder(config: ModelConfig, state: Mapping[str, Any]) -> Autoencoder:
     skips = any(name.startswith(f"decoder.{SKIP}") for name in state)
-    return Autoencoder(AutoencoderOptions.of(config, skips=skips))
+    return autoencoder_of(config, skips=skips)
 
 
 def _require_latents(unet: UNet, autoencoder: Autoencoder, unet_folder: Path) -> None:

@@ -7,14 +7,17 @@ The remaining path is described at each step below.
 __all__ = ["BINOMIAL", "COLORS", "Weights", "set_denoising_weights", "set_outline_weights"]
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.images.stylise import Stylise
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.diffusion.unet import UNet
 
 COLORS = 3
 _LIMIT = 1.2  # standard deviations of fine detail; stronger contrasts are edges and stay
@@ -23,7 +26,7 @@ _LIGHT = torch.tensor([0.3, 0.6, 0.1])
 BINOMIAL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
 
 
-def set_denoising_weights(unet: UNet) -> None:
+def set_denoising_weights(unet: "UNet") -> None:
     """Make a U-Net of two levels predict fine detail of low contrast as noise.
 
     The upper level keeps the image, the lower one a blurred copy. The last GroupNorm normalises

@@ -21,9 +21,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
-from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
-from gsgen.reference_plugins.diffusion.unet import UNet
+from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder, autoencoder_of
+from gsgen.reference_plugins.diffusion.unet import UNet, unet_of
 from gsgen.reference_plugins.images.diffusers_writer import (
     SCHEDULE,
     config_of,
@@ -67,12 +66,12 @@ _TIMESTEP = 199
 
 def write_difix(folder: Path) -> Path:
     """Write a synthetic Difix checkpoint, a diffusers base and a ``model.pkl``, to the folder."""
-    coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
+    coder = autoencoder_of(config_of(_VAE))
     scale = coder.options.scale
     _set_identity(coder)
     write_network(folder / "vae", _VAE, coder)
     torch.manual_seed(0)
-    unet = UNet(UNetOptions.of(config_of(_UNET)))
+    unet = unet_of(config_of(_UNET))
     # The base has random weights, as if trained for another task.
     write_network(folder / "unet", _UNET, unet)
     _set_blotch_removal(unet, scale)

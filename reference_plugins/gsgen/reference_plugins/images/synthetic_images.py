@@ -10,9 +10,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
-from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
-from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.images.diffusers_writer import config_of, write_network, write_schedule
 from gsgen.reference_plugins.images.handmade_weights import (
     set_denoising_weights,
@@ -53,16 +50,19 @@ def write_denoiser(
     ``unet`` and ``schedule`` are changed options. With ``latent``, the U-Net works on latents of 4
     channels; with ``smoothing``, it removes fine noise, by weights set by formula.
     """
+    from gsgen.reference_plugins.diffusion.autoencoder import autoencoder_of
+    from gsgen.reference_plugins.diffusion.unet import unet_of
+
     torch.manual_seed(seed)
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
     config = {**_UNET, **channels, **(unet or {})}
-    network = UNet(UNetOptions.of(config_of(config)))
+    network = unet_of(config_of(config))
     _disturb(network)
     if smoothing:
         set_denoising_weights(network)
     write_network(folder / "unet", config, network)
     if latent:
-        coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
+        coder = autoencoder_of(config_of(_VAE))
         _disturb(coder)
         write_network(folder / "vae", _VAE, coder)
     write_schedule(folder, schedule)
