@@ -23,6 +23,8 @@ from pathlib import Path
 
 import grimp
 
+import gsgen  # noqa: F401 - whose path then has all four folders
+
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("contract", "sdk", "runtime", "reference_plugins")
 PUBLIC_GROUPS = {f"gsgen.{name}" for name in "commands fixtures generators rules targets".split()}  # noqa: SIM905

@@ -1,44 +1,43 @@
-"""Lazy imports: where a package finds its public names."""
+"""Public names that a package imports when they are first used."""
 
+import ast
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-INIT = """
-from typing import TYPE_CHECKING
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
-
-if TYPE_CHECKING:
-    import os.path
-    from . import part
-    from lazy_package.part import value
-
-__all__ = ["value", "other"]
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
-"""
+PACKAGES = (
+    "gsgen.contract", "gsgen.conformance", "gsgen.formats", "gsgen.reference_plugins.synthetic",
+    "gsgen.runtime", "gsgen.runtime.baking", "gsgen.sdk", "gsgen.sdk.binding", "gsgen.tiles",
+)  # fmt: skip
 
 
-def test_other_imports_for_type_checkers_are_ignored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "lazy_package"
-    folder.mkdir()
-    (folder / "__init__.py").write_text(INIT)
-    (folder / "part.py").write_text("value = 3")
-    monkeypatch.syspath_prepend(tmp_path)
-    import lazy_package
-
-    assert dir(lazy_package) == ["other", "value"]
-    assert "lazy_package.part" not in sys.modules
-    assert lazy_package.value == 3
-    with pytest.raises(AttributeError, match="'lazy_package' has no attribute 'part_of'"):
-        lazy_package.part_of  # noqa: B018
-
-
-@pytest.mark.parametrize("package", ["gsgen.contract", "gsgen.sdk", "gsgen.runtime"])
-def test_a_package_lists_its_public_names(package: str) -> None:
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_lazy_name_is_where_type_checkers_are_told(package: str) -> None:
     module = import_module(package)
+    assert module.__file__ is not None
+    told: dict[str, str] = {}
+    for block in ast.parse(Path(module.__file__).read_text("utf-8")).body:
+        for node in block.body if isinstance(block, ast.If) else ():
+            assert isinstance(node, ast.ImportFrom)
+            told |= {alias.name: str(node.module) for alias in node.names}
+    assert module._HOMES.keys() == told.keys()
+    for name, home in module._HOMES.items():
+        assert home in (told[name], f"{told[name]}.{name}")  # which is a module itself
+    assert set(told) <= set(module.__all__)
     assert dir(module) == sorted(module.__all__)
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+    with pytest.raises(AttributeError, match=f"'{package}' has no attribute 'part_of'"):
+        module.part_of  # noqa: B018
+
+
+def test_a_lazy_package_imports_no_module_of_its_own() -> None:
+    code = (
+        "import sys, gsgen.contract; "
+        "print(*(name for name in sys.modules if name.startswith('gsgen')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["gsgen", "gsgen.contract"]

@@ -13,11 +13,11 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from types import FunctionType, ModuleType
 from typing import Final, get_args, get_type_hints
 
-from gsgen.contract.model.buffer_copies import is_copy
 from gsgen.contract.model.graph import read_graph
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.manifest_inference import infer_manifest
 from gsgen.contract.model.model_file import ModelFile
+from gsgen.contract.model.provider_placement import is_copy
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec import manifest_io
 from gsgen.contract.spec.fields.roles import KINDS

@@ -3,9 +3,8 @@
 The names below need pytest (``pip install 'gsgen[conformance]'``) and are loaded when first used.
 """
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.conformance.pytest.generator import GeneratorConformance
@@ -13,5 +12,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Check", "GeneratorConformance", "RuleWarning", "parametrize_with_rules"]
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "GeneratorConformance": "gsgen.conformance.pytest.generator",
+    "Check": "gsgen.conformance.pytest.testing",
+    "RuleWarning": "gsgen.conformance.pytest.testing",
+    "parametrize_with_rules": "gsgen.conformance.pytest.testing",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -3,9 +3,8 @@
 The names below are loaded on first use, so that ``import gsgen.contract`` is fast.
 """
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.contract.errors import GsgenError
@@ -44,5 +43,39 @@ __all__ = [
     "write_manifest",
 ]
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "GsgenError": "gsgen.contract.errors",
+    "open_model": "gsgen.contract.model.model_file",
+    "write_manifest": "gsgen.contract.model.model_file",
+    "DecodedGaussians": "gsgen.contract.spec.layout",
+    "decode": "gsgen.contract.spec.layout",
+    "encode": "gsgen.contract.spec.layout",
+    "GeneratorManifest": "gsgen.contract.spec.manifest",
+    "Manifest": "gsgen.contract.spec.manifest",
+    "Level": "gsgen.contract.spec.severity",
+    "Severity": "gsgen.contract.spec.severity",
+    "Target": "gsgen.contract.spec.targets",
+    "load_target": "gsgen.contract.spec.targets",
+    "Baseline": "gsgen.contract.validation.baseline",
+    "read_baseline": "gsgen.contract.validation.baseline",
+    "Finding": "gsgen.contract.validation.finding",
+    "Violation": "gsgen.contract.validation.finding",
+    "Report": "gsgen.contract.validation.report",
+    "Settings": "gsgen.contract.validation.settings",
+    "Waiver": "gsgen.contract.validation.waivers",
+    "validate": "gsgen.contract.validator",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -62,9 +62,9 @@ def _dispatch(arguments: list[str]) -> None:
     """Answer from data where no command runs; else run the command that the arguments name."""
     if "_GSGEN_COMPLETE" not in os.environ:  # a shell does not ask for completions
         if arguments[:1] == ["--version"]:
-            from importlib.metadata import version
+            from gsgen import __version__
 
-            print(f"gsgen {version('gsgen')}")
+            print(f"gsgen {__version__}")
             return
         if not arguments or arguments[0] in ("-h", "--help"):
             from gsgen.cli.root_help import print_help

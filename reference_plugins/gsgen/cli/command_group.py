@@ -10,9 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.command_table import Command, find_command, panels
-from gsgen.cli.option_panels import arrange_options, escape_markup
 from gsgen.cli.options import OPTION_ORDER
-from gsgen.cli.output_hints import output_hint
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import UnknownName
 
@@ -60,12 +58,14 @@ def click_command(command: Command) -> Any:
     app = typer.Typer(add_completion=False)
     loaded, settings = runnable(command.code)
     if isinstance(loaded, typer.Typer):
+        from gsgen.cli.option_panels import arrange_options
+
         app.add_typer(loaded, name=command.name)
-    else:
-        app.command(command.name, cls=_Ordered, context_settings=settings)(loaded)
-    result = typer.main.get_group(app).commands[command.name]
-    arrange_options(result)
-    return result
+        group = typer.main.get_group(app).commands[command.name]
+        arrange_options(group)
+        return group
+    app.command(command.name, cls=_Ordered, context_settings=settings)(loaded)
+    return typer.main.get_group(app).commands[command.name]
 
 
 def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:
@@ -82,12 +82,19 @@ def refusing(error: ExtensionUnusable) -> Callable[..., None]:
     def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
         raise error
 
-    refuse.__doc__ = escape_markup(error.summary)
+    refuse.__doc__ = error.summary.replace("[", r"\[")  # rich would read markup
     return refuse
 
 
 class _Ordered(TyperCommand):
     """A click command that records in which order the user typed its options."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help of the command, with its options in panels."""
+        from gsgen.cli.option_panels import arrange_options
+
+        arrange_options(self)
+        super().format_help(ctx, formatter)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse command-line arguments, and record parameter names in the order typed."""
@@ -101,6 +108,8 @@ class _Ordered(TyperCommand):
             if "not a valid" in error.message and isinstance(getattr(bounds, "name", None), str):
                 error.message += _number_hint(bounds)
             if not error.message and getattr(error.param, "name", None) == "output":
+                from gsgen.cli.output_hints import output_hint
+
                 error.message = output_hint(self.name or "", typed, values)
             error.param = self._missing_argument(error.param, values)
             raise

@@ -13,8 +13,7 @@ import typer
 
 from gsgen.cli.progress import clear
 from gsgen.contract.errors import ConfigInvalid, GsgenError
-from gsgen.contract.process.atomic_files import is_device
-from gsgen.contract.process.missing_files import similar_file_hint
+from gsgen.contract.process.atomic_files import is_device, similar_file_hint
 
 if TYPE_CHECKING:
     from gsgen.contract.reporters.text import Line

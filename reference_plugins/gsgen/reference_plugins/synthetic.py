@@ -4,9 +4,8 @@ The writers of a family are in its folder; this module offers them all. They nee
 are imported on first use.
 """
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.synthetic_anchors import (
@@ -40,5 +39,42 @@ __all__ = [
     "write_spacetime", "write_stylise", "write_surfels",
 ]  # fmt: skip
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "AnchorOptions": "gsgen.reference_plugins.anchors.synthetic_anchors",
+    "write_duplex": "gsgen.reference_plugins.anchors.synthetic_anchors",
+    "write_octree": "gsgen.reference_plugins.anchors.synthetic_anchors",
+    "write_scaffold": "gsgen.reference_plugins.anchors.synthetic_anchors",
+    "PersonOptions": "gsgen.reference_plugins.bodies.synthetic_body",
+    "write_body": "gsgen.reference_plugins.bodies.synthetic_body",
+    "write_motion": "gsgen.reference_plugins.bodies.synthetic_motion",
+    "HexPlaneOptions": "gsgen.reference_plugins.deformation.synthetic_deformations",
+    "write_deformable": "gsgen.reference_plugins.deformation.synthetic_deformations",
+    "write_hexplane": "gsgen.reference_plugins.deformation.synthetic_deformations",
+    "write_sc_gs": "gsgen.reference_plugins.deformation.synthetic_deformations",
+    "write_gaussian_avatar": "gsgen.reference_plugins.heads.synthetic_head",
+    "write_difix": "gsgen.reference_plugins.images.synthetic_difix",
+    "write_denoiser": "gsgen.reference_plugins.images.synthetic_images",
+    "write_stylise": "gsgen.reference_plugins.images.synthetic_images",
+    "write_anygs": "gsgen.reference_plugins.octree_anygs.synthetic_anygs",
+    "write_gauhuman": "gsgen.reference_plugins.people.synthetic_people",
+    "write_lhm": "gsgen.reference_plugins.people.synthetic_people",
+    "write_r3": "gsgen.reference_plugins.people.synthetic_people",
+    "write_rotor": "gsgen.reference_plugins.spacetime.synthetic_rotor",
+    "write_spacetime": "gsgen.reference_plugins.spacetime.synthetic_spacetime",
+    "write_surfels": "gsgen.reference_plugins.static.synthetic_surfels",
+    "torus_knot": "gsgen.reference_plugins.writing.knot",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

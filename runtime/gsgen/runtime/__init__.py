@@ -8,9 +8,9 @@
 The names below are loaded when first used.
 """
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
 from gsgen.contract._notebook import draw_previews_with
 
 if TYPE_CHECKING:
@@ -70,5 +70,46 @@ def _draw_preview(value: object) -> bytes | None:
 
 
 draw_previews_with(_draw_preview)
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "bake": "gsgen.runtime.baking.bake_frames",
+    "CameraFile": "gsgen.runtime.camera_files",
+    "open_cameras": "gsgen.runtime.camera_files",
+    "CapacityExceeded": "gsgen.runtime.errors",
+    "DeviceUnavailable": "gsgen.runtime.errors",
+    "SceneInvalid": "gsgen.runtime.errors",
+    "Device": "gsgen.runtime.gpu.device",
+    "post_process": "gsgen.runtime.playback.image_tiling",
+    "FrameRequest": "gsgen.runtime.playback.player",
+    "GeneratorPlayer": "gsgen.runtime.playback.player",
+    "Player": "gsgen.runtime.playback.player",
+    "PostProcessor": "gsgen.runtime.playback.post_process",
+    "Renderer": "gsgen.runtime.renderer.renderer",
+    "Camera": "gsgen.runtime.scene.camera",
+    "NOTHING": "gsgen.runtime.scene.frame",
+    "Frame": "gsgen.runtime.scene.frame",
+    "Mesh": "gsgen.runtime.scene.mesh",
+    "MeshData": "gsgen.runtime.scene.mesh",
+    "Box": "gsgen.runtime.scene.scene",
+    "Scene": "gsgen.runtime.scene.scene",
+    "SplatSet": "gsgen.runtime.scene.scene",
+    "SplatData": "gsgen.runtime.scene.splat_data",
+    "PooledSet": "gsgen.runtime.scene.splat_pool",
+    "SplatPool": "gsgen.runtime.scene.splat_pool",
+    "read_mesh": "gsgen.runtime.sources.mesh_files",
+    "open_scene": "gsgen.runtime.sources.scene_file",
+    "view": "gsgen.runtime.viewer.window",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

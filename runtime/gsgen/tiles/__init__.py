@@ -7,9 +7,8 @@ A tileset is a tree of files of splats, coarse above and fine below. An invalid 
 ``TilesetInvalid``, which names the file, the JSON path, the actual and the expected value.
 """
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.tiles.loading.info import describe_tileset
@@ -33,5 +32,28 @@ __all__ = [
     "validate",
 ]
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "describe_tileset": "gsgen.tiles.loading.info",
+    "open_splats": "gsgen.tiles.loading.leaves",
+    "open_tileset": "gsgen.tiles.loading.tileset_loader",
+    "Frustum": "gsgen.tiles.selection.frustum",
+    "SessionOptions": "gsgen.tiles.streaming.session",
+    "open_session": "gsgen.tiles.streaming.session",
+    "open_stream": "gsgen.tiles.streaming.tiles_source",
+    "all_rules": "gsgen.tiles.validation.rules",
+    "validate": "gsgen.tiles.validation.validate",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -8,12 +8,13 @@ Two formats need another package: SOG needs Pillow, version 4 of SPZ needs zstan
 A fault of a file raises a ``FormatError`` with the location, the expected value and a hint.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix
-from gsgen.formats.conversion import Conversion, convert
 from gsgen.formats.glb.glb import read_glb, write_glb
 from gsgen.formats.ksplat import read_ksplat
-from gsgen.formats.loss import Difference, differences
 from gsgen.formats.npz import read_npz
 from gsgen.formats.open import open_splats
 from gsgen.formats.packed import splats_of_rows
@@ -40,6 +41,10 @@ from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.sog.write import write_sog
 from gsgen.formats.splat import read_splat, write_splat
 from gsgen.formats.spz.spz import read_spz, write_spz
+
+if TYPE_CHECKING:
+    from gsgen.formats.conversion import Conversion, convert
+    from gsgen.formats.loss import Difference, differences
 
 __all__ = [
     "CODECS",
@@ -86,3 +91,23 @@ __all__ = [
     "write_splat",
     "write_spz",
 ]
+
+# What only conversions need: public name → module.
+_HOMES: Final = {
+    "Conversion": "gsgen.formats.conversion",
+    "convert": "gsgen.formats.conversion",
+    "Difference": "gsgen.formats.loss",
+    "differences": "gsgen.formats.loss",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -3,9 +3,8 @@
 The names below are loaded when first used, so that ``import gsgen.sdk`` does not import torch.
 """
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.sdk import math
@@ -26,5 +25,37 @@ __all__ = [
     "export_post_process", "inputs", "installed_plugins", "math", "wrap",
 ]  # fmt: skip
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "math": "gsgen.sdk.math",
+    "inputs": "gsgen.sdk.authoring.inputs",
+    "wrap": "gsgen.sdk.authoring.adapter",
+    "Cells": "gsgen.sdk.authoring.cells",
+    "GaussianGenerator": "gsgen.sdk.authoring.generator",
+    "Gaussians": "gsgen.sdk.authoring.generator",
+    "PostProcess": "gsgen.sdk.authoring.post_process",
+    "ExportFailed": "gsgen.sdk.errors",
+    "ExportRejected": "gsgen.sdk.errors",
+    "GeneratorInvalid": "gsgen.sdk.errors",
+    "ParityFailed": "gsgen.sdk.errors",
+    "export": "gsgen.sdk.exporting.exporter",
+    "Exported": "gsgen.sdk.exporting.pipeline",
+    "export_post_process": "gsgen.sdk.exporting.post_process_exporter",
+    "Demo": "gsgen.sdk.plugins.plugin",
+    "Plugin": "gsgen.sdk.plugins.plugin",
+    "Publication": "gsgen.sdk.plugins.plugin",
+    "installed_plugins": "gsgen.sdk.plugins.plugin",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.samples import garden
+
 HEAVY = {"torch", "onnxscript", "onnx_ir", "wgpu", "scipy"}
 
 
@@ -55,3 +58,51 @@ def test_only_the_reporter_that_is_asked_for_is_imported(good: Path) -> None:
     # The reporters themselves are imported by name, which the interpreter does not list.
     assert reporters("--format", "json") == {"document", "rule_pages"}
     assert reporters("--format", "junit") == {"summary"}
+
+
+MODULES = """
+import sys
+from gsgen.cli import main
+try:
+    main()
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
+
+
+def modules_of(*words: str) -> set[str]:
+    command = [sys.executable, "-c", MODULES, *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(done.stderr.splitlines()[-1].split())
+
+
+def modules_of_gsgen(*words: str) -> set[str]:
+    return {name for name in modules_of(*words) if name.partition(".")[0] == "gsgen"}
+
+
+@pytest.mark.parametrize("words", [("--help",), ("--version",)])
+def test_help_and_version_import_no_command(words: tuple[str, ...]) -> None:
+    names = modules_of(*words)
+    assert "gsgen.cli.app" in names
+    assert not [name for name in names if name.startswith(("gsgen.cli.commands", "typer"))]
+
+
+def test_validate_imports_few_modules_and_no_other_command(good: Path) -> None:
+    names = modules_of_gsgen("validate", "--level", "static", str(good))
+    assert len(names) <= 150
+    head = "gsgen.cli.commands."
+    assert {name.removeprefix(head) for name in names if name.startswith(head)} == {
+        "checking", "checking.validate", "checking.validate_file",
+    }  # fmt: skip
+
+
+def test_render_of_a_splat_file_imports_few_modules_and_none_of_tiles(tmp_path: Path) -> None:
+    write_ply(tmp_path / "x.ply", garden(300))
+    size = ("--width", "32", "--height", "32")
+    names = modules_of_gsgen(
+        "render", str(tmp_path / "x.ply"), "-o", str(tmp_path / "x.png"), *size
+    )
+    assert len(names) <= 240
+    assert not [name for name in names if name.startswith(("gsgen.tiles", "gsgen.sdk.exporting"))]
+    rooms = {name.split(".")[3] for name in names if name.startswith("gsgen.cli.commands.")}
+    assert rooms == {"drawing"}

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, numpy_helper
 
-from gsgen.contract.model.model_file import STUB
-from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.model.model_file import STUB, small_array
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int64, np.uint8, np.bool_])

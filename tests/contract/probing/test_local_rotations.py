@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from contract.probing.test_drawn_sample import outputs, random_rows
-from gsgen.contract.probing.drawn_sample import draw_sample
-from gsgen.contract.probing.local_rotations import fit_local_rotations
+from gsgen.contract.probing.drawn_sample import draw_sample, fit_local_rotations
 
 COUNT = 60
 

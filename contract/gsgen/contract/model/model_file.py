@@ -8,6 +8,7 @@ __all__ = [
     "ModelFile",
     "bodies",
     "open_model",
+    "small_array",
     "subgraphs",
     "write_manifest",
     "write_manifest_text",
@@ -24,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from google.protobuf.message import DecodeError
 from onnx import (
     AttributeProto,
@@ -32,11 +34,12 @@ from onnx import (
     ModelProto,
     StringStringEntryProto,
     TensorProto,
+    numpy_helper,
 )
 
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.model.protobuf_scan import BYTES, STUB, StrippedModel, WireFault, scan, skeleton
-from gsgen.contract.process.missing_files import similar_file_hint
+from gsgen.contract.process.atomic_files import similar_file_hint
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
 
@@ -395,3 +398,14 @@ def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:
             raise OSError(f"{source.name} became shorter while it was copied")
         out.write(chunk)
         count -= len(chunk)
+
+
+def small_array(weight: TensorProto) -> np.ndarray | None:
+    """Return the array of a small weight; None if the weight was not read or is not numeric."""
+    if weight.raw_data == STUB:
+        return None
+    try:
+        array = np.asarray(numpy_helper.to_array(weight))
+    except (ValueError, TypeError, KeyError):  # damaged: other rules report it
+        return None
+    return array if array.dtype.kind in "biuf" and array.size else None

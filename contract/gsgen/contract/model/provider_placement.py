@@ -1,6 +1,16 @@
 """Predicts where a WebGPU provider runs each graph node, from tables of supported operators."""
 
-__all__ = ["SIZED_BY_DATA", "Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
+__all__ = [
+    "SIZED_BY_DATA",
+    "VARIADIC",
+    "VIEWS",
+    "Cause",
+    "Placement",
+    "frame_nodes",
+    "is_copy",
+    "placements",
+    "shape_arguments",
+]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +19,7 @@ from typing import Literal
 from onnx import ModelProto, NodeProto, TensorProto
 
 from gsgen.contract.model.graph import Graph, reads
-from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.model.model_file import small_array
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
 from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable
 
@@ -204,3 +214,25 @@ def _negative_weights(proto: ModelProto) -> frozenset[str]:
     whole = (TensorProto.INT32, TensorProto.INT64)
     small = {w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole}
     return frozenset(name for name, a in small.items() if a is not None and (a < 0).any())
+
+
+VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
+"""Operators that return their first input in every case."""
+
+VARIADIC = frozenset({"Max", "Min"})
+"""Operators that do with a single input; Sum and Mean have no kernel."""
+
+
+def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:
+    """Return whether an ONNX operator returns its first input bit for bit.
+
+    Args:
+        operator: Its type.
+        inputs: The number of its inputs.
+        keeps_all_axes: Whether a reduction keeps every axis: ``noop_with_empty_axes`` is 1, and no axes are given.
+    """
+    if operator in VIEWS:
+        return True
+    if operator.startswith("Reduce"):
+        return keeps_all_axes
+    return operator in VARIADIC and inputs == 1

@@ -9,7 +9,7 @@ import numpy as np
 from onnx import NodeProto, TensorProto
 
 from gsgen.contract.model.graph import Graph, Tensor
-from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.model.model_file import small_array
 from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Manifest
 

@@ -5,7 +5,17 @@ a few rows spread over the scene, each with the rows nearest to it. The inner ro
 their neighbours within it.
 """
 
-__all__ = ["FEWEST_DRAWN", "LINEAR", "PLANAR", "DrawnSample", "draw_sample"]
+__all__ = [
+    "FEWEST_DRAWN",
+    "LINEAR",
+    "PLANAR",
+    "SH_OFFSET",
+    "DrawnSample",
+    "LocalRotations",
+    "displayed_colors",
+    "draw_sample",
+    "fit_local_rotations",
+]
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +26,7 @@ from gsgen.contract._array_types import Bool, Float, Int
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.spherical_harmonics import SH_DC
 
 # Below this number of drawn rows, a statistic says nothing.
 FEWEST_DRAWN = 32
@@ -183,3 +194,61 @@ def _nearest(position: Float[np.ndarray, "p 3"], measured: int) -> Int[np.ndarra
     nearest = np.argpartition(square, count - 1, axis=1)[:, :count]
     order = np.argsort(np.take_along_axis(square, nearest, 1), axis=1, kind="stable")
     return np.asarray(np.take_along_axis(nearest, order, 1))
+
+
+# A neighbourhood moves rigidly if this fraction of its size remains after the fit, or less.
+_RIGID = 0.05
+# Neighbours that lie on a line leave the rotation about it open.
+_COLLINEAR = 0.15
+_SMALLEST = 1e-30
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalRotations:
+    """The rotation of each sampled Gaussian's neighbourhood between two model runs.
+
+    Attributes:
+        rotation: The fitted rotations, [m, 3, 3].
+        angle: Their angles, in radians, [m].
+        is_rigid: Whether the fit explains the motion, [m].
+    """
+
+    rotation: Float[np.ndarray, "m 3 3"]
+    angle: Float[np.ndarray, " m"]
+    is_rigid: Bool[np.ndarray, " m"]
+
+
+def fit_local_rotations(sample: DrawnSample, later: Float[np.ndarray, "n 10"]) -> LocalRotations:
+    """Fit the rotation of each Gaussian's neighbourhood between two runs (Kabsch 1976).
+
+    Args:
+        sample: Drawn rows of the first run.
+        later: The same rows of the second run, in the order of ``sample.rows``, float64.
+    """
+    position = later[:, POSITION]
+    a, b = sample.offsets, position[sample.neighbours] - position[sample.inner][:, None]
+    left, stretch, right = np.linalg.svd(b.transpose(0, 2, 1) @ a)
+    sign = np.sign(np.linalg.det(left @ right))
+    left[:, :, 2] *= np.where(sign == 0, 1, sign)[:, None]
+    rotation = left @ right
+    size = np.maximum(np.sqrt(np.square(a).sum(axis=(1, 2))), _SMALLEST)
+    residual = np.sqrt(np.square(b - a @ rotation.transpose(0, 2, 1)).sum(axis=(1, 2))) / size
+    spread = np.sqrt(stretch[:, 1] / np.maximum(stretch[:, 0], _SMALLEST))
+    cosine = (np.trace(rotation, axis1=1, axis2=2) - 1) / 2
+    return LocalRotations(
+        rotation=rotation,
+        angle=np.arccos(np.clip(cosine, -1, 1)),
+        is_rigid=(residual <= _RIGID) & (spread >= _COLLINEAR),
+    )
+
+
+# The offset that viewers add to the sum of SH.
+SH_OFFSET = 0.5
+
+
+def displayed_colors(sample: DrawnSample) -> Float[np.ndarray, "e 3"] | None:
+    """Return the unclamped RGB of sampled Gaussians; None if the appearance cannot be read."""
+    if sample.even_color is None or sample.emission.declared is None:
+        return None
+    color = sample.even_color[:, :3]
+    return SH_OFFSET + SH_DC * color if sample.emission.is_sh else color

@@ -11,12 +11,13 @@ __all__ = [
     "refuse_missing_folder",
     "refuse_model",
     "require_page",
+    "similar_file_hint",
 ]
 
 import os
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsgen.contract.errors import ConfigInvalid
@@ -151,3 +152,15 @@ def require_page(path: Path, sources: Iterable[Path] = ()) -> None:
 
 def _unwritten(path: Path, error: OSError) -> ConfigInvalid:
     return ConfigInvalid(f"cannot be written: {error.strerror or error}", where=str(path))
+
+
+def similar_file_hint(path: str | os.PathLike[str]) -> str:
+    """Return a hint with the file whose name is nearest to a missing one, or an empty text."""
+    from difflib import get_close_matches  # imported on failure only: start-up time counts
+
+    folder, name = os.path.split(path)
+    with suppress(OSError):  # there is no such folder either
+        close = get_close_matches(name, os.listdir(folder or "."), n=1, cutoff=0.7)
+        if close and close[0] != name:
+            return f"Did you mean {os.path.join(folder, close[0])!r}?"
+    return ""

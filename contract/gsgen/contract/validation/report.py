@@ -20,7 +20,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gsgen.contract._notebook import summary_html
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
@@ -245,6 +244,8 @@ class Report:
 
     def _repr_html_(self) -> str:
         """Return the validation report's conclusion and findings as HTML, for notebooks."""
+        from gsgen.contract._notebook import summary_html
+
         checked = f"for {self.target.name}, at level {self.level.word}; {self.statuses['pass']} rules hold"
         findings = [
             (

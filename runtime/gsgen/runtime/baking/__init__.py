@@ -1,8 +1,7 @@
 """Baking: how do frames of an ONNX generator become plain splat files?"""
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.bake_frames import bake
@@ -10,5 +9,22 @@ if TYPE_CHECKING:
 
 __all__ = ["BakeReport", "BakedFrame", "bake"]
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "bake": "gsgen.runtime.baking.bake_frames",
+    "BakedFrame": "gsgen.runtime.baking.report",
+    "BakeReport": "gsgen.runtime.baking.report",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

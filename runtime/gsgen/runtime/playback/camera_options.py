@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files import open_cameras, split_pick
 from gsgen.runtime.scene.camera import DEFAULT_NEAR, Camera
 from gsgen.runtime.sources.source import Source, axis_direction
 
@@ -184,6 +183,8 @@ def viewpoint(
     if head == "look-at":
         eye_and_target = _numbers(text or "", arguments, (6,))
         return replace(common, look_at=eye_and_target)
+    from gsgen.runtime.camera_files import open_cameras, split_pick
+
     path, selection = split_pick(text or "")
     if not _exists(path):
         raise ConfigInvalid(

@@ -5,7 +5,7 @@ __all__ = ["PostProcessor"]
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Self, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -15,9 +15,11 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.playback.image_tiling import run_tiled
 from gsgen.runtime.scene.frame import Frame, srgb_of_linear
 from gsgen.runtime.sources.source import named
-from gsgen.sdk.binding import FrameSession
-from gsgen.sdk.binding.bound_session import TensorSpec
-from gsgen.sdk.binding.model_facts import ModelFacts, read_model_facts
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding import FrameSession
+    from gsgen.sdk.binding.bound_session import TensorSpec
+    from gsgen.sdk.binding.model_facts import ModelFacts
 
 _OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
 
@@ -50,6 +52,8 @@ class PostProcessor:
     ) -> None:
         self.name = str(path)
         self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
+        from gsgen.sdk.binding.model_facts import read_model_facts
+
         facts = read_model_facts(path, None)
         self.manifest = _post_process(self.name, facts)
         image = named(self.manifest.inputs, "image")
@@ -118,7 +122,7 @@ class PostProcessor:
         )
 
     def _run(
-        self, session: FrameSession, image: Float[np.ndarray, "1 c h w"]
+        self, session: "FrameSession", image: Float[np.ndarray, "1 c h w"]
     ) -> Float[np.ndarray, "1 c h w"]:
         output = self.manifest.outputs.image.name
 
@@ -153,13 +157,15 @@ class PostProcessor:
             alpha = np.clip(image[..., 3:], 0, 1)
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
-    def _session(self, size: tuple[int, int]) -> FrameSession:
+    def _session(self, size: tuple[int, int]) -> "FrameSession":
         """Return the ONNX Runtime session for an image of this height and width."""
         image_size = size if self._axes else (0, 0)
         if self._opened is not None and self._opened[0] == image_size:
             return self._opened[1]
         self.close()
         sizes = self._sizes | {name: size[axis] for axis, name in self._axes.items()}
+        from gsgen.sdk.binding import FrameSession
+
         session = FrameSession(self._path, provider=self._provider, sizes=sizes)
         self._opened = image_size, session
         return session
@@ -177,7 +183,7 @@ class PostProcessor:
         self.close()
 
 
-def _post_process(name: str, facts: ModelFacts) -> PostProcessManifest:
+def _post_process(name: str, facts: "ModelFacts") -> PostProcessManifest:
     manifest = facts.manifest
     if isinstance(manifest, PostProcessManifest):
         return manifest
@@ -188,8 +194,10 @@ def _post_process(name: str, facts: ModelFacts) -> PostProcessManifest:
     raise SceneInvalid(f"{kind}, expected a post-process model", where=name, hint=hint)
 
 
-def _specs(facts: ModelFacts) -> Iterator[TensorSpec]:
+def _specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
     """Yield each input of a model's graph with its dimensions."""
+    from gsgen.sdk.binding.bound_session import TensorSpec
+
     for value in facts.file.proto.graph.input:
         tensor = value.type.tensor_type
         dims = tuple(

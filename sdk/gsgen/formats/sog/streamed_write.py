@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import UInt64
 
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.formats.merging.decimation import decimate
 from gsgen.formats.shared.files import FilePath, make_folder, replacing
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splat_values import rows_of
@@ -138,6 +137,8 @@ def _files(
     leaves: Sequence[_Leaf], level: int, file_rows: int
 ) -> Iterator[list[tuple[_Leaf, Splats]]]:
     """Yield the leaves of each file of a level, with their splats at that level."""
+    from gsgen.formats.merging.decimation import decimate
+
     members: list[tuple[_Leaf, Splats]] = []
     used = 0
     for leaf in leaves:

@@ -3,9 +3,8 @@
 Needs NumPy and ONNX Runtime, not torch. The names below are imported when first used.
 """
 
-from typing import TYPE_CHECKING
-
-from gsgen.contract._lazy import lazy_dir, lazy_getattr
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.camera_inputs import CameraLike, Pinhole
@@ -28,5 +27,32 @@ __all__ = [
     "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
 ]  # fmt: skip
 
-__getattr__ = lazy_getattr(__name__)
-__dir__ = lazy_dir(__name__)
+# Public name → the module that defines it, or that it is.
+_HOMES: Final = {
+    "CameraLike": "gsgen.sdk.binding.camera_inputs",
+    "Pinhole": "gsgen.sdk.binding.camera_inputs",
+    "Frame": "gsgen.sdk.binding.frame",
+    "Stop": "gsgen.sdk.binding.providers.cancellation",
+    "CaptureOff": "gsgen.sdk.binding.providers.errors",
+    "FrameGone": "gsgen.sdk.binding.providers.errors",
+    "InputInvalid": "gsgen.sdk.binding.providers.errors",
+    "NodesOnCpu": "gsgen.sdk.binding.providers.errors",
+    "ProviderUnavailable": "gsgen.sdk.binding.providers.errors",
+    "RunFailed": "gsgen.sdk.binding.providers.errors",
+    "SessionClosed": "gsgen.sdk.binding.providers.errors",
+    "SizeUnknown": "gsgen.sdk.binding.providers.errors",
+    "FrameSession": "gsgen.sdk.binding.session",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = import_module(_HOMES[name])
+    globals()[name] = getattr(home, name, home)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -8,10 +8,9 @@ from collections.abc import Iterator
 
 from onnx import NodeProto
 
-from gsgen.contract.model.buffer_copies import is_copy
 from gsgen.contract.model.graph import Graph
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.model.provider_placement import Cause, Placement, shape_arguments
+from gsgen.contract.model.provider_placement import Cause, Placement, is_copy, shape_arguments
 from gsgen.contract.model.value_ranges import Interval, intervals
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN

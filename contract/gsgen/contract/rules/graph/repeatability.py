@@ -6,8 +6,8 @@ from itertools import chain
 from onnx import NodeProto, TensorProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.model.model_file import small_array
 from gsgen.contract.model.provider_placement import SIZED_BY_DATA
-from gsgen.contract.model.small_weights import small_array
 from gsgen.contract.spec.fields.roles import GENERATOR, KINDS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN, RANDOM_OPERATORS

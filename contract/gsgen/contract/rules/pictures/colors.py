@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.probing.drawn_sample import DrawnSample
-from gsgen.contract.rules.pictures.displayed_colors import SH_OFFSET, displayed_colors
+from gsgen.contract.probing.drawn_sample import SH_OFFSET, DrawnSample, displayed_colors
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import SH_DC

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.probing.drawn_sample import DrawnSample
-from gsgen.contract.rules.pictures.displayed_colors import displayed_colors
+from gsgen.contract.probing.drawn_sample import DrawnSample, displayed_colors
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Statistic, Violation

@@ -6,8 +6,12 @@ from itertools import permutations
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.probing.drawn_sample import DrawnSample, draw_sample
-from gsgen.contract.probing.local_rotations import LocalRotations, fit_local_rotations
+from gsgen.contract.probing.drawn_sample import (
+    DrawnSample,
+    LocalRotations,
+    draw_sample,
+    fit_local_rotations,
+)
 from gsgen.contract.probing.outputs import read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES

@@ -57,7 +57,7 @@ def conformance(
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
     from gsgen.contract.rules.catalogue import installed_rules
-    from gsgen.contract.tools.model_paths import expand_paths
+    from gsgen.contract.tools.batch import expand_paths
     from gsgen.contract.validation.settings_from_options import make_settings
 
     files = expand_paths(models)

@@ -10,18 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gsgen.cli.commands.checking.validate_options import (
-    BaselineFile,
-    Ignore,
-    Jobs,
-    Only,
-    Output,
-    Paths,
-    RequireRules,
-    SeverityOf,
-    Strict,
-    Times,
-)
 from gsgen.cli.options import AsJson, Config, FailOn, LevelName, Memory, TargetName, Timeout
 from gsgen.contract.errors import ExitCode, UnknownName
 
@@ -30,6 +18,48 @@ if TYPE_CHECKING:
     from gsgen.contract.validation.report import Entry
     from gsgen.contract.validation.rule import Registry
     from gsgen.contract.validation.settings import Settings
+
+
+Paths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="PATH…",
+        help="ONNX files, folders of them, globs; tilesets (.json, .3tz) and their contents "
+        "(.glb, .gltf).",
+        show_default=False,
+    ),
+]
+Ignore = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Rule (id or name) whose findings do not count; repeat or separate by commas."
+    ),
+]
+Only = Annotated[
+    list[str] | None,
+    typer.Option(help="Check only this rule and those that it needs; repeat or use commas."),
+]
+RequireRules = Annotated[
+    list[str] | None,
+    typer.Option(help="Fail unless this rule was checked; repeat or separate by commas."),
+]
+SeverityOf = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="RULE=SEVERITY, in place of the rule's own severity; repeatable.", metavar="ID=LEVEL"
+    ),
+]
+BaselineFile = Annotated[
+    Path | None, typer.Option(help="An earlier JSON report, whose findings do not fail the model.")
+]
+Output = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Write the report to a file instead.")
+]
+Jobs = Annotated[
+    int, typer.Option("-j", "--jobs", help="Number of models to validate at once.", min=1)
+]
+Strict = Annotated[bool, typer.Option(help="A missing manifest is an error for every target.")]
+Times = Annotated[bool, typer.Option(help="Report how long it took; equal inputs then differ.")]
 
 
 class Format(StrEnum):
@@ -92,8 +122,7 @@ def validate(
     from gsgen.cli.progress import progress
     from gsgen.contract.process.atomic_files import refuse_missing_folder, refuse_model
     from gsgen.contract.rules.catalogue import installed_rules
-    from gsgen.contract.tools.batch import validate_all
-    from gsgen.contract.tools.model_paths import expand_paths
+    from gsgen.contract.tools.batch import expand_paths, validate_all
 
     files = expand_paths(paths, is_tileset)
     has_tileset = any(is_tileset(file) for file in files)

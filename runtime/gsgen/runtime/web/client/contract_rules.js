@@ -1460,9 +1460,9 @@ has_axes = py.list((function* () { for (const attribute of py.iter(node.attribut
 axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2))) if (py.bool(name)) yield name; })()];
 axes = (py.bool(axes_inputs) ? py.get(graph.tensors, py.item(axes_inputs, 0)) : null);
 empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
-return is_copy$buffer_copies(node.op_type, py.len(node.input), py.and(idle, () => empty, () => !py.bool(has_axes)));
+return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(idle, () => empty, () => !py.bool(has_axes)));
 }
-function is_copy$buffer_copies(operator, inputs, keeps_all_axes) {
+function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
 if ((py.contains(VIEWS$23, operator))) {
 return true;
 }
@@ -2215,7 +2215,7 @@ export const ModelFile = ModelFile$model_file;
 /** @type {any} */
 export const inferManifest = infer_manifest$manifest_inference;
 /** @type {any} */
-export const isCopy = is_copy$buffer_copies;
+export const isCopy = is_copy$provider_placement;
 /** @type {any} */
 export const parseManifest = parse$manifest_io;
 /** @type {any} */

@@ -5,7 +5,7 @@ __all__ = ["EndOutputsOnCompute"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.contract.model.buffer_copies import is_copy
+from gsgen.contract.model.provider_placement import is_copy
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import Rewrite
 from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
