@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from gsgen.runtime.gpu import native
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.native import create_shader_module, parse_native_types, timestamp_period
 from gsgen.runtime.gpu.readback import Staging
+from support.commands import ROOT
 
 wgpu = pytest.importorskip("wgpu")
 
@@ -64,6 +66,14 @@ def test_no_other_module_uses_private_names_of_wgpu() -> None:
     ]
     assert uses == []
     assert _PRIVATE.search(Path(native.__file__).read_text("utf-8"))
+
+
+def test_range_of_wgpu_ends_before_versions_that_were_not_tested() -> None:
+    """Catches a range without an end: the next release may rename what the module takes."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    needs = [need for need in project["optional-dependencies"]["runtime"] if "wgpu" in need]
+    assert len(needs) == 1
+    assert re.fullmatch(r"wgpu>=[\d.]+,<[\d.]+", needs[0])
 
 
 def result(device: Device, code: str) -> int:
