@@ -55,7 +55,7 @@ def oracle(
     for a, b, c, d in zip(*values, strict=True):
         trace = max(a[4] + a[7] + a[9], 1e-30)
         sigma = math.sqrt(trace / 3)
-        drawn = a[3] >= 1 / 255 or b[3] >= 1 / 255
+        drawn = not (a[3] < 1 / 255 and b[3] < 1 / 255)
         position = max(abs(x - y) for x, y in zip(a[:3], b[:3], strict=True)) / sigma
         covariance = max(abs(x - y) for x, y in zip(a[4:], b[4:], strict=True)) / trace
         if degree is None:
@@ -163,6 +163,15 @@ def test_what_is_not_finite_counts_where_it_is_on_one_side(field: str, degree: i
         changed[3, column] = value
         errors = list(field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0.5)))
         assert [(error.field, error.row) for error in errors] == [(field, 3)]
+
+
+def test_a_row_of_nan_opacity_in_both_runs_is_compared() -> None:
+    a, c = encode(cloud(3, 1), np.float32)
+    a[1, 3] = np.nan
+    b = a.copy()
+    b[1, 0] += 1
+    (error,) = field_errors(emission(a, c, 1), emission(b, c, 1), tolerances(0.01))
+    assert (error.field, error.row) == ("position", 1)
 
 
 def parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, ...]:

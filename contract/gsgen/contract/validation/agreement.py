@@ -103,7 +103,9 @@ Pair = tuple[Float[np.ndarray, "n c"], Float[np.ndarray, "n c"]]
 
 def row_errors(rows: Pair, colors: Pair | None, allowance: Allowance, *, is_sh: bool) -> Errors:
     """Return the errors of Gaussians: packed rows and, if they can be compared, their colours."""
-    drawn = np.logical_or(*(side[:, OPACITY].astype(np.float64) >= CULL_OPACITY for side in rows))
+    # Statement 2, phrased so that a row whose opacity is NaN is compared.
+    is_faint = [side[:, OPACITY].astype(np.float64) < CULL_OPACITY for side in rows]
+    drawn = ~np.logical_and(*is_faint)
     errors = _ellipsoid_errors(rows, drawn, allowance)
     if colors is not None:
         errors["appearance"] = _color_errors(colors, drawn, allowance, is_sh=is_sh)
