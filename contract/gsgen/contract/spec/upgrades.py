@@ -8,7 +8,7 @@ from typing import Any
 Version = tuple[int, int]
 
 CURRENT: Version = (1, 0)
-CONTRACT = "1.0"
+CONTRACT = f"{CURRENT[0]}.{CURRENT[1]}"
 
 
 def released(document: dict[str, Any]) -> dict[str, Any]:
