@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from torch import nn
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.diffusion.lora import Adapter, read_lora, split_pairs
+from gsgen.reference_plugins.diffusion.lora import Adapter, merge, read_lora, split_pairs
 from gsgen.reference_plugins.diffusion.lora_homes import layers_by_name
-from gsgen.reference_plugins.diffusion.lora_merge import merge
 from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.images import denoiser_plugin as command
 from gsgen.reference_plugins.images.diffusion_checkpoint import read_diffusion

@@ -17,7 +17,7 @@ from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplan
 from gsgen.reference_plugins.diffusion.model_config import read_model_config
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.loading.folder import find_iteration
-from gsgen.reference_plugins.loading.script_archive import read_script_state
+from gsgen.reference_plugins.loading.states import read_script_state
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,

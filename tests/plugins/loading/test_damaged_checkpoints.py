@@ -9,7 +9,7 @@ import torch
 from gsgen.reference_plugins.anchors.anchor_checkpoint import read_anchors
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.script_archive import is_script_archive
+from gsgen.reference_plugins.loading.states import is_script_archive
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,

@@ -20,9 +20,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.diffusion.autoencoder import SKIP, Autoencoder, autoencoder_of
-from gsgen.reference_plugins.diffusion.lora import Adapter, read_lora
+from gsgen.reference_plugins.diffusion.lora import Adapter, merge, read_lora
 from gsgen.reference_plugins.diffusion.lora_homes import layers_by_name
-from gsgen.reference_plugins.diffusion.lora_merge import merge
 from gsgen.reference_plugins.diffusion.model_config import ModelConfig, read_model_config
 from gsgen.reference_plugins.diffusion.unet import UNet, unet_of
 from gsgen.reference_plugins.images.difix import Difix, read_difix, split_fused_lora
