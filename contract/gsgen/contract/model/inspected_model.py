@@ -1,11 +1,13 @@
 """The input of static rules: an ONNX model's graph together with its manifest."""
 
-__all__ = ["InspectedModel", "inspect_model"]
+__all__ = ["InspectedModel", "inspect_model", "raised_to_installed"]
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
+
+from onnx import ModelProto
 
 from gsgen.contract.model.graph import Graph, Tensor, read_graph
 from gsgen.contract.model.manifest_inference import Candidate, infer_manifest
@@ -22,6 +24,7 @@ from gsgen.contract.spec.manifest import (
     Manifest,
 )
 from gsgen.contract.spec.manifest_io import Parsed, parse
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import operator_table
 from gsgen.contract.spec.targets import Target
 
@@ -148,6 +151,23 @@ def _output_fields(manifest: Manifest) -> tuple[str, ...]:
     return tuple(type(manifest.outputs).__dataclass_fields__)
 
 
+def raised_to_installed(target: Target, proto: ModelProto) -> Target:
+    """Return a target whose upper bounds are the installed ONNX Runtime's, if a model needs them.
+
+    Only targets that follow the installed runtime are raised, and only for a model that exceeds the
+    bounds of the data file: ONNX Runtime is imported for such models alone.
+    """
+    low, high = target.opset
+    main = (entry.version for entry in proto.opset_import if entry.domain in MAIN_DOMAIN)
+    is_within = max(main, default=0) <= high and proto.ir_version <= target.ir
+    if is_within or not target.follows_runtime:
+        return target
+    from gsgen.contract.model.installed_runtime import installed_bounds
+
+    opset, ir = installed_bounds()
+    return replace(target, opset=(low, max(high, opset)), ir=max(target.ir, ir))
+
+
 def inspect_model(
     file: ModelFile, target: Target, limits: Limits, tolerances: Mapping[str, float] | None = None
 ) -> InspectedModel:
@@ -161,7 +181,7 @@ def inspect_model(
         graph=graph,
         parsed=parsed,
         candidate=candidate,
-        target=target,
+        target=raised_to_installed(target, file.proto),
         limits=limits,
         tolerances=tolerances or {},
     )

@@ -26,6 +26,8 @@ class Target:
         ir: Highest ONNX IR version.
         domains: Operator domains it has kernels for.
         limits: Name → number, such as ``binding_bytes``.
+        follows_runtime: Whether models may have any operator set and IR version that the installed
+            ONNX Runtime loads, above those of the data file, too.
         operators: Names of the operator tables of the releases that it runs on; empty if
             unknown.
         severities: Rule id → severity that differs from the rule's own.
@@ -40,6 +42,7 @@ class Target:
     limits: dict[str, int] = field(default_factory=dict)
     severities: dict[str, Severity] = field(default_factory=dict)
     operators: tuple[str, ...] = ()
+    follows_runtime: bool = False
 
     @property
     def runs_natively(self) -> bool:
@@ -70,6 +73,7 @@ def target_from_json(text: str, where: str) -> Target:
             limits=data.get("limits", {}),
             severities={k: Severity.parse(v) for k, v in data.get("severities", {}).items()},
             operators=tuple(data.get("operators", ())),
+            follows_runtime=data.get("follows_runtime", False),
         )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise ConfigInvalid(
