@@ -263,7 +263,8 @@ def test_a_target_touches_the_place_of_the_page(copy: Copy) -> None:
     copy.take("contract/gsgen")
     (folder,) = _PLACES["target"]
     target = json.loads((ROOT / folder / "gsgen.json").read_text("utf-8"))
-    copy.write(f"{folder}/acme.json", json.dumps(target | {"name": "acme", "opset": [13, 17]}))
+    changes = {"name": "acme", "opset": [13, 17], "follows_runtime": False}
+    copy.write(f"{folder}/acme.json", json.dumps(target | changes))
     copy.assert_touches_only("target")
     onnx.save(still().build(), copy.folder / "model.onnx")  # operator set 18
     completed = copy.gsgen("validate", "model.onnx", "--target", "acme", "--json")
