@@ -53,9 +53,9 @@ _RUN = [page for page in pages() if any(is_run(block) for block in blocks(page))
 
 
 def _tier(page: Path) -> object:
-    """Return a page as a test of the fast tier if it is a guide or README."""
-    is_guide = page == README or page.parent.name == "guides"
-    return pytest.param(page, id=name_of(page), marks=[] if is_guide else pytest.mark.slow)
+    """Return README or a guide as a test of the fast tier, unless it builds a city."""
+    is_fast = page == README or (page.parent.name == "guides" and page.stem != "stream-a-city")
+    return pytest.param(page, id=name_of(page), marks=[] if is_fast else pytest.mark.slow)
 
 
 @pytest.mark.parametrize("page", [_tier(page) for page in _RUN])
