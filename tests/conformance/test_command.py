@@ -64,7 +64,7 @@ def test_pytest_need_not_be_installed(folder: Path) -> None:
     assert "passed: " in done.stdout
 
 
-def test_one_suite_alone(folder: Path) -> None:
+def test_single_suite_can_be_selected(folder: Path) -> None:
     (model,) = write(folder, "drift")
     ran = gsgen_here("conformance", model, "--suite", "time", "--level", "static")
     assert ran.code == 0

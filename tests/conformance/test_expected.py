@@ -60,7 +60,7 @@ def test_an_empty_file_expects_nothing(tmp_path: Path) -> None:
         ('[[xfail]]\nrule = "GV003"\nmodle = "x"', UnknownName, "Did you mean 'model'?"),
     ],
 )
-def test_a_file_that_cannot_be_meant_is_refused(
+def test_invalid_expectation_file_is_refused(
     tmp_path: Path, text: str, error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error) as caught:
@@ -69,14 +69,14 @@ def test_a_file_that_cannot_be_meant_is_refused(
     assert "known.toml" in str(caught.value)
 
 
-def test_strangers_match_nothing_that_is_tested() -> None:
+def test_unmatched_entries_are_reported() -> None:
     known = ExpectedFailure("GV003", "?", "drift.onnx")
     other_rule, other_model = (ExpectedFailure("TV101", "?"), ExpectedFailure("GV003", "?", "x"))
     tested = {Path("out/drift.onnx"): ["GV001", "GV003"]}
     assert unmatched_entries([known, other_rule, other_model], tested) == [other_rule, other_model]
 
 
-def test_in_pytest_an_entry_that_holds_or_matches_nothing_is_no_pass(folder: Path) -> None:
+def test_pytest_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
     models = ("--gsgen=drift.onnx", "--gsgen=opacity_is_logits.onnx", "-k", "GV003 or xfail")
     (folder / "known.toml").write_text(KNOWN)
@@ -97,7 +97,7 @@ def test_in_pytest_an_entry_that_holds_or_matches_nothing_is_no_pass(folder: Pat
     assert "GV003 of none.onnx (until 2.0)" in ran.out
 
 
-def test_on_the_command_line_it_is_the_same(folder: Path) -> None:
+def test_command_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     known = folder / "known.toml"
     known.write_text(KNOWN)

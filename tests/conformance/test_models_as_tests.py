@@ -116,7 +116,7 @@ def test_the_dump_holds_what_went_in_and_what_came_out(folder: Path) -> None:
     assert reproduce(line, folder).returncode == 1
 
 
-def test_what_cannot_be_judged_is_skipped_with_the_reason(folder: Path) -> None:
+def test_unchecked_rule_is_skipped_with_the_reason(folder: Path) -> None:
     write(folder, "drift")
     ran = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
     assert ran.code == 0

@@ -29,7 +29,7 @@ def test_mine(check):
     assert ran.counts["passed"] > 60
 
 
-def test_a_function_gives_the_models_and_options_still_count(folder: Path) -> None:
+def test_models_from_a_function_respect_options(folder: Path) -> None:
     write(folder, "drift")
     text = """
 from pathlib import Path
@@ -94,7 +94,7 @@ def test_mine(check):
         ('["missing.onnx"]', "missing.onnx"),
     ],
 )
-def test_a_mistake_in_the_decorator_is_told_without_a_stack(
+def test_decorator_mistake_is_reported_without_a_traceback(
     arguments: str, said: str, folder: Path
 ) -> None:
     write(folder, "drift")

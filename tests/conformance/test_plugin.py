@@ -47,7 +47,7 @@ def test_pytest_finds_the_plugin_and_its_options_clash_with_none() -> None:
     assert all(option.startswith("--gsgen") for option in options)
 
 
-def test_nothing_is_public_but_what_authors_use() -> None:
+def test_public_names_are_those_that_authors_use() -> None:
     import gsgen.conformance as conformance
 
     for name in conformance.__all__:

@@ -43,7 +43,7 @@ def test_a_rule_that_crashes_is_no_wrong_option(
     assert "ZeroDivisionError" in ran.err
 
 
-def test_without_a_probe_all_are_judged(folder: Path) -> None:
+def test_without_a_probe_option_all_probes_are_checked(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     ran = gsgen_here("repro", model, "--rule", "GV003")
     assert ran.code == 1
@@ -81,7 +81,7 @@ def test_a_rule_that_holds_exits_0(folder: Path) -> None:
         ("view_flattened", "GV003", None, "because GI001 does not hold"),
     ],
 )
-def test_what_cannot_be_judged_is_neither_broken_nor_held(
+def test_unchecked_rule_is_neither_failed_nor_passed(
     folder: Path, name: str, rule: str, probe: str | None, words: str
 ) -> None:
     (model,) = write(folder, name)
@@ -99,7 +99,7 @@ def test_what_cannot_be_judged_is_neither_broken_nor_held(
         ("empty", "GV003", 4, "is empty (0 bytes)"),
     ],
 )
-def test_trouble_has_its_own_exit_codes(
+def test_errors_have_their_own_exit_codes(
     folder: Path, name: str, rule: str, code: int, words: str
 ) -> None:
     write(folder, "drift")

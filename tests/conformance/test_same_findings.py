@@ -27,7 +27,7 @@ def told(findings: Iterable[dict[str, Any]]) -> list[Found]:
 
 
 @pytest.mark.parametrize("target", MODELS)
-def test_all_front_ends_agree(folder: Path, target: str) -> None:
+def test_python_command_and_pytest_report_equal_findings(folder: Path, target: str) -> None:
     paths = write(folder, *MODELS[target])
     named = [path.name for path in paths]
     settings = Settings(target=load_target(target))

@@ -3,7 +3,7 @@ import pytest
 from gsgen.contract._entry_points import registered_entry_points
 
 
-def test_what_a_group_holds_comes_by_name():
+def test_entry_points_of_a_group_are_keyed_by_name():
     names = [point.name for point in registered_entry_points("gsgen.commands")]
     assert "validate" in names
     assert names == sorted(names)

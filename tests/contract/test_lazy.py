@@ -15,7 +15,7 @@ PACKAGES = (
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_a_lazy_name_is_where_type_checkers_are_told(package: str) -> None:
+def test_lazy_names_agree_with_type_checking_imports(package: str) -> None:
     module = import_module(package)
     assert module.__file__ is not None
     told: dict[str, str] = {}

@@ -12,7 +12,7 @@ def test_every_public_name_is_there(name):
     assert getattr(gsgen.contract, name) is getattr(gsgen.contract, name)
 
 
-def test_another_name_is_not():
+def test_unknown_attribute_raises():
     with pytest.raises(AttributeError, match=r"module 'gsgen.contract' has no attribute 'nothing'"):
         gsgen.contract.nothing  # noqa: B018
 

@@ -36,12 +36,12 @@ def stages() -> set[str]:
     return {*named, *begun}
 
 
-def test_the_picture_is_current(script: ModuleType) -> None:
+def test_data_flow_picture_is_current(script: ModuleType) -> None:
     advice = "run: .venv/bin/python scripts/draw_data_flow.py"
     assert script.PICTURE.read_text("utf-8") == script.drawn(), advice
 
 
-def test_it_has_every_stage_and_no_other(script: ModuleType) -> None:
+def test_picture_has_exactly_the_stages_of_the_code(script: ModuleType) -> None:
     assert len(stages()) >= 14
     boxes = [one for one in script.BOXES if one.fill == script.STAGE]
     words = {word.strip(",") for one in boxes for word in f"{one.name} {one.below}".split()}

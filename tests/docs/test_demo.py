@@ -44,7 +44,7 @@ def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
     assert [name for name in drawn if not (tmp_path / "out" / name).is_file()] == []
 
 
-def test_a_family_is_exported_judged_and_drawn(demo: ModuleType, tmp_path: Path) -> None:
+def test_family_is_exported_validated_and_drawn(demo: ModuleType, tmp_path: Path) -> None:
     made = demo.make("static", tmp_path / "static")
     assert (made.name, made.gaussians, made.verdict) == ("static", 20_000, "conforms")
     assert made.size == (tmp_path / "static" / "static.onnx").stat().st_size
@@ -67,7 +67,7 @@ def test_a_family_is_exported_judged_and_drawn(demo: ModuleType, tmp_path: Path)
     assert "static" in demo.table([made])
 
 
-def test_without_a_driver_it_says_so(
+def test_demo_without_a_driver_reports_it(
     demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     why = "gsgen: no adapter was found"

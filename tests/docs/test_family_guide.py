@@ -69,7 +69,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.mark.slow
-def test_it_is_exported_validated_tested_and_conforms(run: Run) -> None:
+def test_family_of_the_guide_is_exported_and_conforms(run: Run) -> None:
     exported = run(EXPORT)
     assert exported.returncode == 0, exported.stderr
     assert "face.onnx: 3,000 rows" in exported.stdout

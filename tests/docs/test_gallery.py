@@ -61,7 +61,7 @@ def test_every_block_with_a_mark_is_understood(script: ModuleType) -> None:
     assert len(script.blocks(text)) == text.count("<!-- gallery: ")
 
 
-def test_a_changed_block_makes_what_follows_from_it_stale(script: ModuleType) -> None:
+def test_changed_block_makes_dependent_pictures_stale(script: ModuleType) -> None:
     page = PAGE.read_text("utf-8")
     before = script.digests(script.blocks(page))
     own = script.digests(script.blocks(page.replace("--fov 42", "--fov 43")))
@@ -71,7 +71,7 @@ def test_a_changed_block_makes_what_follows_from_it_stale(script: ModuleType) ->
     assert unchanged == ["samples.jpg", "sunflower.jpg"]  # those that stand before the knot
 
 
-def test_a_picture_is_put_together_as_its_mark_says(script: ModuleType, tmp_path: Path) -> None:
+def test_picture_is_composed_as_its_marker_states(script: ModuleType, tmp_path: Path) -> None:
     text = (
         "<!-- gallery: two.jpg 2 x3 = a.png b.png c.png -->\n```python\n"
         "from PIL import Image\n"

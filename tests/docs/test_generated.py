@@ -23,7 +23,7 @@ def test_every_marker_is_closed():
         assert text.count("<!-- generated: ") == text.count("<!-- end generated -->"), page
 
 
-def test_what_is_counted_by_hand_is_counted_right():
+def test_handwritten_counts_are_correct():
     changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
     rules = [rule for rule in all_rules().rules.values() if "/" not in rule.id]
     assert "of eleven families at the levels static, values, behaviour, live and render" in changes

@@ -92,13 +92,13 @@ def test_a_walk_goes_down_the_rooms_and_up_again(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", WALKS)
-def test_each_leg_passes_many_layers(name: str) -> None:
+def test_each_direction_of_a_walk_crosses_four_layers(name: str) -> None:
     for leg in legs(name):
         changes = [(a, b) for a, b in pairwise(leg) if rank(a) != rank(b)]
         assert len(changes) >= 4
 
 
-def test_the_order_tells_rooms_apart() -> None:
+def test_layer_order_distinguishes_rooms() -> None:
     renderer = "runtime/gsgen/runtime/renderer/renderer.py"
     kernel = "runtime/gsgen/runtime/kernels/sort/sort.py"
     assert is_above(renderer, kernel)

@@ -46,7 +46,7 @@ def test_the_harmonics_of_degree_4_are_orthonormal():
 
 
 @pytest.mark.parametrize("signs", [RDF_RUB, RDF_LUF])
-def test_what_is_flipped_twice_is_as_before(signs):
+def test_flipping_twice_is_the_identity(signs):
     splats = scene(20, 4)
     back = flip(flip(splats, signs), signs)
     for name in FIELDS:

@@ -164,7 +164,7 @@ def test_colours_of_an_appearance_network_are_refused(tmp_path):
         ({"pipeline": {"_model.field.weight": torch.ones(2)}}, ("nerfstudio", "splatfacto")),
     ],
 )
-def test_other_files_are_called_by_what_they_are(tmp_path, content, words):
+def test_other_files_are_named_by_their_type(tmp_path, content, words):
     text = refusal(stored(tmp_path / "a.pth", content), NotSupported)
     assert all(word in text for word in words), text
 
@@ -266,7 +266,7 @@ def test_big_endian_numbers_are_read(tmp_path):
         np.testing.assert_array_equal(getattr(back, name), getattr(expected, name))
 
 
-def test_no_torch_is_needed(tmp_path):
+def test_reading_a_checkpoint_needs_no_torch(tmp_path):
     file = stored(tmp_path / "a.pt", of_gsplat())
     code = (
         "import sys; sys.modules['torch'] = None\n"

@@ -31,7 +31,7 @@ def by_name(found: tuple) -> dict[str, float]:
     return {one.name: one.largest for one in found}
 
 
-def test_differences_are_those_that_were_made():
+def test_reported_differences_match_the_introduced_ones():
     before = scene(300, 2)
     degrees = np.radians(0.5) / 2
     spin = np.array([math.cos(degrees), math.sin(degrees), 0, 0])
@@ -106,7 +106,7 @@ def test_every_format_is_written_and_compared(tmp_path, name, degree):
     assert off["rotation"] <= 1
 
 
-def test_flags_that_a_format_cannot_hold_are_told(tmp_path):
+def test_lost_flags_are_reported(tmp_path):
     write_glb, write_spz = codec_named("glb").write, codec_named("spz").write
     assert write_glb is not None
     assert write_spz is not None
@@ -185,7 +185,7 @@ def test_flat_rows_and_ends_of_opacity():
         (0, 5, "appearance: the appearance has 5 channels"),
     ],
 )
-def test_rows_that_mean_nothing_are_refused(change, channels, text):
+def test_invalid_rows_are_refused(change, channels, text):
     rows = np.zeros((2, 10), np.float32)
     rows[1, 6] = change
     with pytest.raises(ValueInvalid, match=text):

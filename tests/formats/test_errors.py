@@ -19,7 +19,7 @@ from gsgen.formats.shared import errors
         ),
     ],
 )
-def test_the_text_holds_only_what_is_known(fields, text):
+def test_error_text_contains_only_known_fields(fields, text):
     assert str(FormatError("3 rows", **fields)) == text
 
 

@@ -38,7 +38,7 @@ def directions(count: int = 40) -> np.ndarray:
     seed=st.integers(0, 2**32 - 1),
     space=st.sampled_from(["srgb", "linear"]),
 )
-def test_only_the_last_digits_are_lost(tmp_path_factory, degree, seed, space):
+def test_glb_round_trip_keeps_float32_precision(tmp_path_factory, degree, seed, space):
     splats = scene(9, degree, seed, color_space=space)
     file = tmp_path_factory.getbasetemp() / "round.glb"
     write_glb(file, splats)
@@ -47,7 +47,7 @@ def test_only_the_last_digits_are_lost(tmp_path_factory, degree, seed, space):
     assert back.color_space == space
 
 
-def test_the_file_is_what_the_extension_says(tmp_path):
+def test_written_file_follows_the_extension(tmp_path):
     splats = scene(4, 1)
     write_glb(tmp_path / "a.glb", splats)
     content = (tmp_path / "a.glb").read_bytes()
@@ -152,7 +152,7 @@ def test_nodes_put_splats_into_the_world(tmp_path, outer, inner):
     )
 
 
-def test_a_matrix_does_what_its_parts_do(tmp_path):
+def test_node_matrix_equals_its_translation_rotation_scale(tmp_path):
     splats = scene(3, 1)
     as_parts = with_nodes(tmp_path / "a.glb", splats, [UNEVEN | {"mesh": 0}])
     matrix = {"matrix": spun(UNEVEN).T.ravel().tolist(), "mesh": 0}
@@ -191,7 +191,7 @@ STORED = {
     ("name", "kind", "code", "largest"),
     [(name, *one) for name, kinds in STORED.items() for one in kinds],
 )
-def test_whole_numbers_are_shares_where_they_are_normalised(tmp_path, name, kind, code, largest):
+def test_normalised_integers_are_read_as_fractions(tmp_path, name, kind, code, largest):
     write_glb(tmp_path / "a.glb", scene(5, 0))
     document, binary = parts((tmp_path / "a.glb").read_bytes())
     attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:{name}"]

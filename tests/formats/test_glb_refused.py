@@ -99,7 +99,7 @@ A = f"{P}/attributes/{NAME}"
         ("meshes", 3, HeaderMalformed, "meshes: '3'\nexpected an array"),
     ],
 )
-def test_a_document_that_cannot_be_is_refused(tmp_path, path, value, kind, text):
+def test_invalid_document_is_refused(tmp_path, path, value, kind, text):
     file = tmp_path / "bad.glb"
     write_glb(file, scene(4, 1))
     document, binary = parts(file.read_bytes())
@@ -178,7 +178,7 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
         (20, b"!", HeaderMalformed, "chunk JSON: the GLB file has invalid JSON ("),
     ],
 )
-def test_a_frame_that_cannot_be_is_refused(tmp_path, at, value, kind, text):
+def test_invalid_coordinate_frame_is_refused(tmp_path, at, value, kind, text):
     file = tmp_path / "bad.glb"
     write_glb(file, scene(4, 1))
     content = bytearray(file.read_bytes())

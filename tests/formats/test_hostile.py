@@ -139,7 +139,7 @@ def test_a_frame_that_asks_for_a_huge_window_is_refused(tmp_path):
     assert peak_while_refusing(file, "spz") < LITTLE
 
 
-def test_what_a_reader_holds_is_of_the_size_of_the_splats(tmp_path):
+def test_reader_memory_is_proportional_to_the_splats(tmp_path):
     """SPZ unpacks to 64 bytes a splat, and becomes 236."""
     file = tmp_path / "a.spz"
     write_spz(file, scene(20_000, 3))

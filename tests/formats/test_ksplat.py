@@ -30,7 +30,7 @@ LEVELS = [0, 1, 2]
     count=st.integers(1, 20),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_what_was_written_value_by_value_is_read(tmp_path_factory, level, degree, count, seed):
+def test_handwritten_file_is_read(tmp_path_factory, level, degree, count, seed):
     splats = scene(count, degree, seed)
     file = tmp_path_factory.getbasetemp() / "a.ksplat"
     file.write_bytes(ksplat(splats, level))
@@ -50,13 +50,13 @@ def test_what_was_written_value_by_value_is_read(tmp_path_factory, level, degree
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_splat_transform_reads_it_alike(level):
+def test_splat_transform_reads_ksplat_alike(level):
     here = read_ksplat(GOLDENS / f"level-{level}.ksplat")
     there = read_ply(GOLDENS / f"level-{level}.ksplat.decoded.ply")
     assert_near(here, there, rotation=1e-7, opacities=1e-7, sh=2e-7)
 
 
-def test_twins_of_four_splats():
+def test_ksplat_and_splat_of_one_scene_agree():
     here = read_ksplat(shared("data/twins/minimal.ksplat"))
     assert_near(here, read_splat(shared("data/twins/minimal.splat")))
 
@@ -148,7 +148,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
         ),
     ],
 )
-def test_a_file_that_cannot_be_is_refused(tmp_path, at, value, kind, text):
+def test_inconsistent_ksplat_is_refused(tmp_path, at, value, kind, text):
     content = bytearray(ksplat(scene(12, 1), 1))
     content[at : at + len(value)] = value
     file = tmp_path / "bad.ksplat"

@@ -82,7 +82,7 @@ def test_packed_rows_of_any_layout_become_native_and_contiguous(tmp_path):
     np.testing.assert_array_equal(packed.gaussians, GAUSSIANS)
 
 
-def test_packed_rows_of_nan_are_for_the_validator_to_judge(tmp_path):
+def test_packed_rows_of_nan_are_read(tmp_path):
     file = saved(tmp_path / "a.npz", gaussians=GAUSSIANS * np.nan, appearance=APPEARANCE)
     assert isinstance(read_npz(file), PackedRows)
 
@@ -269,7 +269,7 @@ def test_a_header_of_any_claimed_length_takes_little_memory(tmp_path):
     assert peak < length / 8
 
 
-def test_too_little_memory_is_no_crash(tmp_path, monkeypatch):
+def test_too_little_memory_is_an_error(tmp_path, monkeypatch):
     def exhausted(*_: object, **__: object) -> None:
         raise MemoryError
 

@@ -96,7 +96,7 @@ def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, seen):
     ("suffix", "kind"),
     [("splat", FileTruncated), ("ksplat", FileTruncated), ("ply", NotRecognised)],
 )
-def test_where_nothing_fits_the_name_says_who_explains(tmp_path, suffix, kind):
+def test_unrecognised_file_is_explained_by_the_format_of_its_suffix(tmp_path, suffix, kind):
     file = tmp_path / f"scene.{suffix}"
     file.write_bytes(bytes(33))
     with pytest.raises(kind):
@@ -147,7 +147,7 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
 
 
 @pytest.mark.parametrize("read", READERS)
-def test_a_file_that_is_closed_to_us_is_refused(tmp_path, read, monkeypatch):
+def test_file_without_read_permission_is_refused(tmp_path, read, monkeypatch):
     def closed(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 

@@ -20,7 +20,7 @@ from support.splat_files import assert_near, opacity, scene, turn_between, unit
 C0 = 0.28209479177387814
 
 
-def test_records_are_what_the_format_says(tmp_path):
+def test_records_follow_the_format(tmp_path):
     splats = scene(3, 2)
     write_splat(tmp_path / "a.splat", splats)
     records = [*struct.iter_unpack("<6f8B", (tmp_path / "a.splat").read_bytes())]
@@ -37,7 +37,7 @@ def test_records_are_what_the_format_says(tmp_path):
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), degree=st.integers(0, 4))
-def test_what_comes_back_is_within_half_a_step(tmp_path_factory, seed, degree):
+def test_round_trip_error_is_within_half_a_step(tmp_path_factory, seed, degree):
     splats = scene(8, degree, seed)
     file = tmp_path_factory.getbasetemp() / "round.splat"
     write_splat(file, splats)
@@ -50,7 +50,7 @@ def test_what_comes_back_is_within_half_a_step(tmp_path_factory, seed, degree):
     assert turn_between(back.rotation, splats.rotation) <= 1.5 / 128  # 1 is cut to 127/128
 
 
-def test_what_is_written_again_is_the_same_file(tmp_path):
+def test_rewriting_gives_the_same_bytes(tmp_path):
     one, other = tmp_path / "one", tmp_path / "other"
     write_splat(one, scene(50, 0))
     write_splat(other, read_splat(one))
@@ -60,7 +60,7 @@ def test_what_is_written_again_is_the_same_file(tmp_path):
     assert np.abs(a[:, 28:].astype(int) - b[:, 28:]).max() <= 1
 
 
-def test_twins_of_a_real_training():
+def test_splat_and_ply_of_one_training_agree():
     name = "data/twins/test-splat.3-points-from-train"
     real, twin = read_ply(shared(f"{name}.ply")), read_splat(shared(f"{name}.splat"))
     plain = Splats(
@@ -73,7 +73,7 @@ def test_twins_of_a_real_training():
     assert_near(plain, twin, rotation=0.02, log_scale=1e-6, opacities=1 / 255, sh=1 / 70)
 
 
-def test_ends_of_the_ranges(tmp_path):
+def test_extreme_values_are_clamped(tmp_path):
     plain = scene(2, 0)
     odd = Splats(
         position=plain.position,

@@ -93,7 +93,7 @@ def naive_turn(row: bytes, version: int) -> list[float]:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("version", [1, 2, 3])
-def test_it_is_read_as_a_slow_decoder_reads_it(tmp_path, version, degree):
+def test_spz_agrees_with_a_slow_decoder(tmp_path, version, degree):
     file = tmp_path / "a.spz"
     write_spz(file, scene(9, degree, antialiased=degree == 1), version=version)
     here, there = read_spz(file), naive_read(file.read_bytes())
@@ -121,7 +121,7 @@ def test_the_code_of_the_format_rounds_alike(tmp_path, version):
     assert_near(read_spz(file), read_spz(GOLDENS / f"degree-4.v{version}.spz"), rotation=0)
 
 
-def test_twins_of_a_real_training():
+def test_spz_and_ply_of_one_training_agree():
     name = "data/twins/test-splat.3-points-from-train"
     real, twin = read_ply(shared(f"{name}.ply")), read_spz(shared(f"{name}.spz"))
     rounded = {"position": 1 / 8000, "rotation": 0.02, "log_scale": 1 / 31}
@@ -129,7 +129,7 @@ def test_twins_of_a_real_training():
 
 
 @pytest.mark.parametrize("name", ["raw", "v2", "v3", "v4"])
-def test_twins_of_four_splats(name):
+def test_spz_versions_of_one_scene_agree(name):
     splats = read_spz(shared(f"data/twins/minimal-{name}.spz"))
     z = 1 if name in ("raw", "v2") else -1  # of these two the axes were never turned
     places = [[-1, 0, z], [0, 0, z], [-1, 0, 0], [0, 0, 0]]
@@ -148,7 +148,9 @@ ROTATION_STEP = {1: 1 / 127.5, 2: 1 / 127.5, 3: 1 / 511 / math.sqrt(2), 4: 1 / 5
     flag=st.booleans(),
     bits=st.tuples(st.integers(1, 8), st.integers(1, 8)),
 )
-def test_what_comes_back_is_within_half_a_step(tmp_path_factory, version, degree, seed, flag, bits):
+def test_round_trip_error_is_within_half_a_step(
+    tmp_path_factory, version, degree, seed, flag, bits
+):
     splats = scene(6, degree, seed, antialiased=flag)
     file = tmp_path_factory.getbasetemp() / "round.spz"
     write_spz(file, splats, version=version, sh_bits=bits)
@@ -184,7 +186,7 @@ def test_rotations_come_back_as_close_as_the_bits_allow(tmp_path_factory, versio
     assert 1 - dots.min() <= loosest
 
 
-def test_what_is_written_again_is_the_same_file(tmp_path):
+def test_rewriting_gives_the_same_bytes(tmp_path):
     one, other = tmp_path / "one.spz", tmp_path / "other.spz"
     for version in (2, 3, 4):
         write_spz(one, scene(20, 2), version=version)
@@ -212,7 +214,7 @@ def test_a_large_scene_gets_larger_steps(tmp_path, reach, step):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_ends_of_the_ranges(tmp_path, version):
+def test_extreme_values_are_clamped(tmp_path, version):
     plain = scene(3, 1)
     odd = Splats(
         position=plain.position,
@@ -240,7 +242,7 @@ def test_ends_of_the_ranges(tmp_path, version):
         ({"sh_bits": (0, 4)}, "sh_bits: the SH bits are (0, 4)\nexpected two numbers, 1 to 8"),
     ],
 )
-def test_options_that_cannot_be_are_refused(tmp_path, change, text):
+def test_invalid_options_are_refused(tmp_path, change, text):
     with pytest.raises(ValueInvalid) as caught:
         write_spz(tmp_path / "a.spz", scene(1, 0), **change)
     assert str(caught.value) == f"{tmp_path / 'a.spz'}: {text}"
@@ -310,7 +312,7 @@ def plain_file(**change: int) -> bytes:
         ),
     ],
 )
-def test_a_header_that_cannot_be_is_refused(tmp_path, change, kind, text):
+def test_invalid_header_is_refused(tmp_path, change, kind, text):
     assert refusal(tmp_path, plain_file(**change), kind) == text
 
 
@@ -322,7 +324,7 @@ def test_a_count_beyond_what_gzip_can_hold_is_refused_before_unpacking(tmp_path)
     )
 
 
-def test_what_unpacks_to_more_than_allowed_is_refused(tmp_path):
+def test_unpacked_size_beyond_the_limit_is_refused(tmp_path):
     write_spz(tmp_path / "a.spz", scene(50, 0))
     content = (tmp_path / "a.spz").read_bytes()
     text = refusal(tmp_path, content, SizeExceeded, max_bytes=1000)
@@ -334,7 +336,7 @@ def test_other_files_are_not_recognised(tmp_path):
     assert refusal(tmp_path, b"abcd" + bytes(60), NotRecognised).startswith("first bytes")
 
 
-def test_damage_is_noticed(tmp_path):
+def test_damaged_data_is_refused(tmp_path):
     for version in (3, 4):
         write_spz(tmp_path / "a.spz", scene(50, 1), version=version)
         content = bytearray((tmp_path / "a.spz").read_bytes())
@@ -387,13 +389,13 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
         (40, 1, "byte 40: stream positions unpacks to 257 bytes\nexpected 360 bytes"),
     ],
 )
-def test_a_table_of_contents_that_cannot_be_is_refused(tmp_path, at, value, text):
+def test_invalid_table_of_contents_is_refused(tmp_path, at, value, text):
     content = bytearray((GOLDENS / "scene.v4.spz").read_bytes())
     content[at] = value
     assert refusal(tmp_path, bytes(content), HeaderMalformed) == text
 
 
-def test_what_readers_would_refuse_is_not_written(tmp_path):
+def test_unreadable_scenes_are_not_written(tmp_path):
     splat = scene(1, 0)
     alike = Splats(**{name: np.repeat(getattr(splat, name), 200_000, axis=0) for name in FIELDS})
     with pytest.raises(FileTruncated, match="200000 splats in a file of"):
@@ -428,7 +430,7 @@ def test_other_axes_are_read_as_they_were_written(tmp_path, axes):
 
 
 @pytest.mark.parametrize("axes", ["", "RU", "URB", "XYZ", "RUBB"])
-def test_axes_that_are_none_are_refused(tmp_path, axes):
+def test_invalid_axes_are_refused(tmp_path, axes):
     with pytest.raises(ValueInvalid, match="expected R or L, U or D, F or B"):
         write_spz(tmp_path / "a.spz", scene(3, 0), axes=axes)
 

@@ -26,7 +26,7 @@ def trial(tmp_path: Path) -> formats.Trial:
     return formats.read(formats.ANY, file)
 
 
-def test_what_is_read_and_what_is_refused_is_told_apart(tmp_path, monkeypatch):
+def test_read_and_refused_files_are_counted_separately(tmp_path, monkeypatch):
     reading(monkeypatch, lambda file: scene(1, 0))
     assert trial(tmp_path) == formats.Trial("read")
 
@@ -48,7 +48,7 @@ def test_what_is_read_and_what_is_refused_is_told_apart(tmp_path, monkeypatch):
         (SizeExceeded("takes more memory than is available"), "memory ran out: takes more memory"),
     ],
 )
-def test_what_goes_wrong_is_a_failure(tmp_path, monkeypatch, error, failure):
+def test_unexpected_exception_is_a_failure(tmp_path, monkeypatch, error, failure):
     def fail(file: Path) -> Splats:
         raise error
 
@@ -104,7 +104,7 @@ def test_a_process_that_dies_is_seen_and_its_file_kept(tmp_path, monkeypatch, ca
     assert (tmp_path / "kept" / "splat-0-1").stat().st_size
 
 
-def test_a_worker_tells_of_memory(monkeypatch, capsys):
+def test_worker_reports_memory_excess(monkeypatch, capsys):
     monkeypatch.setattr(formats, "MEMORY", 1000)
     formats._tell(3, formats.Trial("read"), 2 << 20)
     told = json.loads(capsys.readouterr().out)

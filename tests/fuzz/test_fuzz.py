@@ -76,7 +76,7 @@ def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path):
     assert log.read_text().count("\n") == 25
 
 
-def test_what_failed_is_kept_with_the_way_to_see_it_again(corpus, tmp_path):
+def test_failing_case_is_saved_with_its_repro_command(corpus, tmp_path):
     beside = next(k for k in range(500) if draw(0, k, corpus).base.folder is not None)
     for index in (0, beside):
         command._keep(0, {"case": index, "failures": ["it crashed"]}, tmp_path)
@@ -135,7 +135,7 @@ def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
     assert any("ended with [-9], and the report does not" in one for one in verdict.failures)
 
 
-def test_a_worker_that_hangs_or_dies_is_replaced_and_told_of():
+def test_hung_or_dead_worker_is_replaced_and_reported():
     pool = Pool(seed=0, jobs=2, worker="fuzz.misbehaving_worker", limit=0.5)
     told = {one["case"]: one for one in pool.judged(range(5), time.monotonic() + 60)}
     assert sorted(told) == [0, 1, 2, 3, 4]

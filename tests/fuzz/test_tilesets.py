@@ -10,7 +10,7 @@ from fuzz.tilesets import _ENVIRONMENT, judge, mutant
 pytestmark = pytest.mark.slow
 
 
-def test_mutants_are_judged_or_refused() -> None:
+def test_mutants_are_validated_or_refused() -> None:
     command = [sys.executable, "-m", "fuzz.tilesets", "--count", "250", "--seed", "11"]
     done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
     assert done.returncode == 0, done.stdout + done.stderr

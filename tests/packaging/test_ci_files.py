@@ -150,7 +150,7 @@ def models(tmp_path: Path) -> Path:
 
 @pytest.mark.skipif(os.name == "nt", reason="steps run in bash")
 class TestAction:
-    def test_it_installs_its_own_version(self, tmp_path: Path) -> None:
+    def test_action_installs_its_own_version(self, tmp_path: Path) -> None:
         python = tmp_path / "python"
         python.write_text('#!/bin/sh\nprintf "%s|" "$@"\n', "utf-8")
         python.chmod(0o755)
@@ -185,7 +185,7 @@ class TestAction:
         assert '"verdict": "conforms"' in (models / "report.json").read_text("utf-8")
 
     @pytest.mark.parametrize(("named", "code"), [({}, 0), ({"fail-on": "warning"}, 1)])
-    def test_inputs_that_are_not_set_leave_the_project_s_file_its_say(
+    def test_unset_inputs_keep_the_project_settings(
         self, models: Path, named: dict[str, str], code: int
     ) -> None:
         text = '[validate]\ntarget = "webgpu"\nlevel = "values"\n[severity]\nGV003 = "warning"\n'

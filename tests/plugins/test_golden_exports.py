@@ -72,7 +72,7 @@ def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Ca
 
 
 @pytest.mark.slow
-def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
+def test_model_runs_in_webgpu_without_stale_replays(case: Case) -> None:
     assert_captured(case.exported.report)
 
 
@@ -128,7 +128,7 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
 
 
 @pytest.mark.slow
-def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) -> None:
+def test_viewer_export_prints_the_detected_method(tmp_path: Path) -> None:
     options = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
     run = write_octree(tmp_path / "run", options, mode="progressive")
     words = ["export", "octree-gs", "--checkpoint", str(run), "--appearance-id", "1"]
@@ -155,7 +155,7 @@ def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) 
     assert [d.dim_value for d in color.type.tensor_type.shape.dim] == [5, 48]
 
 
-def test_a_mistake_is_explained(tmp_path: Path) -> None:
+def test_mistaken_export_options_are_explained(tmp_path: Path) -> None:
     write_octree(tmp_path / "run", AnchorOptions(anchors=3, iteration=40000, united=True))
     words = ("--checkpoint", "run", "--iteration", "7", "-o", "x.onnx")
     ran = gsgen_here("export", "octree-gs", *words, cwd=tmp_path)
@@ -165,7 +165,7 @@ def test_a_mistake_is_explained(tmp_path: Path) -> None:
     assert not (tmp_path / "x.onnx").exists()
 
 
-def test_an_appearance_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_unknown_appearance_is_refused(tmp_path: Path) -> None:
     options = AnchorOptions(anchors=3, cameras=2, appearance=4, united=True)
     write_scaffold(tmp_path / "two", options)
     with pytest.raises(CheckpointInvalid, match="2 is not one of the 2 training cameras"):

@@ -35,13 +35,13 @@ def test_every_plugin_says_what_it_reads_and_what_its_models_take() -> None:
     assert plugins["hexplane-4dgs"]["inputs"] == ["time"]
 
 
-def test_some_can_be_asked_for() -> None:
+def test_command_lists_the_named_plugins() -> None:
     assert [plugin["name"] for plugin in listed("static", "octree-gs")] == ["octree-gs", "static"]
     with pytest.raises(UnknownName, match="unknown plugin 'octree'"):
         command.plugins(["octree"])
 
 
-def test_one_that_lacks_something_says_what(
+def test_plugin_lacking_a_dependency_names_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     point = EntryPoint("ghost", "no.such.module:PLUGIN [sdk]", "gsgen.generators")

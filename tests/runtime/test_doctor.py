@@ -26,14 +26,14 @@ def named(name: str) -> Check:
     return check
 
 
-def test_it_tells_which_kernels_the_renderer_uses_and_why() -> None:
+def test_doctor_reports_the_kernels_and_the_reason() -> None:
     check = named("renderer")
     assert check.state == "ok"
     assert "kernels for CPUs, which is where the driver runs; tiles of 16 pixels" in check.detail
     assert "rasteriser tiles: software drivers always use them" in check.detail
 
 
-def test_without_a_screen_it_names_what_needs_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_screen_check_suggests_render(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     check = named("screen")
@@ -42,7 +42,7 @@ def test_without_a_screen_it_names_what_needs_none(monkeypatch: pytest.MonkeyPat
     assert "gsgen render" in check.remedy
 
 
-def test_a_screen_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_available_screen_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
     told(monkeypatch, None)
     installed(monkeypatch, "glfw", "rendercanvas")
     assert named("screen").state == "ok"

@@ -66,7 +66,7 @@ def test_no_splats_are_a_table_without_a_box_of_nothing() -> None:
     assert "<strong>0 splats</strong>" in empty._repr_html_()
 
 
-def test_a_report_names_its_findings(tmp_path: Path) -> None:
+def test_notebook_report_names_its_findings(tmp_path: Path) -> None:
     report = validate(find("opacity_is_logits").write(tmp_path))
     html = report._repr_html_()
     assert "opacity_is_logits.onnx: invalid" in html

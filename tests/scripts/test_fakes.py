@@ -85,7 +85,7 @@ def test_a_replaced_part_is_found(code: str, parts: list[str]) -> None:
     assert list(replaced(code)) == parts
 
 
-def test_foreign_parts_are_replaced_only_to_fake_what_a_machine_lacks() -> None:
+def test_third_party_attributes_are_patched_only_for_missing_hardware() -> None:
     found: dict[str, list[str]] = {}
     for path in sorted(Path(ROOT, "tests").rglob("*.py")):
         parts = list(replaced(path.read_text("utf-8")))

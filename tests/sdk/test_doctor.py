@@ -8,7 +8,7 @@ from gsgen.sdk import doctor
 from gsgen.sdk.live import level
 
 
-def test_every_package_of_the_extras_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_lists_every_package_of_the_extras(monkeypatch: pytest.MonkeyPatch) -> None:
     def package(name: str, remedy: str, *, purpose: str) -> Check:
         return Check(name=name, state="missing", detail="", remedy=remedy, purpose=purpose)
 

@@ -137,9 +137,7 @@ def compared_nearby(known: Reference, outputs: list[ModelOutput], near: list[Ref
 @pytest.mark.parametrize(
     ("n", "gone", "holds"), [(100, [5], True), (100, [5, 6], False), (30_000, [5, 9, 20_000], True)]
 )
-def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
-    n: int, gone: list[int], holds: bool
-) -> None:
+def test_few_rows_may_match_torch_at_perturbed_inputs(n: int, gone: list[int], holds: bool) -> None:
     known, model = culled(n, []), culled(n, gone)
     outputs = [ModelOutput(*layout.encode(model.gaussians), n)]
     assert not compare([known], outputs, Tolerances()).holds
@@ -150,7 +148,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     assert ("at a threshold" in parity.describe()) is holds
 
 
-def test_a_row_that_torch_never_has_is_no_jump() -> None:
+def test_row_unreachable_by_torch_is_not_a_discontinuity() -> None:
     known, model = culled(100, []), culled(100, [7])
     outputs = [ModelOutput(*layout.encode(model.gaussians), 100)]
     near = [culled(100, []), culled(100, [8])]
@@ -160,7 +158,7 @@ def test_a_row_that_torch_never_has_is_no_jump() -> None:
     assert (worst.field, worst.row) == ("opacity", 7)
 
 
-def test_inputs_are_moved_to_both_sides_and_by_a_hair() -> None:
+def test_inputs_are_perturbed_slightly_to_both_sides() -> None:
     probe = Probe(label="p", inputs={"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])})
     moved = list(_nudged(probe))
     assert len(moved) == 6
@@ -185,7 +183,7 @@ class Threshold(Drift):
         return Gaussians(made.position, made.opacity * mask, made.scale, made.rotation, sh=made.sh)
 
 
-def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatch) -> None:
+def test_discontinuity_shifted_by_rounding_agrees_with_torch(monkeypatch) -> None:
     module = Threshold().eval()
     references = EagerRuns(
         module, [Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9)]
@@ -251,7 +249,7 @@ def test_only_one_probe_is_held_at_a_time() -> None:
 
 @pytest.mark.parametrize("step", [1, 2, 7, 200])
 @pytest.mark.parametrize("count", [0, 1, 150, 299, 300])
-def test_every_so_many_cells_are_kept_whole(step: int, count: int) -> None:
+def test_sampled_cells_are_kept_complete(step: int, count: int) -> None:
     known = with_cells(np.full(100, 0.5))
     assert known.cells is not None
     rows, color = layout.encode(known.gaussians)

@@ -70,7 +70,7 @@ def test_the_model_plays_until_its_button_is_pressed(article: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_screen_reader_is_told_what_is_shown(article: Any) -> None:
+def test_canvas_has_a_text_alternative_for_screen_readers(article: Any) -> None:
     canvas = article.get_by_role("img", name="A person walks")
     assert "Arrow keys turn" in canvas.get_attribute("aria-description")
     assert article.get_by_role("status").text_content() == "Loaded: A person walks"

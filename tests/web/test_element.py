@@ -140,7 +140,7 @@ def test_a_page_of_one_file_opens_from_disk(page: Any, knot: Path, tmp_path: Pat
         (None, "cannot be loaded: 404"),
     ],
 )
-def test_an_error_says_what_is_wrong_and_what_helps(
+def test_error_states_its_cause_and_a_hint(
     content: bytes | None, message: str, site: WebSite, page: Any
 ) -> None:
     site.contents["/error.html"] = b"""<!doctype html><meta charset=utf-8>
@@ -187,7 +187,7 @@ def test_a_frame_without_a_camera_or_a_model_is_left_out(page: Any, knot: Path) 
         assert page.evaluate("removed.report.errors.length") == 0
 
 
-def test_a_device_that_is_lost_for_good_is_said_to_be(page: Any, knot: Path) -> None:
+def test_unrecoverable_device_loss_is_reported(page: Any, knot: Path) -> None:
     with running(ModelServer([knot], ModelView(), ort=None)) as address:
         page.goto(address)
         wait(page)
@@ -206,7 +206,7 @@ def test_steady_frames_make_no_gpu_objects_and_wait_for_none(shown: Any) -> None
     assert result.heap_growth < 1 << 20
 
 
-def test_a_dropped_file_is_judged(shown: Any, tmp_path: Path) -> None:
+def test_dropped_file_is_validated(shown: Any, tmp_path: Path) -> None:
     [fixture] = [fixture for fixture in fixtures() if fixture.rule == "GM004"][:1]
     model = fixture.write(tmp_path)
     words = shown.evaluate_handle(

@@ -118,7 +118,7 @@ def test_every_static_rule_is_checked_or_has_a_reason() -> None:
     ("manifest", "expected"),
     [("{", "a JSON document"), ('{"contract": "1.0", "kind": "sofa"}', "one of")],
 )
-def test_a_manifest_that_is_none_is_named(
+def test_invalid_manifest_is_named(
     manifest: str, expected: str, site: WebSite, tmp_path: Path
 ) -> None:
     import onnx

@@ -51,7 +51,7 @@ def expected(
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_looks_as_in_python(name: str, site: WebSite, renderer: Renderer) -> None:
+def test_page_draws_scenes_like_python(name: str, site: WebSite, renderer: Renderer) -> None:
     scene, camera = SCENES[name]()
     image, visible = expected(renderer, scene, camera, background=(0.1, 0.2, 0.3, 1))
     result = drawn(site, scene, camera, background=[0.1, 0.2, 0.3])
@@ -60,9 +60,7 @@ def test_a_scene_looks_as_in_python(name: str, site: WebSite, renderer: Renderer
 
 
 @pytest.mark.parametrize("output", ["depth", "normal"])
-def test_other_outputs_are_those_of_python(
-    output: Output, site: WebSite, renderer: Renderer
-) -> None:
+def test_page_outputs_agree_with_python(output: Output, site: WebSite, renderer: Renderer) -> None:
     scene, camera = SCENES["seen_from_elsewhere"]()
     image, _ = expected(renderer, scene, camera, output)
     result = drawn(site, scene, camera, outputs=[output])[output]

@@ -108,7 +108,7 @@ def test_a_budget_keeps_coarser_tiles(folder: Path, site: WebSite) -> None:
     assert near["live"] > 0
 
 
-def test_a_damaged_tile_is_told_and_the_rest_is_drawn(
+def test_damaged_tile_is_reported_and_others_are_drawn(
     folder: Path, site: WebSite, tmp_path: Path
 ) -> None:
     tiles = tmp_path / "tiles"
@@ -245,7 +245,7 @@ def test_volumes_that_pages_do_not_read_are_named(root: Any, site: WebSite) -> N
     [(b"{}", "is not a binary subtree"), (b"subt" + bytes(40), "is not whole")],
     ids=["json", "cut off"],
 )
-def test_a_damaged_subtree_is_told(
+def test_damaged_subtree_is_reported(
     data: bytes, message: str, implicit_folder: Path, site: WebSite, tmp_path: Path
 ) -> None:
     shutil.copytree(implicit_folder, tmp_path / "tiles")

@@ -46,7 +46,7 @@ def test_the_report_is_json(models: Path, tmp_path: Path) -> None:
     assert document["notes"][0] in ran.err
 
 
-def test_poses_are_frames(models: Path, tmp_path: Path) -> None:
+def test_pose_file_gives_one_frame_per_pose(models: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "walk.npy", np.random.default_rng(0).normal(0, 0.2, (2, 4, 3)))
     words = ("-o", tmp_path / "%d.glb", "--pose", tmp_path / "walk.npy", "--json")
     ran = gsgen_here("bake", models / "avatar.onnx", *words)
@@ -77,7 +77,7 @@ def test_poses_are_frames(models: Path, tmp_path: Path) -> None:
         ("missing", ("-o", "a.ply"), 4, ("missing.onnx", "No such file")),
     ],
 )
-def test_mistakes_are_told_with_a_hint(
+def test_invalid_options_are_reported_with_a_hint(
     models: Path,
     tmp_path: Path,
     model: str,

@@ -54,7 +54,7 @@ def test_scenes_that_need_several_passes_are_not_measured(scenes: list[Path]) ->
 
 
 @pytest.mark.parametrize("clock", ["timestamps", "cpu"])
-def test_figures_are_those_of_the_film(
+def test_bench_measures_the_requested_frames(
     scenes: list[Path], renderer: Renderer, monkeypatch: pytest.MonkeyPatch, clock: str
 ) -> None:
     if clock == "cpu":
@@ -86,7 +86,7 @@ def test_figures_are_those_of_the_film(
         source.close()
 
 
-def test_what_the_rasteriser_draws_is_a_stage(scenes: list[Path], renderer: Renderer) -> None:
+def test_rasterised_passes_are_reported_as_stages(scenes: list[Path], renderer: Renderer) -> None:
     if not renderer.device.has_clock:
         pytest.skip("this device has no timestamps")
     source = open_source(scenes[0])
@@ -99,7 +99,7 @@ def test_what_the_rasteriser_draws_is_a_stage(scenes: list[Path], renderer: Rend
     assert min(cost.stages["meshes"], cost.stages["quads"]) > 0
 
 
-def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
+def test_table_lists_stages_percentiles_and_bytes(scenes: list[Path], tmp_path: Path) -> None:
     finished = gsgen_here("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
     assert finished.code == 0, finished.err
     for words in ("wall", "CPU, all threads", "inference, drift.onnx", "blend, ", "p95 ms",
@@ -112,7 +112,7 @@ def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
     assert set(read["tools"]) == {"gsgen", "onnxruntime", "wgpu"}
 
 
-def test_json_and_mistakes(scenes: list[Path]) -> None:
+def test_json_report_and_exit_codes_of_invalid_input(scenes: list[Path]) -> None:
     app = typer.Typer()
     app.command()(bench_render)
     words = [str(scenes[0]), *SMALL, "--json", "--compact"]

@@ -18,7 +18,7 @@ def source(tmp_path_factory) -> Path:
     return file
 
 
-def test_a_conversion_says_what_was_lost(source, tmp_path):
+def test_lossy_conversion_reports_its_losses(source, tmp_path):
     target = tmp_path / "scene.spz"
     ran = gsgen("convert", source, target, "--sh-degree", "1")
     assert (ran.code, ran.err) == (0, "")
@@ -31,13 +31,13 @@ def test_a_conversion_says_what_was_lost(source, tmp_path):
     assert open_splats(target).degree == 1
 
 
-def test_nothing_lost_is_said_too(source, tmp_path):
+def test_lossless_conversion_is_reported_as_exact(source, tmp_path):
     ran = gsgen_here("convert", source, tmp_path / "a.ply", "--encoding", "ascii")
     assert ran.code == 0
     assert ran.out.splitlines()[1:] == ["nothing was lost"]
 
 
-def test_programs_read_json(source, tmp_path):
+def test_conversion_report_is_valid_json(source, tmp_path):
     target = tmp_path / "new" / "folder" / "a"
     ran = gsgen_here("convert", source, target, "--format", "splat", "--json")
     assert ran.code == 0, ran.err
@@ -83,7 +83,7 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, message):
+def test_impossible_conversion_exits_with_a_code(source, tmp_path, words, code, message):
     ran = gsgen_here("convert", source, *words, cwd=tmp_path)
     assert ran.code == code
     assert ran.err.startswith(f"gsgen: {message}")
@@ -144,9 +144,7 @@ def test_a_few_rows_do_not_keep_a_scene_from_being_used(trained: Path, command: 
 
 
 @pytest.mark.parametrize("way", ["itself", "another spelling", "a symlink", "a hard link"])
-def test_a_source_is_not_replaced_unless_that_is_wished(
-    source: Path, tmp_path: Path, way: str
-) -> None:
+def test_source_is_not_overwritten_without_force(source: Path, tmp_path: Path, way: str) -> None:
     file = tmp_path / "a.ply"
     file.write_bytes(source.read_bytes())
     target = file if way == "itself" else tmp_path / "b.ply"
@@ -204,7 +202,7 @@ def test_statistics_are_printed_and_drawn(source: Path, tmp_path: Path) -> None:
     assert "deviation" in gsgen_here(*words).out
 
 
-def test_edits_that_cannot_be_are_refused(source: Path, tmp_path: Path) -> None:
+def test_invalid_edits_are_refused(source: Path, tmp_path: Path) -> None:
     ran = gsgen_here("convert", source, tmp_path / "a.ply", "--translate", "1,2")
     assert ran.code == 2
     assert ran.err.startswith("gsgen: --translate: is '1,2', expected finite numbers X,Y,Z")
@@ -277,7 +275,7 @@ end_header
 @pytest.mark.parametrize(
     ("before", "after"), [(("convert",), ("out.spz",)), (("export", "html"), ("-o", "page.html"))]
 )
-def test_a_mesh_is_said_to_be_one(
+def test_mesh_is_refused_as_a_mesh(
     tmp_path: Path, name: str, text: str, before: tuple[str, ...], after: tuple[str, ...]
 ) -> None:
     (tmp_path / name).write_text(text, "utf-8")

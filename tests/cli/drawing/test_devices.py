@@ -46,7 +46,7 @@ def test_a_lost_device_ends_a_command(command: str, frame: int) -> None:
 
 
 @pytest.mark.parametrize("command", DRAWING)
-def test_a_full_memory_says_what_wanted_how_much(command: str) -> None:
+def test_out_of_memory_error_names_the_request_and_its_size(command: str) -> None:
     with memory_of(400_000):
         ran = gsgen_here(*DRAWING[command])
     assert ran.code == 2, ran.err
@@ -59,7 +59,7 @@ def test_a_full_memory_says_what_wanted_how_much(command: str) -> None:
     assert not list(Path().glob("out.*"))
 
 
-def test_what_is_said_to_take_less_does() -> None:
+def test_suggested_options_take_less_memory() -> None:
     with memory_of(ENOUGH):
         assert gsgen_here(*DRAWING["render"]).code == 2
     with memory_of(ENOUGH):
@@ -85,7 +85,7 @@ def test_a_level_that_a_device_fails_at_is_skipped_with_the_reason(
     assert reason in level["reason"]
 
 
-def test_an_image_of_which_one_row_of_tiles_cannot_be_bound() -> None:
+def test_image_whose_tile_row_exceeds_a_binding_is_refused() -> None:
     with bindings_of(1 << 20):
         ran = gsgen_here("render", "cloud.npz", "-o", "out.png", "--width", "4096")
     assert ran.code == 2, ran.err

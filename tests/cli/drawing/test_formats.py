@@ -11,7 +11,7 @@ from gsgen.contract.validator import validate
 from support.commands import gsgen, gsgen_here
 
 
-def test_the_command_and_the_library_find_the_same(nan: Path, dim: Path) -> None:
+def test_command_and_library_report_equal_findings(nan: Path, dim: Path) -> None:
     ran = gsgen_here("validate", nan, dim, "--format", "json")
     for document, path in zip(json.loads(ran.out)["reports"], (nan, dim), strict=True):
         result = to_dict(validate(path))
@@ -96,7 +96,7 @@ def test_a_baseline_forgives_what_it_lists_and_no_more(
         ("{}", "the baseline is not a validation report"),
     ],
 )
-def test_a_baseline_that_is_none_exits_2(
+def test_invalid_baseline_exits_2(
     good: Path, tmp_path: Path, text: str | None, message: str
 ) -> None:
     baseline = tmp_path / "baseline.json"
@@ -120,7 +120,7 @@ def test_a_waiver_is_shown_with_its_reason(nan: Path) -> None:
     assert "'reason' is a required property" in ran.err
 
 
-def test_a_path_that_is_no_text_reaches_every_format(nan: Path) -> None:
+def test_undecodable_path_is_printed_in_every_format(nan: Path) -> None:
     odd = Path(f"{nan.parent}/a\udcff'\"<%.onnx")
     nan.rename(odd)
     for name in ("text", "json", "sarif", "junit", "md", "github"):

@@ -72,7 +72,7 @@ def film(renderer: Renderer, path: Path, **options: object) -> tuple[FrameSequen
     return FrameSequence([source], view, renderer=renderer, **options), source
 
 
-def test_a_picture(file: Path, tmp_path: Path) -> None:
+def test_splat_file_is_rendered_to_png(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out.png"
     finished = gsgen("render", str(file), "-o", str(out), *SMALL)
     assert finished.code == 0, finished.err
@@ -92,7 +92,7 @@ def test_a_generator_without_a_live_row_is_noted(tmp_path: Path) -> None:
     assert "no Gaussians with these inputs: --time" in notes
 
 
-def test_json_and_floats(file: Path, tmp_path: Path) -> None:
+def test_json_summary_and_npy_output(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.npy"
     _, printed, _ = ran(str(file), "-o", str(out), *SMALL, "--json")
     message = json.loads(printed)
@@ -113,7 +113,7 @@ def ran(*words: str) -> tuple[int, str, str]:
     return finished.exit_code, finished.stdout, finished.stderr
 
 
-def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
+def test_mistake_exits_with_message_in_a_subprocess(tmp_path: Path) -> None:
     finished = gsgen("render", "nowhere.ply", "-o", "a.png", cwd=tmp_path)
     assert finished.code == 4
     assert (
@@ -175,7 +175,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("BODY", "--input", "pose=1,2"), 2, "has shape [2], expected [4, 3] or [frames, 4, 3]"),
     ],
 )
-def test_mistakes(
+def test_invalid_render_options_are_reported(
     places: dict[str, str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -211,7 +211,7 @@ def test_a_generator_is_run_for_every_frame(
     source.close()
 
 
-def test_time_by_itself_and_through_its_range(renderer: Renderer, moving: Path) -> None:
+def test_time_advances_by_itself_or_sweeps_its_range(renderer: Renderer, moving: Path) -> None:
     unmoving, source = film(renderer, moving, time=1.0, camera=FRONT)
     whole, second = film(renderer, moving, frames=2, camera=FRONT)
     declared = source.time
@@ -244,7 +244,9 @@ def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("mode", ["depth", "median-depth", "normal", "alpha"])
-def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
+def test_every_output_mode_gives_floats_and_a_picture(
+    renderer: Renderer, file: Path, mode: str
+) -> None:
     source = open_source(file)
     result = FrameSequence([source], viewpoint(None, width=48, height=32), mode, renderer=renderer)
     frame = result.draw(0)
@@ -260,7 +262,7 @@ def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
         assert np.corrcoef(floats[finite], picture[finite])[0, 1] < -0.5
 
 
-def test_several_scenes_are_one(renderer: Renderer, file: Path, moving: Path) -> None:
+def test_several_sources_render_as_one_scene(renderer: Renderer, file: Path, moving: Path) -> None:
     both = [open_source(file), open_source(moving)]
     result = FrameSequence(both, viewpoint(None, width=48, height=32), renderer=renderer)
     drawn = result.draw(0)
@@ -292,9 +294,7 @@ def test_inputs_are_fed_frame_by_frame(renderer: Renderer, places: dict[str, str
         entry.close()
 
 
-def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
-    renderer: Renderer, moving: Path, tmp_path: Path
-) -> None:
+def test_film_equals_its_single_frames(renderer: Renderer, moving: Path, tmp_path: Path) -> None:
     result, source = film(renderer, moving, frames=4)
     result.write(tmp_path / "film.npy")
     alone = [result.draw(number).rgba for number in range(4)]
@@ -302,7 +302,7 @@ def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
     source.close()
 
 
-def test_an_orbit_goes_around_what_the_whole_film_shows(renderer: Renderer, moving: Path) -> None:
+def test_orbit_encloses_all_frames_of_a_film(renderer: Renderer, moving: Path) -> None:
     result, source = film(renderer, moving, frames=5)
     center, reach = source.extent()
     visited = []
@@ -331,7 +331,7 @@ def test_frame_numbers_count_where_there_is_no_time(renderer: Renderer, tmp_path
     source.close()
 
 
-def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
+def test_all_render_options_combine(places: dict[str, str], tmp_path: Path) -> None:
     np.save(tmp_path / "walk.npy", np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3)))
     words = ("--pose", "walk.npy", "--input", "root_translation=0.1,0,0", *SMALL)
     out = Path("new", "folder")
@@ -390,7 +390,7 @@ def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
         ("one.png", ""),
     ],
 )
-def test_what_becomes_of_transparency_is_said(
+def test_transparency_handling_is_reported(
     file: Path, tmp_path: Path, name: str, message: str
 ) -> None:
     frames = "3" if name.startswith("film") else "1"
@@ -467,7 +467,7 @@ def test_a_film_of_one_frame_is_noted(file: Path, moving: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize("command", ["render", "view"])
 @pytest.mark.parametrize("size", ["640", "0x0", "x360"])
-def test_a_size_that_is_none_names_the_forms_that_the_scene_has(
+def test_invalid_size_error_names_the_supported_forms(
     command: str, size: str, file: Path, moving: Path
 ) -> None:
     output = ("-o", "a.png") if command == "render" else ()

@@ -40,7 +40,7 @@ def ran(*words: str) -> Any:
     return CliRunner().invoke(app, list(words))
 
 
-def test_without_a_screen_it_says_what_draws_the_same(
+def test_view_without_a_screen_suggests_render(
     drift: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
@@ -78,7 +78,7 @@ def test_options_reach_the_viewer(
     assert painted == {"rasteriser": "quads", "compact": True}
 
 
-def test_a_time_stands_still(
+def test_fixed_time_stays_constant(
     drift: Path, opened: list[tuple[Viewer, str, tuple[int, int]]]
 ) -> None:
     assert ran(str(drift), "--time", "0.5").exit_code == 0
@@ -96,7 +96,7 @@ def test_a_time_stands_still(
         (("DRIFT", "--frames", "1"), 2, "--frames"),
     ],
 )
-def test_mistakes_are_named(
+def test_invalid_view_options_are_named(
     drift: Path,
     opened: list[tuple[Viewer, str, tuple[int, int]]],
     words: tuple[str, ...],
@@ -118,7 +118,7 @@ def test_the_guide_has_the_keys_that_the_window_shows() -> None:
         assert f"| {keys} | {meaning} |" in guide
 
 
-def test_a_page_is_no_scene_of_a_page(tmp_path: Path) -> None:
+def test_exported_page_is_refused_as_a_scene(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("<title>A page</title>", "utf-8")
     finished = ran(str(tmp_path / "page.html"), "--web")
     assert isinstance(finished.exception, GsgenError)

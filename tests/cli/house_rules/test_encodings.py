@@ -212,7 +212,9 @@ def test_no_command_crashes_where_everything_can_be_printed(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RUNS if name != "utf-8, pipe"])
-def test_every_command_prints_in(name: str, folder: Path, expected: list[tuple[int, str]]) -> None:
+def test_every_command_prints_in_each_encoding(
+    name: str, folder: Path, expected: list[tuple[int, str]]
+) -> None:
     encoding, sink, surroundings = RUNS[name]
     calls = every_call(slow=name in COMPLETE)
     outputs = printed(folder, calls, encoding, sink, surroundings)

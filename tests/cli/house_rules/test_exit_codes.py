@@ -46,7 +46,7 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         *(pytest.param(words, ".ply", id=f"{name} ply") for name, words in SCENES.items()),
     ],
 )
-def test_a_file_that_cannot_be_read_is_4(words: tuple[str, ...], suffix: str, file: str) -> None:
+def test_unreadable_file_exits_4(words: tuple[str, ...], suffix: str, file: str) -> None:
     Path(f"text{suffix}").write_text("this is nothing of the sort", encoding="utf-8")
     by_name = f"{file}{suffix}"
     ran = gsgen_here(*(by_name if word == "MODEL" else word for word in words))
@@ -57,7 +57,7 @@ def test_a_file_that_cannot_be_read_is_4(words: tuple[str, ...], suffix: str, fi
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("folder", ["gone", "empty"])
-def test_a_checkpoint_that_cannot_be_read_is_4(method: str, folder: str) -> None:
+def test_unreadable_checkpoint_exits_4(method: str, folder: str) -> None:
     Path("empty").mkdir()
     ran = gsgen_here("export", method, "--checkpoint", folder, "-o", "out.onnx")
     assert ran.code == 4, ran.err
@@ -65,7 +65,7 @@ def test_a_checkpoint_that_cannot_be_read_is_4(method: str, folder: str) -> None
     assert not Path("out.onnx").exists()
 
 
-def test_wrong_options_are_2() -> None:
+def test_invalid_options_exit_2() -> None:
     Path("text.onnx").write_text("no model", encoding="utf-8")
     for words in (
         ("export", "static", "gone.ply", "-o", "out.onnx", "--level", "values2"),

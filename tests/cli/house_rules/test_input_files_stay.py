@@ -84,7 +84,7 @@ def test_an_input_file_keeps_its_bytes(folder: Path, line: str, name: str) -> No
 
 
 @pytest.mark.parametrize("output", ["page.ply", "page", "frames"])
-def test_a_page_has_the_suffix_of_a_page(folder: Path, output: str) -> None:
+def test_page_output_requires_an_html_suffix(folder: Path, output: str) -> None:
     ran = gsgen_here("export", "html", "src.ply", "-o", output, cwd=folder)
     assert ran.code == 2
     assert ("frames/page.html" if output == "frames" else "expected .html or .htm") in ran.err

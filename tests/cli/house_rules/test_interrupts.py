@@ -101,7 +101,7 @@ def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it() -> None:
     assert interrupts.requested.is_set()
 
 
-def test_other_signals_are_none_of_its_business() -> None:
+def test_other_signals_are_not_handled() -> None:
     before = signal.signal(signal.SIGTERM, lambda *_: None)
     try:
         with ending_at_interrupts(10_000) as interrupts:
@@ -111,7 +111,7 @@ def test_other_signals_are_none_of_its_business() -> None:
     assert not interrupts.requested.is_set()
 
 
-def test_a_crash_is_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crash_exits_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("by zero")
 

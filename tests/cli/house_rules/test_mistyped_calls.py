@@ -129,7 +129,7 @@ def test_a_mistyped_call_ends_in_one_message(line: str, answers: dict[str, Ran])
     assert messages == (0 if ran.out else 1), ran.err
 
 
-def test_nine_of_ten_messages_offer_a_way_on(answers: dict[str, Ran]) -> None:
+def test_nine_of_ten_messages_suggest_a_fix(answers: dict[str, Ran]) -> None:
     without = [line for line, ran in answers.items() if not WAY_ON.search(ran.err + ran.out)]
     assert len(answers) >= 60
     assert len(without) <= len(answers) // 10, without

@@ -32,7 +32,7 @@ def logits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
     ids=" ".join,
 )
-def test_no_report_and_no_model_replaces_what_is_read(logits: Path, words: tuple[str, ...]) -> None:
+def test_outputs_do_not_overwrite_inputs(logits: Path, words: tuple[str, ...]) -> None:
     Path("link.txt").symlink_to(logits)
     head = "ply\nformat ascii 1.0\nelement vertex 1\n"
     names = ("x", "y", "z", "red", "green", "blue")
@@ -45,7 +45,7 @@ def test_no_report_and_no_model_replaces_what_is_read(logits: Path, words: tuple
     assert {path: path.read_bytes() for path in Path().iterdir()} == before
 
 
-def test_a_report_is_no_model(logits: Path) -> None:
+def test_report_does_not_overwrite_a_model(logits: Path) -> None:
     ran = gsgen_here("validate", logits, "-o", "copy.onnx")
     assert ran.code == 2
     assert ran.err == (
@@ -86,7 +86,7 @@ def test_several_rules_are_explained() -> None:
 
 
 @pytest.mark.parametrize("words", [("help",), ("help", "validate")])
-def test_help_is_a_word(words: tuple[str, ...]) -> None:
+def test_help_command_prints_help(words: tuple[str, ...]) -> None:
     ran = gsgen_here(*words)
     assert ran.code == 0
     assert f"gsgen {' '.join(words[1:])}".strip() in ran.out
@@ -165,7 +165,7 @@ def test_a_file_of_another_kind_is_named(content: bytes, visited: str, tmp_path:
     assert f"some.onnx: is not an ONNX model but {visited}" in ran.err
 
 
-def test_the_rule_that_was_meant_is_in_the_cure(logits: Path) -> None:
+def test_mistyped_rule_suggests_the_nearest_rule(logits: Path) -> None:
     ran = gsgen_here("validate", logits, "--severity", "GV003")
     assert "Write it as GV003=error." in ran.err
 
@@ -179,7 +179,7 @@ def test_a_dry_run_may_be_added_to_any_command_line(good: Path, tmp_path: Path) 
     assert not out.exists()
 
 
-def test_a_folder_of_models_says_what_it_holds(logits: Path) -> None:
+def test_folder_of_models_lists_its_models(logits: Path) -> None:
     ran = gsgen_here("inspect", Path())
     assert (ran.code, ran.err) == (
         4,
@@ -194,13 +194,13 @@ def test_a_folder_of_models_is_validated(logits: Path) -> None:
     assert "opacity_is_logits.onnx" in folder.out
 
 
-def test_a_setting_outside_of_its_table_is_sent_there(logits: Path) -> None:
+def test_setting_outside_its_table_names_the_table(logits: Path) -> None:
     Path("gsgen.toml").write_text('target = "webgpu"\n', encoding="utf-8")
     ran = gsgen_here("validate", logits)
     assert ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
 
 
-def test_what_is_to_be_typed_can_be_pasted(logits: Path, tmp_path: Path) -> None:
+def test_suggested_commands_can_be_pasted(logits: Path, tmp_path: Path) -> None:
     folder = tmp_path / "my models"
     folder.mkdir()
     model = find("still_rgb").write(folder)

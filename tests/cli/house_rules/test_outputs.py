@@ -62,7 +62,7 @@ def trouble(name: str, output: str) -> tuple[int, list[str]]:
 
 
 @pytest.mark.parametrize("name", WRITING)
-def test_a_place_that_cannot_be_written_to_is_one_line(name: str) -> None:
+def test_unwritable_output_is_reported_in_one_line(name: str) -> None:
     code, (message,) = trouble(name, "file/out")
     assert code == WRITING[name][3]
     assert message.startswith("gsgen: file/out")
@@ -72,7 +72,7 @@ def test_a_place_that_cannot_be_written_to_is_one_line(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["validate", "export", "render a picture", "render floats", "convert"]
 )
-def test_a_folder_is_no_file(name: str) -> None:
+def test_folder_as_output_file_is_refused(name: str) -> None:
     Path(f"out{WRITING[name][1]}").mkdir()
     code, (message,) = trouble(name, "out")
     assert code == WRITING[name][3]
@@ -94,7 +94,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
 
 
 @pytest.mark.parametrize("name", ["validate", "convert"])
-def test_a_disk_that_takes_no_large_file(name: str) -> None:
+def test_file_size_limit_is_reported(name: str) -> None:
     """The limit of a process says the same as a full disk, but drivers do not survive it."""
     before, suffix, after, code = WRITING[name]
     limited = (
@@ -115,7 +115,7 @@ def _left() -> list[str]:
 
 
 @pytest.mark.parametrize("name", ["export", "render pictures", "convert"])
-def test_folders_on_the_way_are_made(name: str) -> None:
+def test_missing_parent_folders_are_created(name: str) -> None:
     code, message = trouble(name, "new/and/deep")
     assert (code, message) == (0, [])
     assert Path(f"new/and/deep{WRITING[name][1]}").exists()
@@ -135,7 +135,7 @@ def test_a_full_disk_behind_stdout_is_one_line(words: tuple[str, ...]) -> None:
     assert len(finished.stderr.splitlines()) == 2
 
 
-def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
+def test_device_file_is_not_replaced(tmp_path: Path) -> None:
     """As root, a file that is moved to /dev/null would be there in its place."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -148,7 +148,7 @@ def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1"])
 @pytest.mark.parametrize("kind", ["a pipe", "a file"])
-def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(name: str, kind: str) -> None:
+def test_report_to_dev_stdout_replaces_no_file(name: str, kind: str) -> None:
     code = (
         "import sys; from pathlib import Path; from gsgen.cli.output import "
         "write_text; write_text(Path(sys.argv[1]), 'a report')"
@@ -177,6 +177,6 @@ def test_a_report_to_a_device_leaves_it_there() -> None:
     assert not Path("/dev/null").is_file()
 
 
-def test_what_is_wrong_with_a_file_that_is_read_is_not_told_of_the_output(tmp_path: Path) -> None:
+def test_input_error_is_not_reported_for_the_output(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "out"):
         (tmp_path / "gone").read_bytes()

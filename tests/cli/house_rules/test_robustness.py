@@ -170,7 +170,7 @@ def test_a_hostile_file_ends_in_a_clear_message(judge: Judge, name: str) -> None
         ("loops for ever", "GS004"),
     ],
 )
-def test_the_fault_is_called_by_its_name(judge: Judge, name: str, rule: str) -> None:
+def test_hostile_file_message_names_the_fault(judge: Judge, name: str, rule: str) -> None:
     _, ran = judge(name)
     assert ran.code == 1
     assert f"{rule} error" in ran.out
@@ -187,7 +187,7 @@ def test_the_fault_is_called_by_its_name(judge: Judge, name: str, rule: str) -> 
         ("no graph", "holds no ONNX graph"),
     ],
 )
-def test_what_is_no_model_is_named(judge: Judge, name: str, words: str) -> None:
+def test_non_model_file_is_named(judge: Judge, name: str, words: str) -> None:
     _, ran = judge(name)
     assert ran.code == 4
     assert words in ran.err

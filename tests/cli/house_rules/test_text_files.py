@@ -90,7 +90,7 @@ def test_a_call_without_encoding_is_reported(code: str) -> None:
         "open_model(path)",
     ],
 )
-def test_other_calls_are_right(code: str) -> None:
+def test_calls_with_encoding_or_binary_mode_pass(code: str) -> None:
     assert not list(violations(ast.parse(code)))
 
 

@@ -31,7 +31,7 @@ def test_values_that_differ_are_counted_and_placed(tmp_path: Path) -> None:
     assert gsgen_here("diff", a, b, "--tolerance", "0.3").code == 0
 
 
-def test_a_channel_that_fills_words_is_no_difference(tmp_path: Path) -> None:
+def test_padding_channel_is_not_a_difference(tmp_path: Path) -> None:
     """Float16 rows of RGB have four channels, of which three are seen."""
     sketch = find("still_rgb").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
@@ -43,7 +43,7 @@ def test_a_channel_that_fills_words_is_no_difference(tmp_path: Path) -> None:
     assert f"output  appearance: differ by up to 0.25, in {len(colors)} rows" in ran.out
 
 
-def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> None:
+def test_declarations_and_graphs_are_compared(tmp_path: Path) -> None:
     sketch = find("drift").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
     sketch.write(a)

@@ -48,7 +48,7 @@ def test_published_rule_pages_are_current(tmp_path: Path) -> None:
     assert fresh == retained, "run: scripts/write_docs.py"
 
 
-def test_inspect_shows_what_a_model_says(good: Path) -> None:
+def test_inspect_prints_the_manifest_and_interface(good: Path) -> None:
     ran = gsgen_here("inspect", good)
     assert ran.code == 0
     assert "output  gaussians: float32 [40, 10]" in ran.out

@@ -141,7 +141,7 @@ def test_recording_in_a_manifest_of_1_2_writes_contract_1_0(
         ("post_process", "is not a gaussian-generator"),
     ],
 )
-def test_what_cannot_be_promised_is_refused_and_leaves_nothing(
+def test_unreproducible_references_are_refused_without_output(
     name: str, message: str, renderer: Renderer, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
@@ -150,7 +150,9 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(
     assert not out.exists()
 
 
-def test_wrong_numbers(renderer: Renderer, tmp_path: Path) -> None:
+def test_count_out_of_range_is_refused_and_the_maximum_is_valid(
+    renderer: Renderer, tmp_path: Path
+) -> None:
     source = find("drift").write(tmp_path)
     with pytest.raises(ConfigInvalid, match="--count: is 17, expected from 1 to 8"):
         record_references(source, tmp_path / "a.onnx", count=17, renderer=renderer)
@@ -165,7 +167,7 @@ def test_wrong_numbers(renderer: Renderer, tmp_path: Path) -> None:
         assert gsgen_here("references", source, "-o", tmp_path / "b.onnx", *words).code == 2
 
 
-def test_cameras_are_those_that_were_asked_for(renderer: Renderer, tmp_path: Path) -> None:
+def test_recorded_cameras_match_the_requested_ones(renderer: Renderer, tmp_path: Path) -> None:
     source, copy = find("drift").write(tmp_path), tmp_path / "copy.onnx"
     near = record_references(
         source, copy, camera="look-at:0,0,-3,0,0,0", count=2, width=WIDTH, renderer=renderer

@@ -20,7 +20,7 @@ def test_a_model_is_rewritten_and_validates_for_the_viewer(tmp_path: Path) -> No
     assert "GG006" not in after.out
 
 
-def test_a_mistake_is_told_without_a_traceback(tmp_path: Path) -> None:
+def test_mistake_is_reported_without_a_traceback(tmp_path: Path) -> None:
     path = find("drift").write(tmp_path)
     ran = gsgen_here("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
     assert ran.code == 2

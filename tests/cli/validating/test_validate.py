@@ -13,7 +13,7 @@ def test_a_good_model_conforms(good: Path) -> None:
     assert ran.err == ""
 
 
-def test_a_broken_model_exits_1_and_says_what_where_and_how_to_repair(nan: Path) -> None:
+def test_broken_model_exits_1_with_location_and_hint(nan: Path) -> None:
     ran = gsgen_here("validate", nan)
     assert ran.code == 1
     assert "GV001 error rows-finite" in ran.out
@@ -71,7 +71,7 @@ def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
         (("--fail-on", "info", "--severity", "GV004=info"), 1),
     ],
 )
-def test_what_fails_is_for_the_user_to_say(dim: Path, options: tuple[str, ...], code: int) -> None:
+def test_fail_on_sets_the_failing_severity(dim: Path, options: tuple[str, ...], code: int) -> None:
     assert gsgen_here("validate", dim, *options).code == code
 
 

@@ -177,7 +177,7 @@ def test_a_copy_is_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.Monke
     assert {path: path.read_bytes() for path in target.parent.rglob("*.*")} == before
 
 
-def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+def test_unreproducible_vectors_are_refused_without_output(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for name, document in (
         ("no_manifest", "has no manifest"),
@@ -192,7 +192,7 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -
         record_vectors(written(tmp_path, "drift"), out, count=10)
 
 
-def test_what_only_bears_the_name_of_a_vector_goes_and_links_lose_nothing(tmp_path: Path) -> None:
+def test_stale_vector_folders_are_removed_and_link_targets_stay(tmp_path: Path) -> None:
     source, out, retained = written(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
     retained.mkdir()
     out.mkdir()

@@ -85,7 +85,7 @@ def test_right_models_earn_no_warning_but_those_they_are_made_for(measurement: M
     assert earned == {name: declared[name] for name in earned}
 
 
-def test_right_models_are_made_for_few_warnings() -> None:
+def test_right_models_expect_few_warnings() -> None:
     right = all_right_models()
     assert sum(len(case.warnings) for case in right) <= len(right) / 20
 

@@ -69,7 +69,7 @@ def test_no_other_finding_comes_with_it(name: str, findings: dict[str, list[str]
 
 
 @pytest.mark.parametrize("name", RIGHT)
-def test_the_mended_model_has_no_finding(name: str, findings: dict[str, list[str]]) -> None:
+def test_corrected_model_has_no_finding(name: str, findings: dict[str, list[str]]) -> None:
     assert findings[name] == ["conforms, 0 findings"]
 
 

@@ -100,7 +100,7 @@ def constant(output, array, **attribute):
     return NodeProto(op_type="Constant", output=[output], attribute=[value])
 
 
-def test_what_a_subgraph_reads_is_read_by_its_node(graph_of):
+def test_subgraph_inputs_count_as_inputs_of_its_node(graph_of):
     graph = graph_of(model(BRANCHES.replace("THEN", "x").replace("ELSE", "x")))
     assert set(reads(graph.nodes[0])) == {"cond", "x", "a", "o", "p"}
     assert graph.varies("y")
@@ -165,7 +165,7 @@ def test_operators_whose_shapes_do_not_fit_are_an_inference_fault(graph_of):
         ("m (float[3] x) => (float[3] y) { y = Concat (x, x) }", "axis"),
     ],
 )
-def test_what_the_checker_objects_to_is_noted_in_one_line(graph_of, text, words):
+def test_checker_error_is_noted_in_one_line(graph_of, text, words):
     graph = graph_of(model(text))
     assert words in graph.checker_fault
     assert "\n" not in graph.checker_fault

@@ -58,7 +58,7 @@ def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
     assert dumps(manifest)
 
 
-def test_nothing_recognised_is_said_in_so_many_words():
+def test_unrecognised_model_is_reported():
     candidate = infer_manifest(graph_with(inputs=[Tensor("noise", "float32", (3,))]), "a")
     assert candidate.manifest.inputs == ()
     assert candidate.guesses[:4] == (
@@ -111,7 +111,7 @@ def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(
         ((7, "C"), AppearanceOutput("color", "rgb")),
     ],
 )
-def test_the_appearance_is_told_by_its_channels(dims, found):
+def test_appearance_is_inferred_from_its_channels(dims, found):
     outputs = [Tensor("color", "float32", dims)]
     assert infer_manifest(graph_with(outputs), "a").manifest.outputs.appearance == found
 

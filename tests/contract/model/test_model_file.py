@@ -57,7 +57,7 @@ def test_the_manifest_and_other_metadata_are_read(tmp_path):
     assert loads(open_model(path).manifest_text) == manifest_of(1)
 
 
-def test_where_a_key_repeats_the_last_one_holds(tmp_path):
+def test_last_value_of_a_repeated_metadata_key_wins(tmp_path):
     proto = ModelProto()
     proto.CopyFrom(SMALL)
     for value in ("first", "second"):
@@ -105,7 +105,7 @@ def test_a_file_of_another_kind_is_named_as_such(tmp_path, content, text):
         (".", "is a folder, expected an ONNX file"),
     ],
 )
-def test_what_is_not_there_is_said_to_be_so(tmp_path, name, text):
+def test_missing_file_is_reported(tmp_path, name, text):
     assert refusal(tmp_path / name) == text
 
 
@@ -224,7 +224,7 @@ def hidden(name):
         "sparse_tensors",
     ],
 )
-def test_external_data_is_found_wherever_it_hides(tmp_path, place):
+def test_external_data_is_found_in_every_kind_of_attribute(tmp_path, place):
     opened = open_model(save(tmp_path / "a.onnx", hidden(place)))
     assert opened.external == (ExternalRef("w", "weights.bin", 0, None),)
     assert b"weights.bin" not in opened.proto.SerializeToString()

@@ -246,7 +246,7 @@ def test_the_number_of_fields_is_limited(monkeypatch):
         skeleton(b"\x08\x01" * 101)
 
 
-def test_what_is_kept_besides_payload_is_limited(monkeypatch):
+def test_retained_bytes_besides_payload_are_limited(monkeypatch):
     monkeypatch.setattr(protobuf_scan, "_MAX_KEPT", 1 << 20)
     model = ModelProto(doc_string="x" * (1 << 20)).SerializeToString()
     with pytest.raises(WireFault, match="more than 1 MiB besides tensor payload"):

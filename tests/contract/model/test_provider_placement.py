@@ -57,7 +57,7 @@ def test_a_node_that_is_not_captured_has_one_cause(opened, body):
     assert causes == ({CAUSES[body]} if CAUSES[body] else set())
 
 
-def test_a_finding_tells_the_releases_apart(opened):
+def test_finding_names_the_affected_releases(opened):
     found = placements(*opened("m (float[2] x) => (float[2] y) { y = Max (x, x) }"), (NATIVE, JSEP))
     assert [(one.cause, one.outcomes) for one in found] == [
         ("operator", {"onnxruntime-web 1.22.0 (JSEP)": "cpu"})

@@ -8,7 +8,7 @@ from gsgen.contract.model.model_file import STUB, small_array
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int64, np.uint8, np.bool_])
-def test_numbers_are_read(dtype: type) -> None:
+def test_small_numeric_weights_are_read(dtype: type) -> None:
     array = np.arange(6).reshape(2, 3).astype(dtype)
     result = small_array(numpy_helper.from_array(array, "w"))
     assert result is not None
@@ -28,5 +28,5 @@ def test_numbers_are_read(dtype: type) -> None:
     ],
     ids=lambda weight: weight.name,
 )
-def test_other_weights_are_none(weight: TensorProto) -> None:
+def test_unreadable_weights_give_none(weight: TensorProto) -> None:
     assert small_array(weight) is None

@@ -64,7 +64,7 @@ def test_a_loop_is_seen_at_its_seam():
     assert values(made["loop"], "time") == [0, 0.1, 1.9, 2]
 
 
-def test_paces_lie_a_sixtieth_of_a_second_apart():
+def test_consecutive_times_differ_by_a_sixtieth_of_a_second():
     _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=30, fps=30.0))
     times = values(made["paces"], "time")
     steps = np.subtract(times[1::2], times[::2])
@@ -74,7 +74,7 @@ def test_paces_lie_a_sixtieth_of_a_second_apart():
 @pytest.mark.parametrize(
     ("frames", "visited"), [(1, 0), (2, 2), (12, 12), (64, 64), (65, 32), (500, 32)]
 )
-def test_frames_are_visited_within_them(frames, visited):
+def test_times_within_frames_are_probed(frames, visited):
     _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
     assert len(made["frames"]) == visited
     for probe in made["frames"]:
@@ -83,7 +83,7 @@ def test_frames_are_visited_within_them(frames, visited):
 
 
 @pytest.mark.parametrize(("frames", "visited"), [(2, 2), (64, 64), (65, 8)])
-def test_frame_numbers_are_visited_from_the_first_to_the_last(frames, visited):
+def test_frame_numbers_are_probed_from_first_to_last(frames, visited):
     entry = Input(name="frame", role="frame_index", range=(10.0, 9.0 + frames), frames=frames)
     _, made = trials(entry)
     numbers = values(made["frames"], "frame")
@@ -91,7 +91,7 @@ def test_frame_numbers_are_visited_from_the_first_to_the_last(frames, visited):
     assert 10 <= min(numbers) <= max(numbers) <= 9 + frames
 
 
-def test_every_trial_is_extra_and_only_one_is_not_optimised():
+def test_every_behaviour_run_is_extra_and_one_is_unoptimised():
     _, made = trials(VIEW, Input(name="time", role="time", range=(0.0, 1.0), loop=True))
     probes = [probe for group in made.values() for probe in group]
     assert all(probe.extra for probe in probes)

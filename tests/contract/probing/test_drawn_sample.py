@@ -66,7 +66,7 @@ def test_statistics_of_a_row_are_those_of_a_loop_over_its_neighbours() -> None:
         assert np.trace(sample.scatter[number]) == pytest.approx(1)
 
 
-def test_rows_that_nobody_sees_are_left_out() -> None:
+def test_invisible_rows_are_not_sampled() -> None:
     rows = random_rows(100, 1)
     color = np.zeros((100, 3), np.float32)
     rows[::7, 3] = 0.001

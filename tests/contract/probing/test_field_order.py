@@ -21,7 +21,7 @@ def rows_in(order, count=200):
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_an_order_is_told_from_the_numbers(order):
+def test_field_order_is_recognised_from_values(order):
     found = suspect_order(rows_in(order))
     assert (found.name if found else "") == order
     assert found is None or (found.declared > 0.2 and found.fraction == 0)
@@ -31,7 +31,7 @@ def test_too_few_rows_prove_nothing():
     assert suspect_order(rows_in("xx yy zz xy xz yz", 15)) is None
 
 
-def test_rows_that_fit_no_order_are_not_accused():
+def test_rows_without_a_fitting_order_give_no_finding():
     noise = np.random.default_rng(1).normal(size=(200, 10))
     assert suspect_order(noise) is None
 

@@ -61,7 +61,7 @@ def test_the_count_is_a_whole_number_clipped_to_the_capacity(subject, count, liv
         np.zeros((4, 10), np.int32),
     ],
 )
-def test_rows_of_another_form_are_not_looked_at(subject, rows):
+def test_rows_of_another_shape_are_skipped(subject, rows):
     made = emission(subject, gaussians=rows)
     assert made.gaussians is None
     assert list(chunks(made)) == []

@@ -76,7 +76,7 @@ def test_every_role_is_compared_with_its_base():
     assert [(one.first, one.second) for one in made.varied["view"]] == [("probe 1", "probe 2")]
 
 
-def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it():
+def test_reading_an_unfinished_extra_run_notes_it():
     probes = tuple(Probe(label=f"probe {index}", inputs={}, extra=index > 1) for index in range(5))
     samples, errors = (0, 0, 0, -1, -1), ("", "", "", "", "bad")
     runs = tuple(

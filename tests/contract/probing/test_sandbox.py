@@ -198,7 +198,7 @@ def until_it_runs(folder):
         time.sleep(0.02)
 
 
-def test_a_crash_is_told_by_its_signal_and_probe(folder, monkeypatch):
+def test_crash_names_its_signal_and_probe(folder, monkeypatch):
     def crash(child, where):
         until_it_runs(where)
         child.send_signal(signal.SIGSEGV)
@@ -209,7 +209,7 @@ def test_a_crash_is_told_by_its_signal_and_probe(folder, monkeypatch):
     assert fault == Fault("crash", "ended by signal SIGSEGV", 0)
 
 
-def test_a_child_that_cannot_start_is_told_by_its_last_words(folder, monkeypatch):
+def test_child_that_cannot_start_reports_its_last_stderr_line(folder, monkeypatch):
     monkeypatch.setattr(sandbox, "_write_job", lambda *_, **options: None)
     fault, execution = fault_of(save(folder / "a.onnx", DOUBLE), ["y"], [pair(1, 2)])
     assert fault.stage == "crash"
@@ -294,7 +294,7 @@ def running(folder):
     return found
 
 
-def test_a_signal_without_a_name_is_told_by_its_number():
+def test_unnamed_signal_is_reported_by_number():
     assert sandbox._signal_name(9) == "SIGKILL"
     assert sandbox._signal_name(250) == "250"
 
@@ -319,7 +319,7 @@ def test_a_limit_of_the_system_below_ours_is_no_fault_of_the_model(folder):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_limit_above_what_the_system_knows_is_no_limit(folder):
+def test_limit_beyond_the_system_range_means_unlimited(folder):
     path = save(folder / "a.onnx", DOUBLE)
     fault, _ = fault_of(path, ["y"], [pair(1, 2)], Limits(memory=1 << 70))
     assert fault is None
@@ -409,7 +409,7 @@ def test_an_extra_probe_that_a_limit_does_not_allow_has_no_outputs(
     assert "error" not in runs[1]  # it says nothing about the model
 
 
-def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(folder):
+def test_extra_probe_keeps_a_sample_of_rows_and_nonfinite_ones(folder):
     rows = 1 << 16
     text = f"root (float[{rows},1] x) => (float[{rows},1] y) {{ y = Sqrt (x) }}"
     path = save(folder / "a.onnx", model(text))
@@ -433,7 +433,7 @@ def test_time_within_onnx_runtime_is_part_of_the_time_of_its_process(folder):
         assert 0 < runs < execution.inside < execution.seconds
 
 
-def test_what_is_lost_in_a_run_names_its_probe_after_a_new_session_too(folder):
+def test_lost_output_names_its_probe_after_a_session_restart(folder):
     (folder / "log").write_text("")
     events = [{"event": "started"}, {"event": "loaded"}, {"event": "begin", "probe": 3}]
     for last in ([], [{"event": "loaded"}], [{"event": "sample"}]):

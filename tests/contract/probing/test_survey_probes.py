@@ -150,7 +150,7 @@ def test_a_camera_stays_where_no_gaussian_is_drawn(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_of_a_survey_probe_the_extremes_of_live_rows_are_kept(seed, tmp_path):
+def test_survey_probe_keeps_extremes_of_live_rows(seed, tmp_path):
     table = np.random.default_rng(seed).normal(size=(7, 10)).astype(np.float32)
     _, sample, outputs, _ = echoed(table, tmp_path, survey=True)
     assert outputs == {}

@@ -28,7 +28,7 @@ def test_reports_of_the_corpus_follow_the_schema(fixture, tmp_path):
     assert len(document["findings"]) == len(report.findings)
 
 
-def test_what_is_no_single_report_follows_it_too(reports):
+def test_several_reports_follow_the_schema(reports):
     for entries in ([], [UNREADABLE], [*reports.values(), UNREADABLE]):
         CHECKED.validate(json.loads(to_json(entries)))
 
@@ -44,12 +44,12 @@ def test_what_is_no_single_report_follows_it_too(reports):
         {"findings": [{}]},
     ],
 )
-def test_the_schema_refuses_what_is_no_report(reports, change):
+def test_schema_refuses_invalid_reports(reports, change):
     with pytest.raises(ValidationError):
         CHECKED.validate(to_dict(reports["good"]) | change)
 
 
-def test_causes_tell_which_rules_were_not_judged_because_of_what(reports):
+def test_causes_name_the_rules_that_they_blocked(reports):
     document = to_dict(reports["foreign"])
     by_rule = {cause["rule"]: cause for cause in document["causes"]}
     assert by_rule["GO005"]["blocked"] == ["GO008"]
@@ -62,6 +62,6 @@ def test_causes_tell_which_rules_were_not_judged_because_of_what(reports):
     assert sorted(blocked) == sorted(because)
 
 
-def test_a_report_says_which_rules_it_was_judged_by(reports):
+def test_report_states_its_rule_set(reports):
     text = {to_dict(report)["tool"]["rules_digest"] for report in reports.values()}
     assert text == {rules_digest(finding.rule for finding in reports["good"].outcomes)}

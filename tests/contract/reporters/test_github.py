@@ -24,7 +24,7 @@ def read(line):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_annotations_are_what_they_were(reports, name):
+def test_annotations_match_the_golden_file(reports, name):
     assert_is_golden(f"{name}.github.txt", to_github([reports[name]]) + "\n")
 
 
@@ -36,7 +36,7 @@ def test_an_annotation_names_its_file_and_says_how_to_mend(reports):
     assert message == f"{first.where}: {first.message}\nhint: {first.hint}"
 
 
-def test_severities_become_commands_and_a_guess_is_no_error(reports):
+def test_severities_become_commands_and_possible_findings_warnings(reports):
     lines = to_github([reports["broken"]]).splitlines()
     assert [line.split(" ")[0] for line in lines] == [
         *("::error", "::error", "::warning", "gsgen:")
@@ -47,14 +47,14 @@ def test_severities_become_commands_and_a_guess_is_no_error(reports):
     assert line.startswith("::warning ")
 
 
-def test_what_is_waived_or_known_is_not_annotated(reports):
+def test_waived_or_known_finding_is_not_annotated(reports):
     first, second, *_ = reports["broken"].findings
     findings = (replace(first, known=True), replace(second, waived=True))
     text = to_github([replace(reports["broken"], findings=findings, baseline="b.json")])
     assert "::" not in text
 
 
-def test_trouble_is_annotated(reports):
+def test_unreadable_models_and_crashed_rules_are_annotated(reports):
     outcome, *remaining = reports["good"].outcomes
     crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
     report = replace(reports["good"], outcomes=(crashed, *remaining))
@@ -66,7 +66,7 @@ def test_trouble_is_annotated(reports):
 
 
 @pytest.mark.parametrize("name", ["a::b,c=d%0A", "x\r\n::error::y", "##[error]z", "\x1b[2J"])
-def test_no_name_makes_another_command(reports, name):
+def test_names_cannot_inject_workflow_commands(reports, name):
     first, *_ = reports["broken"].findings
     report = replace(reports["broken"], path=name, findings=(replace(first, where=Location(name)),))
     first_line, last_line = to_github([report]).splitlines()

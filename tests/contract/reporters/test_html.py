@@ -122,7 +122,7 @@ def test_a_picture_is_part_of_the_page_and_its_absence_has_a_reason(reports):
         ("still_sh0", Level.VALUES, "wgpu is not installed pip install 'gsgen[runtime]'"),
     ],
 )
-def test_what_cannot_be_drawn_is_said(monkeypatch, tmp_path, name, level, problem):
+def test_undrawable_probe_is_noted(monkeypatch, tmp_path, name, level, problem):
     monkeypatch.setattr(probe_picture, "find_spec", lambda _: None)
     settings = Settings(level=level)
     report = validate(find(name).write(tmp_path), settings)

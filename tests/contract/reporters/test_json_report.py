@@ -28,7 +28,7 @@ def without_the_hour(document):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_report_is_the_json_that_it_was(reports, name):
+def test_json_report_matches_the_golden_file(reports, name):
     document = without_the_hour(json.loads(to_json([reports[name]])))
     text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
     assert_is_golden(f"{name}.report.json", text)
@@ -51,7 +51,7 @@ def test_a_model_that_could_not_be_read_stands_with_its_error():
     }
 
 
-def test_counts_add_up(reports):
+def test_finding_counts_add_up(reports):
     for report in reports.values():
         document = to_dict(report)
         assert sum(document["counts"]["rules"].values()) == len(document["rules"])

@@ -18,7 +18,7 @@ def cases_of(report):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_document_is_what_it_was(reports, name):
+def test_junit_document_matches_the_golden_file(reports, name):
     text = to_junit([reports[name]])
     assert ' time="' not in text
     timed = to_junit([replace(reports[name], timed=True)])
@@ -33,7 +33,7 @@ def test_every_rule_is_a_test(reports):
     assert {case.get("classname") for case in cases.values()} == {"broken.onnx"}
 
 
-def test_what_makes_a_model_invalid_fails_and_the_rest_is_output(reports):
+def test_failing_findings_become_failures_and_others_output(reports):
     report = reports["broken"]
     cases = cases_of(report)
     failed = {id for id, case in cases.items() if case.find("failure") is not None}
@@ -45,12 +45,12 @@ def test_what_makes_a_model_invalid_fails_and_the_rest_is_output(reports):
     assert cases["GV018"].findtext("system-out").startswith("error (waived: ignored): ")
 
 
-def test_a_stricter_bar_fails_more(reports):
+def test_stricter_fail_on_gives_more_failures(reports):
     cases = cases_of(replace(reports["broken"], fail_on=Severity.WARNING))
     assert cases["GV006"].find("failure").get("type") == "warning"
 
 
-def test_what_was_not_judged_is_skipped_with_its_reason(reports):
+def test_unchecked_rule_is_skipped_with_its_reason(reports):
     cases = cases_of(reports["foreign"])
     expected = "not-applicable: because GI005 does not hold"
     assert cases["GV001"].find("skipped").get("message") == expected
@@ -65,7 +65,7 @@ def test_a_crashed_rule_is_an_error(reports):
     assert error.text == "Traceback:\n  ValueError: \\x00"
 
 
-def test_numbers_add_up_over_all_models(reports):
+def test_test_counts_add_up_over_all_models(reports):
     error = ModelUnreadable("is empty", where="a.onnx")
     entries = [*reports.values(), Unreadable("a.onnx", error)]
     root = ElementTree.fromstring(to_junit(entries))

@@ -14,7 +14,7 @@ UNREADABLE = Unreadable("a|b.onnx", ModelUnreadable("is empty", where="a|b.onnx"
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_page_reads_as_it_did(reports, name):
+def test_page_matches_the_golden_file(reports, name):
     assert_is_golden(f"{name}.md", to_markdown([reports[name]]) + "\n")
 
 
@@ -39,7 +39,7 @@ def test_a_crashed_rule_is_named(reports):
     assert f"**{outcome.rule.id}** crashed, a fault of the rule: ` " in page
 
 
-def test_what_is_known_is_counted_but_not_listed(reports):
+def test_known_findings_are_counted_but_not_listed(reports):
     first, *_ = reports["broken"].findings
     known = replace(first, known=True)
     page = to_markdown([replace(reports["broken"], findings=(known,), baseline="b_1.json")])
@@ -58,11 +58,11 @@ def test_what_is_known_is_counted_but_not_listed(reports):
         ("", "`  `"),
     ],
 )
-def test_nothing_ends_a_code_span(text, span):
+def test_names_cannot_end_a_code_span(text, span):
     assert code(text) == span
 
 
-def test_what_a_tensor_is_called_formats_nothing(reports):
+def test_tensor_names_cannot_inject_markdown(reports):
     first, *_ = reports["broken"].findings
     evil = replace(first, where=Location("output `</code>**@a** [x](http://b)\n# c"))
     page = to_markdown([replace(reports["broken"], findings=(evil,))])

@@ -68,7 +68,7 @@ def test_a_page_leaves_out_what_the_rule_does_not_declare():
     assert "- target: webgpu\n" in page(THIRD, REGISTRY, "")
 
 
-def test_a_page_tells_where_the_rule_was_seen_to_break_something():
+def test_page_shows_the_observed_failure_of_the_rule():
     with_evidence = replace(SECOND, evidence="In a viewer.")
     assert page(with_evidence, REGISTRY, "none") == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
 
@@ -93,7 +93,7 @@ def test_every_rule_has_a_page(rule):
     assert "None" not in text.split("## Why")[0]
 
 
-def test_a_rule_as_data_is_plain():
+def test_rule_converts_to_json_types():
     data = json.loads(json.dumps(to_dict(SECOND, "none")))
     assert data == {
         "id": "GV902",

@@ -28,7 +28,7 @@ def run_of(*entries):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_log_is_what_it_was(reports, name):
+def test_sarif_log_matches_the_golden_file(reports, name):
     log = log_of(reports[name])
     driver = log["runs"][0]["tool"]["driver"]
     driver |= {"version": "0", "rules": [rule["id"] for rule in driver["rules"]]}
@@ -68,14 +68,14 @@ def test_severities_become_levels(reports):
     assert (levels["GV003"], levels["GV006"]) == ("error", "warning")
 
 
-def test_a_guess_is_no_error(reports):
+def test_possible_finding_is_not_an_error(reports):
     (first, *_) = reports["broken"].findings
     doubtful = replace(first, certainty="possible")
     (result,) = run_of(replace(reports["broken"], findings=(doubtful,)))["results"]
     assert (result["level"], result["properties"]["certainty"]) == ("warning", "possible")
 
 
-def test_what_is_waived_is_suppressed_with_its_reason(reports):
+def test_waived_finding_is_suppressed_with_its_reason(reports):
     suppressed = {
         finding["ruleId"]: finding["suppressions"][0]["justification"]
         for finding in run_of(reports["broken"])["results"]
@@ -110,7 +110,7 @@ def test_several_models_are_artifacts_of_one_run(reports):
     assert locations == {2}
 
 
-def test_what_could_not_be_judged_makes_the_run_unsuccessful(reports):
+def test_unchecked_model_makes_the_run_unsuccessful(reports):
     (invocation,) = run_of(reports["broken"])["invocations"]
     assert invocation["executionSuccessful"]
     outcome, *remaining = reports["good"].outcomes

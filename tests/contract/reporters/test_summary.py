@@ -15,7 +15,7 @@ def crashed(report):
     return replace(report, outcomes=(replace(first, status="crashed", reason="x"), *remaining))
 
 
-def test_a_verdict_counts_what_does_not_count(reports):
+def test_verdict_counts_waived_and_known_findings(reports):
     first, second, *remaining = reports["broken"].findings
     findings = (replace(first, known=True), replace(second, severity=Severity.INFO), *remaining)
     text = verdict_line(replace(reports["broken"], findings=findings, baseline="b.json"))

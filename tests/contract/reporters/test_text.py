@@ -28,12 +28,12 @@ def text_of(report, **options):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_report_reads_as_it_did(reports, name):
+def test_report_matches_the_golden_file(reports, name):
     assert_is_golden(f"{name}.txt", text_of(reports[name]))
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_verbose_report_reads_as_it_did(reports, name):
+def test_verbose_report_matches_the_golden_file(reports, name):
     assert_is_golden(f"{name}.verbose.txt", text_of(reports[name], verbose=True))
 
 
@@ -82,7 +82,7 @@ def test_sizes_are_shown_in_mebibytes_from_one_on(reports):
     assert second.endswith(", settings from gsgen.toml")
 
 
-def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
+def test_model_names_cannot_inject_terminal_codes(reports):
     (finding, *_) = reports["broken"].findings
     evil = replace(finding, where=Location("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07")
     lines = render(replace(reports["broken"], findings=(evil,)))
@@ -90,14 +90,14 @@ def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
     assert all(line.text.isprintable() for line in lines)
 
 
-def test_a_finding_is_followed_by_what_could_not_be_judged_because_of_it(reports):
+def test_finding_lists_the_rules_that_it_blocked(reports):
     lines = text_of(reports["foreign"]).splitlines()
     after = lines[lines.index("  GO005 error appearance-declared") :]
     assert after[3] == "    so 1 rule could not be checked: GO008"
 
 
 @pytest.mark.parametrize("most", [10, 11])
-def test_many_rules_that_could_not_be_judged_are_counted(reports, monkeypatch, most):
+def test_many_blocked_rules_are_counted(reports, monkeypatch, most):
     monkeypatch.setattr("gsgen.contract.reporters.text._MOST_BLOCKED", most)
     report = reports["foreign"]
     short = "so 11 rules could not be checked, which `gsgen validate -v` lists\n"
@@ -118,7 +118,7 @@ def test_a_cause_in_the_baseline_is_marked_as_known(reports):
     assert "  GO005 fail (known): appearance-declared" in lines
 
 
-def test_what_is_known_is_shown_only_where_all_is(reports):
+def test_known_findings_are_shown_only_in_verbose_reports(reports):
     first, *remaining = reports["broken"].findings
     findings = (replace(first, known=True), *remaining)
     report = replace(reports["broken"], findings=findings, baseline="old.json")
@@ -127,7 +127,7 @@ def test_what_is_known_is_shown_only_where_all_is(reports):
     assert f"  {first.rule} error {first.slug} (known)\n" in text_of(report, verbose=True)
 
 
-def test_places_that_are_not_listed_are_spoken_of(reports):
+def test_omitted_locations_are_mentioned(reports):
     first, *_ = reports["broken"].findings
     report = replace(reports["broken"], findings=(replace(first, truncated=True),))
     expected = "    and violations at further locations, which are not listed\n"
@@ -135,7 +135,7 @@ def test_places_that_are_not_listed_are_spoken_of(reports):
 
 
 @pytest.mark.parametrize(("total", "heading"), [(1, 1), (5, 5), (6, 4), (40, 4)])
-def test_findings_of_a_kind_share_their_head_and_cure(reports, total, heading):
+def test_findings_of_one_rule_share_heading_and_hint(reports, total, heading):
     first, *_ = reports["broken"].findings
     findings = tuple(replace(first, where=Location(f"tensor t{i}")) for i in range(total))
     third = replace(first, hint="Something else.")
@@ -161,7 +161,7 @@ def test_quiet_is_a_line_a_model(reports):
     ]
 
 
-def test_one_model_is_not_summed_up(reports):
+def test_single_model_has_no_summary_line(reports):
     report = reports["good"]
     assert render_all([report]) == render(report)
     assert render_all([report, report])[:-1] == render(report) * 2

@@ -20,7 +20,7 @@ def seen(eye: list[float], points: np.ndarray, *, moves: bool) -> camera_space._
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_a_view_with_other_rows_does_not_hide_the_others(
+def test_view_with_other_rows_does_not_mask_other_views(
     monkeypatch: pytest.MonkeyPatch, moves: bool
 ) -> None:
     points = np.random.default_rng(1).normal(size=(40, 3))

@@ -70,7 +70,7 @@ ORACLES = {
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("id", ORACLES)
-def test_a_rule_complains_of_the_rows_that_its_oracle_rejects(id: str, seed: int) -> None:
+def test_rule_reports_the_rows_that_its_oracle_rejects(id: str, seed: int) -> None:
     rule, rejects = ORACLES[id]
     rows = random_rows(np.float16, seed)
     expected = {

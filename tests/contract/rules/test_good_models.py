@@ -25,7 +25,7 @@ MODELS = [
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.producer}: {model.name}")
-def test_a_good_model_is_not_complained_of(model: Good, tmp_path: Path) -> None:
+def test_good_model_has_no_finding(model: Good, tmp_path: Path) -> None:
     path = tmp_path / "model.onnx"
     path.write_bytes(model.draw().SerializeToString())
     report = validate(path, Settings(target=load_target(model.target)))
@@ -35,7 +35,7 @@ def test_a_good_model_is_not_complained_of(model: Good, tmp_path: Path) -> None:
     assert all(level.ran for level in report.levels)
 
 
-def test_they_are_of_every_producer_and_many(capsys: pytest.CaptureFixture[str]) -> None:
+def test_good_models_cover_every_producer(capsys: pytest.CaptureFixture[str]) -> None:
     producers = Counter(model.producer for model in MODELS)
     targets = Counter(model.target for model in MODELS)
     with capsys.disabled():

@@ -21,7 +21,7 @@ from gsgen.contract.validator import validate
 @pytest.mark.parametrize(
     ("name", "location"), [("scale", "node scale (Mul)"), ("", "node Mul (Mul)")]
 )
-def test_a_node_is_named_or_told_by_its_operator(name: str, location: str) -> None:
+def test_node_label_is_its_name_or_operator(name: str, location: str) -> None:
     assert _node_location(NodeProto(name=name, op_type="Mul")) == location
 
 

@@ -18,7 +18,7 @@ def silent(_: object) -> Iterator[Violation]:
 
 
 @pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
-def test_the_corpus_notices_a_silent_rule(rule: Rule, tmp_path):
+def test_corpus_fails_when_a_rule_is_silent(rule: Rule, tmp_path):
     fixture = find(example_of(rule.id))
     rules = [replace(entry, check=silent) if entry is rule else entry for entry in builtin_rules()]
     settings = replace(fixture.settings, level=rule.level)

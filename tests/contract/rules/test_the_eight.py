@@ -196,7 +196,7 @@ def judged(sketch: ModelSpec, folder: Path) -> Report:
     return validate(path, Settings(target=load_target("visionary")))
 
 
-def test_checker_and_runtime_accept_it(case: Case) -> None:
+def test_faulty_model_passes_checker_and_runtime(case: Case) -> None:
     model = case.draw().build()
     onnx.checker.check_model(model, full_check=True)
     session = onnxruntime.InferenceSession(
@@ -207,7 +207,7 @@ def test_checker_and_runtime_accept_it(case: Case) -> None:
     assert len(colors) == ROWS
 
 
-def test_the_validator_names_each_fault_and_no_other(case: Case, tmp_path: Path) -> None:
+def test_validator_reports_exactly_the_built_in_faults(case: Case, tmp_path: Path) -> None:
     report = judged(case.draw(), tmp_path)
     assert report.verdict == "invalid"
     assert {finding.rule for finding in report.findings} == set(case.findings)
@@ -221,6 +221,6 @@ def test_the_validator_names_each_fault_and_no_other(case: Case, tmp_path: Path)
             assert fact in f"{finding.where}: {finding.message}"
 
 
-def test_the_model_they_are_made_from_is_good(tmp_path: Path) -> None:
+def test_base_model_of_the_faults_is_valid(tmp_path: Path) -> None:
     report = judged(good(), tmp_path)
     assert (report.verdict, report.findings) == ("conforms", ())

@@ -136,7 +136,7 @@ def emissions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, int]:
 @pytest.mark.parametrize("id", ORACLES)
 @given(emission=emissions())
 @settings(max_examples=150)
-def test_a_rule_complains_of_the_rows_that_its_oracle_rejects(
+def test_rule_reports_the_rows_that_its_oracle_rejects(
     id: str, emission: tuple[np.ndarray, np.ndarray, int]
 ):
     packed, color, count = emission
@@ -204,7 +204,7 @@ def test_symmetric_matrices_are_judged_as_by_eigvalsh(dtype: Any, seed: int, sca
     beyond=st.floats(0.5, 1.5),
 )
 @settings(max_examples=200)
-def test_the_tolerance_is_where_it_is_said_to_be(
+def test_documented_tolerance_is_the_limit(
     dtype: Any, seed: int, scale: int, thin: float, beyond: float
 ):
     rng = np.random.default_rng(seed)

@@ -53,7 +53,7 @@ def test_every_object_is_closed_but_for_extensions_and_says_what_it_is(document)
 
 @settings(max_examples=60)
 @given(manifests())
-def test_what_the_dataclasses_hold_the_schema_accepts_and_reads_back(manifest):
+def test_dataclasses_conform_to_the_schema_and_round_trip(manifest):
     document = json.loads(json.dumps(to_json(manifest)))
     schema = schemas()[schema_name(manifest.kind)]
     assert list(Draft202012Validator(schema).iter_errors(document)) == []

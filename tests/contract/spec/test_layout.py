@@ -70,7 +70,7 @@ def test_float16_survives_a_round_trip_within_half_a_unit_in_the_last_place(made
         assert (np.abs(seen.astype(np.float64) - array) <= unit / 2).all(), name
 
 
-def test_a_row_holds_position_opacity_and_the_upper_triangle_in_order():
+def test_row_order_is_position_opacity_upper_triangle():
     made = DecodedGaussians(
         position=np.array([[1.0, 2, 3]]),
         opacity=np.array([4.0]),

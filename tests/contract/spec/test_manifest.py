@@ -52,7 +52,7 @@ def test_no_text_makes_the_reader_raise(document):
     assert (parsed.manifest is None) == bool(parsed.complaints)
 
 
-def test_text_starts_with_what_tells_readers_apart():
+def test_text_starts_with_kind_and_version():
     made = dumps(GeneratorManifest(name="ä", outputs=GeneratorOutputs()), indent=None)
     assert made.startswith(
         '{"contract": "1.0", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
@@ -104,7 +104,7 @@ def test_an_input_without_axes_keeps_its_shape():
         ({"outputs": None}, "outputs"),
     ],
 )
-def test_a_complaint_says_where_what_and_what_else(changes, expected):
+def test_complaint_states_location_actual_and_expected(changes, expected):
     found = complaint(text(**changes))
     if isinstance(expected, str):
         assert (found.cause, found.where) == ("schema", expected)
@@ -136,7 +136,7 @@ def test_complaints_come_in_order_of_their_place():
         ("[" * 100_000, "fewer brackets inside each other"),
     ],
 )
-def test_what_is_no_json_document_is_one_complaint_about_the_whole(document, expected):
+def test_invalid_json_is_one_complaint_about_the_document(document, expected):
     found = complaint(document)
     assert (found.cause, found.where) == ("syntax", "")
     assert found.actual
@@ -154,14 +154,14 @@ def test_a_text_of_many_megabytes_is_not_parsed():
 
 
 @pytest.mark.parametrize("document", ["[]", "3", '"text"', "null"])
-def test_a_document_that_is_no_object_is_refused(document):
+def test_non_object_document_is_refused(document):
     assert complaint(document).expected == "a JSON object"
 
 
 @pytest.mark.parametrize(
     "version", ["1", "1.0.0", "a.b", "", 1.0, None, "1.0\n", "١.٠", "1.123456"]
 )
-def test_a_version_that_is_none_is_refused(version):
+def test_invalid_version_is_refused(version):
     found = complaint(text(contract=version))
     assert (found.cause, found.where) == ("version", "contract")
     assert found.expected == 'a version such as "1.0"'
@@ -201,7 +201,7 @@ def test_extension_fields_are_accepted_everywhere():
     assert not parsed.newer
 
 
-def test_writing_a_wrong_value_says_what_is_wrong():
+def test_writing_an_invalid_value_names_the_field():
     made = GeneratorManifest(name="a", outputs=GeneratorOutputs(GaussiansOutput("g", 0)))
     with pytest.raises(ManifestInvalid) as caught:
         dumps(made)
@@ -212,7 +212,7 @@ def test_writing_a_wrong_value_says_what_is_wrong():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_what_is_not_finite_cannot_be_written(value):
+def test_nonfinite_numbers_cannot_be_written(value):
     clock = Input(name="t", role="time", range=(0.0, value))
     made = GeneratorManifest(name="a", inputs=(clock,), outputs=GeneratorOutputs())
     with pytest.raises(ManifestInvalid, match="is not a finite number"):
@@ -279,6 +279,6 @@ def test_cells_and_their_weights_are_read():
         ({"weighted_sum": {"background": 0, "opacity_divisor": 0}}, "weighted_sum.opacity_divisor"),
     ],
 )
-def test_cells_and_weights_that_mean_nothing_are_refused(changes, where):
+def test_invalid_cells_and_weights_are_refused(changes, where):
     found = complaint(text(**changes))
     assert (found.cause, found.where) == ("schema", where)

@@ -38,7 +38,7 @@ def test_every_outcome_of_a_table_has_words(name):
         ("onnxruntime-web-1.30.0", "Max", "", "float32", 18, CAPTURE),
     ],
 )
-def test_a_table_tells_what_was_measured(name, operator, variant, dtype, opset, outcome):
+def test_table_states_the_measured_outcome(name, operator, variant, dtype, opset, outcome):
     assert operator_table(name).outcome(operator, variant, dtype, opset) == outcome
 
 

@@ -148,7 +148,7 @@ def test_one_rounding_of_storage_is_no_difference(dtype: type) -> None:
 @pytest.mark.filterwarnings("ignore:invalid value")  # the engine judges so
 @pytest.mark.parametrize("degree", [0, 1, None])
 @pytest.mark.parametrize("field", FIELDS)
-def test_what_is_not_finite_counts_where_it_is_on_one_side(field: str, degree: int | None) -> None:
+def test_nonfinite_value_in_one_run_is_a_difference(field: str, degree: int | None) -> None:
     a, c = encode(cloud(9, degree), np.float32)
     a[1, 0], a[2, 4], c[5, 0], c[6, 1] = np.nan, np.inf, np.inf, np.nan
     b, d = a.copy(), c.copy()

@@ -27,7 +27,7 @@ def saved(tmp_path):
     return save
 
 
-def test_what_the_baseline_lists_does_not_fail_again(reports, saved):
+def test_listed_finding_does_not_fail_again(reports, saved):
     path = saved(reports["broken"])
     report = read_baseline(path).apply(reports["broken"])
     assert report.verdict == "conforms"
@@ -36,7 +36,7 @@ def test_what_the_baseline_lists_does_not_fail_again(reports, saved):
     assert to_dict(report)["counts"]["known"] == 3
 
 
-def test_what_is_new_fails(reports, saved):
+def test_new_finding_fails(reports, saved):
     baseline = read_baseline(saved(reports["broken"]))
     first, *remaining = reports["broken"].findings
     moved = replace(first, where=Location("output other"))
@@ -49,7 +49,7 @@ def test_what_is_new_fails(reports, saved):
     ]
 
 
-def test_more_rows_of_the_same_are_known(reports, saved):
+def test_more_rows_of_a_known_finding_stay_known(reports, saved):
     baseline = read_baseline(saved(reports["broken"]))
     first, *_ = reports["broken"].findings
     worse = replace(first, count=9, total=10, message="9 of 10 rows")
@@ -57,7 +57,7 @@ def test_more_rows_of_the_same_are_known(reports, saved):
     assert report.findings[0].known
 
 
-def test_a_guess_that_is_proven_is_new(reports, saved):
+def test_possible_finding_that_becomes_confirmed_is_new(reports, saved):
     first, *_ = reports["broken"].findings
     guess = replace(first, certainty="possible")
     baseline = read_baseline(saved(replace(reports["broken"], findings=(guess,))))
@@ -65,7 +65,7 @@ def test_a_guess_that_is_proven_is_new(reports, saved):
     assert not report.findings[0].known
 
 
-def test_the_models_of_a_baseline_are_told_apart(reports, saved):
+def test_baseline_distinguishes_its_models(reports, saved):
     baseline = read_baseline(saved(*reports.values()))
     assert set(baseline.known) == {"good.onnx", "broken.onnx", "foreign.onnx"}
     renamed = replace(reports["broken"], path="good.onnx")
@@ -74,7 +74,7 @@ def test_the_models_of_a_baseline_are_told_apart(reports, saved):
     assert baseline.apply(elsewhere).verdict == "conforms"
 
 
-def test_a_baseline_of_one_model_holds_whatever_it_is_called_now(reports, saved):
+def test_baseline_of_one_model_applies_after_renaming(reports, saved):
     renamed = replace(reports["broken"], path="v2.onnx")
     assert read_baseline(saved(reports["broken"])).apply(renamed).verdict == "conforms"
 
@@ -86,7 +86,7 @@ def test_a_model_that_the_baseline_does_not_list_has_no_known_findings():
     assert baseline.known_findings("folder/a.onnx") == finding
 
 
-def test_what_is_gone_is_listed_with_its_place_and_in_the_verdict(reports, saved):
+def test_fixed_finding_is_listed_with_location_and_in_verdict(reports, saved):
     broken = reports["broken"]
     path = saved(broken)
     first, *remaining = broken.findings
@@ -104,7 +104,7 @@ def test_what_is_gone_is_listed_with_its_place_and_in_the_verdict(reports, saved
     assert entry["fingerprint"] == first.fingerprint
 
 
-def test_nothing_is_gone_where_nothing_changed(reports, saved):
+def test_unchanged_model_has_no_fixed_findings(reports, saved):
     report = read_baseline(saved(reports["broken"])).apply(reports["broken"])
     assert report.resolved == ()
     assert to_dict(report)["gone"] == []
@@ -112,7 +112,7 @@ def test_nothing_is_gone_where_nothing_changed(reports, saved):
     assert not any(" gone" in line.text for line in render(report))
 
 
-def test_what_was_not_judged_this_time_is_not_gone(reports, saved):
+def test_unchecked_rule_is_not_counted_as_fixed(reports, saved):
     broken = reports["broken"]
     first, *remaining = broken.findings
     skipped = tuple(
@@ -125,7 +125,7 @@ def test_what_was_not_judged_this_time_is_not_gone(reports, saved):
     assert read_baseline(saved(broken)).apply(later).resolved == ()
 
 
-def test_what_is_waived_now_is_not_gone(reports, saved):
+def test_waived_finding_is_not_counted_as_fixed(reports, saved):
     broken = reports["broken"]
     waived = tuple(replace(finding, waived=True) for finding in broken.findings)
     report = read_baseline(saved(broken)).apply(replace(broken, findings=waived))
@@ -149,7 +149,7 @@ def test_what_is_waived_now_is_not_gone(reports, saved):
         ('{"schema": "gsgen-report/1", "reports": 3}', "the baseline is not a validation report: "),
     ],
 )
-def test_what_is_no_report_is_refused_with_the_command_that_makes_one(tmp_path, text, message):
+def test_invalid_baseline_names_the_command_that_writes_one(tmp_path, text, message):
     path = tmp_path / "b.json"
     path.write_text(text)
     with pytest.raises(ConfigInvalid) as caught:
@@ -159,7 +159,7 @@ def test_what_is_no_report_is_refused_with_the_command_that_makes_one(tmp_path, 
     assert "gsgen validate MODEL --format json" in str(caught.value)
 
 
-def test_what_cannot_be_read_is_refused(tmp_path):
+def test_unreadable_baseline_is_refused(tmp_path):
     with pytest.raises(ConfigInvalid, match="the baseline cannot be read: Is a directory"):
         read_baseline(tmp_path)
     (tmp_path / "b.json").write_bytes(b"\xff\xfe")

@@ -84,7 +84,7 @@ def test_a_report_names_the_contract_that_the_manifest_declares(version, tmp_pat
 
 
 @pytest.mark.parametrize("name", ["absent.onnx", "."])
-def test_what_is_no_model_cannot_be_judged(tmp_path, name):
+def test_non_model_file_raises(tmp_path, name):
     with pytest.raises(ModelUnreadable):
         validate(tmp_path / name)
 
@@ -188,7 +188,7 @@ def test_settings_decide_what_counts(broken, options, verdict):
     assert [finding.waived for finding in report.findings] == ["ignore" in options]
 
 
-def test_what_is_only_possible_never_fails(good):
+def test_possible_finding_never_fails(good):
     def perhaps(_):
         yield Violation.at("output g", "odd", "even", certainty="possible")
 
@@ -199,7 +199,7 @@ def test_what_is_only_possible_never_fails(good):
     assert report.verdict == "conforms"
 
 
-def test_progress_is_told_in_a_few_words(good):
+def test_progress_messages_are_short(good):
     texts = []
     validate(good, progress=texts.append)
     assert texts == [
@@ -210,7 +210,7 @@ def test_progress_is_told_in_a_few_words(good):
     ]
 
 
-def test_a_model_that_must_not_run_is_not_run_and_the_reason_is_told(tmp_path):
+def test_refused_model_is_not_run_and_the_reason_is_given(tmp_path):
     path = save(tmp_path / "a.onnx", moving(good_rows(4)))
     proto = moving(good_rows(4))
     proto.metadata_props.add(key="gsgen.manifest", value="{")
@@ -223,7 +223,7 @@ def test_a_model_that_must_not_run_is_not_run_and_the_reason_is_told(tmp_path):
     assert (report.kind, report.name, report.contract) == ("", "", "")
 
 
-def test_a_model_without_a_manifest_is_judged_by_a_guess(tmp_path):
+def test_model_without_a_manifest_is_checked_by_an_inferred_one(tmp_path):
     path = save(tmp_path / "a.onnx", moving(good_rows(4)))
     report = validate(path)
     assert report.outcome("GM001").status == "fail"
@@ -250,7 +250,7 @@ def test_a_model_that_runs_out_of_time_is_a_finding(tmp_path):
     assert finding.message.startswith("still running after 1 s; expected at most 1 s and ")
 
 
-def test_the_same_output_at_every_probe_is_looked_at_once(tmp_path):
+def test_equal_output_of_several_probes_is_checked_once(tmp_path):
     proto = moving(good_rows(8))
     proto.graph.initializer[0].CopyFrom(weight("step", np.zeros((1, 10), np.float32)))
     report = validate(save(tmp_path / "a.onnx", proto, manifest_of(8)), ALL[Level.VALUES])

@@ -41,7 +41,7 @@ def test_an_example_says_its_row_and_probe(example, text):
     assert str(example) == text
 
 
-def test_a_place_says_its_field():
+def test_location_includes_its_field():
     assert str(Location("output g")) == "output g"
     assert str(Location("output g", "opacity")) == "output g, opacity"
 
@@ -55,7 +55,7 @@ def test_a_place_says_its_field():
         ({"where": "output g", "hint": "Try again."}, "output g: 9 rows\n  Try again."),
     ],
 )
-def test_an_error_says_where_what_and_what_next(fields, text):
+def test_error_states_location_message_and_hint(fields, text):
     assert str(GsgenError("9 rows", **fields)) == text
 
 
@@ -105,6 +105,6 @@ def test_places_that_read_alike_have_their_own_fingerprints():
 
 
 @pytest.mark.parametrize(("waived", "known"), [(True, False), (False, True)])
-def test_what_is_waived_or_known_does_not_count(waived, known):
+def test_waived_or_known_finding_does_not_count(waived, known):
     assert FINDING.counts
     assert not replace(FINDING, waived=waived, known=known).counts

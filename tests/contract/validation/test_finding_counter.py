@@ -24,12 +24,12 @@ def tally(*breaches, probe="", starts=None):
     return counter
 
 
-def test_nothing_bad_does_not_fail():
+def test_counter_without_bad_rows_does_not_fail():
     counter = tally(rows([False] * 3))
     assert (counter.count, counter.total, counter.fails) == (0, 3, False)
 
 
-def test_a_tally_without_breaches_does_not_fail():
+def test_counter_without_violations_does_not_fail():
     assert not tally().fails
 
 
@@ -45,29 +45,29 @@ def test_only_the_first_five_are_shown_but_all_are_counted():
     assert counter.count == 8
 
 
-def test_the_worst_row_is_the_largest_badness_among_the_bad_ones():
+def test_worst_row_has_the_largest_magnitude_of_bad_rows():
     first = rows([1, 0, 1], magnitude=np.array([1.0, 9.0, 2.0]))
     second = rows([0, 1, 0], magnitude=np.array([9.0, 1.5, 9.0]))
     assert tally(first, second, starts=[0, 3]).worst == Example("2", 2)
     assert tally(second, first, starts=[0, 3]).worst == Example("2", 5)
 
 
-def test_what_is_not_a_number_is_the_worst():
+def test_nan_magnitude_is_the_worst():
     counter = tally(rows([1, 1, 0], magnitude=np.array([1.0, np.nan, np.nan])))
     assert counter.worst == Example("1", 1)
 
 
-def test_there_is_no_worst_where_the_rule_cannot_say():
+def test_without_magnitudes_there_is_no_worst_row():
     assert tally(rows([1])).worst is None
 
 
 @pytest.mark.parametrize(("invalid_rows", "fails"), [(89, False), (90, False), (91, True)])
-def test_a_share_fails_only_above_it(invalid_rows, fails):
+def test_fraction_fails_only_above_its_minimum(invalid_rows, fails):
     counter = tally(rows([1] * invalid_rows + [0] * (100 - invalid_rows), min_fraction=0.9))
     assert counter.fails is fails
 
 
-def test_the_share_is_that_of_all_chunks_together():
+def test_fraction_is_taken_over_all_chunks():
     chunks = [rows([1] * 10, min_fraction=0.9), rows([0] * 10, min_fraction=0.9)]
     assert not tally(*chunks, starts=[0, 10]).fails
 
@@ -92,7 +92,7 @@ def test_a_message_about_rows_says_how_many_the_first_and_the_worst():
     )
 
 
-def test_the_worst_is_not_repeated_where_it_is_the_first():
+def test_worst_row_is_omitted_if_it_is_the_first():
     counter = tally(rows([1, 1], magnitude=np.array([2.0, 1.0])))
     assert counter.message() == "2 of 2 rows (100 %), first row 0: 0; expected less"
 
@@ -105,7 +105,7 @@ def test_the_worst_is_not_repeated_where_it_is_the_first():
         (3, "time=0", "9 rows (time=0) (and 2 more like it); expected 10 rows"),
     ],
 )
-def test_a_message_about_things_says_what_was_seen(times, probe, message):
+def test_message_about_items_states_the_actual_value(times, probe, message):
     breach = Violation.at("output g", "9 rows", "10 rows")
     counter = FindingCounter(where=breach.where, expected=breach.expected, actual=breach.actual)
     for _ in range(times):

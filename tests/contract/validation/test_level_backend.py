@@ -39,7 +39,7 @@ def of_level(report, level=Level.LIVE):
     return next(outcome for outcome in report.levels if outcome.level is level)
 
 
-def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
+def test_rules_of_the_level_receive_the_prepared_context(good):
     arguments = []
 
     def prepare(trial):
@@ -83,7 +83,7 @@ def test_a_level_that_cannot_run_is_skipped_with_its_reason(good):
     assert report.verdict == "conforms"
 
 
-def test_a_runner_that_crashes_leaves_no_verdict_but_the_report_stands(good):
+def test_crashed_backend_leaves_no_verdict_but_keeps_the_report(good):
     def prepare(trial):
         raise ZeroDivisionError("no luck")
         yield
@@ -119,7 +119,7 @@ def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
     assert report.outcome("acme/AC001").status == "not-applicable"
 
 
-def test_a_level_has_one_runner():
+def test_level_has_one_backend():
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
     with pytest.raises(ValueError, match="validation level live has two backends"):
         Registry.of([], [runner, runner])

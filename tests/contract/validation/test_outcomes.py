@@ -67,7 +67,7 @@ def test_a_rule_that_raises_is_crashed_and_says_where():
     assert results.outcomes["GV902"].status == "pass"
 
 
-def test_what_a_rule_found_before_it_crashed_is_kept():
+def test_violations_before_a_crash_are_kept():
     def both(subject):
         yield from breaking(subject)
         yield from crashing(subject)
@@ -78,7 +78,7 @@ def test_what_a_rule_found_before_it_crashed_is_kept():
     assert len(results.findings()) == 1
 
 
-def test_rules_that_need_a_broken_one_are_not_judged_and_name_it():
+def test_rules_that_need_a_failed_rule_are_blocked_and_name_it():
     first = made_up("GV901", breaking)
     second, third = made_up("GV902", needs=("GV901",)), made_up("GV903", needs=("GV902",))
     results = judge(board(first, second, third), first, second, third)
@@ -89,7 +89,7 @@ def test_rules_that_need_a_broken_one_are_not_judged_and_name_it():
 
 
 @pytest.mark.parametrize("status", ["crashed", "skipped"])
-def test_what_crashed_or_was_skipped_blocks_as_well(status):
+def test_crashed_or_skipped_rule_blocks_dependents(status):
     first, second = made_up("GV901", crashing), made_up("GV902", needs=("GV901",))
     results = board(first, second)
     if status == "skipped":
@@ -100,14 +100,14 @@ def test_what_crashed_or_was_skipped_blocks_as_well(status):
     assert results.outcomes["GV902"].blocked_by == "GV901"
 
 
-def test_what_was_not_judged_blocks_as_well():
+def test_blocked_rule_blocks_dependents():
     first, second = made_up("GV901"), made_up("GV902", needs=("GV901",))
     results = board(first, second)
     assert results.ready([second]) == []
     assert results.outcomes["GV902"].blocked_by == "GV901"
 
 
-def test_what_does_not_apply_blocks_nothing():
+def test_inapplicable_rule_blocks_nothing():
     first = made_up("GV901", breaking, target="another")
     second = made_up("GV902", needs=("GV901",))
     results = judge(board(first, second), first, second)
@@ -145,7 +145,7 @@ def test_a_rule_is_judged_once():
     assert results.outcomes["GV901"].items == 3
 
 
-def test_breaches_at_one_place_are_one_finding():
+def test_violations_at_one_location_are_one_finding():
     def many(_):
         yield Violation.at("output a", "x", "y")
         yield Violation.at("output b", "x", "y")
@@ -195,7 +195,7 @@ def test_severities_from_the_settings_hold():
 
 
 @pytest.mark.parametrize("options", [{"target": "acme"}, {"limit": "rows"}])
-def test_what_only_a_target_asks_for_is_said_to_come_from_it(options):
+def test_target_only_finding_names_the_target_as_source(options):
     rule = made_up("GV901", breaking, **options)
     assert judge(board(rule, target=TARGET), rule).findings()[0].source == "acme@2"
 

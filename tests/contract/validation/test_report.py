@@ -45,7 +45,7 @@ def report(*findings, statuses=("pass",), fail_on=Severity.ERROR):
 
 @pytest.mark.parametrize("fail_on", Severity)
 @pytest.mark.parametrize("severity", Severity)
-def test_findings_at_or_above_the_bar_make_a_model_invalid(severity, fail_on):
+def test_findings_at_or_above_fail_on_make_a_model_invalid(severity, fail_on):
     verdict = report(finding(severity), fail_on=fail_on).verdict
     assert verdict == ("invalid" if severity >= fail_on else "conforms")
 
@@ -55,7 +55,7 @@ def test_without_findings_a_model_conforms():
 
 
 @pytest.mark.parametrize("changes", [{"waived": True}, {"known": True}, {"certainty": "possible"}])
-def test_what_is_waived_known_or_only_possible_never_fails(changes):
+def test_waived_known_or_possible_finding_never_fails(changes):
     assert report(finding(**changes), fail_on=Severity.INFO).verdict == "conforms"
 
 
@@ -65,7 +65,7 @@ def test_a_crashed_rule_leaves_no_verdict(findings):
     assert summary.verdict == "internal-error"
 
 
-def test_counts_leave_out_what_is_waived_or_known():
+def test_counts_exclude_waived_or_known_findings():
     summary = report(finding(), finding(waived=True), finding(known=True), finding(Severity.INFO))
     assert [summary.count(severity) for severity in Severity] == [1, 0, 1]
 

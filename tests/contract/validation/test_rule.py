@@ -48,7 +48,7 @@ def test_a_rule_takes_its_text_from_its_docstring():
     assert always_so.evidence == ""
 
 
-def test_a_rule_may_say_where_it_was_seen_to_break_something():
+def test_rule_may_cite_an_observed_failure():
     doc = "It is so.\n\nWhy:\n  x\n\nHint:\n  y\n\nEvidence:\n  Seen\n  in a viewer.\n"
     declaration = declared(doc=doc)
     assert (declaration.hint, declaration.evidence) == ("y", "Seen in a viewer.")

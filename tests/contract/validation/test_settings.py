@@ -65,7 +65,7 @@ def test_an_empty_file_changes_nothing_but_the_source(read, tmp_path):
     assert settings.limits == base.limits
 
 
-def test_what_a_file_ignores_comes_on_top(read):
+def test_ignored_rules_of_a_file_add_to_the_options(read):
     base = Settings(ignore=frozenset({"GM001"}), severities={"GV003": Severity.INFO})
     settings = read('[validate]\nignore = ["GV004"]\n[severity]\nGV004 = "info"\n', base)
     assert settings.ignore == {"GM001", "GV004"}
@@ -149,7 +149,7 @@ def test_what_a_file_ignores_comes_on_top(read):
         ),
     ],
 )
-def test_what_cannot_be_meant_is_an_error_with_its_place(read, tmp_path, text, error, message):
+def test_invalid_setting_is_an_error_with_its_location(read, tmp_path, text, error, message):
     with pytest.raises(error) as caught:
         read(text)
     assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{message}")
@@ -169,7 +169,7 @@ def test_a_file_that_is_not_there_is_an_error(tmp_path):
     assert str(caught.value) == expected
 
 
-def test_a_file_that_is_no_text_is_an_error(tmp_path):
+def test_undecodable_file_is_an_error(tmp_path):
     (tmp_path / "gsgen.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigInvalid, match="the settings file is not TOML: 'utf-8' codec"):
         read_config(tmp_path / "gsgen.toml", REGISTRY)
@@ -287,13 +287,13 @@ def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
         ('rule = "GV004"\nreason = "x"\nuntil = 3', ", waive.0.until: 3 is not of type 'string'"),
     ],
 )
-def test_a_waiver_that_cannot_be_meant_is_an_error(read, tmp_path, text, message):
+def test_invalid_waiver_is_an_error(read, tmp_path, text, message):
     with pytest.raises(ConfigInvalid) as caught:
         read(f"[[waive]]\n{text}\n")
     assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{message}")
 
 
 @pytest.mark.parametrize("text", ["waive = 3", "waive = [3]", "[waive]\nrule = 1"])
-def test_what_is_no_list_of_waivers_is_an_error(read, text):
+def test_waivers_of_another_type_are_an_error(read, text):
     with pytest.raises(ConfigInvalid, match=", waive"):
         read(f"{text}\n")

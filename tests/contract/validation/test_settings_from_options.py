@@ -12,7 +12,7 @@ from gsgen.contract.validation.settings_from_options import make_settings
 REGISTRY = installed_rules()
 
 
-def test_words_win_over_the_file_of_the_current_folder(
+def test_options_take_precedence_over_the_file_of_the_current_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -40,13 +40,13 @@ def test_words_win_over_the_file_of_the_current_folder(
         ({"config": Path("none.toml")}, "none.toml: the settings file cannot be read"),
     ],
 )
-def test_a_wrong_word_names_itself(words: dict[str, str], message: str) -> None:
+def test_invalid_option_value_is_named(words: dict[str, str], message: str) -> None:
     with pytest.raises(ConfigInvalid) as caught:
         make_settings(REGISTRY, **words)
     assert message in str(caught.value)
 
 
-def test_every_word_counts() -> None:
+def test_every_option_takes_effect() -> None:
     settings = make_settings(
         REGISTRY,
         ignore=["GV003,mostly-visible", "gm001"],

@@ -37,7 +37,7 @@ def declaring(tmp_path):
     return saved
 
 
-def test_what_the_manifest_does_not_say_is_the_default(declaring):
+def test_undeclared_tolerance_has_the_default(declaring):
     assert tolerances(declaring({})) == {
         "position": (1e-3, "default"),
         "covariance": (1e-3, "default"),
@@ -46,7 +46,7 @@ def test_what_the_manifest_does_not_say_is_the_default(declaring):
     }
 
 
-def test_what_the_manifest_says_holds_even_where_it_says_the_default(declaring):
+def test_declared_tolerance_is_used_even_if_it_is_the_default(declaring):
     tolerances_found = tolerances(declaring({"tolerances": {"opacity": 0.1, "position": 1e-3}}))
     assert tolerances_found["opacity"] == (0.1, "manifest")
     assert tolerances_found["position"] == (1e-3, "manifest")
@@ -66,7 +66,7 @@ def test_a_guessed_manifest_has_the_defaults(tmp_path):
     assert {source for _, source in tolerances(path).values()} == {"default"}
 
 
-def test_what_is_no_generator_has_none(tmp_path):
+def test_other_kinds_of_model_have_no_tolerances(tmp_path):
     report = validate(find("post_process").write(tmp_path), STATIC)
     assert report.kind == "post-process"
     assert report.tolerances == ()
@@ -90,7 +90,7 @@ def test_the_configuration_wins_over_the_manifest(declaring, tmp_path):
     ("text", "message"),
     [("opacty = 1", "Did you mean 'opacity'"), ("opacity = -1", "less than the minimum")],
 )
-def test_a_tolerance_that_cannot_be_meant_is_refused(tmp_path, text, message):
+def test_invalid_tolerance_is_refused(tmp_path, text, message):
     file = tmp_path / "gsgen.toml"
     file.write_text(f"[tolerances]\n{text}\n")
     with pytest.raises(ConfigInvalid, match=message):
@@ -107,7 +107,7 @@ def told_of_the_optimiser(path, **settings):
     ]
 
 
-def test_rules_that_compare_take_their_numbers_from_there(tmp_path):
+def test_comparing_rules_use_the_tolerances(tmp_path):
     sketch = find("optimised_wrongly").draw()
     sketch.write(tmp_path / "m.onnx")
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx")

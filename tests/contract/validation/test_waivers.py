@@ -64,7 +64,7 @@ def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
         ("n/a.onnx", False),
     ],
 )
-def test_a_waiver_speaks_of_all_models_or_of_those_it_names(model, speaks):
+def test_waiver_applies_to_all_models_or_the_named_ones(model, speaks):
     settings = Settings(waivers=(Waiver(rule="GV003", reason="Known.", model=model),))
     assert bool(settings.for_model(Path("m/a.onnx")).waivers) is speaks
 
@@ -107,14 +107,14 @@ def test_a_waiver_that_has_ended_is_a_finding_and_waives_nothing(judge):
     assert report.findings[1].message.startswith("expired on 2026-05-31; expected ")
 
 
-def test_a_waiver_of_what_was_not_judged_is_left_alone(judge):
+def test_waiver_of_an_unchecked_rule_is_not_reported(judge):
     report = judge(Waiver(rule="GV003", reason="Known."), level=Level.STATIC)
     assert report.outcome("GV003").status == "skipped"
     assert rules_of(report) == []
     assert report.outcome("GW001").status == "pass"
 
 
-def test_what_reviews_waivers_can_be_waived(judge):
+def test_waiver_rules_can_be_waived(judge):
     unneeded = Waiver(rule="GV004", reason="For later.")
     report = judge(
         Waiver(rule="GV003", reason="Known."), unneeded, Waiver(rule="GW001", reason="I know.")

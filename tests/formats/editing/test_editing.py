@@ -58,7 +58,7 @@ def test_scenes_are_moved_and_scaled():
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_filters_keep_what_fulfils_them(seed):
+def test_filters_keep_matching_splats(seed):
     splats = scene(60, 0, seed)
     low, high = np.sort(np.random.default_rng(seed).uniform(-5, 5, (2, 3)), axis=0)
     x, y, z = splats.position.astype(float).T
@@ -118,7 +118,7 @@ def test_morton_order_keeps_neighbours_together():
         ("decimate", "half"),
     ],
 )
-def test_values_of_another_form_are_refused_at_once(name, text):
+def test_values_of_another_type_are_refused_at_once(name, text):
     with pytest.raises(ValueInvalid):
         parse_edit(name, text)
 
@@ -133,7 +133,7 @@ def test_values_of_another_form_are_refused_at_once(name, text):
         ("where", "x=1"),
     ],
 )
-def test_values_without_a_meaning_are_refused(name, text):
+def test_invalid_edit_values_are_refused(name, text):
     with pytest.raises(ValueInvalid):
         parse_edit(name, text)(scene(3, 0))
 

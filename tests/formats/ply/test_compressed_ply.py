@@ -78,7 +78,7 @@ def naive_read(content: bytes) -> Splats:
 
 
 @pytest.mark.parametrize(("count", "degree"), [(1, 0), (9, 1), (256, 2), (257, 3), (30, 4)])
-def test_it_is_read_as_a_slow_decoder_reads_it(tmp_path, count, degree):
+def test_compressed_ply_agrees_with_a_slow_decoder(tmp_path, count, degree):
     file = tmp_path / "a.ply"
     write_compressed_ply(file, scene(count, degree))
     here, there = read_ply(file), naive_read(file.read_bytes())
@@ -112,7 +112,7 @@ def test_splat_transform_packs_alike(tmp_path):
     degree=st.integers(0, 4),
     count=st.sampled_from([1, 2, 255, 256, 257, 600]),
 )
-def test_what_comes_back_is_within_half_a_step(tmp_path_factory, seed, degree, count):
+def test_round_trip_error_is_within_half_a_step(tmp_path_factory, seed, degree, count):
     splats = scene(count, degree, seed)
     file = tmp_path_factory.getbasetemp() / "round.ply"
     write_compressed_ply(file, splats)
@@ -245,7 +245,7 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
         ),
     ],
 )
-def test_a_file_that_cannot_be_is_refused(tmp_path, before, after, kind, text):
+def test_inconsistent_compressed_ply_is_refused(tmp_path, before, after, kind, text):
     assert edited(tmp_path, before, after).startswith(text)
     assert edited.kind is kind  # type: ignore[attr-defined]
 
@@ -271,7 +271,7 @@ def test_a_box_of_nan_is_refused(tmp_path):
         read_ply(file)
 
 
-def test_text_is_read_too(tmp_path):
+def test_ascii_compressed_ply_is_read(tmp_path):
     """No writer makes it, but the header may say so."""
     file = tmp_path / "text.ply"
     write_compressed_ply(file, scene(3, 0))

@@ -261,7 +261,7 @@ def test_meaningful_infinities_are_kept(tmp_path, encoding):
     ],
 )
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_what_cannot_be_drawn_is_refused_by_name_row_and_count(
+def test_undrawable_values_are_refused_by_name_row_and_count(
     tmp_path, name, value, wanted, encoding
 ):
     names = splat_properties(1)
@@ -300,7 +300,7 @@ def test_where_no_row_can_be_drawn_nothing_is_read(tmp_path, names):
         open_splats(file, drop_invalid=True)
 
 
-def test_points_that_are_nowhere_are_left_out_if_wished(tmp_path):
+def test_nonfinite_points_can_be_skipped(tmp_path):
     names = ["x", "y", "z", "red", "green", "blue"]
     rows = [[1, 2, 3, 0.5, 0.5, 0.5], [1, np.inf, 3, 0.5, 0.5, 0.5]]
     file = tmp_path / "cloud.ply"

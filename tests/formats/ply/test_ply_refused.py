@@ -281,7 +281,7 @@ def test_a_bad_row_of_text_is_named(tmp_path, row, text):
     assert refusal(tmp_path, content, BodyMalformed) == f"element 'vertex', {text}"
 
 
-def test_rows_that_are_all_too_long_are_no_better(tmp_path):
+def test_rows_that_are_all_too_long_are_refused(tmp_path):
     content = ply(CLOUD, count=2, encoding="ascii") + b"1 2 3 4 5 6 7\n" * 2
     text = refusal(tmp_path, content, BodyMalformed)
     assert text == "element 'vertex', row 0: 7 values\nexpected 6, one for each property"

@@ -172,7 +172,7 @@ def test_other_colours_come_back_to_within_half_a_step(tmp_path):
         ),
     ],
 )
-def test_what_could_not_be_read_back_is_not_written(tmp_path, content, text):
+def test_unreadable_values_are_not_written(tmp_path, content, text):
     file = tmp_path / "bad.ply"
     with pytest.raises(ValueInvalid) as caught:
         write_ply(file, content)
@@ -214,7 +214,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("place", "reason"), [("no/a.ply", "No such file or directory"), (".", "Is a directory")]
 )
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, place, reason):
+def test_unwritable_path_is_named(tmp_path: Path, place, reason):
     with pytest.raises(FileUnwritable) as caught:
         write_ply(tmp_path / place, some_points(1))
     assert caught.value.path == str(tmp_path / place)

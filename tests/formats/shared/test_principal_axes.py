@@ -34,7 +34,7 @@ def test_random_covariances_round_trip(span: float) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-30, 1e-12, 1.0, 1e12, 1e30])
-def test_hard_matrices_of_every_size(size: float) -> None:
+def test_degenerate_matrices_round_trip_at_every_scale(size: float) -> None:
     rng = np.random.default_rng(3)
     upper = np.array(
         [
@@ -53,7 +53,7 @@ def test_hard_matrices_of_every_size(size: float) -> None:
     assert_decomposed(size * np.concatenate([upper, nearly_equal]))
 
 
-def test_symmetric_matrices_of_any_kind() -> None:
+def test_random_symmetric_matrices_are_decomposed() -> None:
     assert_decomposed(np.random.default_rng(5).normal(size=(2000, 6)))
 
 

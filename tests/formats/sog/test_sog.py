@@ -72,7 +72,7 @@ def naive_read(files: dict[str, bytes]) -> Splats:
 
 
 @pytest.mark.parametrize(("bands", "count"), [(0, 1), (1, 10), (2, 17), (3, 5)])
-def test_it_is_read_as_a_slow_decoder_reads_it(tmp_path, bands, count):
+def test_sog_agrees_with_a_slow_decoder(tmp_path, bands, count):
     files = sog_files(count, bands)
     file = tmp_path / "a.sog"
     file.write_bytes(zipped(files))
@@ -96,7 +96,7 @@ def test_an_unpacked_sog_is_read_through_its_meta(tmp_path):
     assert_near(one, other)
 
 
-def test_a_tag_that_is_none_means_no_rotation(tmp_path):
+def test_invalid_rotation_tag_means_identity(tmp_path):
     files = sog_files(4)
     pixels = np.full((4, 4), 251, np.uint8)
     file = tmp_path / "a.sog"
@@ -155,7 +155,7 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
         ({"sh0": {"codebook": [1], "files": ["sh0.webp"]}}, HeaderMalformed, "meta.json, sh0."),
     ],
 )
-def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
+def test_inconsistent_meta_is_refused(tmp_path, meta, kind, text):
     assert refusal(tmp_path, sog_files(), kind, **meta).startswith(text)
 
 
@@ -173,7 +173,7 @@ def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
         ),
     ],
 )
-def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
+def test_other_json_is_not_recognised_as_meta(tmp_path, content, kind, text):
     files = sog_files() | {"meta.json": content}
     assert refusal(tmp_path, files, kind).startswith(text)
 
@@ -194,7 +194,7 @@ def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
         ),
     ],
 )
-def test_an_image_that_cannot_be_is_refused(tmp_path, name, content, kind, text):
+def test_invalid_image_is_refused(tmp_path, name, content, kind, text):
     files = sog_files() | {name: content}
     assert refusal(tmp_path, files, kind).startswith(text)
 

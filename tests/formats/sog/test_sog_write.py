@@ -118,7 +118,7 @@ def test_ends_of_the_ranges_are_kept(tmp_path):
     assert (read_sog(tmp_path / "flat.sog").log_scale == -20).all()
 
 
-def test_harmonics_of_degree_4_have_no_room(tmp_path):
+def test_harmonics_of_degree_4_are_refused(tmp_path):
     with pytest.raises(
         NotSupported, match="the splats have SH degree 4\nexpected degree 3 or less"
     ):

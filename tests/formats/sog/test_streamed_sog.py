@@ -90,7 +90,7 @@ def leaf(**entry: object) -> dict:
         {"tree": {"children": [leaf()["tree"], leaf()["tree"]]}},
     ],
 )
-def test_trees_that_cannot_be_are_refused(tree: dict, tmp_path: Path, change: dict) -> None:
+def test_invalid_trees_are_refused(tree: dict, tmp_path: Path, change: dict) -> None:
     (tmp_path / "lod-meta.json").write_text(json.dumps(tree | change))
     with pytest.raises(HeaderMalformed) as caught:
         read_sog(tmp_path / "lod-meta.json")

@@ -39,7 +39,7 @@ def _long() -> list[Path]:
     suites=["basic"],
     expected_failures=[ExpectedFailure("acme/AC001", "Acme draws three.")],
 )
-def test_a_long_row(check):
+def test_acme_rule_reports_long_rows(check):
     check()
 
 
@@ -49,5 +49,5 @@ def test_the_rule_s_example_breaks_it_and_no_other(tmp_path):
     assert {finding.rule for finding in report.findings} == {small_enough.id}
 
 
-def test_nothing_needed_torch():
+def test_acme_runs_without_torch():
     assert "torch" not in sys.modules

@@ -101,7 +101,7 @@ def test_a_fixed_appearance_is_the_chosen_one(kind: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("kind", ["scaffold", "octree"])
-def test_no_camera_gives_anything_but_numbers(kind: str, tmp_path: Path) -> None:
+def test_every_camera_gives_finite_outputs(kind: str, tmp_path: Path) -> None:
     settings = AnchorOptions(bank=True, distance=(True, True, True), united=True)
     if kind == "scaffold":
         read = read_anchors(write_scaffold(tmp_path, settings))
@@ -229,7 +229,7 @@ def test_gaussians_far_smaller_than_their_anchor_are_exported(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("logit", [-200.0, -90.0, -79.0, -20.0, -5.0, 0.0, 5.0, 200.0])
-def test_proportions_are_exact_however_small(logit: float) -> None:
+def test_proportions_of_tiny_gaussians_are_exact(logit: float) -> None:
     actual = proportion(torch.tensor([logit])).item()
     if logit < -79:
         assert 0 <= actual < 1e-34
@@ -237,7 +237,7 @@ def test_proportions_are_exact_however_small(logit: float) -> None:
         assert actual == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-6)
 
 
-def test_fewer_anchors_need_something_that_says_which(tmp_path: Path) -> None:
+def test_limiting_anchors_requires_a_selection(tmp_path: Path) -> None:
     read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
     with pytest.raises(GsgenError, match="no culling selects the anchors"):
         ScaffoldGS(read.cloud, read.nets, selection=Selection(anchors=10))

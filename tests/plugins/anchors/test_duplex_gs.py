@@ -231,7 +231,7 @@ def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
         DuplexGS(read, Levels.of(read.anchors), opacity="weighted", blend="wsr")
 
 
-def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
+def test_decoding_a_subset_of_cells_agrees_with_all(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     few = DuplexGS(read, levels, blend="wsr", selection=Selection("none", 29))
@@ -251,7 +251,7 @@ def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
     assert (cells[live:, 3] == 0).all()
 
 
-def test_only_so_many_cells_are_decoded_where_asked(tmp_path: Path) -> None:
+def test_max_cells_limits_the_decoded_cells(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     settings = {"opacity": "weighted", "selection": Selection("none", 29)}
@@ -396,11 +396,11 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     assert stored(path) - sum(retained) <= 0.5 * (stored(exported.path) - sum(retained)) + integers
 
 
-def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: Exported) -> None:
+def test_model_runs_in_webgpu_without_stale_replays(exported: Exported) -> None:
     assert_captured(exported.report)
 
 
-def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
+def test_export_prints_method_and_blending(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_duplex(tmp_path, AnchorOptions(anchors=9, iteration=40000))

@@ -66,7 +66,7 @@ def test_other_variants_are_refused(options: dict[str, Any], message: str, tmp_p
         read_sc_gs(tmp_path)
 
 
-def test_what_contradicts_the_options_is_named(tmp_path: Path) -> None:
+def test_checkpoint_that_contradicts_its_options_is_named(tmp_path: Path) -> None:
     run = write_sc_gs(tmp_path, count=3, options={"pred_color": True})
     cfg = (run / "cfg_args").read_text()
     for old, new, message in (

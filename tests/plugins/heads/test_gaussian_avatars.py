@@ -81,7 +81,7 @@ def test_the_face_model_is_found_or_named(
     np.testing.assert_array_equal(given.rest, found.rest)
 
 
-def test_what_does_not_fit_is_named(tmp_path: Path) -> None:
+def test_mismatched_files_are_named(tmp_path: Path) -> None:
     run = write_gaussian_avatar(tmp_path, count=6)
     (cloud,), (params,) = run.rglob("*.ply"), run.rglob("flame_param.npz")
     columns, arrays = raw_columns(cloud), dict(read_npz(params))

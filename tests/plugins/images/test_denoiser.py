@@ -57,7 +57,7 @@ def golden() -> Any:
 # ===== The networks
 
 
-def test_networks_give_what_diffusers_gives() -> None:
+def test_networks_agree_with_diffusers() -> None:
     saved, base = golden(), shared("data/checkpoints/unet/ckpt")
     run_folder, latent = read_diffusion(base / "uncond"), read_diffusion(base / "sdlike")
     with np.load(base / "sdlike" / "prompt_embeds.npz") as arrays:
@@ -155,7 +155,7 @@ def encoded(path: Path, **arrays: Any) -> dict[str, torch.Tensor]:
         ({"time_ids": np.zeros((1, 6))}, "1,2,3,4,5,6", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
     ],
 )
-def test_a_network_is_told_of_the_prompt_as_a_whole_and_of_the_image(
+def test_network_receives_pooled_prompt_and_image_conditioning(
     options: dict[str, Any], ids: str | None, features: tuple[float, ...], tmp_path: Path
 ) -> None:
     folder = write_denoiser(tmp_path, XL)
@@ -174,7 +174,7 @@ def test_a_network_is_told_of_the_prompt_as_a_whole_and_of_the_image(
     assert off(actual(image), expected([n + 1 for n in features])) > 1e-3
 
 
-def test_what_a_network_is_told_has_to_fit(tmp_path: Path) -> None:
+def test_mismatched_conditioning_is_refused(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path, XL)
     path = folder / "prompt_embeds.npz"
     with pytest.raises(GsgenError, match=r"(?s)has the arrays.*needs prompt_embeds"):
@@ -200,7 +200,7 @@ def test_what_a_network_is_told_has_to_fit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("prediction", ["epsilon", "v_prediction", "sample"])
-def test_noise_is_taken_away_by_the_closed_form(prediction: str, tmp_path: Path) -> None:
+def test_noise_is_removed_by_the_closed_form(prediction: str, tmp_path: Path) -> None:
     schedule = {"prediction_type": prediction, "beta_schedule": "linear"}
     read = read_diffusion(write_denoiser(tmp_path, schedule=schedule))
     t, x = 300, torch.rand(1, 3, 8, 8) * 2 - 1
@@ -322,7 +322,7 @@ def test_weights_that_are_missing_are_named(tmp_path: Path) -> None:
         read_diffusion(folder)
 
 
-def test_steps_that_cannot_be_taken_are_refused(tmp_path: Path) -> None:
+def test_invalid_timesteps_are_refused(tmp_path: Path) -> None:
     run_folder = write_denoiser(tmp_path / "plain")
     with pytest.raises(GsgenError, match="is not a timestep: expected 0 to 999"):
         command.build(run_folder, timestep=1000.0)
@@ -378,14 +378,14 @@ def test_the_manifest_declares_range_and_timestep(
     assert manifest.producer.weights_sha256 is not None
 
 
-def test_it_runs_in_webgpu_and_no_replay_is_stale(
+def test_denoiser_runs_in_webgpu_without_stale_replays(
     model_and_export: tuple[Denoiser, Exported],
 ) -> None:
     assert_captured(model_and_export[1].report)
 
 
 @pytest.mark.slow
-def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path) -> None:
+def test_half_precision_export_prints_size_and_agreement(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path / "run", SMALL)
     out = tmp_path / "clean.onnx"
     words = ("--level", "static", "--size", "8x12", "--dtype", "float16")
@@ -404,7 +404,7 @@ def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path
     assert out.stat().st_size < 2 * weights + 100_000
 
 
-def test_rows_are_nothing_that_an_image_has(tmp_path: Path) -> None:
+def test_gaussian_options_are_refused_for_images(tmp_path: Path) -> None:
     out = tmp_path / "clean.onnx"
     model = command.build(write_denoiser(tmp_path, SMALL))
     with pytest.raises(ConfigInvalid, match="no Gaussians"):

@@ -250,7 +250,7 @@ def test_files_that_do_not_fit_are_refused(
         read_diffusion(base, difix=saved(copied, tmp_path))
 
 
-def test_networks_that_it_does_not_go_with_are_refused(
+def test_incompatible_networks_are_refused(
     base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
     path = saved(change, tmp_path)
@@ -266,7 +266,7 @@ def test_networks_that_it_does_not_go_with_are_refused(
 # ===== From a checkpoint to pictures
 
 
-def test_blotches_go_and_edges_stay(tmp_path: Path) -> None:
+def test_artifacts_are_removed_and_edges_stay(tmp_path: Path) -> None:
     """The synthetic checkpoint does what it says, through every part of Difix that it has."""
     run = write_difix(tmp_path)
     model = command.build(run, difix=run / "model.pkl", size="32x32", values="unit")
@@ -280,7 +280,7 @@ def test_blotches_go_and_edges_stay(tmp_path: Path) -> None:
     assert (without(step) - step).abs().max() > 0.1
 
 
-def test_a_picture_goes_through_it_in_float16_and_in_tiles(tmp_path: Path) -> None:
+def test_picture_is_processed_in_float16_and_in_tiles(tmp_path: Path) -> None:
     run, path = write_difix(tmp_path / "run"), tmp_path / "enhance.onnx"
     model = command.build(run, difix=run / "model.pkl", size="16x16", values="unit")
     static = Settings(level=Level.STATIC)

@@ -46,7 +46,7 @@ def test_the_denoiser_keeps_what_has_no_noise(tmp_path: Path) -> None:
     assert (model(disc()) - disc()).abs().max() < 0.05
 
 
-def test_the_drawing_has_colors_and_a_dark_outline_on_white(tmp_path: Path) -> None:
+def test_stylised_drawing_has_colors_and_dark_outline_on_white(tmp_path: Path) -> None:
     model = stylise_plugin.build(write_stylise(tmp_path, drawing=True), size="64x64")
     image = disc()
     drawn = model.eval()(image, torch.ones(1))[0]

@@ -268,7 +268,7 @@ def _pairs() -> Iterator[tuple[nn.Module, int]]:
     flat=st.booleans(),
     seed=st.integers(0, 2**31),
 )
-def test_products_are_branches(
+def test_lora_products_equal_parallel_branches(
     case: tuple[nn.Module, int], scale: float, alpha: float | None, flat: bool, seed: int
 ) -> None:
     """Whatever the layer, and where a kernel of 1×1 is written as a matrix, or a matrix as one."""
@@ -355,7 +355,7 @@ def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
         "whole weights", "text alone",
     ],
 )  # fmt: skip
-def test_tensors_without_a_home_are_listed(edit: str, run: Path, tmp_path: Path) -> None:
+def test_unmatched_tensors_are_listed(edit: str, run: Path, tmp_path: Path) -> None:
     state, words = _edited(edit)
     write_safetensors(tmp_path / "l.safetensors", state)
     with pytest.raises(CheckpointInvalid, match=words):
@@ -398,7 +398,7 @@ def test_damaged_metadata_and_folders_without_a_lora_are_refused(tmp_path: Path)
             read_lora(path)
 
 
-def test_parts_of_text_encoders_are_left_out_and_said(run: Path, tmp_path: Path) -> None:
+def test_text_encoder_parts_are_skipped_with_a_notice(run: Path, tmp_path: Path) -> None:
     state, _ = _edited("no partner")
     (down,) = state
     state |= {down.replace("_A", "_B"): torch.ones(8, 2)}

@@ -45,7 +45,7 @@ def oracle(state: dict[str, torch.Tensor], blocks: int, image: torch.Tensor) -> 
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_network_is_what_it_says(seed: int) -> None:
+def test_network_agrees_with_its_definition(seed: int) -> None:
     rng = np.random.default_rng(seed)
     options = StyliseOptions(2 * int(rng.integers(1, 5)), int(rng.integers(0, 4)))
     size = (int(rng.integers(9, 30)), int(rng.integers(9, 30)))
@@ -68,7 +68,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
 
 
 @pytest.mark.slow
-def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: Exported) -> None:
+def test_styliser_runs_in_webgpu_without_stale_replays(exported: Exported) -> None:
     assert_captured(exported.report)
 
 
@@ -80,12 +80,12 @@ def test_the_manifest_has_the_image_and_the_slider(exported: Exported) -> None:
 
 
 @pytest.mark.parametrize("word", ["", "12", "0x3", "3x-1", "12 x 3", "anything"])
-def test_what_is_no_size_is_refused(word: str) -> None:
+def test_invalid_size_is_refused(word: str) -> None:
     with pytest.raises(GsgenError, match="is not an image size"):
         read_size(word)
 
 
-def test_sizes_are_read(tmp_path: Path) -> None:
+def test_sizes_are_parsed(tmp_path: Path) -> None:
     assert read_size("576X1024") == (576, 1024)
     assert read_size("any") is None
     network = command.build(write_stylise(tmp_path), size="any", slider=False)

@@ -44,7 +44,7 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     assert (cfg.integer("a", 0), cfg.number("a", 0), cfg.flag("zz", default=True)) == (1, 1, True)
 
 
-def test_what_python_prints_without_a_literal_is_read(tmp_path: Path) -> None:
+def test_non_literal_reprs_are_read(tmp_path: Path) -> None:
     """As argparse prints infinities, and options whose names are not identifiers."""
     printed = Namespace(far=float("inf"), near=[-float("inf")], **{"some-key": 3})
     assert repr(printed) == "Namespace(far=inf, near=[-inf], **{'some-key': 3})"
@@ -108,7 +108,7 @@ def in_order(options: dict[str, Any]) -> str:
 
 @settings(max_examples=150, deadline=None)
 @given(st.dictionaries(_NAMES, _VALUES, max_size=5))
-def test_whatever_argparse_prints_comes_back(
+def test_printed_namespace_round_trips(
     tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any]
 ) -> None:
     cfg = read(tmp_path_factory.getbasetemp(), repr(Namespace(**options)))
@@ -152,7 +152,7 @@ def test_objects_within_others_are_their_option_s_text(
         "-" * 20_000 + "1",
     ],
 )
-def test_what_is_no_literal_is_refused_by_who_needs_it(
+def test_required_option_without_a_literal_is_refused(
     value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -194,7 +194,7 @@ def test_what_is_no_literal_is_refused_by_who_needs_it(
         ),
     ],
 )
-def test_what_is_no_namespace_is_refused(
+def test_text_other_than_a_namespace_is_refused(
     text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -218,7 +218,7 @@ def test_an_option_of_another_kind_is_refused(take: Callable, words: str, tmp_pa
         take(cfg)
 
 
-def test_options_that_nobody_reads_are_warned_of_by_name(
+def test_unused_options_are_warned_about_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cfg = read(tmp_path, "Namespace(a=1, b=PosixPath('/x'), device=device('cpu'))")

@@ -88,7 +88,7 @@ def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("write", [write_octree, write_hexplane, write_deformable])
-def test_what_lies_in_a_run_stands_for_it(
+def test_file_inside_a_run_selects_the_run(
     write: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = write(tmp_path / "run")
@@ -354,7 +354,7 @@ def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Pat
         read_anchors(cfg(tmp_path, f"Namespace({text})"))
 
 
-def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None:
+def test_without_options_inputs_are_inferred_from_networks(tmp_path: Path) -> None:
     options = AnchorOptions(
         anchors=3, bank=True, distance=(True, False, True), cameras=2, appearance=3, united=True
     )
@@ -367,7 +367,7 @@ def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("flag", ["no_grid", "all off"])
-def test_what_never_worked_or_never_moves_is_refused(flag: str, tmp_path: Path) -> None:
+def test_unsupported_or_static_variant_is_refused(flag: str, tmp_path: Path) -> None:
     off = dict.fromkeys(("no_dx", "no_ds", "no_dr", "no_do", "no_dshs"), True)
     options = {"no_grid": True} if flag == "no_grid" else off
     write_hexplane(tmp_path, HexPlaneOptions(flags=options))

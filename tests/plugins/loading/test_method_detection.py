@@ -28,7 +28,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("plugin", ALIKE)
-def test_the_right_plugin_is_named(plugin: str, runs: dict[str, Path]) -> None:
+def test_checkpoint_names_the_matching_plugin(plugin: str, runs: dict[str, Path]) -> None:
     read = ALIKE[plugin][1]
     read(runs[plugin])
     for name, run in runs.items():

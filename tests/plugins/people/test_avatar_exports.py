@@ -139,7 +139,7 @@ def test_novel_poses_are_inputs_of_one_body(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
+def test_avatar_runs_in_webgpu_without_stale_replays(case: Case) -> None:
     assert_captured(case.exported.report)
 
 
@@ -188,7 +188,7 @@ def test_a_motion_plays_in_a_viewer_that_knows_no_poses(
     assert result.manifest.producer.license == "LicenseRef-SMPL-derived-no-redistribution"
 
 
-def test_a_body_that_is_not_there_is_explained(tmp_path: Path) -> None:
+def test_missing_body_model_is_explained(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "run")
     (folder / "assets/SMPL_NEUTRAL.pkl").unlink()
     with pytest.raises(CheckpointInvalid) as caught:
@@ -247,7 +247,7 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
+def test_motion_equals_its_poses(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "run", PersonOptions(nets=True))
     path = write_motion(tmp_path / "sway.npz", frames=5)
     played = gauhuman_plugin.build(folder, motion=path, shape="0.5,-1", instances=2, spacing=0.5)

@@ -175,7 +175,7 @@ def test_novel_poses_of_r3_avatar_mix_the_looks_of_five_parts(kind: str, tmp_pat
     assert_like(rows[is_same], color[is_same], same)
 
 
-def test_a_rotation_of_zeros_is_none(tmp_path: Path) -> None:
+def test_zero_matrix_means_identity_rotation(tmp_path: Path) -> None:
     read = read_gauhuman(write_gauhuman(tmp_path))
     generator = GauHuman(read.canonical, read.body, read.nets)
     person = told(np.random.default_rng(0), 24, 10)

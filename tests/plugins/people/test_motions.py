@@ -92,7 +92,7 @@ def test_lhm_s_frames_are_read_one_by_one_or_all_together(single: bool, tmp_path
         ('[{"root_pose": [1, 2, NaN]}]', "all finite"),
     ],
 )
-def test_a_motion_that_is_none_is_refused(text: str, words: str, tmp_path: Path) -> None:
+def test_invalid_motion_is_refused(text: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / "motion.json"
     path.write_text(text)
     with pytest.raises(CheckpointInvalid, match=words):
@@ -149,7 +149,7 @@ def test_a_frame_of_zju_mocap_runs_nothing(tmp_path: Path) -> None:
         read_motion(tmp_path / "0.npy", 24)
 
 
-def test_a_missing_motion_says_what_is_wanted(tmp_path: Path) -> None:
+def test_missing_motion_error_states_the_expected_file(tmp_path: Path) -> None:
     with pytest.raises(CheckpointInvalid, match="AMASS"):
         read_motion(tmp_path / "nowhere.npz", 24)
     with pytest.raises(CheckpointInvalid, match=r"no \.npz, \.npy or \.json"):

@@ -234,7 +234,7 @@ def test_small_pickles_do_not_take_large_memory(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 1, 50, 1000, -1])
-def test_a_damaged_body_is_no_traceback(cut: int, tmp_path: Path) -> None:
+def test_damaged_body_model_is_reported_without_a_traceback(cut: int, tmp_path: Path) -> None:
     for name in ("SMPL.pkl", "SMPL.npz"):
         path = write_body(tmp_path / name)
         path.write_bytes(path.read_bytes()[:cut])
@@ -342,7 +342,7 @@ def test_the_data_set_is_asked_for_where_it_cannot_be_told(tmp_path: Path) -> No
         ({}, None),
     ],
 )
-def test_whose_data_it_is_follows_from_paths_and_names(
+def test_data_set_is_inferred_from_paths_and_names(
     options: dict[str, str], dataset: str | None, tmp_path: Path
 ) -> None:
     cfg = CfgArgs(tmp_path, options)
@@ -353,7 +353,7 @@ def test_whose_data_it_is_follows_from_paths_and_names(
         guess_dataset(cfg)
 
 
-def test_what_lies_in_a_run_of_people_stands_for_it(tmp_path: Path) -> None:
+def test_file_inside_a_run_of_people_selects_the_run(tmp_path: Path) -> None:
     run = write_r3(tmp_path / "r3")
     for path in (run / "chkpnt60000.pth", run / "cfg_args"):
         assert read_r3(path).path == run / "chkpnt60000.pth"

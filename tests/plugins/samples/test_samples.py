@@ -128,7 +128,7 @@ def test_cameras_stand_on_an_arc_around_the_scene(folder: Path) -> None:
     np.testing.assert_allclose(eyes[:, 0], -eyes[::-1, 0], atol=1e-5)
 
 
-def test_files_of_the_user_keep_their_bytes_unless_that_is_wished(tmp_path: Path) -> None:
+def test_user_files_are_not_overwritten_without_force(tmp_path: Path) -> None:
     own = {"garden.ply": b"my garden", "scene.json": b'{"models": ["mine.ply"]}'}
     for name, content in own.items():
         (tmp_path / name).write_bytes(content)
@@ -141,7 +141,7 @@ def test_files_of_the_user_keep_their_bytes_unless_that_is_wished(tmp_path: Path
     assert not {path.read_bytes() for path in tmp_path.iterdir()} & set(own.values())
 
 
-def test_samples_that_are_there_are_no_error(folder: Path) -> None:
+def test_existing_samples_are_accepted(folder: Path) -> None:
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     result = gsgen_here("samples", folder)
     assert result.code == 0, result.err

@@ -131,15 +131,13 @@ def change(run: Path, index: int, value: Any) -> None:
         (18, 3, "time degree 3 does not fit 48"),
     ],
 )
-def test_what_is_wrong_with_a_checkpoint_is_named(
-    index: int, value: Any, message: str, tmp_path: Path
-) -> None:
+def test_invalid_checkpoint_is_named(index: int, value: Any, message: str, tmp_path: Path) -> None:
     change(write_rotor(tmp_path, count=3), index, value)
     with pytest.raises(CheckpointInvalid, match=re.escape(message)):
         read_rotor(tmp_path)
 
 
-def test_other_checkpoints_are_told_apart(
+def test_other_checkpoints_are_distinguished(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = write_rotor(tmp_path / "run", count=3)

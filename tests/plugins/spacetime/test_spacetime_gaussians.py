@@ -86,7 +86,7 @@ def test_a_ply_of_any_name_is_read(tmp_path: Path) -> None:
     assert (one.inputs[0].frames, two.inputs[0].frames) == (None, 50)  # cfg_args has the duration
 
 
-def test_the_full_model_is_refused_until_someone_asks_for_the_approximation(
+def test_full_model_is_refused_unless_approximation_is_requested(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     full = write_spacetime(tmp_path / "full", count=3, full=True)
@@ -101,7 +101,7 @@ def test_the_full_model_is_refused_until_someone_asks_for_the_approximation(
         plugin.build(lite, decode="per-splat")
 
 
-def test_what_is_wrong_with_a_file_is_named(tmp_path: Path) -> None:
+def test_invalid_file_is_named(tmp_path: Path) -> None:
     full = write_spacetime(tmp_path / "full", count=3, full=True)
     (cloud,) = full.rglob("*.ply")
     columns = raw_columns(cloud)

@@ -125,7 +125,7 @@ def test_packed_rows_pass_through_bit_for_bit(tmp_path: Path, channels: int) -> 
     np.testing.assert_array_equal(seen.view(np.uint32), color.view(np.uint32))
 
 
-def test_channels_that_mean_nothing_are_refused() -> None:
+def test_invalid_channel_counts_are_refused() -> None:
     rows = PackedRows(np.zeros((2, 10), np.float32), np.zeros((2, 5), np.float32))
     with pytest.raises(GsgenError, match="5 channels, expected"):
         from_content(rows)

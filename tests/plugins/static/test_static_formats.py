@@ -20,7 +20,7 @@ def manifest_of(path: Path) -> dict:
 @pytest.mark.parametrize(
     ("options", "kept"), [((), "mip"), (("--antialias", "classic"), "classic")]
 )
-def test_what_an_spz_says_of_its_training_is_kept(tmp_path, options, kept):
+def test_spz_training_flags_are_kept(tmp_path, options, kept):
     model = tmp_path / "m.onnx"
     ran = gsgen_here(
         *("export", "static", GOLDENS / "degree-4.v4.spz", "-o", model, "--level", "static"),
@@ -31,7 +31,7 @@ def test_what_an_spz_says_of_its_training_is_kept(tmp_path, options, kept):
     assert manifest_of(model).get("antialias", "classic") == kept
 
 
-def test_what_a_glb_says_of_its_colours_is_kept(tmp_path):
+def test_glb_color_space_is_kept(tmp_path):
     write_glb(tmp_path / "a.glb", scene(3, 1, color_space="linear"))
     model = tmp_path / "m.onnx"
     ran = gsgen_here("export", "static", tmp_path / "a.glb", "-o", model, "--level", "static")

@@ -103,7 +103,9 @@ def test_a_network_of_the_view_is_fitted(models: Path, tmp_path: Path, renderer:
     assert _psnr(models / "lit.onnx", tmp_path / "lit.ply", renderer) >= 40
 
 
-def test_a_camera_bakes_what_it_sees(models: Path, tmp_path: Path, renderer: Renderer) -> None:
+def test_single_camera_bakes_its_visible_gaussians(
+    models: Path, tmp_path: Path, renderer: Renderer
+) -> None:
     report = bake(models / "lit.onnx", tmp_path / "lit.ply", camera=CAMERA)
     assert (report.view_dependence, report.frames[0].sh_degree) == ("camera", 0)
     assert _psnr(models / "lit.onnx", tmp_path / "lit.ply", renderer) >= 60

@@ -160,7 +160,7 @@ WRITERS: dict[str, Callable[[list[Camera], Path], Path]] = {
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", WRITERS)
-def test_what_was_written_is_read(name: str, seed: int, tmp_path: Path) -> None:
+def test_written_cameras_are_read_back(name: str, seed: int, tmp_path: Path) -> None:
     cameras = some_cameras(seed=seed, centred=name in ("training", "path"))
     if name == "path":
         size = {"width": 640, "height": 480, "cx": 320, "cy": 240}
@@ -255,7 +255,7 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_lenses_of_colmap(model: str, tmp_path: Path) -> None:
+def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> None:
     values = {"f": 40.0, "fx": 40.0, "fy": 50.0, "cx": 30.0, "cy": 20.0}
     names = MODELS[model].split()
     for bending in (0.0, 0.01):
@@ -315,7 +315,7 @@ def test_picking_by_name_number_and_slice() -> None:
         named(*(f"image_{n}" for n in range(20))).pick("none")
 
 
-def test_words_pick_from_files(tmp_path: Path) -> None:
+def test_camera_option_selects_from_files(tmp_path: Path) -> None:
     cameras = some_cameras(4, centred=True)
     path = write_training(cameras, tmp_path)
     picked = viewpoint(f"{path}#00002")
@@ -360,7 +360,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("content", WRONG, ids=range(len(WRONG)))
-def test_json_that_is_none_says_why(content: str, tmp_path: Path) -> None:
+def test_invalid_camera_json_is_explained(content: str, tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     path.write_text(content)
     with pytest.raises((ConfigInvalid, SceneInvalid), match=WRONG[content]) as caught:
@@ -368,7 +368,7 @@ def test_json_that_is_none_says_why(content: str, tmp_path: Path) -> None:
     assert str(caught.value).startswith(str(path))
 
 
-def test_places_without_cameras(tmp_path: Path) -> None:
+def test_paths_without_cameras_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigInvalid, match=r"is a folder without cameras\n.*sparse/0"):
         open_cameras(tmp_path)
     with pytest.raises(ConfigInvalid, match="does not exist"):
@@ -388,7 +388,7 @@ def trouble(path: Path) -> str | None:
 
 
 @pytest.mark.parametrize("name", ["colmap_binary", "colmap_text", "transforms", "training", "path"])
-def test_damaged_files_are_refused_or_read_but_never_worse(name: str, tmp_path: Path) -> None:
+def test_damaged_files_are_refused_or_read_without_crash(name: str, tmp_path: Path) -> None:
     """Cut, flipped and stuffed files: an error of ours, or cameras."""
     rng = np.random.default_rng(5)
     path = WRITERS[name](some_cameras(3, centred=True), tmp_path)

@@ -54,7 +54,7 @@ def test_flat_and_empty_covariances_are_kept() -> None:
     "wrong",
     [(np.nan, 0, 0, 1, 0, 1), (1, 0, 0, np.inf, 0, 1), (1, 2, 0, 1, 0, 1), (-1, 0, 0, 1, 0, 1)],
 )
-def test_what_is_no_covariance_is_not_drawn(device: Device, wrong: tuple[float, ...]) -> None:
+def test_invalid_covariance_is_not_drawn(device: Device, wrong: tuple[float, ...]) -> None:
     data = cloud(2)
     data.rows[0, 4:] = wrong
     assert np.isnan(unpack_rows(pack_rows(data.rows))[0, 4:]).any()

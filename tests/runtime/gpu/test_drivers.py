@@ -12,7 +12,7 @@ BAR = 2e-6
 
 
 @pytest.mark.parametrize("driver", DRIVERS)
-def test_the_golden_the_meshes_and_the_sort(driver: str) -> None:
+def test_driver_renders_golden_meshes_and_sorts(driver: str) -> None:
     golden = shared("data/goldens/tiny_case.safetensors")
     sizes = ("0", "4097", "20000")
     told = on_driver(driver, "support.rendering.driver_report", str(golden), *sizes)

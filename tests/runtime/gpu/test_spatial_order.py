@@ -50,7 +50,7 @@ def test_the_curve_goes_through_the_smallest_cubes_first() -> None:
     np.testing.assert_array_equal(along_curve(cells * 0.25 - 7), np.argsort(codes))
 
 
-def test_the_curve_knows_points_that_are_none() -> None:
+def test_curve_marks_nonfinite_points() -> None:
     points = np.array([[1, 1, 1], [np.nan, 0, 0], [0, 0, 0], [np.inf, 0, 0]], np.float32)
     assert along_curve(points).tolist() == [1, 2, 3, 0]
     assert along_curve(points[1:2]).tolist() == [0]
@@ -90,7 +90,7 @@ def maps(device: Device, monkeypatch: pytest.MonkeyPatch, request: object) -> bo
     return bool(request.param)
 
 
-def test_what_changes_keeps_an_order_where_it_costs_nothing(
+def test_changing_rows_keep_an_order_that_costs_nothing(
     device: Device, renderer: Renderer, small: None, maps: bool
 ) -> None:
     data, other = cloud(100, 3), cloud(100, 4)
@@ -114,7 +114,7 @@ def test_what_changes_keeps_an_order_where_it_costs_nothing(
     assert [arranged(), arranged()] == [False, False]
 
 
-def test_an_order_is_found_anew_when_neighbours_have_parted(
+def test_order_is_recomputed_when_neighbours_separate(
     device: Device, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not device.maps:
@@ -143,7 +143,7 @@ def test_an_order_is_found_anew_when_neighbours_have_parted(
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("far", [np.inf, -np.inf, np.nan])
-def test_nothing_is_said_of_neighbours_that_are_nowhere(far: float) -> None:
+def test_nonfinite_neighbours_are_ignored(far: float) -> None:
     data = cloud(200, 9)
     data.rows[::2, :2] = far
     order = SpatialOrder.of(data)

@@ -37,7 +37,7 @@ def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, 
     return seen
 
 
-def test_what_did_not_change_is_not_written(device: Device, written: list) -> None:
+def test_unchanged_rows_are_not_written(device: Device, written: list) -> None:
     data, other = cloud(100, 1), cloud(100, 2)
     held = Residency(device)
 
@@ -97,7 +97,7 @@ def test_a_count_that_grows_shows_the_same_as_at_once(device: Device, renderer: 
         assert (shown.visible > 0) == (count > 0)
 
 
-def test_memory_is_kept_no_longer_than_what_it_holds(device: Device) -> None:
+def test_memory_is_released_with_its_splats(device: Device) -> None:
     held, data, pool = Residency(device), cloud(100, 1), SplatPool(100, 3)
     buffers = [ref(pages[0].rows) for pages in (held.pages(data), held.pool_pages(pool))]
     assert None not in [buffer() for buffer in buffers]

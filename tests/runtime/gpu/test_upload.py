@@ -13,7 +13,7 @@ ROOM = 80_000  # rows: more than are made at a time, and enough to be mapped
 @pytest.mark.parametrize("maps", [True, False])
 @pytest.mark.parametrize("ordered", [True, False])
 @pytest.mark.parametrize("made", [True, False])
-def test_rows_are_where_they_belong(
+def test_uploaded_rows_are_at_their_offsets(
     device: Device, monkeypatch: pytest.MonkeyPatch, maps: bool, ordered: bool, made: bool
 ) -> None:
     if maps and not device.maps:
@@ -34,7 +34,7 @@ def test_rows_are_where_they_belong(
     np.testing.assert_array_equal(read, before)
 
 
-def test_a_device_that_is_gone_is_told() -> None:
+def test_lost_device_is_reported() -> None:
     device = Device.open()
     buffer = device.dynamic_storage("rows", 16 * ROOM)
     device.raw.destroy()
@@ -42,7 +42,7 @@ def test_a_device_that_is_gone_is_told() -> None:
         upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
 
 
-def test_what_goes_wrong_on_the_way_leaves_the_buffer_to_the_device(device: Device) -> None:
+def test_failed_upload_leaves_the_buffer_usable(device: Device) -> None:
     buffer = device.dynamic_storage("rows", 16 * ROOM)
 
     def fail(rows: np.ndarray) -> np.ndarray:

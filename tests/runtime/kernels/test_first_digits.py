@@ -17,13 +17,13 @@ def large_tiles(device: Device) -> Renderer:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_kernels_count_as_numpy_does(large_tiles: Renderer, name: str) -> None:
+def test_digit_counts_agree_with_numpy(large_tiles: Renderer, name: str) -> None:
     for made, wanted in counted(large_tiles, CASES[name]()).values():
         np.testing.assert_array_equal(made, wanted)
         assert wanted.any() == (name != "nothing")
 
 
-def test_cases_are_hard(large_tiles: Renderer) -> None:
+def test_cases_cover_block_and_capacity_limits(large_tiles: Renderer) -> None:
     """A workgroup's pairs are in many blocks; digits are one, or all; the capacity is too small."""
     found = {name: counted(large_tiles, CASES[name]()) for name in CASES}
     assert found["over many blocks"]["tiles"][1].shape[1] > 20

@@ -15,7 +15,7 @@ from support.rendering.splat_scenes import SCENES
 
 
 @pytest.mark.parametrize("variant", ["without subgroups", "as on a GPU"])
-def test_the_picture_is_the_same(device: Device, variant: str) -> None:
+def test_kernel_variants_draw_equal_pictures(device: Device, variant: str) -> None:
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"

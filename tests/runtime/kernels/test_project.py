@@ -64,7 +64,7 @@ ONE_SET = [
 
 
 @pytest.mark.parametrize("name", ONE_SET)
-def test_project(renderer: Renderer, name: str) -> None:
+def test_projected_splats_agree_with_the_reference(renderer: Renderer, name: str) -> None:
     scene, seen_by = SCENES[name]()
     scene = Scene(scene.sets[:1])
     n = len(scene)
@@ -171,7 +171,7 @@ def test_lists_are_those_of_sorted_pairs(device: Device, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["many", "huge", "same_depths"])
-def test_blend(renderer: Renderer, name: str) -> None:
+def test_blended_image_agrees_with_the_reference(renderer: Renderer, name: str) -> None:
     scene, seen_by = SCENES[name]()
     image = renderer.render(scene, seen_by).rgba
     all_of_them = reference(scene.sets[0], seen_by)
@@ -186,7 +186,7 @@ def test_blend(renderer: Renderer, name: str) -> None:
     assert error.max() <= 5e-3
 
 
-def test_normals(renderer: Renderer) -> None:
+def test_projected_normals_agree_with_the_reference(renderer: Renderer) -> None:
     scene, seen_by = SCENES["seen_from_elsewhere"]()
     data, n = scene.sets[0].data, len(scene)
     renderer.render(scene, seen_by, outputs=("normal",))
@@ -221,7 +221,7 @@ def test_a_shader_is_its_file_with_includes_and_constants() -> None:
     assert text.count("struct Frame") == 1
 
 
-def test_harmonics_are_the_contracts(renderer: Renderer) -> None:
+def test_shader_harmonics_agree_with_the_contract(renderer: Renderer) -> None:
     """Each of the sixteen functions by itself, in many directions."""
     data = cloud(16 * 12, 3, degree=3, depth=(3, 6), size=0.01)
     data.appearance[:] = 0

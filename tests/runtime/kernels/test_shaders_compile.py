@@ -124,7 +124,7 @@ def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) ->
     device.raw.create_shader_module(label=name, code=source(name, **constants))
 
 
-def test_a_shader_that_is_not_whole_does_not_compile(device: Device) -> None:
+def test_incomplete_shader_does_not_compile(device: Device) -> None:
     import wgpu
 
     code = source("scan_sums", THREADS=8).replace("var<workgroup> sums", "// ")

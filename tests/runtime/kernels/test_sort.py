@@ -33,7 +33,7 @@ def compacting(request: pytest.FixtureRequest, device: Device) -> Bench:
 
 @pytest.mark.parametrize("kind", KEYS)
 @pytest.mark.parametrize("n", [0, 1, 7, 4096, 4097, 65_536])
-def test_sorted_is_numpys(compacting: Bench, n: int, kind: str) -> None:
+def test_compacting_sort_agrees_with_numpy(compacting: Bench, n: int, kind: str) -> None:
     # Keys behind the n are absent: the first pass looks at all there is room for.
     keys = np.full(ROOM, ABSENT, np.uint32)
     keys[:n] = keys_of(n, kind)
@@ -45,7 +45,7 @@ def test_sorted_is_numpys(compacting: Bench, n: int, kind: str) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.sampled_from([0, 1, 2, 255, 256, 1 << 31, ABSENT - 1, ABSENT])))
-def test_any_keys(compacting_here: Bench, keys: list[int]) -> None:
+def test_arbitrary_keys_are_sorted(compacting_here: Bench, keys: list[int]) -> None:
     held = np.full(ROOM, ABSENT, np.uint32)
     held[: len(keys)] = keys
     np.testing.assert_array_equal(compacting_here(held)[1], sort_reference(held, 32))
@@ -57,7 +57,7 @@ def compacting_here(device: Device) -> Bench:
 
 
 @pytest.mark.parametrize("bits", [1, 2, 8, 11, 13, 24])
-def test_counted_low_bits_with_values(device: Device, bits: int) -> None:
+def test_precounted_low_bits_are_sorted_with_values(device: Device, bits: int) -> None:
     """No kernel counts them again."""
     keys = keys_of(5000, "random", seed=bits) & np.uint32((1 << bits) - 1)
     sort = Bench(device, GPU, bits, 6000, compact=False, counted=True)
@@ -70,7 +70,9 @@ def test_counted_low_bits_with_values(device: Device, bits: int) -> None:
 
 @pytest.mark.parametrize("bits", [1, 5, 12, 13, 17])
 @pytest.mark.parametrize("n", [0, 1, 5000])
-def test_low_bits_with_values(device: Device, cut: SortConfig, bits: int, n: int) -> None:
+def test_low_bits_are_sorted_with_values(
+    device: Device, cut: SortConfig, bits: int, n: int
+) -> None:
     keys = keys_of(n, "random", seed=bits) & np.uint32((1 << bits) - 1)
     keys_out, places = Bench(device, cut, bits, 6000, compact=False)(keys)
     wanted = np.argsort(keys, kind="stable")
@@ -87,7 +89,7 @@ def test_few_keys_take_few_workgroups(device: Device) -> None:
 
 
 @pytest.mark.parametrize("kind", KEYS)
-def test_many_keys(many: Bench, kind: str) -> None:
+def test_many_keys_are_sorted(many: Bench, kind: str) -> None:
     """As many as let the scan of a GPU go by blocks; `make fuzz-sort` has four million."""
     keys = keys_of(MANY, kind, seed=4)
     keys_out, places = many(keys)
@@ -111,7 +113,7 @@ def scan(request: pytest.FixtureRequest, device: Device) -> Scan:
 
 @pytest.mark.parametrize("n", [0, 1, 255, 256, 257, 6144, 10_000, 300_001])
 @pytest.mark.parametrize("most", [5, 1 << 31])
-def test_scan(device: Device, scan: Scan, n: int, most: int) -> None:
+def test_scan_agrees_with_cumulative_sum(device: Device, scan: Scan, n: int, most: int) -> None:
     numbers = np.random.default_rng(n).integers(0, most, n, np.uint32) // np.uint32(2)
     counts, room = device.storage("counts", counting.BYTES), n + 5000
     buffer = device.storage("numbers", 4 * room)
@@ -143,7 +145,9 @@ def test_scan(device: Device, scan: Scan, n: int, most: int) -> None:
     st.sampled_from([1, 3, 1000, 0x7FFFFFFF]),
     st.integers(0, 1 << 32),
 )
-def test_any_scan(by_blocks: Scan, n: int, rows: int, most: int, seed: int) -> None:
+def test_scan_of_arbitrary_numbers_agrees_with_cumulative_sum(
+    by_blocks: Scan, n: int, rows: int, most: int, seed: int
+) -> None:
     """Of rows × ⌈n / 3⌉ numbers, whatever they are."""
     device = by_blocks._device
     length = rows * -(-n // 3)

@@ -18,7 +18,7 @@ fn each(@builtin(global_invocation_id) invocation: vec3u) {
 
 @pytest.mark.parametrize("tile", [TILE, LARGE_TILE])
 @pytest.mark.parametrize("limit", [0, 1, 40, 65_535])
-def test_pixels_have_tiles(tile: int, limit: int) -> None:
+def test_tile_of_a_pixel_agrees_with_float_rounding(tile: int, limit: int) -> None:
     borders = tile * np.arange(-2, 70, dtype=np.float32)
     pixels = np.concatenate(
         [

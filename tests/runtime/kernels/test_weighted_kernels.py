@@ -99,7 +99,7 @@ def whole(radius: np.ndarray, wanted: np.ndarray, covariance: np.ndarray, reach:
 
 
 @pytest.mark.parametrize("name", ONE_SET)
-def test_project_weighs(renderer: Renderer, name: str) -> None:
+def test_weighted_projection_agrees_with_the_reference(renderer: Renderer, name: str) -> None:
     made = run(renderer, name, "project weighted")
     wanted, n = splats(made), len(made.one.data)
     keys = made.words("keys of weighted", n)
@@ -118,7 +118,7 @@ def test_project_weighs(renderer: Renderer, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ONE_SET)
-def test_project_cells(renderer: Renderer, name: str) -> None:
+def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str) -> None:
     made = run(renderer, name, "project weighted", "project cells")
     wanted, count = cells(made), len(made.one.data.cells)
     keys, circles = (made.words("keys of cells a", count), made.floats("circles of cells", count))
@@ -172,7 +172,7 @@ def test_cells_are_listed_for_their_tiles(renderer: Renderer, name: str) -> None
 
 
 @pytest.mark.parametrize("name", ["many_cells", "divided_opacity", "finished_early"])
-def test_blend_sums(renderer: Renderer, name: str) -> None:
+def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
     image = renderer.render(scene, seen_by).rgba
     made = Run(renderer, renderer._plan, scene.sets[0], seen_by)

@@ -84,7 +84,7 @@ def test_png_of_16_bits_reads_back_and_rounds_to_that_of_8(mode: str, tmp_path: 
     assert np.abs(values / 257 - eight).max() <= 0.5 + 1 / 257
 
 
-def test_linear_light_and_back() -> None:
+def test_srgb_and_linear_light_round_trip() -> None:
     color = np.linspace(0, 1, 1001)
     np.testing.assert_allclose(srgb_of_linear(linear_of_srgb(color)), color, atol=2e-6)
 

@@ -27,7 +27,7 @@ def pictures(count: int, colors: int = 200) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("count", [1, 4])
-def test_half_covered_is_opaque_and_less_is_transparent(tmp_path: Path, count: int) -> None:
+def test_alpha_of_half_is_opaque_and_less_is_transparent(tmp_path: Path, count: int) -> None:
     wanted = pictures(count)
     save_gif(tmp_path / "a.gif", wanted, 10)
     got = read(tmp_path / "a.gif")
@@ -46,7 +46,7 @@ def test_a_frame_does_not_show_through_the_next(tmp_path: Path) -> None:
         np.testing.assert_array_equal(made[..., 3], one[..., 3])
 
 
-def test_more_colours_than_a_palette_has_are_near(tmp_path: Path) -> None:
+def test_colours_beyond_the_palette_are_approximated(tmp_path: Path) -> None:
     ramp = np.mgrid[0:64, 0:64].transpose(1, 2, 0).astype(np.uint8) * 4
     one = np.concatenate([ramp, np.full((64, 64, 1), 99), np.full((64, 64, 1), 255)], -1)
     one = one.astype(np.uint8)
@@ -60,7 +60,7 @@ def test_more_colours_than_a_palette_has_are_near(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shape", [(9, 7), (9, 7, 3), (9, 7, 4)])
-def test_nothing_transparent(tmp_path: Path, shape: tuple[int, ...]) -> None:
+def test_opaque_pictures_stay_opaque(tmp_path: Path, shape: tuple[int, ...]) -> None:
     one = np.full(shape, 255, np.uint8)
     one[2:5, 2:5] = 40
     if len(shape) == 3:

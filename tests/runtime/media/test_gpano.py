@@ -19,7 +19,7 @@ def pixels(camera: Camera) -> dict[str, int]:
     return {name.decode(): int(value) for name, value in found}
 
 
-def test_a_whole_sphere() -> None:
+def test_full_panorama_covers_the_sphere() -> None:
     assert pixels(Camera.panorama(ORIGIN, width=400)) == {
         "FullPanoWidth": 400,
         "FullPanoHeight": 200,
@@ -30,7 +30,7 @@ def test_a_whole_sphere() -> None:
     }
 
 
-def test_a_part_has_its_place_in_the_sphere() -> None:
+def test_partial_panorama_has_its_crop_offset() -> None:
     part = Camera.panorama(ORIGIN, width=90, longitudes=(-45, 45), latitudes=(-10, 60))
     assert pixels(part) == {
         "FullPanoWidth": 360,
@@ -52,5 +52,5 @@ def test_a_part_has_its_place_in_the_sphere() -> None:
     ],
     ids=["pinhole", "orthographic", "across the seam", "stretched"],
 )
-def test_what_the_terms_cannot_say_is_not_said(camera: Camera) -> None:
+def test_inexpressible_panoramas_have_no_metadata(camera: Camera) -> None:
     assert gpano(camera) is None

@@ -41,7 +41,7 @@ def test_every_frame_comes_back_in_its_order(count: int) -> None:
         assert error < 6, number  # a bar elsewhere: 25 and more
 
 
-def test_a_film_of_one_frame_is_a_film() -> None:
+def test_film_of_one_frame_is_written() -> None:
     film = encode(_moving(1), 25)
     at = film.index(b"stsz")
     assert int.from_bytes(film[at + 12 : at + 16], "big") == 1
@@ -50,7 +50,7 @@ def test_a_film_of_one_frame_is_a_film() -> None:
 
 
 @pytest.mark.parametrize("fps", [1, 23.976, 25, 60])
-def test_the_rate_is_the_one_that_was_asked_for(fps: float) -> None:
+def test_frame_rate_is_the_requested_one(fps: float) -> None:
     film = encode(_moving(3, (16, 16)), fps)
     header, times = film.index(b"mdhd") + 4, film.index(b"stts") + 4
     per_second = int.from_bytes(film[header + 12 : header + 16], "big")
@@ -58,7 +58,7 @@ def test_the_rate_is_the_one_that_was_asked_for(fps: float) -> None:
     assert per_second / each == pytest.approx(fps, abs=1e-9)
 
 
-def test_groups_can_be_sought() -> None:
+def test_key_frames_allow_seeking() -> None:
     film = encode(_moving(100, (16, 16)), 25)
     at = film.index(b"stss") + 8
     count = int.from_bytes(film[at : at + 4], "big")

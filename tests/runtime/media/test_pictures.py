@@ -20,7 +20,7 @@ def decibels(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_colours_are_the_oracles(renderer: Renderer, name: str) -> None:
+def test_colours_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
     seen = renderer.render(scene, camera, background=BEHIND)
     wanted = oracle.render(scene, camera, background=BEHIND)
@@ -36,14 +36,14 @@ def test_colours_are_the_oracles(renderer: Renderer, name: str) -> None:
         assert wanted.rgba[..., 3].max() > BEHIND[3] + 0.02
 
 
-def test_the_golden_of_gsplat(renderer: Renderer) -> None:
+def test_golden_image_of_gsplat_is_reproduced(renderer: Renderer) -> None:
     data, camera, image = golden_case(shared("data/goldens/tiny_case.safetensors"))
     seen = renderer.render(Scene([data]), camera)
     assert np.abs(seen.rgba - image).max() <= 2e-6
     assert np.abs(oracle.render(Scene([data]), camera).rgba - image).max() <= 2e-6
 
 
-def test_a_real_scene(renderer: Renderer) -> None:
+def test_captured_scene_agrees_with_the_oracle(renderer: Renderer) -> None:
     """Points of a real capture, seen by its own cameras with their own principal points."""
     with np.load(shared("data/garden/test_garden.npz")) as held:
         points, colors = held["means3d"][::12], held["colors"][::12]

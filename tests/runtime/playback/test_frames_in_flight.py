@@ -306,7 +306,7 @@ def test_without_memory_a_frame_waits_for_those_in_flight(
     assert len(calls) == 3  # from then on, each frame is waited for
 
 
-def test_a_film_may_be_left_with_frames_in_flight(device: Device) -> None:
+def test_film_can_be_closed_with_frames_in_flight(device: Device) -> None:
     source = Steps(sudden())
     film = Player([source], renderer=Renderer(device, rasteriser="tiles"))
     expected = [film.render(shot).rgba for shot in requests(10)]
@@ -326,7 +326,7 @@ def test_a_film_may_be_left_with_frames_in_flight(device: Device) -> None:
     assert source.interrupted == 1
 
 
-def test_statistics_tell_waiting_and_growth(
+def test_statistics_report_waiting_and_growth(
     device: Device, little_room: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))

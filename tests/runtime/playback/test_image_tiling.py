@@ -61,7 +61,7 @@ def test_a_network_that_changes_nothing_gives_the_identical_image(seed: int) -> 
     np.testing.assert_array_equal(made, image)
 
 
-def test_a_constant_stays_constant_whatever_the_image() -> None:
+def test_constant_output_stays_constant_for_any_image() -> None:
     image = np.random.default_rng(0).random((1, 3, 37, 53)).astype(np.float32)
     made = run_tiled(image, lambda part: np.full_like(part[:, :1], 0.3), (16, 16), 5)
     assert made.shape == (1, 1, 37, 53)

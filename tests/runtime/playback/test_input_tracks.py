@@ -53,13 +53,13 @@ def fed(score: Timeline, name: str, frames: int) -> list[object]:
         ("x=1e-3", (1,), [[1e-3]] * 3),
     ],
 )
-def test_what_is_typed(text: str, shape: tuple[int, ...], values: list) -> None:
+def test_typed_values_become_a_track(text: str, shape: tuple[int, ...], values: list) -> None:
     track = input_track(text)
     assert [track.at(shape, number, 3).tolist() for number in range(3)] == values
     assert track.word == "x"
 
 
-def test_files(tmp_path: Path) -> None:
+def test_array_files_become_tracks(tmp_path: Path) -> None:
     given = np.random.default_rng(0).normal(size=(2, 4, 3))
     np.save(tmp_path / "a.npy", given)
     np.savez(tmp_path / "a.npz", only=given)
@@ -86,7 +86,7 @@ def test_files(tmp_path: Path) -> None:
         ("x=nowhere.npy", r"nowhere\.npy: cannot be read: No such file"),
     ],
 )
-def test_what_means_nothing_is_refused(text: str, said: str) -> None:
+def test_invalid_track_text_is_refused(text: str, said: str) -> None:
     with pytest.raises(ConfigInvalid, match=said):
         input_track(text)
 
@@ -98,7 +98,7 @@ def test_values_that_do_not_fill_the_input_are_refused() -> None:
         input_track("x=1,2,3,4").frames((3,))
 
 
-def test_what_nobody_feeds_goes_on_by_itself() -> None:
+def test_unfed_time_inputs_advance_automatically() -> None:
     both = Timeline([AnimatedInputs(time=(1,), loop=(1,), frame=(1,))], [])
     assert both.is_animated
     assert both.frames == 1
@@ -110,7 +110,7 @@ def test_what_nobody_feeds_goes_on_by_itself() -> None:
     assert not Timeline([AnimatedInputs(still=(1,), amount=(1,))], []).is_animated
 
 
-def test_a_time_for_all_frames_stops_what_goes_on() -> None:
+def test_fixed_time_stops_automatic_inputs() -> None:
     score = Timeline([AnimatedInputs(time=(1,)), AnimatedInputs(amount=(1,))], [], time=0.75)
     assert not score.is_animated
     assert fed(score, "time", 3) == [0.75] * 3
@@ -119,7 +119,7 @@ def test_a_time_for_all_frames_stops_what_goes_on() -> None:
         Timeline([AnimatedInputs(amount=(1,))], [], time=0.5)
 
 
-def test_tracks_go_before_what_goes_on_and_before_the_time() -> None:
+def test_tracks_take_precedence_over_automatic_inputs_and_time() -> None:
     track = Track("time", np.asarray([0.1, 0.2]), "x")
     assert fed(Timeline([AnimatedInputs(time=(1,))], [track], time=1.0), "time", 2) == [
         [0.1],
@@ -146,7 +146,7 @@ def test_the_longest_track_says_how_many_frames_there_are() -> None:
     assert Timeline([AnimatedInputs(amount=(1,), pose=(2, 3))], tracks).frames == 7
 
 
-def test_sweeps_of_what_counts_things_are_whole() -> None:
+def test_sweeps_of_indices_are_integers() -> None:
     score = Timeline([AnimatedInputs(frame=(1,))], [input_track("frame=0..3")])
     assert fed(score, "frame", 4) == [[0], [1], [2], [3]]
     assert score.is_animated

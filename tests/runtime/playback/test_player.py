@@ -50,7 +50,7 @@ def drift(models: Path, renderer: Renderer) -> Iterator[GeneratorPlayer]:
         yield made
 
 
-def test_frames_are_those_that_come_one_by_one(drift: GeneratorPlayer) -> None:
+def test_played_frames_equal_single_runs(drift: GeneratorPlayer) -> None:
     alone = [drift.render(CAMERA, time=time).rgba for time in TIMES]
     played = [frame.rgba for frame in drift.play(CAMERA, times=TIMES)]
     assert len(played) == len(TIMES)
@@ -98,7 +98,7 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
     assert [events.count(name) for name in ("run", "submit", "collect")] == [4, 4, 4]
 
 
-def test_one_by_one_nothing_overlaps(
+def test_sequential_playback_has_no_overlap(
     drift: GeneratorPlayer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the test above would see of a player that waits."""
@@ -153,7 +153,7 @@ ROW, COLOR = 40, 16  # bytes of a Gaussian; three colours are filled up to a wor
         ("fade_column", [{}] * 3, 3, 15, 0),  # the camera moves
     ],
 )
-def test_what_stays_is_neither_computed_nor_uploaded(
+def test_unchanged_outputs_are_neither_computed_nor_uploaded(
     models: Path,
     renderer: Renderer,
     monkeypatch: pytest.MonkeyPatch,
@@ -262,7 +262,7 @@ def test_cameras_and_values_end_with_the_shortest(drift: GeneratorPlayer) -> Non
     assert list(drift.play([])) == []
 
 
-def test_what_is_no_generator_is_refused(tmp_path: Path, renderer: Renderer) -> None:
+def test_other_kinds_of_model_are_refused(tmp_path: Path, renderer: Renderer) -> None:
     path = find("post_process").write(tmp_path)
     before = threading.active_count()
     with pytest.raises(SceneInvalid, match="is a post-process, expected a gaussian-generator"):
@@ -318,7 +318,7 @@ def test_held_outputs_stay_for_as_many_more_frames() -> None:
     assert len(set(map(id, taken))) == 3
 
 
-def test_outputs_are_compared_bit_by_bit_over_what_is_live() -> None:
+def test_live_rows_of_outputs_are_compared_bit_by_bit() -> None:
     rows = np.arange(40, dtype=np.float32).reshape(4, 10)
     kept = _OutputBuffer()
     first = kept.take(rows, 3)

@@ -93,7 +93,7 @@ def test_one_pose_is_for_all_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(track.at((24, 3), 7, 9), POSE[0])
 
 
-def test_what_else_a_file_tells_of_the_body(tmp_path: Path) -> None:
+def test_root_rotation_and_shift_are_read(tmp_path: Path) -> None:
     turns = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(5, 3)))
     shift = np.random.default_rng(2).normal(size=(5, 3))
     path = write(tmp_path / "a.npz", poses=POSE, Th=shift, R=turns.as_matrix())
@@ -106,7 +106,7 @@ def test_what_else_a_file_tells_of_the_body(tmp_path: Path) -> None:
     np.testing.assert_allclose(read(path)["turn"].reshape(5, 3, 3), turns.as_matrix(), atol=1e-12)
 
 
-def test_frames_a_second(tmp_path: Path) -> None:
+def test_frame_rate_is_read_from_the_file(tmp_path: Path) -> None:
     path = write(tmp_path / "a.npz", poses=POSE, mocap_framerate=np.float64(60))
     assert pose_tracks(str(path), Body())[1] == 60
 
@@ -131,7 +131,7 @@ def test_poses_of_one_body_move_another(
         read(path, Body(joints, convention="axis-angle"))
 
 
-def test_lhm(tmp_path: Path) -> None:
+def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
     sizes = {"root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
              "lhand_pose": 45, "rhand_pose": 45}  # fmt: skip
     rng = np.random.default_rng(0)
@@ -173,14 +173,14 @@ def test_lhm(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_files_that_hold_no_poses_say_so(tmp_path: Path, content: str, said: str) -> None:
+def test_files_without_poses_are_refused(tmp_path: Path, content: str, said: str) -> None:
     path = tmp_path / "motion.json"
     path.write_text(content)
     with pytest.raises(ConfigInvalid, match=said):
         read(path)
 
 
-def test_an_empty_folder_says_so(tmp_path: Path) -> None:
+def test_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigInvalid, match=r"is a folder without \.npy, \.npz or \.json files"):
         read(tmp_path)
 

@@ -65,7 +65,9 @@ def declared(sketch: ModelSpec, *, taken: tuple, given: tuple, space: str = "srg
 
 @pytest.mark.parametrize("size", ["8,12", "height,width", "8,width", "40,50"])
 @pytest.mark.parametrize("space", ["srgb", "linear"])
-def test_colours_go_in_straight_and_come_out_covered(tmp_path: Path, size: str, space: str) -> None:
+def test_straight_colours_are_fed_and_alpha_is_reapplied(
+    tmp_path: Path, size: str, space: str
+) -> None:
     shown = frame(space=space)
     with PostProcessor(write(tmp_path, darken(size))) as model:
         made = model(shown)
@@ -134,7 +136,7 @@ def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
         ("out = ReduceMean <axes = [1], keepdims = 1> (image)", r"returned \[1, 1, 21, 30\] for"),
     ],
 )
-def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) -> None:
+def test_non_image_outputs_are_refused(tmp_path: Path, body: str, said: str) -> None:
     sketch = darken("height,width").reworded("out = Mul (image, amount)", body)
     sketch = replace(sketch, opset=13, ir=8, weights={}).reworded(
         "float[1,3,height,width] out", "float[1,C,height,width] out"
@@ -144,7 +146,7 @@ def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) 
         model(frame())
 
 
-def test_what_is_no_post_process_model_is_refused(tmp_path: Path) -> None:
+def test_other_kinds_of_model_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         SceneInvalid, match=r"expected a post-process model\n.*Pass generators as scenes"
     ):
@@ -154,7 +156,7 @@ def test_what_is_no_post_process_model_is_refused(tmp_path: Path) -> None:
         PostProcessor(write(tmp_path, bare))
 
 
-def test_a_player_runs_them_in_order(tmp_path: Path) -> None:
+def test_player_runs_post_process_models_in_order(tmp_path: Path) -> None:
     scene = find("drift").write(tmp_path)
     brighter = darken("h,w").reworded("Mul (image, amount)", "Max (image, amount)")
     paths = [write(tmp_path, darken(), "dark"), write(tmp_path, brighter, "floor")]

@@ -192,7 +192,7 @@ def differing(one: Frame, two: Frame) -> list[str]:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("seed", [4, 5, 12])
-def test_a_renderer_remembers_nothing_that_shows(eager: Device, seed: int) -> None:
+def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
     """Several draw at once on one device, some without being waited for, or in vain."""
     changing, deep, arranged = Changing(seed), 0, 0
     lived = [Renderer(eager, **kind) for kind in KINDS]  # type: ignore[arg-type]

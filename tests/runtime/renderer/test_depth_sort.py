@@ -319,7 +319,7 @@ def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
-def test_models_apart_are_as_one(renderer: Renderer, name: str) -> None:
+def test_split_models_sort_as_one(renderer: Renderer, name: str) -> None:
     scene, seen_by = NEAR_TIES[name]()
     one = scene.sets[0]
     parts = [
@@ -343,7 +343,7 @@ def test_arranged_rows_are_in_order(
     assert same(before, after)
 
 
-def test_thousands_at_one_depth_are_no_trouble(renderer: Renderer) -> None:
+def test_thousands_at_one_depth_are_sorted(renderer: Renderer) -> None:
     """They stand as they came, and nothing is sorted for them."""
     data = plane(3000, 4, opacity=(0.02, 0.1))
     wanted = oracle.render(Scene([data]), camera())

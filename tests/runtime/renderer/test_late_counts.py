@@ -116,7 +116,7 @@ def test_frames_that_are_read_grow_room_before_they_need_it(
     assert len(set(map(id, drawn))) > 2  # and buffers grew
 
 
-def test_an_incomplete_last_frame_is_told(
+def test_incomplete_last_frame_is_reported(
     device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)

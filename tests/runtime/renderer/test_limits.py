@@ -87,7 +87,7 @@ def test_a_scene_that_is_too_large_takes_no_memory_once_it_is_gone(device: Devic
     assert rows() is None
 
 
-def test_room_for_pairs_that_there_was_not_is_asked_for_no_more(device: Device) -> None:
+def test_failed_pair_allocation_is_not_retried(device: Device) -> None:
     renderer = Renderer(device, rasteriser="tiles")
     near = Scene([cloud(3000, size=2.0, depth=(2, 3), opacity=(0.01, 0.05))])
     with memory_of(1 << 21):
@@ -108,7 +108,7 @@ def test_an_image_that_is_too_large_for_one_buffer_is_drawn_in_bands_alone(
     assert seen.visible == expected.visible == 1
 
 
-def test_what_no_device_has_is_an_error_before_it_is_asked(device: Device) -> None:
+def test_impossible_requests_fail_before_reaching_the_device(device: Device) -> None:
     with pytest.raises(CapacityExceeded, match="much: would take 1,099,511,627,776 bytes"):
         device.readable("much", 1 << 40)
     with pytest.raises(CapacityExceeded, match=r"wide: is 1000000×8; .* has textures of"):
@@ -117,7 +117,7 @@ def test_what_no_device_has_is_an_error_before_it_is_asked(device: Device) -> No
 
 @pytest.mark.parametrize("compact", [False, True])
 @pytest.mark.parametrize("half", [False, True])
-def test_what_gaussians_take_is_known_before(device: Device, half: bool, compact: bool) -> None:
+def test_memory_of_gaussians_is_known_in_advance(device: Device, half: bool, compact: bool) -> None:
     rng = np.random.default_rng(0)
     dtype = np.float16 if half else np.float32
     colors = rng.uniform(size=(64, 27)).astype(dtype)
@@ -128,7 +128,7 @@ def test_what_gaussians_take_is_known_before(device: Device, half: bool, compact
     assert held == bytes_of(data, compact=compact)
 
 
-def test_a_lost_device_says_so_whatever_it_is_asked() -> None:
+def test_lost_device_is_reported_for_every_call() -> None:
     device = Device.open()
     scene, renderer = Scene([single()]), Renderer(device, rasteriser="tiles")
     renderer.render(scene, camera())
@@ -146,9 +146,7 @@ def test_a_lost_device_says_so_whatever_it_is_asked() -> None:
 
 
 @pytest.mark.parametrize("when", ["before the frame", "in its middle"])
-def test_a_device_that_is_lost_while_everything_moves(
-    when: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_device_loss_during_updates_is_reported(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
     device = Device.open()
     data = cloud(300)
     scene, renderer = Scene([SplatSet(data)]), Renderer(device, rasteriser="tiles")
@@ -170,7 +168,7 @@ def test_a_device_that_is_lost_while_everything_moves(
         renderer.render(scene, camera())
 
 
-def test_what_is_wrong_with_a_device_that_is_there_stays_as_it_is(device: Device) -> None:
+def test_errors_of_a_working_device_are_not_replaced(device: Device) -> None:
     import wgpu
 
     with pytest.raises(wgpu.GPUValidationError), device.translate_errors():
@@ -195,11 +193,11 @@ def test_no_adapter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize(
     "background", [(0, 0, 0), (0, 0, 0, 2), (np.nan, 0, 0, 1), (0, 0, 0, -0.1)]
 )
-def test_a_background_that_is_none(renderer: Renderer, background: tuple[float, ...]) -> None:
+def test_invalid_background_is_refused(renderer: Renderer, background: tuple[float, ...]) -> None:
     with pytest.raises(SceneInvalid, match=r"background: is .* alpha from 0 to 1"):
         renderer.render(Scene([single()]), camera(), background=background)
 
 
-def test_one_pixel(renderer: Renderer) -> None:
+def test_image_of_one_pixel_is_drawn(renderer: Renderer) -> None:
     frame = renderer.render(Scene([single()]), camera(width=1, height=1))
     assert 0.85 < frame.rgba[0, 0, 3] < 0.91

@@ -56,12 +56,12 @@ def compare(scene: Scene, seen_by: Camera, renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize("name", MESH_SCENES)
-def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
+def test_mesh_scenes_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     compare(*MESH_SCENES[name](), renderer)
 
 
 @pytest.mark.parametrize("variant", ["without subgroups", "as on a GPU"])
-def test_every_cut_of_the_kernels_knows_meshes(device: Device, variant: str) -> None:
+def test_every_kernel_variant_draws_meshes(device: Device, variant: str) -> None:
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"
@@ -88,7 +88,7 @@ def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
     np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
 
 
-def test_a_splat_is_hidden_by_what_is_in_front_of_it_alone(renderer: Renderer) -> None:
+def test_splat_is_occluded_only_by_nearer_meshes(renderer: Renderer) -> None:
     splat = single(depth=3.0, opacity=0.9)
     bare = renderer.render(Scene([splat]), camera())
     behind = renderer.render(Scene([splat], meshes=[wall(3.01)]), camera(), outputs=EVERYTHING)
@@ -140,7 +140,7 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     "name",
     ["several", "near_plane", "textured", "flat_camera", "panorama_poles", "panorama_textured"],
 )
-def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
+def test_mesh_kernel_agrees_with_its_reference(renderer: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
     scene = Scene([], color_space=scene.color_space, meshes=scene.meshes)
     seen = renderer.render(scene, seen_by, outputs=EVERYTHING)
@@ -162,7 +162,7 @@ def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
 
 
 @pytest.mark.parametrize("variant", ["as it is", "without subgroups", "as on a GPU"])
-def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
+def test_two_mesh_layers_agree_with_the_reference(device: Device, variant: str) -> None:
     """A translucent layer that leans, before an opaque one that is not everywhere."""
     other = Device(device.raw)
     if variant != "as it is":
@@ -252,7 +252,7 @@ def test_vertices_may_move(renderer: Renderer) -> None:
         shape.update(other.vertices[:3])
 
 
-def test_meshes_that_come_and_go(renderer: Renderer) -> None:
+def test_added_and_removed_meshes_are_drawn_correctly(renderer: Renderer) -> None:
     splats = cloud(60, 14)
     without = renderer.render(Scene([splats]), camera())
     renderer.render(Scene([splats], meshes=[wall(4)]), camera())
@@ -325,7 +325,7 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
         np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=3e-4)
 
 
-def test_triangles_from_before_the_nose_to_the_horizon(renderer: Renderer) -> None:
+def test_triangles_from_near_plane_to_horizon_are_drawn(renderer: Renderer) -> None:
     """Each has corners at distances from 0.05 to 1000, so that boxes and planes need all digits."""
     close = [[3.57, 6.75, 35.87], [-433.0, -157.85, -1219.35], [0.124, -0.06, 0.604]]
     ahead = camera(fx=25.0, fy=25.0)
@@ -364,7 +364,7 @@ def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(renderer: Renderer, ar
     np.testing.assert_allclose(frame.depth[there], wanted, rtol=2e-5)
 
 
-def test_a_texture_that_is_too_large(renderer: Renderer) -> None:
+def test_oversized_texture_is_refused(renderer: Renderer) -> None:
     most = int(renderer.device.raw.limits["max-texture-dimension-2d"])
     shape = wall(3)
     uv = np.zeros((4, 2), np.float32)
@@ -431,7 +431,7 @@ def _with_nan() -> np.ndarray:
         (lambda: Mesh(wall(1), shading="phong"), "shading: is 'phong', expected unlit or"),
     ],
 )
-def test_meshes_that_cannot_be_drawn_say_so(make: object, match: str) -> None:
+def test_undrawable_meshes_are_refused(make: object, match: str) -> None:
     with pytest.raises(SceneInvalid, match=match):
         make()
 

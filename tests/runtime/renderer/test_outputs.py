@@ -15,7 +15,7 @@ EVERYTHING = ("color", "depth", "normal")
 
 
 @pytest.mark.parametrize("name", ["many", "placed", "flat_cameras", "not_finite", "panorama"])
-def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
+def test_all_outputs_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
     seen = renderer.render(scene, camera, outputs=EVERYTHING)
     wanted = oracle.render(scene, camera)
@@ -37,7 +37,7 @@ def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
     assert not seen.normal[~covered & firm].any()
 
 
-def test_where_nothing_is(renderer: Renderer) -> None:
+def test_empty_scene_has_neutral_outputs(renderer: Renderer) -> None:
     frame = renderer.render(Scene([]), camera(), outputs=EVERYTHING, background=(1, 1, 1, 1))
     assert np.array_equal(frame.rgba, np.ones((47, 61, 4)))
     assert not frame.alpha.any()
@@ -47,7 +47,7 @@ def test_where_nothing_is(renderer: Renderer) -> None:
     assert not frame.normal.any()
 
 
-def test_only_what_is_asked_for(renderer: Renderer) -> None:
+def test_only_requested_outputs_are_computed(renderer: Renderer) -> None:
     scene = Scene([single()])
     for outputs in (("depth",), ("normal",)):
         frame = renderer.render(scene, camera(), outputs=outputs, background=(1, 1, 1, 1))
@@ -80,7 +80,7 @@ def test_each_set_has_its_own_normals(renderer: Renderer) -> None:
     np.testing.assert_allclose(frame.normal[23, 30], -turn[:3, 2], atol=1e-4)
 
 
-def test_a_needle_shows_which_of_its_short_axes_is_the_shorter(renderer: Renderer) -> None:
+def test_elongated_splat_normal_is_its_shortest_axis(renderer: Renderer) -> None:
     needle = single(variance=(0.1, 3e-4, 2.7e-4))
     for angle in np.linspace(0.1, 1.3, 7):
         turn = turned(angle, (1, 0.3, 0.2))

@@ -51,7 +51,7 @@ def center_of(alpha: np.ndarray) -> tuple[float, float]:
         ((1, np.sqrt(2), 1), 80, 48),
     ],
 )
-def test_directions_are_where_they_should_be(
+def test_directions_map_to_expected_pixels(
     renderer: Renderer, direction: object, x: float, y: float
 ) -> None:
     camera = Camera.panorama((0, 0, 0), width=WIDTH)
@@ -88,7 +88,7 @@ def test_a_camera_is_placed_and_level() -> None:
         ({"near": 0}, r"camera\.near: is 0"),
     ],
 )
-def test_panoramas_that_are_none_say_why(change: dict[str, object], words: str) -> None:
+def test_invalid_panoramas_are_explained(change: dict[str, object], words: str) -> None:
     with pytest.raises(SceneInvalid, match=words):
         Camera.panorama((0, 0, 0), **change)  # type: ignore[arg-type]
 
@@ -154,7 +154,7 @@ def test_the_seam_may_be_anywhere(renderer: Renderer) -> None:
     assert moved.max() < 5e-3  # a threshold that rounding met
 
 
-def test_both_edges_have_their_part(renderer: Renderer) -> None:
+def test_splat_on_the_seam_is_drawn_at_both_edges(renderer: Renderer) -> None:
     camera = Camera.panorama((0, 0, 0), width=WIDTH)
     alpha = renderer.render(Scene([ball((0.02, 0, -1), size=0.1)]), camera).alpha
     assert alpha[32, 0] > 0.75
@@ -265,7 +265,7 @@ class Still:
         return np.array([1.0, 2, 3]), 2.0
 
 
-def test_words_for_panoramas(tmp_path: Path) -> None:
+def test_camera_options_create_panoramas(tmp_path: Path) -> None:
     source = Still()
     inside = viewpoint(None, width=64, panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(inside.eye, [1, 2, 3])

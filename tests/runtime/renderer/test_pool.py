@@ -212,9 +212,7 @@ def test_a_thousand_arrivals_make_no_plan_and_no_gpu_object(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_after_any_events_a_pool_draws_what_a_new_set_of_its_tiles_draws(
-    renderer: Renderer, seed: int
-) -> None:
+def test_pool_equals_a_new_set_after_random_events(renderer: Renderer, seed: int) -> None:
     rng = np.random.default_rng(seed)
     data = cloud(1500, 20 + seed, degree=0)
     tiles = tiles_of(data, 12)

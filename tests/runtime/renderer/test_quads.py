@@ -35,7 +35,7 @@ def quads(device: Device) -> Renderer:
         "panorama_part",
     ],
 )
-def test_quads_are_the_oracles(quads: Renderer, name: str) -> None:
+def test_quads_agree_with_the_oracle(quads: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
     seen = quads.render(scene, camera, background=BEHIND)
     wanted = oracle.render(scene, camera, background=BEHIND)

@@ -55,7 +55,7 @@ def gpu(device: Device) -> Device:
     return other
 
 
-def test_a_choice_is_explained(gpu: Device, kernels: Kernels, kept: Path) -> None:
+def test_rasteriser_choice_is_explained(gpu: Device, kernels: Kernels, kept: Path) -> None:
     choose(gpu, kernels, Stopwatch(0.0021, 0.0034, 0.0025))
     text = rasteriser_choice.explain(gpu)
     assert text.startswith("kernels for GPUs; tiles of 32 pixels, 8 bits a sort pass; ")
@@ -169,7 +169,7 @@ def test_where_nothing_can_be_written_it_is_measured_again(
 
 
 @pytest.mark.parametrize("clock", [True, False], ids=["timestamps", "wall"])
-def test_the_probe_draws_both_ways(device: Device, kernels: Kernels, clock: bool) -> None:
+def test_probe_draws_with_both_rasterisers(device: Device, kernels: Kernels, clock: bool) -> None:
     if not device.blends_floats:
         pytest.skip(f"{device.name} cannot blend 32-bit floats")
     other = Device(device.raw)

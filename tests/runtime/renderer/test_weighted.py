@@ -27,7 +27,7 @@ def published(device: Device) -> Renderer:
 
 
 @pytest.mark.parametrize("name", WEIGHTED)
-def test_sums_are_the_oracles(renderer: Renderer, name: str) -> None:
+def test_weighted_sums_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
     seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
     wanted = oracle.render(scene, seen_by, background=BEHIND)
@@ -53,7 +53,7 @@ def test_sums_are_the_oracles(renderer: Renderer, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["many_cells", "placed_cells", "finished_early"])
-def test_published_backgrounds_are_the_oracles(published: Renderer, name: str) -> None:
+def test_published_backgrounds_agree_with_the_oracle(published: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
     seen = published.render(scene, seen_by, background=BEHIND)
     wanted = oracle.render(scene, seen_by, background=BEHIND, published=True)
@@ -61,7 +61,7 @@ def test_published_backgrounds_are_the_oracles(published: Renderer, name: str) -
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_the_goldens_of_the_method(published: Renderer, number: int) -> None:
+def test_golden_images_of_the_method_are_reproduced(published: Renderer, number: int) -> None:
     """They are float32 themselves: the oracle in float64 is as far from them as we are."""
     scene, (seen_by, image) = golden_scene(number), golden_view(number)
     seen = published.render(scene, seen_by, background=BACKDROP)
@@ -115,7 +115,7 @@ def test_the_order_of_cells_counts_only_where_they_tie(renderer: Renderer) -> No
     assert np.array_equal(one.rgba, two.rgba)
 
 
-def test_pages_do_not_show(device: Device) -> None:
+def test_paging_does_not_change_the_picture(device: Device) -> None:
     """Pages that end within cells, and more pairs than there is room for at first."""
     scene = Scene([summed(celled(400, 5, 5, size=1.5)), summed(celled(90, 3, 6))])
     seen_by = camera(width=400, height=300, fx=330.0, fy=330.0)
@@ -193,12 +193,12 @@ def _columns(renderer: Renderer) -> int:
         ({"background": -0.1}, "has the background weight -0.1"),
     ],
 )
-def test_weights_that_are_none(change: dict[str, float], message: str) -> None:
+def test_invalid_weights_are_refused(change: dict[str, float], message: str) -> None:
     with pytest.raises(SceneInvalid, match=message):
         summed(celled(3), **change)
 
 
-def test_cells_that_do_not_fit() -> None:
+def test_mismatched_cells_are_refused() -> None:
     data = celled(4)
     with pytest.raises(SceneInvalid, match=r"needs cells .* but the splat data has none"):
         summed(SplatData(data.rows, data.appearance, "rgb"))

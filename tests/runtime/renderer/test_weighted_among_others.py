@@ -37,12 +37,14 @@ def compare(name: str, renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize("name", MIXED)
-def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
+def test_mixed_scenes_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     compare(name, renderer)
 
 
 @pytest.mark.parametrize("variant", ["without subgroups", "as on a GPU"])
-def test_every_cut_of_the_kernels_sums(device: Device, renderer: Renderer, variant: str) -> None:
+def test_every_kernel_variant_sums_weights(
+    device: Device, renderer: Renderer, variant: str
+) -> None:
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"
@@ -70,7 +72,7 @@ def test_something_behind_the_camera_changes_nothing(renderer: Renderer) -> None
     assert (among.ids == NOTHING).all()
 
 
-def test_a_mesh_hides_all_that_is_summed_behind_it(renderer: Renderer) -> None:
+def test_mesh_occludes_weighted_sums_behind_it(renderer: Renderer) -> None:
     sums = summed(celled(80, seed=61, depth=(4, 8)))
     near = wall(2)
     hidden, bare = (renderer.render(Scene(sets, meshes=[near]), camera()) for sets in ([sums], []))

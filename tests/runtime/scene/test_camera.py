@@ -20,7 +20,7 @@ def pixel(camera: Camera, point: object) -> np.ndarray:
     return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z])
 
 
-def test_what_is_looked_at_is_in_the_middle_and_up_is_up() -> None:
+def test_look_at_target_is_centred_with_up_on_top() -> None:
     camera = Camera.look_at((1, 2, 3), (4, 0, -1), up=(0, 0, 1), width=80, height=60)
     np.testing.assert_allclose(camera.eye, [1, 2, 3])
     u, v, z = pixel(camera, (4, 0, -1))
@@ -89,7 +89,7 @@ GOOD = {"view": np.eye(4).tolist(), "fx": 10, "fy": 10, "cx": 5, "cy": 5, "width
         ({"fov": 3}, "has unknown fov\n.*Fields: view, fx"),
     ],
 )
-def test_a_camera_that_is_none_says_why(change: dict[str, object], words: str) -> None:
+def test_invalid_camera_is_explained(change: dict[str, object], words: str) -> None:
     with pytest.raises(SceneInvalid, match=words):
         Camera.from_dict(GOOD | change)
 
@@ -116,7 +116,7 @@ class Still:
         return np.array([1.0, 2, 3]), 2.0
 
 
-def test_words_for_cameras(tmp_path: Path) -> None:
+def test_camera_options_create_cameras(tmp_path: Path) -> None:
     source = Still()
     fitting = viewpoint(None, width=60, height=60).camera(source, 0, 0)
     distance = np.linalg.norm(fitting.eye - [1, 2, 3])
@@ -144,7 +144,7 @@ def test_words_for_cameras(tmp_path: Path) -> None:
         ("orbitt", "is neither a camera nor an existing file"),
     ],
 )
-def test_words_that_mean_no_camera(text: str, words: str) -> None:
+def test_invalid_camera_options_are_refused(text: str, words: str) -> None:
     with pytest.raises(ConfigInvalid, match=f"(?s){words}.*orbit\\[:AZIMUTH"):
         viewpoint(text)
 

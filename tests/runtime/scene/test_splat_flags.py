@@ -17,7 +17,7 @@ def test_flags_of_a_file_are_the_defaults_of_its_set_and_scene():
     assert Scene([]).color_space == "srgb"
 
 
-def test_what_the_caller_says_wins():
+def test_caller_options_override_file_flags():
     data = SplatData.from_splats(scene(3, 0, antialiased=True, color_space="linear"))
     drawn = Scene([SplatSet(data, antialias="classic")], "srgb")
     assert (drawn.sets[0].antialias, drawn.color_space) == ("classic", "srgb")

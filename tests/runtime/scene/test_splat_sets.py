@@ -21,7 +21,7 @@ def merged(*parts: SplatData) -> SplatData:
     return SplatData(rows, np.concatenate([p.appearance for p in parts]), parts[0].space)
 
 
-def test_separate_sets_are_as_one(renderer: Renderer) -> None:
+def test_separate_sets_render_as_one(renderer: Renderer) -> None:
     parts = [cloud(n, seed, degree=3) for seed, n in enumerate((100, 1, 0, 63, 200))]
     apart = renderer.render(Scene(parts), camera())
     together = renderer.render(Scene([merged(*parts)]), camera())
@@ -66,7 +66,7 @@ def test_one_model_in_two_places_is_on_the_device_once(device: Device) -> None:
     assert held.pages(data) is held.pages(data)
 
 
-def test_pages_do_not_show(device: Device, renderer: Renderer) -> None:
+def test_paging_does_not_change_the_picture(device: Device, renderer: Renderer) -> None:
     data = cloud(300, 6, degree=3)
     small = Renderer(device, rasteriser="tiles", page_rows=64)
     one, two = (each.render(Scene([data]), camera()) for each in (renderer, small))
@@ -112,7 +112,7 @@ def test_a_steady_state_makes_no_buffer_and_no_bind_group(
     assert made == []
 
 
-def test_sets_that_cannot_be_drawn_say_so() -> None:
+def test_undrawable_sets_are_refused() -> None:
     data = single()
     flat = np.diag([1.0, 1, 0, 1])
     with pytest.raises(SceneInvalid, match="is singular: it scales by 1, 1, 0"):
@@ -129,7 +129,7 @@ def test_sets_that_cannot_be_drawn_say_so() -> None:
         SplatSet(data, antialias="none")
 
 
-def test_rows_that_cannot_be_drawn_say_so() -> None:
+def test_undrawable_rows_are_refused() -> None:
     rows, color = single().rows, single().appearance
     with pytest.raises(SceneInvalid, match=r"rows: is float64 \[1, 10\]"):
         SplatData(rows.astype(np.float64), color, "rgb")

@@ -52,7 +52,7 @@ def written(path: Path, made: trimesh.Trimesh | trimesh.Scene, **options: object
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb"])
-def test_shapes_come_back(tmp_path: Path, name: str) -> None:
+def test_mesh_shapes_round_trip(tmp_path: Path, name: str) -> None:
     path = written(tmp_path / name, painted())
     assert is_mesh(path)
     (mesh,) = read_mesh(path)
@@ -62,14 +62,14 @@ def test_shapes_come_back(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.glb"])
-def test_colors_of_vertices(tmp_path: Path, name: str) -> None:
+def test_vertex_colors_are_read(tmp_path: Path, name: str) -> None:
     (mesh,) = read_mesh(written(tmp_path / name, painted(vertex_colors=COLORS)))
     np.testing.assert_allclose(mesh.data.colors, COLORS[:, :3] / 255, atol=1e-6)
     assert mesh.shading == "unlit"
     assert mesh.data.color_space == ("linear" if name == "a.glb" else "srgb")
 
 
-def test_colors_of_faces(tmp_path: Path) -> None:
+def test_face_colors_are_read(tmp_path: Path) -> None:
     colors = np.random.default_rng(3).integers(0, 255, (80, 4), np.uint8)
     (mesh,) = read_mesh(written(tmp_path / "a.ply", painted(face_colors=colors)))
     np.testing.assert_allclose(
@@ -77,13 +77,13 @@ def test_colors_of_faces(tmp_path: Path) -> None:
     )
 
 
-def test_what_has_no_colour_is_grey_and_lit(tmp_path: Path) -> None:
+def test_uncoloured_mesh_is_grey_and_lit(tmp_path: Path) -> None:
     (mesh,) = read_mesh(written(tmp_path / "a.stl", painted()))
     assert mesh.shading == "headlight"
     assert len(np.unique(mesh.data.colors)) == 1
 
 
-def test_a_texture_and_its_factor(tmp_path: Path) -> None:
+def test_texture_is_multiplied_by_its_factor(tmp_path: Path) -> None:
     path = written(tmp_path / "a.glb", textured(baseColorFactor=[255, 128, 64, 255]))
     (mesh,) = read_mesh(path)
     assert np.array_equal(mesh.data.texture[..., :3], PICTURE)
@@ -100,7 +100,7 @@ def test_a_factor_alone_is_linear(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.data.colors[0], np.array([255, 128, 64]) / 255)
 
 
-def test_materials_beside_an_obj(tmp_path: Path) -> None:
+def test_obj_material_files_are_read(tmp_path: Path) -> None:
     textured(baseColorFactor=[255, 128, 64, 255]).export(tmp_path / "a.obj")
     (mesh,) = read_mesh(tmp_path / "a.obj")
     assert np.array_equal(mesh.data.texture[..., :3], PICTURE)
@@ -113,7 +113,7 @@ def test_materials_beside_an_obj(tmp_path: Path) -> None:
     assert bare.shading == "headlight"
 
 
-def test_names_in_any_encoding(tmp_path: Path) -> None:
+def test_names_in_any_encoding_are_read(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_bytes(b"o caf\xe9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
     (mesh,) = read_mesh(path)
@@ -226,7 +226,7 @@ def test_mutants_end_in_an_error_or_a_mesh(tmp_path: Path) -> None:
     assert 0 < read < 160
 
 
-def test_a_picture_that_would_fill_the_memory(
+def test_texture_beyond_the_memory_limit_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path / "a.glb", textured())
@@ -235,7 +235,7 @@ def test_a_picture_that_would_fill_the_memory(
         read_mesh(path)
 
 
-def test_without_trimesh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_trimesh_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = written(tmp_path / "a.ply", painted())
     monkeypatch.setitem(sys.modules, "trimesh", None)
     assert is_mesh(path)

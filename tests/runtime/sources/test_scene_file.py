@@ -51,7 +51,7 @@ def saved(folder: Path, **told: object) -> Path:
     return path
 
 
-def test_all_that_a_set_can_be_told(folder: Path) -> None:
+def test_every_field_of_a_set_is_read(folder: Path) -> None:
     model = {
         "path": "a.npz",
         "translate": [0.1, 0.2, 0.3],
@@ -73,7 +73,7 @@ def test_all_that_a_set_can_be_told(folder: Path) -> None:
     assert (other.degree, other.antialias) == (2, "classic")
 
 
-def test_a_quaternion_a_matrix_and_a_path_alone(folder: Path) -> None:
+def test_every_form_of_placement_is_read(folder: Path) -> None:
     half = np.radians(40) / 2
     axis = np.array([1, 2, 3]) / np.sqrt(14)
     models = [
@@ -108,7 +108,7 @@ def test_the_picture_is_that_of_the_scene(folder: Path, renderer: Renderer) -> N
     np.testing.assert_allclose(sources[2].extent()[0], [0, 0, 4], atol=0.1)
 
 
-def test_a_generator_keeps_what_the_file_feeds_it(folder: Path) -> None:
+def test_generator_keeps_inputs_of_the_scene_file(folder: Path) -> None:
     model = {"path": "drift.onnx", "inputs": {"time": 0.5}}
     (placed,) = open_scene(saved(folder, models=[model]))
     still = open_source(folder / "drift.onnx")
@@ -119,7 +119,7 @@ def test_a_generator_keeps_what_the_file_feeds_it(folder: Path) -> None:
         one.close()
 
 
-def test_a_camera_in_a_space_that_is_placed(renderer: Renderer) -> None:
+def test_moved_model_equals_inversely_moved_camera(renderer: Renderer) -> None:
     """What a moved model shows a camera is what the model shows a camera that is moved back."""
     place = turned(0.7, (1, 2, 3), 1.5)
     place[:3, 3] = 0.3, -0.2, 1.0
@@ -133,7 +133,7 @@ def test_a_camera_in_a_space_that_is_placed(renderer: Renderer) -> None:
     assert mirrored.near == pytest.approx(here.near / 2)
 
 
-def test_the_view_is_the_files_unless_options_say_else(folder: Path) -> None:
+def test_options_override_the_view_of_the_file(folder: Path) -> None:
     told = read_scene(
         saved(folder, models=["a.npz"], camera="orbit:10,20,3", width=64, fov=30, up="+z")
     )
@@ -153,7 +153,7 @@ def test_the_view_is_the_files_unless_options_say_else(folder: Path) -> None:
         scene_viewpoint([absent])
 
 
-def test_the_command(folder: Path, tmp_path: Path) -> None:
+def test_render_command_draws_a_scene_file(folder: Path, tmp_path: Path) -> None:
     path = saved(
         folder,
         models=["a.npz"],
@@ -171,7 +171,9 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
         assert image.getpixel((24, 16))[:3] != (16, 32, 48)
 
 
-def test_the_command_s_exit_codes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_command_exit_codes_for_scene_files(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(UnknownName, match="unknown field 'opacty'"):  # 2 by the app
         read_scene_files([saved(folder, models=[{"path": "a.npz", "opacty": 1}])])
     broken = folder / "scene.json"
@@ -238,7 +240,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_cannot_be_meant_is_named(tmp_path: Path, name: str) -> None:
+def test_invalid_scene_fields_are_named(tmp_path: Path, name: str) -> None:
     told, match = WRONG[name]
     with pytest.raises((SceneInvalid, ConfigInvalid), match=match) as caught:
         read_scene(saved(tmp_path, **told))
@@ -254,7 +256,7 @@ def test_what_cannot_be_meant_is_named(tmp_path: Path, name: str) -> None:
         ("\udcff", "cannot be read"),
     ],
 )
-def test_what_is_no_json_says_so(tmp_path: Path, text: str, match: str) -> None:
+def test_invalid_json_is_reported(tmp_path: Path, text: str, match: str) -> None:
     path = tmp_path / "scene.json"
     path.write_bytes(text.encode("utf-8", "surrogateescape"))
     assert is_scene_file(path)
@@ -262,7 +264,7 @@ def test_what_is_no_json_says_so(tmp_path: Path, text: str, match: str) -> None:
         read_scene(path)
 
 
-def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
+def test_source_open_error_names_its_entry(folder: Path) -> None:
     cases: list[tuple[object, type[GsgenError], str]] = [
         ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: the file cannot be read"),
         ("scene.json", SceneInvalid, r"models\[0\]\.path: is a scene file"),
@@ -290,7 +292,7 @@ def test_other_json_is_no_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ['{"meshes": ["a.glb"]}', '{"models": [', '{"gsgen_scene": "1.0",}']
 )
-def test_a_scene_of_any_name_is_one(tmp_path: Path, text: str) -> None:
+def test_scene_file_is_recognised_by_content(tmp_path: Path, text: str) -> None:
     """What is wrong with a broken one is told in its own words, not in those of splat files."""
     path = tmp_path / "room.json"
     path.write_text(text)

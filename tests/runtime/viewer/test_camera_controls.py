@@ -29,14 +29,14 @@ def toward(camera: Camera, share: float) -> np.ndarray:
     return CENTER + share * (camera.eye - CENTER)
 
 
-def test_it_begins_where_it_was_put() -> None:
+def test_controls_start_at_the_given_camera() -> None:
     home = orbit(azimuth=20, elevation=10)
     made = controls(home).camera(*SIZE)
     np.testing.assert_allclose(made.view, home.view, atol=1e-12)
     assert (made.fx, made.cx, made.near) == (home.fx, home.cx, home.near)
 
 
-def test_a_wider_or_taller_window_shows_what_was_shown() -> None:
+def test_resized_window_keeps_the_visible_region() -> None:
     made = controls()
     for size in ((640, 180), (320, 500), (640, 360)):
         camera = made.camera(*size)
@@ -48,7 +48,7 @@ def test_a_wider_or_taller_window_shows_what_was_shown() -> None:
 
 
 @pytest.mark.parametrize("drag", [(30, 0), (-30, 0), (0, 20), (0, -20)])
-def test_what_is_near_follows_the_hand(drag: tuple[int, int]) -> None:
+def test_near_points_follow_the_pointer(drag: tuple[int, int]) -> None:
     made = controls()
     before = made.camera(*SIZE)
     near, eye = toward(before, 0.4), before.eye
@@ -61,7 +61,7 @@ def test_what_is_near_follows_the_hand(drag: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("drag", [(30, 0), (-30, 0), (0, 20), (0, -20)])
-def test_looking_around_stays_where_it_is(drag: tuple[int, int]) -> None:
+def test_looking_around_keeps_the_eye_position(drag: tuple[int, int]) -> None:
     made = controls()
     before = made.camera(*SIZE)
     made.look(*drag)
@@ -70,7 +70,7 @@ def test_looking_around_stays_where_it_is(drag: tuple[int, int]) -> None:
     assert (seen(after, CENTER) - seen(before, CENTER)) @ drag > 0
 
 
-def test_panning_keeps_what_is_grasped_under_the_hand() -> None:
+def test_panning_keeps_the_grasped_point_under_the_pointer() -> None:
     made = controls()
     before = made.camera(*SIZE)
     made.pan(17, -9, *SIZE)
@@ -156,7 +156,7 @@ def test_focus_turns_to_a_point_and_then_around_it() -> None:
         made.orbit(40, 25)
 
 
-def test_framing_and_going_back() -> None:
+def test_framing_centres_the_scene_and_reset_restores_the_camera() -> None:
     made = controls()
     first = made.camera(*SIZE)
     made.fly(frozenset("wd"), 3, fast=True)

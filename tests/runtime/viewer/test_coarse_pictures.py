@@ -14,9 +14,7 @@ from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from support.rendering.viewers import SIZE, Hand
 
 
-def test_coarse_pictures_follow_a_hand_that_is_faster(
-    still: Hand, painter: SurfaceRenderer
-) -> None:
+def test_fast_dragging_shows_coarse_pictures(still: Hand, painter: SurfaceRenderer) -> None:
     fine = still.bare()
     painter.seconds = 0.5
     still.send("pointer_down", x=80, y=60, button=1, modifiers=())

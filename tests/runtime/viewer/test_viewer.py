@@ -77,7 +77,7 @@ def test_linear_colours_are_shown_as_srgb(cloud: SplatData, painter: SurfaceRend
     assert made[..., :3].mean() > plain[..., :3].mean() + 1
 
 
-def test_dragging_turns_it_and_r_turns_it_back(still: Hand) -> None:
+def test_dragging_orbits_and_r_resets(still: Hand) -> None:
     first = still.bare()
     still.drag((80, 60), (110, 70))
     turned = still.bare()
@@ -100,7 +100,7 @@ def test_shift_middle_and_right_drags_are_other_drags(still: Hand) -> None:
             assert not np.array_equal(one, other)
 
 
-def test_moving_without_a_button_is_nothing(still: Hand) -> None:
+def test_moving_without_a_button_has_no_effect(still: Hand) -> None:
     first = still.bare()
     still.send("pointer_move", x=9, y=9, button=0, modifiers=())
     assert np.array_equal(still.bare(), first)
@@ -123,7 +123,7 @@ def test_keys_fly_while_they_are_held(still: Hand) -> None:
     assert fast[2] - near[2] == pytest.approx(4 * (near[2] - eye[2]))
 
 
-def test_double_click_looks_at_what_is_there(painter: SurfaceRenderer) -> None:
+def test_double_click_focuses_the_surface_point(painter: SurfaceRenderer) -> None:
     row = np.array([[0.6, 0.3, 0.5, 0.95, 0.01, 0, 0, 0.01, 0, 0.01]], np.float32)
     hand = Hand(
         LivePlayback(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))), painter
@@ -138,7 +138,7 @@ def test_double_click_looks_at_what_is_there(painter: SurfaceRenderer) -> None:
     np.testing.assert_allclose(hand.viewer.controls.pivot, row[0, :3], atol=1e-6)
 
 
-def test_harmonics_antialias_and_backgrounds_go_round(still: Hand) -> None:
+def test_keys_cycle_harmonics_antialiasing_and_backgrounds(still: Hand) -> None:
     first = still.bare()
     seen = [first]
     for _ in range(4):
@@ -177,7 +177,7 @@ def test_help_and_numbers_lie_over_the_picture(still: Hand) -> None:
     assert still.viewer.closed
 
 
-def test_it_plays_as_fast_as_it_says(moving: Hand) -> None:
+def test_playback_keeps_its_frame_rate(moving: Hand) -> None:
     moving.settled()
     assert moving.viewer.playback.number == 0
     moving.key(" ")
@@ -246,9 +246,7 @@ def test_pictures_go_on_while_a_model_computes(
     assert moving.viewer.playback.version == version + 1
 
 
-def test_what_fails_is_told_and_the_window_stays(
-    moving: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_error_is_shown_and_the_window_stays(moving: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     moving.settled()
 
     def fail(self: GeneratorSource) -> None:
@@ -321,7 +319,7 @@ def test_a_lost_device_is_opened_again(cloud: SplatData) -> None:
     assert not np.array_equal(hand.look(), before)  # and it is drawn there
 
 
-def test_a_gpu_is_not_waited_for(cloud: SplatData, painter: SurfaceRenderer) -> None:
+def test_viewer_does_not_wait_for_the_gpu(cloud: SplatData, painter: SurfaceRenderer) -> None:
     device = Device(painter.renderer.device.raw)
     device.software = False
     gpu = SurfaceRenderer(lambda: device, rasteriser="tiles")
@@ -345,7 +343,7 @@ def test_a_gpu_is_not_waited_for(cloud: SplatData, painter: SurfaceRenderer) -> 
     assert np.abs(other.bare().astype(int) - last).max() <= 1
 
 
-def test_too_much_for_the_memory_is_told(still: Hand) -> None:
+def test_out_of_memory_is_shown(still: Hand) -> None:
     still.canvas.set_logical_size(400, 300)
     with memory_of(1 << 20):
         black = still.look()
@@ -356,7 +354,7 @@ def test_too_much_for_the_memory_is_told(still: Hand) -> None:
     assert still.look()[..., :3].max() > 60  # it is tried again
 
 
-def test_dropped_files_take_its_place(
+def test_dropped_files_replace_the_scene(
     moving: Hand, cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
     path = tmp_path / "other.npz"
@@ -376,7 +374,7 @@ def test_dropped_files_take_its_place(
     assert hand.bare()[..., :3].max() > 60
 
 
-def test_events_are_told_to_a_program(
+def test_events_are_passed_to_callbacks(
     cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
     events: list[dict[str, object]] = []
@@ -399,7 +397,7 @@ def test_events_are_told_to_a_program(
     assert hand.said == []
 
 
-def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
+def test_unreadable_files_are_reported(tmp_path: Path) -> None:
     (tmp_path / "bad.ply").write_bytes(b"nothing")
     with pytest.raises(SceneUnreadable, match=r"bad\.ply"):
         sources_of(tmp_path / "bad.ply")
@@ -434,7 +432,7 @@ def test_other_cameras_are_looked_through_too(
         np.testing.assert_allclose(along[:2], local[:2], atol=0.05)
 
 
-def test_post_process_models_work_on_what_is_shown(
+def test_post_process_models_apply_to_the_shown_mode(
     cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
     post = PostProcessor(find("post_process").write(tmp_path), "cpu")
@@ -456,7 +454,7 @@ def test_post_process_models_work_on_what_is_shown(
     stage.close()
 
 
-def test_meshes_and_placed_models_are_seen_and_told(
+def test_meshes_and_placed_models_are_drawn_and_listed(
     cloud: SplatData, painter: SurfaceRenderer
 ) -> None:
     corners = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], np.float32)

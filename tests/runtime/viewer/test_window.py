@@ -25,7 +25,7 @@ from support.models.endless import endless
 from support.rendering.viewers import SIZE, Hand
 
 
-def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
+def test_unrecoverable_device_loss_closes_the_window(cloud: SplatData) -> None:
     opened: list[Device] = []
 
     def open_device() -> Device:
@@ -105,7 +105,7 @@ def test_files_that_are_dropped_on_a_window_are_opened(
     assert opened == [[tmp_path / "a.ply", tmp_path / "b.ply"]]
 
 
-def test_what_nobody_foresaw_ends_the_window(still: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unexpected_error_closes_the_window(still: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     def fall(*_: object, **__: object) -> None:
         raise ZeroDivisionError("odd")
 

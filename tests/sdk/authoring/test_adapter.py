@@ -93,7 +93,7 @@ def test_inputs_are_passed_by_name_where_asked() -> None:
     check(made, module)
 
 
-def test_what_one_wrapped_module_declares_is_not_the_next_one_s() -> None:
+def test_wrapped_modules_do_not_share_declarations() -> None:
     a = wrap(Plain(), inputs=INPUTS, outputs=NAMED, depends_on={"time": True})
     b = wrap(Plain(), inputs=INPUTS[:1], outputs=NAMED)
     assert (len(a.inputs), len(b.inputs)) == (2, 1)

@@ -100,7 +100,7 @@ class Sepia(PostProcess):
         ),
     ],
 )
-def test_what_cannot_be_exported_is_refused(
+def test_unexportable_module_is_refused(
     made: Any, where: str, what: str, hint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(GeneratorInvalid) as refused:
@@ -209,7 +209,7 @@ def test_offsets_may_make_single_scales_negative(tmp_path: Path) -> None:
     assert export(Offset(), tmp_path / "model.onnx", settings=static).parity.holds
 
 
-def test_a_factory_is_judged_as_well(tmp_path: Path) -> None:
+def test_factory_result_is_checked(tmp_path: Path) -> None:
     (tmp_path / "unready.py").write_text(
         "from gsgen.sdk import GaussianGenerator\n"
         "class Mine(GaussianGenerator):\n"

@@ -46,7 +46,7 @@ def test_a_model_of_open_size_takes_every_size(tmp_path: Path) -> None:
         np.testing.assert_allclose(result, image / 2, atol=1e-6)
 
 
-def test_float16_is_of_images_and_weights(tmp_path: Path) -> None:
+def test_float16_applies_to_images_and_weights(tmp_path: Path) -> None:
     model = Darken((4, 6))
     made = export_post_process(model, tmp_path / "half.onnx", dtype="float16", settings=VALUES)
     types = {one.name: one.type for one in onnxruntime.InferenceSession(made.path).get_inputs()}
@@ -99,9 +99,7 @@ def test_alpha_may_come_along_whatever_the_size(tmp_path: Path) -> None:
         ([inputs.image(range=(-1.0, 1.0))], "image_range is"),
     ],
 )
-def test_what_the_contract_does_not_know_is_refused(
-    declared: list, message: str, tmp_path: Path
-) -> None:
+def test_invalid_declared_inputs_are_refused(declared: list, message: str, tmp_path: Path) -> None:
     model = Darken()
     model.inputs = declared
     with pytest.raises(GeneratorInvalid, match=message):
@@ -117,9 +115,7 @@ def test_what_the_contract_does_not_know_is_refused(
         (lambda image: image @ image, "forward raised RuntimeError"),
     ],
 )
-def test_what_is_no_image_of_the_same_size_is_refused(
-    result: Any, message: str, tmp_path: Path
-) -> None:
+def test_output_of_another_size_is_refused(result: Any, message: str, tmp_path: Path) -> None:
     class Odd(PostProcess):
         """Something else."""
 
@@ -132,7 +128,7 @@ def test_what_is_no_image_of_the_same_size_is_refused(
         export_post_process(Odd(), tmp_path / "m.onnx")
 
 
-def test_a_factory_may_give_one(tmp_path: Path) -> None:
+def test_factory_may_return_a_post_process_module(tmp_path: Path) -> None:
     source = (
         "from gsgen.sdk import PostProcess, inputs\n"
         "class Same(PostProcess):\n"

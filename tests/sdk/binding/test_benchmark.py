@@ -18,7 +18,7 @@ JOB = {"frames": 4, "sizes": {}, "capture": True}
 
 
 @pytest.mark.parametrize("provider", ["cpu", "webgpu"])
-def test_figures_of_a_frame(provider, models):
+def test_measurements_of_a_frame_are_consistent(provider, models):
     facts = _measure(JOB | {"model": str(models["drift-float32"]), "provider": provider})
     assert facts["frames"] == 4
     assert 0 < facts["p50_seconds"] <= facts["p95_seconds"]
@@ -30,7 +30,7 @@ def test_figures_of_a_frame(provider, models):
     assert facts["captured"] is (provider == "webgpu")
 
 
-def test_what_cannot_be_measured_is_told_apart(models, tmp_path, monkeypatch):
+def test_unmeasurable_models_have_distinct_errors(models, tmp_path, monkeypatch):
     failed = time_frames(models["split_into_many"], "webgpu", frames=1)
     assert (failed.state, failed.facts) == ("failed", {})
     assert "Too many storage buffers" in failed.reason
@@ -80,7 +80,7 @@ def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
         assert f"{1000 * one['p50_seconds']:.3f}" in ran.out
 
 
-def test_the_command_says_what_was_not_measured(models, tmp_path):
+def test_command_lists_unmeasured_models(models, tmp_path):
     asked = gsgen_here("bench", models["drift-float32"], "--provider", "cuda", "--json")
     assert asked.code == 1
     (result,) = json.loads(asked.out)["results"]
@@ -97,7 +97,7 @@ def test_the_command_says_what_was_not_measured(models, tmp_path):
         ([os.devnull], 4, "is not a regular file"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(words, code, said, models):
+def test_invalid_bench_options_are_refused(words, code, said, models):
     ran = gsgen_here("bench", models["drift-float32"], *words)
     assert ran.code == code
     assert said in ran.err

@@ -16,7 +16,7 @@ def moves(session: FrameSession) -> None:
             np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
-def test_a_stale_capture_is_given_up_and_its_operator_named(models):
+def test_stale_capture_is_disabled_and_its_operator_named(models):
     with pytest.warns(CaptureOff) as warned:
         session = FrameSession(models["output_from_idle_sum"], provider="webgpu")
     cause = "output gaussians repeats frame 0 in all 1 replays; made by ReduceSum (node ReduceSum)"
@@ -38,7 +38,7 @@ def test_without_the_check_the_stale_frame_would_be_shown(models, monkeypatch):
             moves(session)
 
 
-def test_a_refused_capture_is_done_without_and_the_operator_named(models):
+def test_refused_capture_is_disabled_and_the_operator_named(models):
     with pytest.warns(CaptureOff, match=r"control flow nodes .* \(If\)$"):
         session = FrameSession(models["branches_by_if"], provider="webgpu")
     with session:

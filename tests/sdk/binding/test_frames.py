@@ -107,7 +107,7 @@ def test_inputs_keep_their_value_until_they_are_updated(provider, models):
 
 
 @BOTH
-def test_a_frame_is_gone_after_the_next_unless_it_was_copied(provider, models):
+def test_frame_expires_after_the_next_unless_copied(provider, models):
     with FrameSession(models["drift-float32"], provider=provider) as session:
         lent, kept = session.run({"time": 0}), session.run({"time": 1}, copy=True)
         before = kept["gaussians"].copy()
@@ -121,7 +121,7 @@ def test_a_frame_is_gone_after_the_next_unless_it_was_copied(provider, models):
 
 
 @BOTH
-def test_outputs_lie_where_they_always_do(provider, models):
+def test_outputs_keep_their_addresses(provider, models):
     """Nothing is allocated a frame: arrays are the same memory, and so are handles."""
     with FrameSession(models["drift-float32"], provider=provider) as session:
         first = session.run({"time": 0})

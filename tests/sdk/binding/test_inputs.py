@@ -59,7 +59,7 @@ def session(tmp_path_factory):
         ({"control": 0.5}, "2 inputs have role 'control', expected one of a, b"),
     ],
 )
-def test_what_does_not_fit_is_refused(values, said, session):
+def test_mismatched_values_are_refused(values, said, session):
     before = session.run(copy=True)["gaussians"]
     with pytest.raises(GsgenError) as raised:
         session.run({"b": 0.9} | values)
@@ -199,7 +199,7 @@ def test_open_dimensions_need_a_size(tmp_path):
         FrameSession(path, provider="cpu", sizes={"J": 0})
 
 
-def test_a_size_that_is_of_no_use_is_refused(models):
+def test_unused_size_is_refused(models):
     with pytest.raises(ConfigInvalid, match="the model has no open dimension"):
         FrameSession(models["drift-float32"], provider="cpu", sizes={"N": 2})
 
@@ -207,7 +207,7 @@ def test_a_size_that_is_of_no_use_is_refused(models):
 # ---- Files -----------------------------------------------------------------------------------
 
 
-def test_what_is_no_model_is_refused(tmp_path):
+def test_non_model_file_is_refused(tmp_path):
     with pytest.raises(ModelUnreadable):
         FrameSession(tmp_path / "absent.onnx")
     with pytest.raises(ManifestInvalid):
@@ -224,7 +224,7 @@ def test_outputs_that_nothing_can_hold_are_refused(provider, tmp_path):
         FrameSession(path, provider=provider, capture=False)
 
 
-def test_what_onnx_runtime_cannot_load_is_said_in_its_words(tmp_path):
+def test_onnx_runtime_load_error_is_quoted(tmp_path):
     text = "g (float[1] t) => (float[1] y) { y = Nonsense (t) }"
     path = save(tmp_path / "a.onnx", parser.parse_model(HEAD + text))
     with pytest.raises(RunFailed, match="Nonsense") as raised:

@@ -71,7 +71,7 @@ def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
     assert raised.value.hint == "pip install -U onnxruntime"
 
 
-def test_no_device_is_an_absence(monkeypatch):
+def test_missing_device_counts_as_absence(monkeypatch):
     monkeypatch.setattr(webgpu, "_registered", True)
     monkeypatch.setattr(onnxruntime, "get_ep_devices", list)  # a fake: no device
     with pytest.raises(AdapterMissing, match="lists no device for WebGPU"):
@@ -104,7 +104,7 @@ def test_a_provider_that_fails_gives_way_to_the_cpu_if_nobody_asked_for_it(model
         session.run({"time": 0.5})
 
 
-def test_a_session_without_its_provider_is_no_session(models, monkeypatch):
+def test_session_without_its_provider_is_refused(models, monkeypatch):
     class Fallen:
         def __init__(self, *_, **__):
             pass

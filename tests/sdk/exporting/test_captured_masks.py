@@ -83,7 +83,7 @@ def frames(path: Path) -> list[list[np.ndarray]]:
     return [session.run(None, {"time": t}) for t in times]
 
 
-def test_what_stood_against_capture_is_gone(source: Path, rewritten: Rewritten) -> None:
+def test_rewritten_mask_model_has_no_capture_obstacle(source: Path, rewritten: Rewritten) -> None:
     assert len(rewritten.before.uncaptured) >= 2
     assert rewritten.after.uncaptured == ()
     done = {change.rewrite for change in rewritten.changes}
@@ -101,7 +101,7 @@ def test_what_stood_against_capture_is_gone(source: Path, rewritten: Rewritten) 
 
 
 @pytest.mark.parametrize("half", [False, True])
-def test_it_is_captured_and_replayed_live(rewritten: Rewritten, half: bool) -> None:
+def test_masked_model_is_captured_and_replayed_live(rewritten: Rewritten, half: bool) -> None:
     path = rewritten.path
     assert path is not None
     if half:

@@ -143,7 +143,7 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     assert validate(folder / "out" / "dots.onnx").name == "my dots"
 
 
-def test_what_does_not_conform_is_reported_and_not_written(folder: Path) -> None:
+def test_nonconforming_model_is_reported_and_not_written(folder: Path) -> None:
     ran = run("dots:Tall", "-o", "m.onnx", "--report", "r.json")
     assert ran.exit_code == 1
     assert "GV003 error opacity-range" in ran.output
@@ -155,7 +155,7 @@ def test_what_does_not_conform_is_reported_and_not_written(folder: Path) -> None
     assert told["validation"]["counts"]["error"] == 1
 
 
-def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> None:
+def test_torch_export_failure_is_reported_with_its_line(folder: Path) -> None:
     ran = run("dots:Choosy", "-o", "m.onnx", "--report", "r.json", "--no-rewrite")
     assert ran.exit_code == 1
     assert "super().forward(time if time > 0.5 else -time)" in ran.output
@@ -168,7 +168,7 @@ def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> Non
     assert not (folder / "m.onnx").exists()
 
 
-def test_how_far_a_model_is_off_stands_in_the_report() -> None:
+def test_report_states_the_parity_error() -> None:
     worst = FieldError(field="position", error=math.inf, excess=math.inf, probe="time=1", row=3)
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
     outcome = Outcome(written=False, parity=error.parity, error=error)
@@ -240,7 +240,7 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
         (["dots:failing"], GsgenError, "ValueError: no such scene: 3"),
     ],
 )
-def test_what_is_mistyped_is_named_with_what_may_be_meant(
+def test_mistyped_target_is_named_with_suggestions(
     folder: Path, words: list[str], error: type[GsgenError], told: str
 ) -> None:
     if error is GeneratorInvalid:  # no wrong word, but a module that is no generator
@@ -254,14 +254,14 @@ def test_what_is_mistyped_is_named_with_what_may_be_meant(
     assert not (folder / "m.onnx").exists()
 
 
-def test_help_lists_what_a_factory_takes() -> None:
+def test_help_lists_factory_arguments() -> None:
     told = " ".join(run("dots:Dots", "--help").output.replace("│", " ").split())
     assert "--arg n: int = 8" in told
     assert "color: Literal['red', 'blue'] = 'red'" in told
     assert "--no-rewrite" in told
 
 
-def test_a_model_is_no_target() -> None:
+def test_model_file_is_refused_as_target() -> None:
     model = find("drift").write(Path())
     assert "gsgen validate" in str(error_of(str(model), "-o", "m.onnx"))
 

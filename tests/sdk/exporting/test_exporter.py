@@ -103,7 +103,7 @@ def test_an_opset_that_torch_silently_does_not_reach_is_refused(tmp_path: Path) 
     assert caught.value.hint == "Export at operator set 18."
 
 
-def test_the_file_says_nothing_of_the_author_s_machine(exported: Exported) -> None:
+def test_file_contains_no_paths_of_the_author_s_machine(exported: Exported) -> None:
     data = exported(Lit).read_bytes()
     assert b"site-packages" not in data
     assert str(Path(__file__).parent).encode() not in data
@@ -185,7 +185,7 @@ class SomeLogits(Drift):
         return Gaussians(made.position, mixed, made.scale, made.rotation, sh=self.sh)
 
 
-def test_a_model_that_breaks_a_rule_is_rejected_and_what_stood_there_stays(tmp_path: Path) -> None:
+def test_rejected_model_keeps_the_previous_file(tmp_path: Path) -> None:
     path = tmp_path / "m.onnx"
     path.write_text("what stood there")
     with pytest.raises(ExportRejected) as caught:

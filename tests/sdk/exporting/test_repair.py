@@ -32,9 +32,7 @@ def emitted(path: Path, **inputs: np.ndarray) -> dict[str, np.ndarray]:
         ("nan_padding", "GV018"),
     ],
 )
-def test_what_has_one_right_answer_is_repaired_and_listed(
-    tmp_path: Path, name: str, rule: str
-) -> None:
+def test_unambiguous_faults_are_repaired_and_listed(tmp_path: Path, name: str, rule: str) -> None:
     source = find(name).write(tmp_path)
     before = source.read_bytes()
     done = repair(source, tmp_path / "fixed.onnx")
@@ -127,7 +125,7 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
         ((), 1, "has no fault that gsgen can repair without guessing"),
     ],
 )
-def test_what_cannot_be_done_is_said(
+def test_impossible_repairs_are_reported(
     tmp_path: Path, words: tuple[str, ...], code: int, said: str
 ) -> None:
     source = find("drift").write(tmp_path)

@@ -7,7 +7,7 @@ from gsgen.sdk.exporting.sh_degrees import stored_degree
 
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("half", [False, True])
-def test_rows_fill_words_and_nothing_is_said_of_what_stays(degree: int, half: bool) -> None:
+def test_stored_degree_fills_words_and_changes_are_explained(degree: int, half: bool) -> None:
     taken, why = stored_degree(degree, half=half)
     size = 2 if half else 4
     assert 3 * size * (taken + 1) ** 2 % 4 == 0

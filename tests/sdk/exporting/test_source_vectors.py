@@ -133,7 +133,7 @@ def round_colors(array):
     ("change", "field"),
     [(swap_channels, "appearance"), (mirror, "position"), (round_colors, "appearance")],
 )
-def test_changes_that_leave_plausible_numbers_are_seen(exported, change, field):
+def test_plausible_but_changed_outputs_are_detected(exported, change, field):
     told = messages(edited(exported.path, change))
     assert len(told) >= 2
     assert all(message.startswith(f"{field} of ") for message in told)
@@ -221,7 +221,7 @@ def test_recorded_digests_leave_the_rows_of_the_source(exported, tmp_path):
     assert messages(recorded.model) == []
 
 
-def test_none_on_request_and_a_number_out_of_range_is_refused(tmp_path):
+def test_zero_vectors_on_request_and_out_of_range_is_refused(tmp_path):
     bare = export(Ball(), tmp_path / "bare.onnx", vectors=0)
     assert bare.manifest.test_vectors == ()
     with pytest.raises(ConfigInvalid, match="vectors: is 5, expected from 0 to 4"):

@@ -76,7 +76,7 @@ def test_watching_leaves_torch_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("kind", [hazards.Caches, hazards.Accumulates])
-def test_what_a_run_changed_can_be_undone(kind: type[Drift]) -> None:
+def test_module_state_is_restored_after_a_run(kind: type[Drift]) -> None:
     module, time = kind().eval(), torch.full((1,), 0.7)
     with torch.no_grad(), Watch(module, [time]) as watch:
         first = module(time).position
@@ -103,7 +103,7 @@ def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
     assert logging.root.manager.disable == logging.NOTSET
 
 
-def test_a_hazard_that_does_not_matter_is_not_told(tmp_path: Path) -> None:
+def test_harmless_hazard_is_not_reported(tmp_path: Path) -> None:
     made = export(hazards.RebuiltFromFloats(), tmp_path / "m.onnx")
     assert made.parity.holds
     assert made.parity.probes == 13
@@ -148,7 +148,7 @@ class Raising(Drift):
         return super().forward(time @ self.rest)
 
 
-def test_what_forward_raises_is_told_with_its_line(tmp_path: Path) -> None:
+def test_exception_of_forward_is_reported_with_its_line(tmp_path: Path) -> None:
     with pytest.raises(GeneratorInvalid) as caught:
         export(Raising(), tmp_path / "m.onnx")
     assert isinstance(caught.value, GsgenError)

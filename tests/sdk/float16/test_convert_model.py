@@ -80,7 +80,7 @@ def frames(path: Path) -> list[list[np.ndarray]]:
     return [session.run(None, {"time": t}) for t in times]
 
 
-def test_colours_go_and_positions_stay(tmp_path: Path) -> None:
+def test_colours_become_float16_and_positions_stay(tmp_path: Path) -> None:
     """Around 500 units from the origin float16 is half a unit coarse; a colour is not there."""
     source = saved(tmp_path, cloud(origin=500))
     made = write_float16(source, tmp_path / "half.onnx")
@@ -119,7 +119,7 @@ def test_outputs_can_stay_float32(tmp_path: Path) -> None:
         np.testing.assert_allclose(new[0][:, :3], old[0][:, :3], atol=2e-4)
 
 
-def test_what_overflows_stays(tmp_path: Path) -> None:
+def test_overflowing_nodes_stay_float32(tmp_path: Path) -> None:
     """Squares beyond 65,504 are infinite in float16, though their root is not."""
     text = TEXT.replace(
         "opacity = Sigmoid (logit)",
@@ -137,7 +137,7 @@ def test_what_overflows_stays(tmp_path: Path) -> None:
 _WEIGHTS = ("rest", "origin", "velocity", "sigma", "logit", "extra", "first", "second", "live")
 
 
-def test_tolerances_decide(tmp_path: Path) -> None:
+def test_looser_tolerances_retain_fewer_nodes(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud())
     strict = write_float16(source, None, tolerances=Tolerances(1e-3, 1e-3, 1e-5, 1e-5))
     loose = write_float16(source, None, tolerances=Tolerances(1, 1, 1, 1))
@@ -149,7 +149,7 @@ def test_tolerances_decide(tmp_path: Path) -> None:
     }
 
 
-def test_what_decides_stays(tmp_path: Path) -> None:
+def test_deciding_comparisons_stay_float32(tmp_path: Path) -> None:
     """Which rows are opaque must not flip between two probes."""
     text = TEXT.replace(
         "opacity = Sigmoid (logit)",
@@ -207,7 +207,7 @@ def test_every_choice_of_nodes_gives_a_sound_model(keep: set[str], outputs: bool
         assert by_name[name].outputs[0].dtype == ir.DataType.FLOAT16
 
 
-def test_what_knows_no_float16_stays() -> None:
+def test_operators_without_float16_stay_float32() -> None:
     text = """g (float[1,1,2,2] x) => (float[1,1,4,4] y) <float[4] s = {1, 1, 2, 2}, float a = {0}, float n = {3}, float one = {1}> {
         r = Range (a, n, one)
         t = ReduceSum <keepdims = 0> (r)
@@ -223,7 +223,7 @@ def test_what_knows_no_float16_stays() -> None:
     assert model_.graph.initializers["s"].dtype == ir.DataType.FLOAT
 
 
-def test_results_whose_dtype_hangs_on_an_input_s_stay_as_they_are_declared() -> None:
+def test_results_with_input_dependent_dtype_keep_their_declaration() -> None:
     text = """g (float[3] x) => (float[3] y) <float two = {2}> {
         n = RandomUniformLike <seed = 1.0> (x)
         m = Mul (n, two)
@@ -234,7 +234,7 @@ def test_results_whose_dtype_hangs_on_an_input_s_stay_as_they_are_declared() -> 
     np.testing.assert_array_equal(seen, np.zeros(3, np.float16))
 
 
-def test_outputs_that_are_inputs_or_weights() -> None:
+def test_outputs_that_are_inputs_or_weights_are_converted() -> None:
     text = """g (float[2] x) => (float[2] w, float[2] y, float[2] x) <float[2] w = {0.5, 2}> {
         y = Mul (x, w) }"""
     model_ = ir.serde.deserialize_model(onnx.parser.parse_model(HEAD + text))
@@ -296,7 +296,7 @@ def test_the_measuring_model_rounds_as_float16_does() -> None:
     np.testing.assert_allclose(seen, r(r(np.sin(a + w)) * 2) / w, rtol=1e-6)
 
 
-def test_the_measuring_model_flushes_what_a_gpu_may_and_overflows() -> None:
+def test_measuring_model_flushes_subnormals_and_overflows() -> None:
     half = InstrumentedModel(
         parsed("g (float[3] x) => (float[3] y) <float one = {1}> { y = Mul (x, one) }")
     )
@@ -310,7 +310,7 @@ def test_the_measuring_model_flushes_what_a_gpu_may_and_overflows() -> None:
     costs=st.lists(st.sampled_from([0.0, 1e-4, 0.1, 0.3, 0.6, 2.0, np.inf]), max_size=40),
     budget=st.integers(4, 300),
 )
-def test_the_search_gives_up_only_what_fits(costs: list[float], budget: int) -> None:
+def test_search_quantizes_only_nodes_within_tolerance(costs: list[float], budget: int) -> None:
     """Costs that add up stand for errors that do."""
 
     def measure(units: object) -> tuple[float, str]:
@@ -329,7 +329,7 @@ def test_the_search_gives_up_only_what_fits(costs: list[float], budget: int) -> 
 # -- The command
 
 
-def test_the_command_says_what_stays_and_why(tmp_path: Path) -> None:
+def test_command_lists_retained_nodes_and_reasons(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud(origin=500))
     ran = gsgen_here("float16", source, "-o", tmp_path / "half.onnx")
     assert ran.code == 0, ran.err
@@ -342,7 +342,7 @@ def test_the_command_says_what_stays_and_why(tmp_path: Path) -> None:
     ("name", "code", "said"),
     [("bare.onnx", 1, "no manifest"), ("text.onnx", 4, "text.onnx"), ("none.onnx", 4, "none")],
 )
-def test_what_cannot_be_converted_is_said(
+def test_unconvertible_model_is_reported(
     tmp_path: Path, name: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save(tmp_path / "bare.onnx", cloud())

@@ -100,7 +100,7 @@ def test_channels_have_steps_of_their_own(shape: tuple[int, ...]) -> None:
     assert (off <= reach * (0.51 / 65535 + 2.0**-22)).all()
 
 
-def test_steps_that_a_processor_may_flush_are_none() -> None:
+def test_subnormal_steps_are_not_used() -> None:
     """A step below 2⁻¹²⁶ is zero on some of them, and not on others."""
     array = np.random.default_rng(5).uniform(0, 1e-36, (ROWS, 2)).astype(np.float32)
     made = half_table(array)

@@ -249,7 +249,7 @@ def test_one_unit_in_the_last_place_of_float16_is_no_disagreement(good):
     assert not list(disagreements(lived(good, (*pair, None))))
 
 
-def test_what_the_cpu_does_not_know_either_is_no_wrong_replay(good):
+def test_output_undefined_on_the_cpu_is_not_a_stale_replay(good):
     rows = good_rows(8)
     rows[2, 0] = np.nan
     other = rows.copy()
@@ -298,7 +298,7 @@ def test_replays_are_compared_with_plain_runs(good, replayed, how):
         ("gaussians = Add (time, time)", "made by Add (node Add)"),
     ],
 )
-def test_the_operator_to_blame_is_named(text, said, tmp_path):
+def test_offending_operator_is_named(text, said, tmp_path):
     proto = parser.parse_model(f"{HEAD} g (float[8] time) => (float[8] gaussians) {{ {text} }}")
     given = {
         "s": np.array([8], np.int64),
@@ -317,7 +317,7 @@ def test_a_still_output_has_nothing_to_go_stale(good):
     assert not list(wrong_replays(lived(good, *frames_of((1, 1, 1), (1, 1, 1)))))
 
 
-def test_where_nodes_went_is_known_by_name(good):
+def test_node_placement_is_reported_by_name(good):
     nodes = (Node(WEBGPU, "Add", "a"), Node("CPUExecutionProvider", "Round", "r"))
     assert lived(good, nodes=nodes).nodes[1].name == "r"
     assert lived(good).state == "accepted, 0 replays"

@@ -74,7 +74,7 @@ def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, broken):
     assert not any(outcome.status == "crashed" for outcome in report.outcomes)
 
 
-def test_what_is_wrong_is_said_in_words(broken):
+def test_finding_message_describes_the_fault(broken):
     said = {rule: message(report, rule) for rule, report in broken.items()}
     assert said["GB011"].startswith("field position: off by ")
     assert said["GB014"] == (
@@ -131,7 +131,7 @@ def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("draw", [drifting, looking])
-def test_models_that_move_pass(draw, dtype, tmp_path):
+def test_moving_models_pass(draw, dtype, tmp_path):
     draw(degree=3, dtype=dtype).write(tmp_path / "a.onnx")
     passes(judged(tmp_path / "a.onnx"))
 

@@ -21,7 +21,7 @@ def test_covariances_are_those_of_the_oracle() -> None:
     np.testing.assert_array_less(np.abs(seen - wanted) / trace, 2e-6)
 
 
-def test_upper_triangles_and_matrices_go_both_ways() -> None:
+def test_upper_triangles_and_matrices_round_trip() -> None:
     upper = np.random.default_rng(1).normal(size=(7, 6)).astype(np.float32)
     full = math.covariance_matrix(torch.from_numpy(upper))
     np.testing.assert_array_equal(full.numpy(), geometry.symmetric(upper))

@@ -43,7 +43,7 @@ def test_rotation_vectors_turn_as_scipy_s_do(length: float) -> None:
     np.testing.assert_allclose(seen, wanted, atol=3e-7 * max(length, 3))
 
 
-def test_no_rotation_has_a_finite_gradient() -> None:
+def test_zero_rotation_has_a_finite_gradient() -> None:
     zero = torch.zeros(1, 3, requires_grad=True)
     math.axis_angle_to_matrix(zero)[0, 1, 2].backward()
     assert zero.grad is not None

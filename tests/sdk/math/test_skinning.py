@@ -35,7 +35,7 @@ def chained(turns: np.ndarray, joints: np.ndarray, parents: list[int]) -> np.nda
 
 
 @pytest.mark.parametrize("name", CHAINS)
-def test_a_chain_is_that_of_the_loop(name: str) -> None:
+def test_kinematic_chain_agrees_with_a_loop(name: str) -> None:
     parents = CHAINS[name]
     rng = np.random.default_rng(len(parents))
     count = len(parents)
@@ -92,6 +92,6 @@ def test_points_are_blended_as_by_the_oracle() -> None:
         ([0, 0, 0], "joint 0 is its own ancestor"),
     ],
 )
-def test_trees_that_are_none_are_refused(parents: list[int], words: str) -> None:
+def test_invalid_joint_trees_are_refused(parents: list[int], words: str) -> None:
     with pytest.raises(GeneratorInvalid, match=words):
         math.skinning_transforms(torch.eye(3).expand(3, 3, 3), torch.zeros(3, 3), parents)

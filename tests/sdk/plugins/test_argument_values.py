@@ -46,7 +46,7 @@ class Size(enum.Enum):
         ("__import__('os')", Any, "__import__('os')"),
     ],
 )
-def test_words_become_values_of_the_declared_type(text: str, annotation: Any, wanted: Any) -> None:
+def test_argument_texts_become_declared_types(text: str, annotation: Any, wanted: Any) -> None:
     made = convert(text, annotation, "--arg x")
     assert made == wanted
     assert type(made) is type(wanted)
@@ -67,7 +67,7 @@ def test_words_become_values_of_the_declared_type(text: str, annotation: Any, wa
         ("1", dict[str, int], "dict[str, int] cannot be written on a command line"),
     ],
 )
-def test_words_that_are_no_such_value_are_named(text: str, annotation: Any, words: str) -> None:
+def test_invalid_argument_texts_are_named(text: str, annotation: Any, words: str) -> None:
     with pytest.raises(ConfigInvalid) as caught:
         convert(text, annotation, "--arg x")
     assert caught.value.where == "--arg x"

@@ -13,7 +13,7 @@ from gsgen.sdk.exporting.repair import RepairRequest, repair
 from gsgen.sdk.float16.convert_model import write_float16
 
 
-def test_a_folder_is_no_place_for_a_file(tmp_path: Path) -> None:
+def test_folder_as_output_file_is_refused(tmp_path: Path) -> None:
     with (
         pytest.raises(GsgenError, match="is a folder, expected a file to write") as caught,
         atomic_write(tmp_path),
@@ -23,7 +23,7 @@ def test_a_folder_is_no_place_for_a_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_made_meanwhile_is_said(tmp_path: Path) -> None:
+def test_folder_created_meanwhile_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "m.onnx"
     place = atomic_write(path)
     place.__enter__().touch()

@@ -40,7 +40,7 @@ def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("divisor", "uncompared"), [(0, ("y",)), (2, ())])
-def test_an_output_without_numbers_is_not_judged(
+def test_nonnumeric_output_is_not_compared(
     tmp_path: Path, divisor: int, uncompared: tuple[str, ...]
 ) -> None:
     text = f"""g (float[2] x) => (float[2] y, float[0, 2] e, float[2] z)

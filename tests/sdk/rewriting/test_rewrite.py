@@ -283,12 +283,12 @@ def test_an_input_that_is_an_output_keeps_its_name(tmp_path: Path) -> None:
     assert {v.name for v in made.graph.output} == {v.name for v in onnx.load(source).graph.output}
 
 
-def test_a_manifest_about_other_shapes_gives_way_to_the_graph(tmp_path: Path) -> None:
+def test_graph_shapes_override_a_mismatched_manifest(tmp_path: Path) -> None:
     source = find("view_flattened").write(tmp_path)
     assert rewrite_file(source, None, CORE).probes == 5
 
 
-def test_wrong_words_are_said(tmp_path: Path) -> None:
+def test_invalid_rewrite_arguments_are_refused(tmp_path: Path) -> None:
     source = written(tmp_path / "in.onnx", ROUNDED)
     with pytest.raises(UnknownName, match="unknown pass 'round-by-flor'") as caught:
         rewrite_file(source, None, WEBGPU, only=["round-by-flor"])
@@ -303,7 +303,7 @@ def test_wrong_words_are_said(tmp_path: Path) -> None:
 # ---- The registry ----------------------------------------------------------------------------
 
 
-def test_every_pass_says_what_it_is() -> None:
+def test_every_pass_has_a_description() -> None:
     names = [one.name for one in REWRITES]
     assert len(set(names)) == len(names)
     for one in REWRITES:
@@ -333,7 +333,7 @@ def test_the_command_reports_what_changed(tmp_path: Path) -> None:
     assert f"wrote {tmp_path / 'out.onnx'}" in ran.output
 
 
-def test_outputs_that_are_no_numbers_prove_nothing(tmp_path: Path) -> None:
+def test_nan_outputs_are_not_compared(tmp_path: Path) -> None:
     text = (
         "g (float[2,3] x) => (float[2,3] y) <float zero = {0}> "
         "{ q = Mul (x, zero) n = Div (q, zero) r = Round (n) y = Identity (r) }"
@@ -384,7 +384,7 @@ def test_the_command_lists_its_passes() -> None:
         ([], 2, "MODEL is missing"),
     ],
 )
-def test_a_mistake_is_explained(
+def test_mistaken_command_is_explained(
     words: list[str], code: int, told: str, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

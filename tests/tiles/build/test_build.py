@@ -58,7 +58,7 @@ def corners(box: Box) -> tuple[np.ndarray, np.ndarray]:
     return box.center - half, box.center + half
 
 
-def test_boxes_hold_what_is_below_and_errors_grow_upwards(town):
+def test_boxes_contain_children_and_errors_grow_upwards(town):
     tileset = open_tileset(town / "tileset.json")
     pairs = list(tileset.pairs())
     assert len(pairs) > 50
@@ -87,7 +87,7 @@ def test_large_splats_are_in_leaves_of_large_tiles(town):
     assert np.median(sizes) < 0.2 * max(sizes)
 
 
-def test_the_tileset_declares_what_it_is(town):
+def test_build_record_has_source_count_and_digests(town):
     document = json.loads((town / "tileset.json").read_text())
     transform = document["root"]["transform"]
     assert transform == [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]

@@ -40,7 +40,7 @@ def test_build_command_prints_splats_then_up_to_date(scene, tmp_path):
     assert "up to date" in again.stdout
 
 
-def test_json_lines_tell_phases_and_the_result(scene, tmp_path):
+def test_json_lines_report_phases_and_the_result(scene, tmp_path):
     done = gsgen(scene, "-o", tmp_path / "tiles", "--engine", "serial", "--json", "--quality", 3)
     assert done.returncode == 0, done.stderr
     events = [json.loads(line) for line in done.stdout.splitlines()]
@@ -93,7 +93,7 @@ def test_ctrl_c_leaves_a_folder_that_goes_on(scene, tmp_path):
         (["missing.ply"], 4, "missing.ply: cannot be read"),
     ],
 )
-def test_wrong_words_are_explained(scene, tmp_path, monkeypatch, options, code, words):
+def test_invalid_build_options_are_explained(scene, tmp_path, monkeypatch, options, code, words):
     if any(option.startswith("dask=") for option in options):
         pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)

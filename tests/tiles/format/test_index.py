@@ -31,7 +31,7 @@ def record(level: int, cell: tuple[int, int, int], **changes: object) -> TileRec
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def test_boxes_grow_with_what_is_below(tmp_path: Path) -> None:
+def test_boxes_grow_with_their_children(tmp_path: Path) -> None:
     content = ContentRecord(uri="a.glb", size=1, low=corner(-3, 0, 0), high=corner(1, 7, 1))
     leaf = record(2, (0, 0, 0), contents=(content,), splats=1, geometric_error=0.0)
     root = record(0, (0, 0, 0), children=(record(1, (0, 0, 0), children=(leaf,)),))

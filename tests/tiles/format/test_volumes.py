@@ -63,7 +63,7 @@ def test_geodetic_inverts_ecef() -> None:
     assert np.allclose(pole, [0, 0, 6356752.314245], atol=1e-5)
 
 
-def test_a_region_holds_its_points() -> None:
+def test_region_contains_its_points() -> None:
     region = Region(west=0.1, south=0.5, east=0.11, north=0.52, minimum=-5, maximum=60)
     longitude, latitude = RNG.uniform(0.1, 0.11, 300), RNG.uniform(0.5, 0.52, 300)
     points = ecef(longitude, latitude, RNG.uniform(-5, 60, 300))

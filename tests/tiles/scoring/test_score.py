@@ -16,7 +16,7 @@ from support.commands import gsgen_here
 
 
 @pytest.mark.parametrize("make", [explicit_sketch, implicit_sketch])
-def test_cuts_are_those_counted_by_hand(tmp_path: Path, make) -> None:
+def test_cut_sizes_match_handwritten_counts(tmp_path: Path, make) -> None:
     make().write(tmp_path / "tileset.json")
     tileset = open_tileset(tmp_path)
     cuts = [[tile.level for tile, _ in level_cut(tileset.root, level)] for level in range(5)]

@@ -119,7 +119,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("redirect", "redirects to 'http://elsewhere.example/"),
     ],
 )
-def test_a_fault_of_one_file_leaves_a_picture_and_a_line(
+def test_faulty_file_leaves_a_picture_and_a_warning(
     town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, words: str
 ) -> None:
     monkeypatch.setattr(http_store, "_BACKOFF", 0.01)

@@ -179,7 +179,7 @@ def test_a_fade_has_no_hole_and_no_pop(town: Path, renderer: Renderer) -> None:
     source.close()
 
 
-def test_render_draws_a_picture_whatever_fails(town: Path, tmp_path: Path) -> None:
+def test_render_draws_a_picture_despite_server_faults(town: Path, tmp_path: Path) -> None:
     for failure in ("404", "503", "cut"):
         faults = NetworkFaults(failures=(FailureRule(failure, 0.4),), seed=3)  # type: ignore[arg-type]
         index = town / "tileset.json"
@@ -227,7 +227,7 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
         (["--predictor", "crystal-ball"], "crystal-ball"),
     ],
 )
-def test_wrong_options_say_what_is_expected(
+def test_invalid_options_state_the_expected_values(
     town: Path, tmp_path: Path, words: list[str], message: str
 ) -> None:
     ran = gsgen_here("render", town / "tileset.json", "-o", tmp_path / "a.png", *words)

@@ -21,7 +21,7 @@ def good(tmp_path: Path) -> Path:
     return find("tiles_good").write(tmp_path)
 
 
-def test_files_folders_archives_and_contents_are_judged(good: Path, tmp_path: Path) -> None:
+def test_files_folders_archives_and_contents_are_validated(good: Path, tmp_path: Path) -> None:
     archive = tmp_path / "good.3tz"
     write_archive(good.parent, archive)
     content = next((good.parent / "t").rglob("*.glb"))

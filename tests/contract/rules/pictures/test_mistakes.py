@@ -46,13 +46,13 @@ def clamped(rows: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["surface", "room"])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_discs_that_cover_little_of_their_surface_are_no_dust(kind, seed: int) -> None:
+def test_sparse_surface_discs_are_not_reported_as_dust(kind, seed: int) -> None:
     outputs = outputs_of_a_right_scene(kind, seed)
     assert "GV040" in findings(edited(outputs, rows=shrunk))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_dust_is_left_alone(seed: int) -> None:
+def test_dust_fixture_gives_no_scale_finding(seed: int) -> None:
     """Round Gaussians far apart follow no surface."""
 
     def as_dust(rows: np.ndarray) -> np.ndarray:

@@ -39,7 +39,9 @@ def test_ten_thousand_splats_in_slabs_and_bands(renderers: tuple[Renderer, Rende
     assert "tally" in small._plan.stages
 
 
-def test_layers_in_bands(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mesh_layers_are_drawn_in_bands(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene, view = MIXED["among_everything"]()
     view = view.scaled(view.width, 2 * view.height)
     expected = renderer.render(scene, view).rgba
@@ -50,7 +52,7 @@ def test_layers_in_bands(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) ->
     assert renderer._plan.image.size == (view.width, view.height % 32)  # of the last band
 
 
-def test_a_panorama_in_bands(renderers: tuple[Renderer, Renderer]) -> None:
+def test_panorama_in_bands_and_slabs_is_unchanged(renderers: tuple[Renderer, Renderer]) -> None:
     scene, _ = SCENES["panorama"]()
     view = Camera.panorama((0.1, 0, 0), width=60, height=70)
     whole, small = renderers
@@ -89,7 +91,7 @@ def test_pairs_that_exceed_a_binding_are_drawn_in_parts(
 
 
 @pytest.mark.parametrize("tilt", [0, 1e-9])
-def test_more_splats_of_one_depth_than_a_slab_holds(
+def test_more_splats_of_one_depth_than_a_slab_holds_are_divided(
     renderers: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch, tilt: float
 ) -> None:
     """They are divided by the remainders of their depths, and by their rows."""
@@ -105,7 +107,7 @@ def test_more_splats_of_one_depth_than_a_slab_holds(
     assert expected.visible > SMALL // 16 + 500
 
 
-def test_meshes_and_weighted_sums_among_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+def test_meshes_and_weighted_sums_mix_with_slabs(renderers: tuple[Renderer, Renderer]) -> None:
     scene, view = MIXED["among_everything"]()
     view, (whole, small) = view.scaled(32, 37), renderers
     # Software drivers take long to compile kernels of many layers and outputs.
@@ -123,7 +125,7 @@ def test_meshes_and_weighted_sums_among_slabs(renderers: tuple[Renderer, Rendere
     assert ("sum" in small._plan.stages) == (not whole.device.software)
 
 
-def test_a_pool_in_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+def test_pool_in_slabs_is_unchanged(renderers: tuple[Renderer, Renderer]) -> None:
     data, around = cloud(5000, 4, size=0.02, degree=1), SplatSet(cloud(500, 2, size=0.03))
     frames = []
     for renderer in renderers:

@@ -65,14 +65,14 @@ def test_ten_thousand_gaussians_are_those_of_the_oracle(
     )
 
 
-def test_slabs_in_bands(renderers: tuple[Renderer, Renderer]) -> None:
+def test_weighted_slabs_in_bands_are_unchanged(renderers: tuple[Renderer, Renderer]) -> None:
     view = camera(width=32, height=75)
     compare(renderers, crowd(), view)
     assert renderers[1]._plan.image.size == (32, 75 % 32)  # of the last band
 
 
 @pytest.mark.parametrize(("cells", "per_cell"), [(MOST // 4, 4), (MOST // 4 + 1, 4)])
-def test_as_many_as_a_binding_holds_and_one_cell_more(
+def test_binding_capacity_plus_one_cell_is_drawn(
     renderers: tuple[Renderer, Renderer], cells: int, per_cell: int
 ) -> None:
     scene = Scene([summed(celled(cells, per_cell, 3, size=0.05))])
@@ -82,7 +82,7 @@ def test_as_many_as_a_binding_holds_and_one_cell_more(
     assert (small._plan.weighted_slabs is None) == (cells * per_cell <= MOST)
 
 
-def test_cells_alone_exceed_a_binding(renderers: tuple[Renderer, Renderer]) -> None:
+def test_cells_that_exceed_a_binding_are_drawn(renderers: tuple[Renderer, Renderer]) -> None:
     """They are in the buffers of pages, and change in each of them."""
     data, later = celled(1000, 1, 4, size=0.1), celled(1000, 1, 5, size=0.1)
     scene = Scene([summed(data)])
@@ -93,7 +93,7 @@ def test_cells_alone_exceed_a_binding(renderers: tuple[Renderer, Renderer]) -> N
     assert not np.array_equal(compare(renderers, scene).rgba, first.rgba)
 
 
-def test_cells_in_two_pages(renderers: tuple[Renderer, Renderer]) -> None:
+def test_cells_in_two_pages_are_drawn(renderers: tuple[Renderer, Renderer]) -> None:
     """Neither pages nor slabs end where cells do, and half-floats are widened."""
     data = celled(900, 3, 6, size=0.1, degree=1, dtype=np.float16)
     compare(renderers, Scene([summed(data)]))
@@ -103,20 +103,22 @@ def test_cells_in_two_pages(renderers: tuple[Renderer, Renderer]) -> None:
 
 
 @pytest.mark.parametrize("live", [0, 1, 703, 1024, 3000])
-def test_empty_pages(renderers: tuple[Renderer, Renderer], live: int) -> None:
+def test_pages_without_live_cells_are_drawn(
+    renderers: tuple[Renderer, Renderer], live: int
+) -> None:
     whole = celled(800, 5, 7, size=0.1)
     data = SplatData(whole.rows, whole.appearance, "rgb", count=live, cells=whole.cells, per_cell=5)
     drawn = compare(renderers, Scene([summed(data)]))
     assert (drawn.visible > 0) == (live > 1)
 
 
-def test_nothing_is_in_view(renderers: tuple[Renderer, Renderer]) -> None:
+def test_cells_behind_the_camera_draw_the_background(renderers: tuple[Renderer, Renderer]) -> None:
     drawn = compare(renderers, Scene([summed(celled(800, 5, 8, depth=(-8, -2)))]))
     assert drawn.visible == 0
     assert np.array_equal(drawn.rgba[0, 0], np.float32([0.05, 0.2, 0.35, 0.5]))
 
 
-def test_a_cell_of_more_gaussians_than_a_slab(renderers: tuple[Renderer, Renderer]) -> None:
+def test_cell_larger_than_a_slab_is_drawn(renderers: tuple[Renderer, Renderer]) -> None:
     """Its Gaussians are all weighted by the light before it, from whatever slab they are."""
     large = celled(3, MOST + 700, 9, size=0.9, share=0.05, opacity=(0.02, 0.06))
     scene = Scene([summed(celled(40, 5, 10)), summed(large), summed(celled(200, 3, 11))])
@@ -129,7 +131,7 @@ def test_a_cell_of_more_gaussians_than_a_slab(renderers: tuple[Renderer, Rendere
 
 
 @pytest.mark.parametrize("tilt", [0, 1e-9])
-def test_more_cells_of_one_depth_than_a_slab_holds(
+def test_more_cells_of_one_depth_than_a_slab_holds_are_divided(
     renderers: tuple[Renderer, Renderer], tilt: float
 ) -> None:
     """They are divided by the remainders of their depths, and by their numbers."""
@@ -141,7 +143,7 @@ def test_more_cells_of_one_depth_than_a_slab_holds(
     compare(renderers, Scene([near, summed(data, transform=turned(tilt, (0, 1, 0)))]))
 
 
-def test_an_orthographic_camera_and_a_panorama(renderers: tuple[Renderer, Renderer]) -> None:
+def test_other_projections_in_slabs_are_unchanged(renderers: tuple[Renderer, Renderer]) -> None:
     flat, around = camera(width=32, height=25).flattened(6.0), Camera.panorama((0, 0, 0), width=32)
     scene = Scene([summed(celled(900, 5, 15, depth=(-4, 4), size=0.1))])
     for view in (flat, around):
@@ -149,7 +151,7 @@ def test_an_orthographic_camera_and_a_panorama(renderers: tuple[Renderer, Render
 
 
 @pytest.mark.parametrize("sorted_splats", [50, 5000])
-def test_sorted_sets_beside_slabs_of_sums(
+def test_sorted_sets_mix_with_weighted_slabs(
     renderers: tuple[Renderer, Renderer], sorted_splats: int
 ) -> None:
     """They are sorted at once, or in slabs of their own."""
@@ -162,7 +164,7 @@ def test_sorted_sets_beside_slabs_of_sums(
     assert drawn.pairs == whole.pairs
 
 
-def test_meshes_hide_what_is_summed_in_slabs(renderers: tuple[Renderer, Renderer]) -> None:
+def test_meshes_occlude_weighted_slabs(renderers: tuple[Renderer, Renderer]) -> None:
     scene = Scene([summed(celled(700, 5, 18, size=0.1))], meshes=[wall(5)])
     view = camera(width=16, height=20)
     outputs = ("color",) if renderers[0].device.software else OUTPUTS
@@ -171,7 +173,7 @@ def test_meshes_hide_what_is_summed_in_slabs(renderers: tuple[Renderer, Renderer
     assert not np.array_equal(drawn.rgba, bare.rgba)
 
 
-def test_a_pool_beside_slabs_of_sums(renderers: tuple[Renderer, Renderer]) -> None:
+def test_pool_mixes_with_weighted_slabs(renderers: tuple[Renderer, Renderer]) -> None:
     tile, sums = cloud(300, 19, degree=1), summed(celled(700, 5, 20, size=0.1))
     frames = []
     for renderer in renderers:

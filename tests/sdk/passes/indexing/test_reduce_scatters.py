@@ -32,7 +32,9 @@ def scatter(
     width=st.integers(1, 3),
     seed=st.integers(0, 1000),
 )
-def test_rows_are_reduced(reduction: str, rows: int, updates: int, width: int, seed: int) -> None:
+def test_scattered_rows_are_reduced(
+    reduction: str, rows: int, updates: int, width: int, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     indices = rng.integers(-rows, rows, (updates, 1))
     x, u = (rng.normal(size=(n, width)).astype(np.float32) for n in (rows, updates))

@@ -128,7 +128,7 @@ def test_the_mode_has_another_name_since_operator_set_20() -> None:
         ({"shape": (1, 1, 4097, 4096)}, "pixels"),
     ],
 )
-def test_what_is_not_bilinear_or_not_known_is_left_alone(change: dict, why: str) -> None:
+def test_other_sampling_modes_are_left_alone(change: dict, why: str) -> None:
     model = sampling(**{"shape": (1, 1, 3, 4), "points": (2, 2)} | change)
     before = text_of(model)
     rewrite = SampleByGather()

@@ -116,7 +116,7 @@ def test_a_count_of_a_mask_is_a_sum_of_floats_at_last() -> None:
     assert seen.tolist() == [2]
 
 
-def test_what_looks_up_by_index_takes_int32() -> None:
+def test_index_operators_take_int32() -> None:
     text = (
         "g (float[6] x) => (float[6] y) <float[4] table = {1, 2, 3, 4}, int64 none = {0}, int64 last = {3}> "
         "{ i = Cast <to = 7> (x) j = Clip (i, none, last) y = Gather (table, j) }"

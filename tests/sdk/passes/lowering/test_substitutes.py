@@ -51,7 +51,7 @@ EXTREMES = {
 
 @pytest.mark.parametrize("dtype", ["float", "float16", "int32", "int64", "double"])
 @pytest.mark.parametrize("name", EXTREMES)
-def test_extremes_are_selected(name: str, dtype: str) -> None:
+def test_minimum_and_maximum_become_selections(name: str, dtype: str) -> None:
     one, minus, two = HALVES if dtype == "float16" else (1, -1, 2)
     weights = f"<{dtype} one = {{{one}}}, {dtype} minus = {{{minus}}}, {dtype}[1] ones = {{{two}}}>"
     text = (

@@ -152,7 +152,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("why", REFUSED)
-def test_what_is_not_known_or_too_long_is_left_alone(why: str) -> None:
+def test_unknown_or_long_loops_are_left_alone(why: str) -> None:
     model = parsed(REFUSED[why])
     before = text_of(model)
     rewrite = UnrollControlFlow()

@@ -94,7 +94,7 @@ def test_a_wide_concat_keeps_its_value(width: int) -> None:
     place=st.integers(-4, 3),
     limit=st.integers(2, 9),
 )
-def test_any_concat_keeps_its_value(
+def test_random_concat_keeps_its_value(
     width: int, dtype: str, rank: int, place: int, limit: int
 ) -> None:
     judge_concat(width, dtype, rank, max(-rank, min(place, rank - 1)), limit)
@@ -159,7 +159,7 @@ def test_a_wide_split_keeps_its_values(width: int) -> None:
     given=st.booleans(),
     opset=st.sampled_from([11, 13, 18]),
 )
-def test_any_split_keeps_its_values(
+def test_random_split_keeps_its_values(
     sizes: list[int], dtype: str, rank: int, place: int, limit: int, given: bool, opset: int
 ) -> None:
     axis = max(-rank, min(place, rank - 1))

@@ -107,7 +107,7 @@ def test_a_node_without_an_equal_keeps_the_whole_model_as_it_is(name: str) -> No
     assert why in rewrite.refusals[0].reason
 
 
-def test_what_flattened_once_is_not_lowered_to_where_it_did() -> None:
+def test_flattening_softmax_is_not_lowered_below_its_set() -> None:
     model = parsed("g (float[2,2,2] x) => (float[2,2,2] y) { y = Softmax <axis = 1> (x) }")
     rewrite = LowerOpset(12)
     assert not rewrite(model).modified
@@ -127,7 +127,7 @@ def test_bodies_of_branches_are_of_the_same_set() -> None:
         np.testing.assert_allclose(run(model, c=np.array(c), x=x)[0], wanted, atol=1e-6)
 
 
-def test_the_goal_chooses_the_set() -> None:
+def test_target_chooses_the_operator_set() -> None:
     assert LowerOpset.for_target(RewriteTarget(target=load_target("core"))) is None
     assert LowerOpset.for_target(RewriteTarget.of(load_target("webgpu"))).target_opset == 18
     assert (
@@ -135,7 +135,7 @@ def test_the_goal_chooses_the_set() -> None:
     )
 
 
-def test_a_viewer_of_an_older_format_gets_that() -> None:
+def test_older_target_gets_the_older_ir_version() -> None:
     model = parsed("g (float[2] x) => (float[2] y) { y = Neg (x) }")
     model.ir_version = 12
     assert LowerOpset.for_target(RewriteTarget.of(load_target("visionary")))(model).modified

@@ -31,7 +31,7 @@ LENGTHS = {
 @pytest.mark.parametrize("name", LENGTHS)
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 10**6), scale=st.sampled_from([1e-19, 1e-6, 1.0, 1e6]))
-def test_only_what_was_not_finite_changes(name: str, seed: int, scale: float) -> None:
+def test_guard_changes_only_nonfinite_values(name: str, seed: int, scale: float) -> None:
     model = parsed(f"{HEAD} {{ {LENGTHS[name]} }}")
     rng = np.random.default_rng(seed)
     v = (scale * rng.normal(size=(4, 3))).astype(np.float32)
@@ -58,7 +58,7 @@ SAFE = {
 
 
 @pytest.mark.parametrize("name", SAFE)
-def test_what_is_guarded_is_left_alone(name: str) -> None:
+def test_guarded_divisions_are_left_alone(name: str) -> None:
     head = HEAD.replace("float two", "float tiny = {1e-20}, float zero = {0}, float two")
     model = parsed(f"{head} {{ {SAFE[name]} }}")
     before = text_of(model)
@@ -105,7 +105,7 @@ class Unit(torch.nn.Module):
         return v / (v.norm(dim=1, keepdim=True) + 1e-8), torch.sin(angle) * v / angle
 
 
-def test_what_the_exporter_folds_away_is_put_back() -> None:
+def test_folded_guards_are_restored() -> None:
     v = torch.tensor([[0.0, 0, 0], [1, -2, 0.5]])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -81,7 +81,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("why", REFUSED)
-def test_what_must_be_read_whole_is_left_alone(why: str) -> None:
+def test_unsplittable_weights_are_left_alone(why: str) -> None:
     model = with_weight(REFUSED[why], RNG.normal(size=(9, 3)).astype(np.float32))
     before = text_of(model)
     rewrite = SplitLargeWeights(100 if "whole" in why else 10)

@@ -81,7 +81,7 @@ def test_every_form_of_taking_rows_gives_them_in_order(taken: str, seed: int, t:
 
 
 @pytest.mark.parametrize("then", THEN)
-def test_rows_pass_through_what_treats_each_by_itself(then: str) -> None:
+def test_rows_pass_through_row_wise_operators(then: str) -> None:
     model = masked(TAKEN["NonZero and GatherND"], THEN[then])
     given_ = inputs(3, 0.1)
     before = run(model, **given_)
@@ -108,7 +108,7 @@ def test_the_order_is_right_at_every_size(n: int) -> None:
         np.testing.assert_array_equal(count, [m.sum()])
 
 
-def test_what_rows_that_are_not_kept_hold_does_not_reach_the_output() -> None:
+def test_masked_rows_do_not_reach_the_output() -> None:
     model = masked(TAKEN["Compress"], "s = Sqrt (r)\n y = Div (two, s)")
     x = np.array([[k - 5, 1, 1, 1] for k in range(N)], np.float32)
     x[:3, 2] = np.nan
@@ -182,7 +182,7 @@ PRODUCTS = {
 
 
 @pytest.mark.parametrize("name", PRODUCTS)
-def test_products_of_each_row_s_own_matrices(name: str) -> None:
+def test_per_row_matrix_products_are_masked(name: str) -> None:
     model = masked(TAKEN["Compress"], PRODUCTS[name].replace("'", '"'))
     given_ = inputs(6, 0.0)
     before = run(model, **given_)
@@ -203,7 +203,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_may_mix_rows_is_left_alone(name: str) -> None:
+def test_operators_that_mix_rows_are_left_alone(name: str) -> None:
     then, count = REFUSED[name]
     model = masked(TAKEN["NonZero and GatherND"], then, count)
     if "eleven" in count:
@@ -239,7 +239,7 @@ def test_the_count_must_be_the_one_that_the_manifest_names() -> None:
     assert MaskRows("count")(model).modified
 
 
-def test_a_mask_that_cannot_be_does_not_keep_another_from_being_rewritten() -> None:
+def test_unsupported_mask_does_not_block_another() -> None:
     text = f"""g (float[{N},4] x, bool[{N}] m, bool[{N}] q) => (float[K,4] y, int64[1] count, float[4] z) <int64[1] zero = {{0}}> {{
         y = Compress <axis = 0> (x, m)
         count = Shape <end = 1> (y)
@@ -329,7 +329,7 @@ def exported() -> bytes:
     return program.model_proto.SerializeToString()
 
 
-def test_what_torch_exports_is_understood(exported: bytes) -> None:
+def test_masks_exported_by_torch_are_recognised(exported: bytes) -> None:
     model = ir.serde.deserialize_model(onnx.ModelProto.FromString(exported))
     assert operators(model) & DYNAMIC
     rewrite = MaskRows()

@@ -132,7 +132,7 @@ def test_parts_are_taken_before_they_are_joined(name: str) -> None:
         "g (float[4,2] x) => (float[8,1] y) <int64[1] i = {0}> { j = Concat <axis = 0> (x, x) y = Gather <axis = 1> (j, i) }",
     ],
 )
-def test_parts_of_what_is_not_known_stay(text: str) -> None:
+def test_slices_of_unknown_shape_stay(text: str) -> None:
     assert not PickParts()(parsed(text)).modified
 
 

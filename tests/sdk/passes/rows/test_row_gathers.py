@@ -30,7 +30,7 @@ def typed(dims: Sequence[int] | str) -> str:
     step=st.sampled_from([-3, -2, -1, 1, 2, 3]),
     axis=st.sampled_from([0, 1, -1]),
 )
-def test_any_slice_is_gathered(begin: int, end: int, step: int, axis: int) -> None:
+def test_random_slices_become_gathers(begin: int, end: int, step: int, axis: int) -> None:
     text = (
         "g (float[5,6] x) => (float[A,B] y) "
         f"<int64[1] b = {listed(begin)}, int64[1] e = {listed(end)}, int64[1] a = {listed(axis)}, "

@@ -77,7 +77,7 @@ def inputs() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_columns_give_what_rows_give(name: str, monkeypatch) -> None:
+def test_column_form_equals_row_form(name: str, monkeypatch) -> None:
     monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
     model, given = model_of(*ROWS[name]), inputs()
     (before,) = run(model, **given)
@@ -89,7 +89,7 @@ def test_columns_give_what_rows_give(name: str, monkeypatch) -> None:
     np.testing.assert_allclose(after, before, rtol=2e-5, atol=1e-6)
 
 
-def test_what_is_worth_it_is_done_once() -> None:
+def test_pass_is_idempotent() -> None:
     model = model_of(*ROWS["matrices"])
     assert WorkInColumns()(model).modified
     assert not WorkInColumns()(model).modified
@@ -128,7 +128,7 @@ def test_wide_rows_and_rows_of_another_length_stay(monkeypatch) -> None:
     assert not WorkInColumns()(parsed(text)).modified
 
 
-def test_what_others_read_is_put_together_again(monkeypatch) -> None:
+def test_shared_results_are_reassembled_into_rows(monkeypatch) -> None:
     monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
     text = (
         "g (float[70000,3] x, float[70000,1] c, float[3,20] k) => (float[70000,20] y, float[70000,3] w) "

@@ -50,11 +50,11 @@ def test_a_slice_says_which_axes_it_cuts(arguments: str) -> None:
         "g (float[4] x, int64[1] b) => (float[N] y) <int64[1] e = {4}> { y = Slice (x, b, e) }",
     ],
 )
-def test_what_is_said_or_not_known_stays(text: str) -> None:
+def test_explicit_or_unknown_attributes_stay(text: str) -> None:
     assert not MakeDefaultsExplicit()(parsed(text)).modified
 
 
-def test_branches_are_reached_and_targets_without_tables_want_none() -> None:
+def test_defaults_in_branches_are_written_if_the_target_has_tables() -> None:
     text = (
         "g (bool c, float[4] x) => (float[N] y) <int64[1] b = {1}, int64[1] e = {3}> { y = If (c) <"
         "then_branch = t () => (float[N] a) { a = Slice (x, b, e) }, "

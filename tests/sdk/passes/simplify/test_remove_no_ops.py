@@ -87,7 +87,7 @@ def test_an_idle_operator_in_front_of_an_output_leaves_the_name_of_the_output() 
         "g (float[N] x) => (float[N] y) <float[1] s = {1}> { n = Neg (x) m = Mul (n, s) y = Neg (m) }",
     ],
 )
-def test_what_keeps_outputs_apart_stays(text: str) -> None:
+def test_identity_between_outputs_stays(text: str) -> None:
     assert not RemoveNoOps()(parsed(text)).modified
 
 
