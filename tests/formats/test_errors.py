@@ -42,7 +42,7 @@ def test_format_errors_are_gsgen_errors_with_the_exit_code_of_unreadable_files()
 
 
 def test_names_from_a_file_are_cut_short_and_quoted():
-    assert errors.shown("a" * 100) == repr("a" * 59 + "…")
-    assert errors.listed(["x", "y\x1b[2J"]) == r"x, 'y\x1b[2J'"
-    assert errors.listed(list("abcd"), limit=2) == "a, b, and 2 more"
-    assert errors.listed([]) == "nothing"
+    assert errors.quoted("a" * 100) == repr("a" * 59 + "…")
+    assert errors.join_names(["x", "y\x1b[2J"]) == r"x, 'y\x1b[2J'"
+    assert errors.join_names(list("abcd"), limit=2) == "a, b, and 2 more"
+    assert errors.join_names([]) == "nothing"

@@ -17,7 +17,7 @@ from gsgen.formats import (
     write_glb,
     write_spz,
 )
-from gsgen.formats.codecs import recognised
+from gsgen.formats.codecs import recognise_codec
 from support.glb_files import NAME, built, parts
 from support.splat_files import GOLDENS, assert_near, scene
 
@@ -276,6 +276,6 @@ def test_attributes_of_the_first_draft_are_read(tmp_path):
 def test_the_antialiased_flag_is_not_kept(tmp_path):
     write_glb(tmp_path / "a.glb", replace(scene(1, 0), antialiased=True))
     assert not read_glb(tmp_path / "a.glb").antialiased
-    codec = recognised(tmp_path / "a.glb", (tmp_path / "a.glb").read_bytes())
+    codec = recognise_codec(tmp_path / "a.glb", (tmp_path / "a.glb").read_bytes())
     assert codec is not None
     assert "antialiased" not in codec.keeps_flags

@@ -21,7 +21,7 @@ from gsgen.formats import (
     read_ply,
     write_ply,
 )
-from gsgen.formats.codecs import recognised
+from gsgen.formats.codecs import recognise_codec
 from support.splat_files import samples
 
 SHARED = Path(os.environ.get("GSGEN_SHARED", Path(__file__).parents[3] / "shared"))
@@ -60,7 +60,7 @@ def test_every_format_is_told_by_its_content(tmp_path, name):
     for content in SAMPLES[name]:
         file = tmp_path / "a.bin"
         file.write_bytes(content)
-        codec = recognised(file, content)
+        codec = recognise_codec(file, content)
         assert codec is not None
         # A compressed PLY file begins like any other; its reader sees the difference.
         assert codec.name == name.removeprefix("compressed-")

@@ -31,7 +31,7 @@ EDITS = [
 
 @pytest.fixture
 def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(parts, "_ROWS", 7)
+    monkeypatch.setattr(parts, "_CHUNK_ROWS", 7)
     write_ply(tmp_path / "source.ply", scene(100, 2))
     return tmp_path / "source.ply"
 
@@ -68,8 +68,8 @@ def test_harmonics_are_read_in_batches_of_one_size(
     source: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sample that chooses a palette and the labels do not depend on the size of the parts."""
-    monkeypatch.setattr("gsgen.formats.sog.write._ROWS", 16)
-    monkeypatch.setattr("gsgen.formats.sog.palette._TRAINING", 30)
+    monkeypatch.setattr("gsgen.formats.sog.write._CHUNK_ROWS", 16)
+    monkeypatch.setattr("gsgen.formats.sog.palette._MAX_TRAINING_ROWS", 30)
     monkeypatch.setattr(conversion, "MAX_COMPARED", {"whole": 1 << 29, "parts": 0}[name])
     result = convert(source, source.with_name("out.sog"), codec_named("sog"))
     splats = read_ply(source)
@@ -94,7 +94,7 @@ def test_edits_that_leave_nothing_are_an_error(source: Path) -> None:
     stream = open_parts(source, [parse_edit("where", "opacity>2")], min_bytes=0)
     assert stream is not None
     with pytest.raises(ValueInvalid, match="--where opacity>2 leaves none of 100 splats"):
-        stream.survey()
+        stream.measure_extent()
 
 
 def test_a_value_that_cannot_be_drawn_is_found_in_its_part(source: Path) -> None:
@@ -109,5 +109,5 @@ def test_a_value_that_cannot_be_drawn_is_found_in_its_part(source: Path) -> None
     stream = open_parts(source, [], min_bytes=0)
     assert stream is not None
     with pytest.raises(ValueInvalid, match="rows from 42 on") as caught:
-        stream.survey()
+        stream.measure_extent()
     assert caught.value.path == str(source)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gsgen.formats import Splats, open_splats, write_ply, write_sog, write_spz
-from gsgen.formats.glb.nodes import moved
+from gsgen.formats.glb.nodes import transform_splats
 from gsgen.runtime.scene.splat_data import SplatData
 from support.web.pages import WebSite, unpacked
 
@@ -39,7 +39,7 @@ def same_as_python(site: WebSite, path: Path) -> None:
     # Rows keep the axes of their file; the transform, its own inverse, leads to those of a camera.
     transform = np.array(result["transform"]).reshape(4, 4)
     np.testing.assert_array_equal(transform @ transform, np.eye(4))
-    expected = SplatData.from_splats(moved(content, transform))
+    expected = SplatData.from_splats(transform_splats(content, transform))
     assert result["count"] == len(expected)
     assert result["antialias"] == expected.antialias
     rows = unpacked(result["rows"], np.float32).reshape(-1, 10)

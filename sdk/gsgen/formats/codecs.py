@@ -10,7 +10,7 @@ __all__ = [
     "codec_named",
     "codec_of_suffix",
     "format_titles",
-    "recognised",
+    "recognise_codec",
     "writable_formats",
 ]
 
@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
-from gsgen.formats.checkpoints.torch_archive import MEMBER
+from gsgen.formats.checkpoints.torch_archive import PICKLE_MEMBER
 from gsgen.formats.glb import container as glb_container
 from gsgen.formats.glb.glb import read_glb, write_glb
 from gsgen.formats.ksplat import looks_like_ksplat, read_ksplat
@@ -38,7 +38,7 @@ from gsgen.formats.shared.bytes import Data
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-from gsgen.formats.sog.meta import META, STREAMED_META
+from gsgen.formats.sog.meta import META_FILE, STREAMED_META
 from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.sog.write import sog_order, write_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat
@@ -48,7 +48,7 @@ from gsgen.formats.spz.spz import read_spz, write_spz
 Content = Splats | PointCloud | PackedRows
 """The content of a file of splats."""
 
-_JSON_MARKS = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
+_JSON_PREFIXES = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
 
 
 @final
@@ -65,9 +65,9 @@ class Codec:
         write: Writes splats to a file; None if the format is only read.
         frame_writer: Returns a writer of successive frames, which does not repeat what they share;
             None where each file is written anew.
-        marks: The first bytes of a file; any of them marks it.
-        member: A pattern of a file that a zip archive of this format holds; empty if any will do.
-        looks_like: Recognises a file without marks by its content.
+        magic_prefixes: The first bytes of a file; any of them marks it.
+        archive_member: A pattern of a file that a zip archive of this format holds; empty if any will do.
+        matches_content: Recognises a file without marks by its content.
         keeps_flags: The flags of ``Splats`` that a file can state.
         most_degree: The highest SH degree that is written.
         order: Returns the order in which rows are written; None keeps the order in memory.
@@ -82,9 +82,9 @@ class Codec:
     read: Callable[[FilePath], Content]
     write: Callable[[FilePath, Splats], None] | None = None
     frame_writer: Callable[[], Callable[[FilePath, Splats], None]] | None = None
-    marks: tuple[bytes, ...] = ()
-    member: str = ""
-    looks_like: Callable[[Data], bool] | None = None
+    magic_prefixes: tuple[bytes, ...] = ()
+    archive_member: str = ""
+    matches_content: Callable[[Data], bool] | None = None
     keeps_flags: frozenset[str] = frozenset()
     most_degree: int = 4
     order: Callable[[Splats], Int64[np.ndarray, " n"]] | None = None
@@ -102,7 +102,7 @@ CODECS: Final = (
         read=read_ply,
         write=write_ply,
         frame_writer=lambda: PlyFrames().write,
-        marks=PLY_MAGIC,
+        magic_prefixes=PLY_MAGIC,
         keeps_flags=frozenset({"antialiased"}),
         loss="nothing, bit for bit (the flag of linear colours aside)",
         source="graphdeco-inria/gaussian-splatting",
@@ -128,7 +128,7 @@ CODECS: Final = (
         suffixes=(".spz",),
         read=read_spz,
         write=write_spz,
-        marks=(spz_container.GZIP, spz_container.MAGIC),
+        magic_prefixes=(spz_container.GZIP, spz_container.MAGIC),
         keeps_flags=frozenset({"antialiased"}),
         loss="positions 1/4096 unit (coarser beyond 2048 units; float16 in version 1), scales 6 % "
         "from e⁻¹⁰ to e⁵·⁹, opacity 1/255, rotations 0.2° (up to version 2: 1°, more where w is "
@@ -142,7 +142,7 @@ CODECS: Final = (
         suffixes=(".glb",),
         read=read_glb,
         write=write_glb,
-        marks=(glb_container.MAGIC,),
+        magic_prefixes=(glb_container.MAGIC,),
         keeps_flags=frozenset({"color_space"}),
         loss="the last digits of scales, opacities and rotations",
         source="KhronosGroup/glTF",
@@ -151,11 +151,11 @@ CODECS: Final = (
         name="sog",
         title="SOG",
         contents="version 2, zipped or its `meta.json`; the finest level of a streamed SOG, `lod-meta.json`, which is written with four levels",
-        suffixes=(".sog", META, STREAMED_META),
+        suffixes=(".sog", META_FILE, STREAMED_META),
         read=read_sog,
         write=write_sog,
-        marks=(ZIP_MAGIC, *_JSON_MARKS),
-        member=META,
+        magic_prefixes=(ZIP_MAGIC, *_JSON_PREFIXES),
+        archive_member=META_FILE,
         keeps_flags=frozenset({"antialiased"}),
         most_degree=3,
         order=sog_order,
@@ -170,7 +170,7 @@ CODECS: Final = (
         contents="version 0.1, compression 0–2",
         suffixes=(".ksplat",),
         read=read_ksplat,
-        looks_like=looks_like_ksplat,
+        matches_content=looks_like_ksplat,
         source="mkkellogg/GaussianSplats3D",
     ),
     Codec(
@@ -180,7 +180,7 @@ CODECS: Final = (
         suffixes=(".splat",),
         read=read_splat,
         write=write_splat,
-        looks_like=looks_like_splat,
+        matches_content=looks_like_splat,
         most_degree=0,
         loss="all harmonics but the colour; opacity and colour 1/255, rotations 1°",
         source="antimatter15/splat",
@@ -192,8 +192,8 @@ CODECS: Final = (
         "of the 3DGS training code (`chkpnt*.pth`)",
         suffixes=(".pt", ".pth", ".ckpt"),
         read=read_checkpoint,
-        marks=(ZIP_MAGIC,),
-        member=MEMBER,
+        magic_prefixes=(ZIP_MAGIC,),
+        archive_member=PICKLE_MEMBER,
         source="nerfstudio-project/gsplat",
     ),
     Codec(
@@ -202,7 +202,7 @@ CODECS: Final = (
         contents="packed rows of a frame, or points with colours",
         suffixes=(".npz",),
         read=read_npz,
-        marks=(ZIP_MAGIC,),
+        magic_prefixes=(ZIP_MAGIC,),
     ),
 )
 """All formats, in the order in which a file is compared with them."""
@@ -237,12 +237,20 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
     return codec_named(max(matches)[1]) if matches else None
 
 
-def recognised(path: FilePath, data: Data) -> Codec | None:
+def recognise_codec(path: FilePath, data: Data) -> Codec | None:
     """Detect the splat file format from the first bytes of a file; None if unknown."""
-    marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
+    matching_codecs = [
+        codec for codec in CODECS if bytes(data[:6]).startswith(codec.magic_prefixes)
+    ]
     if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:
             members = archive.namelist()
-        marked = [codec for codec in marked if not codec.member or matching(members, codec.member)]
-    similar = (codec for codec in CODECS if codec.looks_like and codec.looks_like(data))
-    return marked[0] if marked else next(similar, None)
+        matching_codecs = [
+            codec
+            for codec in matching_codecs
+            if not codec.archive_member or matching(members, codec.archive_member)
+        ]
+    similar_codecs = (
+        codec for codec in CODECS if codec.matches_content and codec.matches_content(data)
+    )
+    return matching_codecs[0] if matching_codecs else next(similar_codecs, None)

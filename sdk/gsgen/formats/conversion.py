@@ -17,8 +17,8 @@ from gsgen.formats.parts import PART_WRITERS, PlyParts, open_parts, with_degree
 from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
-from gsgen.formats.shared.joined import joined
-from gsgen.formats.shared.splat_values import ARRAYS, rows_of
+from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import is_streamed_meta
 from gsgen.formats.sog.sog import written_bytes
@@ -100,9 +100,9 @@ def convert(
     most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
     in_parts = not (read or write or drop_invalid or is_streamed_meta(target))
     if in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
-        large = open_parts(sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED)
-        if large is not None:
-            return _convert_parts(large, target, codec, step)
+        large_parts = open_parts(sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED)
+        if large_parts is not None:
+            return _convert_parts(large_parts, target, codec, step)
     read = read or partial(open_splats, drop_invalid=drop_invalid)
     parts: list[Splats] = []
     for path in sources:
@@ -110,10 +110,10 @@ def convert(
         content = read(path)
         if isinstance(content, PointCloud):
             if len(sources) > 1 or edits:
-                raise _points_refused(path, "splats, which merging and edits need")
+                raise _point_cloud_error(path, "splats, which merging and edits need")
             return _convert_points(path, target, codec, content)
         parts.append(splats_of_rows(content) if isinstance(content, PackedRows) else content)
-    splats = merged(parts)
+    splats = merge_splats(parts)
     del parts
     for index, edit in enumerate(edits):
         step(f"edit {index + 1} of {len(edits)}")
@@ -121,16 +121,16 @@ def convert(
     reduced = with_degree(splats, most_degree)
     degree = (splats.degree, reduced.degree)
     linear = splats.color_space == "linear"
-    lost = _losses(degree, codec, antialiased=splats.antialiased, linear=linear)
+    lost = _lost_features(degree, codec, antialiased=splats.antialiased, linear=linear)
     del splats
     step(f"writing {target}")
     make_folder(target)
     writer(target, reduced)
-    is_compared = sum(getattr(reduced, name).nbytes for name in ARRAYS) <= MAX_COMPARED
+    is_compared = sum(getattr(reduced, name).nbytes for name in SPLAT_ARRAY_NAMES) <= MAX_COMPARED
     entries: tuple[Difference, ...] = ()
     if is_compared:
         step(f"comparing {target} with what was to be written")
-        entries = _compared(reduced, target, codec, read_back or codec.read)
+        entries = _compare_written(reduced, target, codec, read_back or codec.read)
     return Conversion(
         source=", ".join(map(str, sources)),
         target=str(target),
@@ -144,14 +144,14 @@ def convert(
     )
 
 
-def _compared(
+def _compare_written(
     splats: Splats, target: FilePath, codec: Codec, read: Callable[[FilePath], Content]
 ) -> tuple[Difference, ...]:
     """Return the differences between splats and the file that they were written to."""
-    back = read(target)
-    assert isinstance(back, Splats)  # every writer writes splats
+    read_back_splats = read(target)
+    assert isinstance(read_back_splats, Splats)  # every writer writes splats
     order = codec.order(splats) if codec.order else np.arange(len(splats))
-    return differences(rows_of(splats, order), back)
+    return differences(rows_of(splats, order), read_back_splats)
 
 
 def _convert_parts(
@@ -159,10 +159,10 @@ def _convert_parts(
 ) -> Conversion:
     """Convert a large PLY file in parts: read once to count the edited splats, again to write."""
     step(f"reading {parts.path}")
-    count, reach = parts.survey()
+    count, max_coordinate = parts.measure_extent()
     step(f"writing {target}")
     make_folder(target)
-    PART_WRITERS[codec.name](target, parts, count, reach)
+    PART_WRITERS[codec.name](target, parts, count, max_coordinate)
     degrees = (parts.table.degree, parts.degree)
     return Conversion(
         source=str(parts.path),
@@ -171,7 +171,7 @@ def _convert_parts(
         count=count,
         degree=degrees,
         sizes=(written_bytes(parts.path), written_bytes(target)),
-        lost=_losses(degrees, codec, antialiased=parts.table.antialiased, linear=False),
+        lost=_lost_features(degrees, codec, antialiased=parts.table.antialiased, linear=False),
         differences=(),
         compared=False,
     )
@@ -188,7 +188,7 @@ def _writer_of(codec: Codec, target: FilePath) -> Callable[[FilePath, Splats], N
     return codec.write
 
 
-def merged(parts: Sequence[Splats]) -> Splats:
+def merge_splats(parts: Sequence[Splats]) -> Splats:
     """Concatenate sets of splats; SH coefficients that a set lacks are zero.
 
     Raises:
@@ -203,7 +203,7 @@ def merged(parts: Sequence[Splats]) -> Splats:
                 expected="the same for all",
                 hint="such splats cannot be drawn right in one file",
             )
-    return joined(parts)
+    return join_splats(parts)
 
 
 def _total_bytes(paths: Sequence[FilePath]) -> int:
@@ -211,7 +211,7 @@ def _total_bytes(paths: Sequence[FilePath]) -> int:
     return sum(map(written_bytes, paths)) if is_known else 0
 
 
-def _points_refused(path: FilePath, expected: str) -> NotSupported:
+def _point_cloud_error(path: FilePath, expected: str) -> NotSupported:
     return NotSupported(
         "the file holds coloured points, which have no size, rotation or opacity",
         expected=expected,
@@ -224,7 +224,7 @@ def _convert_points(
     source: FilePath, target: FilePath, codec: Codec, points: PointCloud
 ) -> Conversion:
     if codec.name != "ply":
-        raise _points_refused(source, f"splats, which {codec.title} needs")
+        raise _point_cloud_error(source, f"splats, which {codec.title} needs")
     size = _total_bytes([source])
     make_folder(target)
     write_ply(target, points)
@@ -240,7 +240,7 @@ def _convert_points(
     )
 
 
-def _losses(
+def _lost_features(
     degrees: tuple[int, int], codec: Codec, *, antialiased: bool, linear: bool
 ) -> tuple[str, ...]:
     losses = []

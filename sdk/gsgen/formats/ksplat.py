@@ -12,27 +12,27 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, require_room, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, read_array, require_length
 from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
 __all__ = ["looks_like_ksplat", "read_ksplat"]
 
-HEADER: Final = 4096
-SECTION: Final = 1024
+FILE_HEADER_BYTES: Final = 4096
+SECTION_HEADER_BYTES: Final = 1024
 
-_MAIN = struct.Struct("<BB2xIIIIHxx3f2f")
-_PART = struct.Struct("<IIIIfH2xI4xIIH")
+_FILE_HEADER = struct.Struct("<BB2xIIIIHxx3f2f")
+_SECTION_HEADER = struct.Struct("<IIIIfH2xI4xIIH")
 _SH_RANGE = (-1.5, 1.5)
-_POSITIONS = ("<f4", "<u2", "<u2")
-_HALVES = ("<f4", "<f2", "<f2")
-_HARMONICS = ("<f4", "<f2", "u1")
+_POSITION_DTYPES = ("<f4", "<u2", "<u2")
+_SCALAR_DTYPES = ("<f4", "<f2", "<f2")
+_SH_DTYPES = ("<f4", "<f2", "u1")
 _SCALE_RANGE = 32767
-_MOST_DEGREE = 2
+_MAX_DEGREE = 2
 
 
 @final
@@ -51,11 +51,11 @@ class _Section:
     degree: int
     bucket_size: int
     bucket_count: int
-    block: float
+    block_size: float
     storage: int
     scale_range: int
-    full: int
-    partial: int
+    full_count: int
+    partial_count: int
     start: int
     buckets: int
     rows: int
@@ -81,18 +81,20 @@ def read_ksplat(path: FilePath) -> Splats:
 
 def looks_like_ksplat(data: Data) -> bool:
     """Return whether ``data`` starts like a KSPLAT file, with a known version and valid sizes."""
-    if len(data) < HEADER:
+    if len(data) < FILE_HEADER_BYTES:
         return False
-    major, minor, sections, _, _, _, level, *_ = _MAIN.unpack_from(data)
+    major, minor, sections, _, _, _, level, *_ = _FILE_HEADER.unpack_from(data)
     reserved = data[2:4] == b"\0\0"
     known = (major, minor) == (0, 1) and reserved and level <= 2
-    return known and sections > 0 and HEADER + sections * SECTION <= len(data)
+    return (
+        known and sections > 0 and FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES <= len(data)
+    )
 
 
 def decode_ksplat(data: Data) -> Splats:
     """Return the splats of the KSPLAT file ``data``, without checking their values."""
-    require_room(data, 0, HEADER, "header")
-    fields = _MAIN.unpack_from(data)
+    require_length(data, 0, FILE_HEADER_BYTES, "header")
+    fields = _FILE_HEADER.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
     if major or data[2:4] != b"\0\0":
         raise NotRecognised(
@@ -107,15 +109,17 @@ def decode_ksplat(data: Data) -> Splats:
             f"the compression level is {level}", where="byte 20", expected="0, 1 or 2"
         )
     # The number of used sections (byte 8) is not read: writers leave it 0, and the others empty.
-    require_room(data, HEADER, sections * SECTION, "section headers")
+    require_length(data, FILE_HEADER_BYTES, sections * SECTION_HEADER_BYTES, "section headers")
     sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
     parts = [
         _splats(data, section, level, sh_range)
-        for section in _sections(data, sections, HEADER + sections * SECTION, level)
+        for section in _sections(
+            data, sections, FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES, level
+        )
     ]
     if not parts:
         raise ValueInvalid("the file has 0 splats", where="sections", expected="at least one")
-    return joined(parts)
+    return join_splats(parts)
 
 
 def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Section]:
@@ -128,11 +132,13 @@ def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Secti
 
 
 def _section(data: Data, index: int, start: int, level: int) -> _Section:
-    offset = HEADER + index * SECTION
-    fields = _PART.unpack_from(data, offset)
-    count, most, size, buckets, block, storage, scale, full, partial, degree = fields
+    offset = FILE_HEADER_BYTES + index * SECTION_HEADER_BYTES
+    fields = _SECTION_HEADER.unpack_from(data, offset)
+    count, most, size, buckets, block_size, storage, scale, full_count, partial_count, degree = (
+        fields
+    )
     where = f"section {index}, byte {offset}"
-    if degree > _MOST_DEGREE:
+    if degree > _MAX_DEGREE:
         raise HeaderMalformed(f"the SH degree is {degree}", where=where, expected="0, 1 or 2")
     if count > most:
         raise HeaderMalformed(
@@ -140,42 +146,46 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
             where=where,
             expected=f"at most {most} splats",
         )
-    if level and not count <= full * size + partial * size:
+    if level and not count <= full_count * size + partial_count * size:
         raise HeaderMalformed(
-            f"the section has {count} splats in {full} full and {partial} partial buckets of {size}",
+            f"the section has {count} splats in {full_count} full and {partial_count} partial buckets of {size}",
             where=where,
-            expected=f"at most {full * size + partial * size} splats",
+            expected=f"at most {full_count * size + partial_count * size} splats",
         )
-    if level and count and (full + partial > buckets or storage < 12 or not np.isfinite(block)):
+    if (
+        level
+        and count
+        and (full_count + partial_count > buckets or storage < 12 or not np.isfinite(block_size))
+    ):
         raise HeaderMalformed(
-            f"the section has {buckets} buckets, stored in {storage} bytes each, of edge length {block:g}",
+            f"the section has {buckets} buckets, stored in {storage} bytes each, of edge length {block_size:g}",
             where=where,
-            expected=f"at least {full + partial} buckets of at least 12 bytes, of finite edge length",
+            expected=f"at least {full_count + partial_count} buckets of at least 12 bytes, of finite edge length",
         )
-    middles = start + 4 * partial
-    rows = middles + storage * buckets
+    bucket_centres = start + 4 * partial_count
+    rows = bucket_centres + storage * buckets
     end = rows + most * _record(level, degree).itemsize
-    require_room(data, start, end - start, where)
+    require_length(data, start, end - start, where)
     return _Section(
-        count=count, degree=degree, bucket_size=size, bucket_count=buckets, block=block, storage=storage, scale_range=scale or _SCALE_RANGE, full=full, partial=partial,
-        start=start, buckets=middles, rows=rows, end=end,
+        count=count, degree=degree, bucket_size=size, bucket_count=buckets, block_size=block_size, storage=storage, scale_range=scale or _SCALE_RANGE, full_count=full_count, partial_count=partial_count,
+        start=start, buckets=bucket_centres, rows=rows, end=end,
     )  # fmt: skip
 
 
 def _record(level: int, degree: int) -> np.dtype:
     fields = [
-        ("position", _POSITIONS[level], 3),
-        ("scale", _HALVES[level], 3),
-        ("rotation", _HALVES[level], 4),
+        ("position", _POSITION_DTYPES[level], 3),
+        ("scale", _SCALAR_DTYPES[level], 3),
+        ("rotation", _SCALAR_DTYPES[level], 4),
         ("rgba", "u1", 4),
-        ("sh", _HARMONICS[level], 3 * (SH_COUNTS[degree] - 1)),
+        ("sh", _SH_DTYPES[level], 3 * (SH_COUNTS[degree] - 1)),
     ]
     return np.dtype(fields)
 
 
 def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, float]) -> Splats:
     record = _record(level, section.degree)
-    rows = take(data, record, (section.count,), section.rows, "splats")
+    rows = read_array(data, record, (section.count,), section.rows, "splats")
     rgba = rows["rgba"] / np.float32(255)
     constant = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
     higher = _harmonics(rows["sh"], level, sh_range)
@@ -197,13 +207,13 @@ def _positions(
     if not level:
         return stored.astype(np.float32)
     steps = stored.astype(np.float64) - section.scale_range
-    step = section.block / 2 / section.scale_range
-    return np.asarray(steps * step + _middles(data, section), np.float32)
+    step = section.block_size / 2 / section.scale_range
+    return np.asarray(steps * step + _bucket_centres(data, section), np.float32)
 
 
-def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
+def _bucket_centres(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
     """Return the centre of the KSPLAT bucket (spatial block) that each splat belongs to."""
-    lengths = take(data, "<u4", (section.partial,), section.start, "bucket lengths")
+    lengths = read_array(data, "<u4", (section.partial_count,), section.start, "bucket lengths")
     if (lengths > section.bucket_size).any():
         raise HeaderMalformed(
             f"a bucket holds {int(lengths.max())} splats",
@@ -212,11 +222,11 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
             hint=DOWNLOAD_HINT,
         )
     kind = np.dtype([("middle", "<f4", 3), ("rest", "u1", section.storage - 12)])
-    middles = take(data, kind, (section.bucket_count,), section.buckets, "buckets")
+    bucket_centres = read_array(data, kind, (section.bucket_count,), section.buckets, "buckets")
     ends = np.concatenate(
         [
-            np.arange(1, section.full + 1, dtype=np.int64) * section.bucket_size,
-            section.full * section.bucket_size + np.cumsum(lengths, dtype=np.int64),
+            np.arange(1, section.full_count + 1, dtype=np.int64) * section.bucket_size,
+            section.full_count * section.bucket_size + np.cumsum(lengths, dtype=np.int64),
         ]
     )
     if section.count and (not len(ends) or ends[-1] < section.count):
@@ -227,7 +237,7 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
             hint=DOWNLOAD_HINT,
         )
     bucket = np.searchsorted(ends, np.arange(section.count), side="right")
-    return np.asarray(middles["middle"][bucket])
+    return np.asarray(bucket_centres["middle"][bucket])
 
 
 def _harmonics(
@@ -238,8 +248,8 @@ def _harmonics(
     if level == 2:
         low, high = sh_range
         values = np.asarray(low + values / 255 * (high - low), np.float32)
-    first, second = values[:, :9], values[:, 9:]
-    degrees = [part.reshape(len(part), 3, -1) for part in (first, second) if part.size]
+    first_band, second_band = values[:, :9], values[:, 9:]
+    degrees = [part.reshape(len(part), 3, -1) for part in (first_band, second_band) if part.size]
     coefficients = [part.swapaxes(1, 2) for part in degrees]
     empty = np.empty((len(stored), 0, 3), np.float32)
     return np.concatenate([empty, *coefficients], axis=1).astype(np.float32)

@@ -35,22 +35,22 @@ class Difference:
     typical: float
 
 
-def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
+def differences(original: Splats, converted: Splats) -> tuple[Difference, ...]:
     """Compare two sets of splats row by row, in activated quantities such as opacity in [0, 1].
 
     Positions are in scene units, rotations in degrees, scales in percent (flat axes aside),
     opacities and constant colours from 0 to 1, harmonics unscaled up to the lower degree.
     """
-    if len(before) != len(after):
+    if len(original) != len(converted):
         raise ValueInvalid(
-            f"the written file has {len(after)} splats",
+            f"the written file has {len(converted)} splats",
             where="after",
-            expected=f"{len(before)} splats",
+            expected=f"{len(original)} splats",
         )
     units = {"position": "units", "rotation": "°", "scale": "%"}
     names = ("position", "rotation", "scale", "opacity", "color", "harmonics")
     largest, squares, counts = (dict.fromkeys(names, 0.0) for _ in range(3))
-    for name, difference in _field_differences(before, after):
+    for name, difference in _field_differences(original, converted):
         largest[name] = max(largest[name], float(np.abs(difference).max(initial=0)))
         squares[name] += float(np.square(difference).sum())
         counts[name] += difference.size
@@ -64,39 +64,42 @@ def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
 
 
 def _field_differences(
-    before: Splats, after: Splats
+    original: Splats, converted: Splats
 ) -> Iterator[tuple[str, Float64[np.ndarray, "..."]]]:
-    shared = min(before.sh.shape[1], after.sh.shape[1])
-    for start in range(0, len(before), _CHUNK):
+    shared_count = min(original.sh.shape[1], converted.sh.shape[1])
+    for start in range(0, len(original), _CHUNK):
         part = slice(start, start + _CHUNK)
-        yield "position", _minus(before.position[part], after.position[part])
-        yield "rotation", _degrees(before.rotation[part], after.rotation[part])
-        yield "scale", _percent(before.log_scale[part], after.log_scale[part])
-        shares = (sigmoid(splats.logit_opacity[part]) for splats in (before, after))
-        yield "opacity", _minus(*shares)
-        yield "color", SH_C0 * _minus(before.sh[part, 0], after.sh[part, 0])
-        yield "harmonics", _minus(before.sh[part, 1:shared], after.sh[part, 1:shared])
+        yield "position", _difference(original.position[part], converted.position[part])
+        yield "rotation", _degrees(original.rotation[part], converted.rotation[part])
+        yield "scale", _percent(original.log_scale[part], converted.log_scale[part])
+        opacities = (sigmoid(splats.logit_opacity[part]) for splats in (original, converted))
+        yield "opacity", _difference(*opacities)
+        yield "color", SH_C0 * _difference(original.sh[part, 0], converted.sh[part, 0])
+        yield (
+            "harmonics",
+            _difference(original.sh[part, 1:shared_count], converted.sh[part, 1:shared_count]),
+        )
 
 
-def _minus(
-    before: Float[np.ndarray, "..."], after: Float[np.ndarray, "..."]
+def _difference(
+    original: Float[np.ndarray, "..."], converted: Float[np.ndarray, "..."]
 ) -> Float64[np.ndarray, "..."]:
-    return np.asarray(before.astype(np.float64) - after)
+    return np.asarray(original.astype(np.float64) - converted)
 
 
 def _degrees(
-    before: Float[np.ndarray, "n 4"], after: Float[np.ndarray, "n 4"]
+    original: Float[np.ndarray, "n 4"], converted: Float[np.ndarray, "n 4"]
 ) -> Float64[np.ndarray, " n"]:
     """Return the angles in degrees between the rotations of two sets of quaternions."""
-    p, q = (unit(turns).astype(np.float64) for turns in (before, after))
+    p, q = (unit(quaternions).astype(np.float64) for quaternions in (original, converted))
     distances = [np.linalg.norm(p - sign * q, axis=1) for sign in (1, -1)]
     return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*distances) / 2, 1))))
 
 
 def _percent(
-    before: Float[np.ndarray, "n 3"], after: Float[np.ndarray, "n 3"]
+    original: Float[np.ndarray, "n 3"], converted: Float[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " m"]:
-    sized = np.isfinite(before) & np.isfinite(after)
-    difference = after[sized].astype(np.float64) - before[sized]
+    is_finite = np.isfinite(original) & np.isfinite(converted)
+    difference = converted[is_finite].astype(np.float64) - original[is_finite]
     with np.errstate(over="ignore"):
         return np.asarray(100 * np.expm1(difference))

@@ -11,9 +11,9 @@ from gsgen.formats.shared.errors import (
     NotSupported,
     PropertyMissing,
     ValueInvalid,
-    listed,
+    join_names,
 )
-from gsgen.formats.shared.files import FilePath, opened
+from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, read_arrays, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
@@ -23,8 +23,8 @@ __all__ = ["MAX_BYTES", "read_npz"]
 MAX_BYTES: Final = 8 << 30
 """The default limit of the memory that the arrays of one archive may take, in bytes."""
 
-_PACKED = ("gaussians", "appearance")
-_POINTS = ("points", "xyz", "means3d")
+_PACKED_NAMES = ("gaussians", "appearance")
+_POSITION_NAMES = ("points", "xyz", "means3d")
 _COLORS = "colors"
 
 
@@ -50,31 +50,31 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
         SizeExceeded: The needed arrays would take more than ``max_bytes``.
         ValueInvalid: An array has the wrong shape, type or values.
     """
-    with opened(path) as file:
+    with open_file(path) as file:
         first = file.read(len(ZIP_MAGIC))
         if first != ZIP_MAGIC:
             raise NotRecognised(
                 first.hex(" "), where="first bytes", expected="50 4b 03 04, the start of an .npz"
             )
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
-            keys = _choose([name[:-4] for name in archive.namelist() if name[-4:] == ".npy"])
+            keys = _choose_arrays([name[:-4] for name in archive.namelist() if name[-4:] == ".npy"])
             arrays = read_arrays(archive, keys, max_bytes)
-        return _packed(*arrays) if keys == _PACKED else _cloud(keys[0], *arrays)
+        return _packed(*arrays) if keys == _PACKED_NAMES else _cloud(keys[0], *arrays)
 
 
-def _choose(names: list[str]) -> tuple[str, str]:
+def _choose_arrays(names: list[str]) -> tuple[str, str]:
     """Choose the two arrays to read from an .npz archive: Gaussians, or points and colours."""
-    if set(_PACKED) <= set(names):
-        return _PACKED
-    positions = [name for name in _POINTS if name in names]
+    if set(_PACKED_NAMES) <= set(names):
+        return _PACKED_NAMES
+    positions = [name for name in _POSITION_NAMES if name in names]
     if not positions or _COLORS not in names:
         raise PropertyMissing(
-            f"the archive holds the arrays {listed(names, limit=40)}",
+            f"the archive holds the arrays {join_names(names, limit=40)}",
             expected="gaussians and appearance, or colors and one of points, xyz, means3d",
         )
     if len(positions) > 1:
         raise NotSupported(
-            f"the archive holds several arrays of positions: {listed(positions)}",
+            f"the archive holds several arrays of positions: {join_names(positions)}",
             expected="only one of them",
         )
     return positions[0], _COLORS
@@ -83,12 +83,12 @@ def _choose(names: list[str]) -> tuple[str, str]:
 def _packed(
     gaussians: Shaped[np.ndarray, "..."], appearance: Shaped[np.ndarray, "..."]
 ) -> PackedRows:
-    packed = PackedRows(_native(gaussians), _native(appearance))
+    packed = PackedRows(_native_byte_order(gaussians), _native_byte_order(appearance))
     require_rows(len(packed), "array gaussians")
     return packed
 
 
-def _native(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
+def _native_byte_order(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
     """Return ``array`` in C order and in the byte order of this machine."""
     return array.astype(array.dtype.newbyteorder("="), order="C", copy=False)
 
@@ -97,7 +97,7 @@ def _cloud(
     key: str, points: Shaped[np.ndarray, "..."], colors: Shaped[np.ndarray, "..."]
 ) -> PointCloud:
     position = _triples(points, key)
-    color = _triples(colors, _COLORS, also=np.uint8)
+    color = _triples(colors, _COLORS, extra_dtype=np.uint8)
     require_rows(len(position), f"array {key}")
     if len(color) != len(position):
         raise ValueInvalid(
@@ -113,12 +113,12 @@ def _cloud(
 
 
 def _triples(
-    array: Shaped[np.ndarray, "..."], key: str, *, also: type[np.uint8] | None = None
+    array: Shaped[np.ndarray, "..."], key: str, *, extra_dtype: type[np.uint8] | None = None
 ) -> Float32[np.ndarray, "n 3"]:
-    """Convert an [n, 3] array of floats (or of the dtype ``also``) to float32; raise otherwise."""
-    typed = array.dtype.kind == "f" or array.dtype == also
-    if not typed or array.shape[1:] != (3,):
-        dtypes = f"{np.dtype(also).name} or float" if also else "float"
+    """Convert an [n, 3] array of floats (or of the dtype ``extra_dtype``) to float32; raise otherwise."""
+    has_valid_dtype = array.dtype.kind == "f" or array.dtype == extra_dtype
+    if not has_valid_dtype or array.shape[1:] != (3,):
+        dtypes = f"{np.dtype(extra_dtype).name} or float" if extra_dtype else "float"
         raise ValueInvalid(
             f"the array is {array.dtype} {list(array.shape)}",
             where=f"array {key}",

@@ -2,7 +2,7 @@
 
 __all__ = ["open_splats"]
 
-from gsgen.formats.codecs import codec_of_suffix, format_titles, recognised
+from gsgen.formats.codecs import codec_of_suffix, format_titles, recognise_codec
 from gsgen.formats.ply.ply import read_ply
 from gsgen.formats.shared.bytes import contents
 from gsgen.formats.shared.errors import NotRecognised, NotSupported
@@ -39,7 +39,7 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
             path=str(path),
         )
     with contents(path) as data:
-        codec, first = recognised(path, data), bytes(data[:5])
+        codec, first = recognise_codec(path, data), bytes(data[:5])
     codec = codec or codec_of_suffix(path)
     if codec is None:
         raise NotRecognised(

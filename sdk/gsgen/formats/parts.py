@@ -9,10 +9,14 @@ from typing import Final, final
 
 import numpy as np
 
-from gsgen.formats.editing.edits import ParsedEdit, none_left
+from gsgen.formats.editing.edits import ParsedEdit, no_splats_left
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.ply.layout import splat_names
-from gsgen.formats.ply.methods import FILTER, require_still_splats, warn_of_unknown
+from gsgen.formats.ply.methods import (
+    FILTER_PROPERTY,
+    require_still_splats,
+    warn_of_unknown_properties,
+)
 from gsgen.formats.ply.values import require_splats
 from gsgen.formats.ply.write import write_ply_parts
 from gsgen.formats.shared.errors import ValueInvalid
@@ -21,7 +25,7 @@ from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.write import write_sog_parts
 from gsgen.formats.spz.spz import write_spz_parts
 
-_ROWS: Final = 1 << 18
+_CHUNK_ROWS: Final = 1 << 18
 _FLOAT_BYTES: Final = 4
 
 
@@ -48,8 +52,8 @@ class PlyParts:
         Raises:
             ValueInvalid: A value cannot be drawn; rows count from the start of the part.
         """
-        for start in range(0, self.table.count, _ROWS):
-            size = min(_ROWS, self.table.count - start)
+        for start in range(0, self.table.count, _CHUNK_ROWS):
+            size = min(_CHUNK_ROWS, self.table.count - start)
             part = read_ply_rows(self.path, self.table, start, size)
             with naming(self.path):
                 try:
@@ -67,20 +71,20 @@ class PlyParts:
         """The SH degree of the splats that are read from the PLY file."""
         return min(self.table.degree, self.most_degree)
 
-    def survey(self) -> tuple[int, float]:
+    def measure_extent(self) -> tuple[int, float]:
         """Return the number of splats that the edits leave, and the largest absolute coordinate.
 
         Raises:
             ValueInvalid: The edits leave no splat.
         """
-        count, reach = 0, 0.0
+        count, max_coordinate = 0, 0.0
         for part in self:
             count += len(part)
-            reach = max(reach, float(np.abs(part.position).max()))
+            max_coordinate = max(max_coordinate, float(np.abs(part.position).max()))
         if not count:
             texts = " ".join(edit.text for edit in self.edits)
-            raise none_left(texts, self.table.count)
-        return count, reach
+            raise no_splats_left(texts, self.table.count)
+        return count, max_coordinate
 
 
 @final
@@ -137,16 +141,20 @@ def open_parts(
         None where the whole file has to be in memory, or may be: it is small or of another format,
         its rows need Mip-Splatting's filter, or an edit regards several splats at once.
     """
-    by_rows = [edit for edit in edits if isinstance(edit, ParsedEdit) and edit.by_rows]
-    if len(by_rows) < len(edits) or Path(path).suffix.lower() != ".ply" or not Path(path).is_file():
+    is_row_wise = [edit for edit in edits if isinstance(edit, ParsedEdit) and edit.is_row_wise]
+    if (
+        len(is_row_wise) < len(edits)
+        or Path(path).suffix.lower() != ".ply"
+        or not Path(path).is_file()
+    ):
         return None
     table = ply_table(path)
-    if table is None or FILTER in table.columns:
+    if table is None or FILTER_PROPERTY in table.columns:
         return None
     names = splat_names(table.degree)
     if table.count * len(names) * _FLOAT_BYTES <= min_bytes:
         return None
     with naming(path):
         require_still_splats(table.columns)
-    warn_of_unknown(table.columns, names, path)
-    return PlyParts(path=path, table=table, edits=by_rows, most_degree=most_degree)
+    warn_of_unknown_properties(table.columns, names, path)
+    return PlyParts(path=path, table=table, edits=is_row_wise, most_degree=most_degree)

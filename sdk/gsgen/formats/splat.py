@@ -8,21 +8,21 @@ red, green, blue and opacity as bytes, and the quaternion (w, x, y, z) as bytes 
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, read_array
 from gsgen.formats.shared.errors import FileTruncated
-from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.quantities import SH_C0, log, logit, sigmoid, to_bytes, unit
 from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import Splats
 
 __all__ = ["looks_like_splat", "read_splat", "write_splat"]
 
-RECORD = np.dtype(
+ROW_DTYPE = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
 )
 _CHUNK = 1 << 14
-_LOOKED_AT = 256
-_LENGTHS = (0.9, 1.1)  # of a quaternion whose components are rounded to 1/128
+_SAMPLED_ROWS = 256
+_QUATERNION_LENGTHS = (0.9, 1.1)  # of a quaternion whose components are rounded to 1/128
 
 
 def read_splat(path: FilePath) -> Splats:
@@ -41,15 +41,15 @@ def read_splat(path: FilePath) -> Splats:
 
 def decode_splat(data: Data) -> Splats:
     """Return the splats of the SPLAT file ``data``, without checking their values."""
-    count, remainder = divmod(len(data), RECORD.itemsize)
+    count, remainder = divmod(len(data), ROW_DTYPE.itemsize)
     if remainder:
         raise FileTruncated(
             f"the file of {len(data)} bytes holds {count} records of 32, and {remainder} bytes more",
-            where=f"byte {count * RECORD.itemsize}",
+            where=f"byte {count * ROW_DTYPE.itemsize}",
             expected="a multiple of 32 bytes, as of a SPLAT file",
             hint=DOWNLOAD_HINT,
         )
-    records = take(data, RECORD, (count,), 0, "records")
+    records = read_array(data, ROW_DTYPE, (count,), 0, "records")
     rgba = records["rgba"] / np.float32(255)
     color = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
     rotation = (records["rotation"].astype(np.float32) - 128) / 128
@@ -78,13 +78,13 @@ def write_splat(path: FilePath, splats: Splats) -> None:
     with naming(path):
         require_drawable(splats)
         scale = linear_scale(splats)
-    with replacing(path) as file:
+    with replace_file(path) as file:
         for start in range(0, len(splats), _CHUNK):
             file.write(_records(splats, scale, slice(start, start + _CHUNK)).tobytes())
 
 
 def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> np.ndarray:
-    records = np.empty(len(splats.position[part]), RECORD)
+    records = np.empty(len(splats.position[part]), ROW_DTYPE)
     records["position"] = splats.position[part]
     records["scale"] = scale[part]
     records["rgba"][:, :3] = to_bytes((0.5 + SH_C0 * splats.sh[part, 0]) * 255)
@@ -99,14 +99,14 @@ def looks_like_splat(data: Data) -> bool:
     The first records must hold finite positions, scales of at least 0 and quaternions of length
     one.
     """
-    if len(data) == 0 or len(data) % RECORD.itemsize:
+    if len(data) == 0 or len(data) % ROW_DTYPE.itemsize:
         return False
-    count = min(len(data) // RECORD.itemsize, _LOOKED_AT)
-    records = np.frombuffer(data, RECORD, count)
+    count = min(len(data) // ROW_DTYPE.itemsize, _SAMPLED_ROWS)
+    records = np.frombuffer(data, ROW_DTYPE, count)
     scale = records["scale"]
     length = np.linalg.norm((records["rotation"].astype(np.float64) - 128) / 128, axis=1)
     return bool(
         np.isfinite(records["position"]).all()
         and ((scale >= 0) & (scale < np.inf)).all()
-        and ((length > _LENGTHS[0]) & (length < _LENGTHS[1])).all()
+        and ((length > _QUATERNION_LENGTHS[0]) & (length < _QUATERNION_LENGTHS[1])).all()
     )

@@ -20,7 +20,7 @@ import numpy as np
 
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats import read_ply, write_sog
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.splats import Splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -82,7 +82,7 @@ class Ladder:
             for content in tile.contents
             for placed in read_tile_content(self.store, self.tileset, tile, content)
         ]
-        return joined(parts) if parts else None
+        return join_splats(parts) if parts else None
 
     def drawn(self, camera: Camera, max_error: float) -> list[int]:
         """Rows of the tree that a camera draws; tiles without content have none."""
@@ -92,7 +92,7 @@ class Ladder:
 
     def picture(self, renderer: Renderer, camera: Camera, rows: list[int]) -> np.ndarray:
         parts = [content for row in rows if (content := self.content(row)) is not None]
-        return picture(renderer, joined(parts), camera)
+        return picture(renderer, join_splats(parts), camera)
 
     def bytes_of(self, rows: set[int]) -> int:
         return int(self.tree.size[sorted(rows)].sum())

@@ -75,7 +75,7 @@ def row(name: str, splats: Splats, scores: dict[str, float]) -> None:
 
 def sorted_mixture(splats: Splats) -> tuple[Mixture, float]:
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
-    cube = Cube.around(low.astype(np.float64), high.astype(np.float64))
+    cube = Cube.enclosing(low.astype(np.float64), high.astype(np.float64))
     mixture = mixture_of(splats, morton_codes(splats.position, cube))
     return mixture.rows(np.argsort(mixture.code, kind="stable")), cube.side
 

@@ -61,7 +61,7 @@ def test_a_row_does_not_depend_on_its_neighbours(monkeypatch: pytest.MonkeyPatch
     rng = np.random.default_rng(1)
     covariance = covariance_upper(rng.uniform(0.01, 2, (101, 3)), rng.normal(size=(101, 4)))
     whole = scales_and_quaternions(covariance.astype(np.float32))
-    monkeypatch.setattr(principal_axes, "_ROWS", 7)
+    monkeypatch.setattr(principal_axes, "_CHUNK_ROWS", 7)
     in_parts = scales_and_quaternions(covariance.astype(np.float32))
     for first, second in zip(whole, in_parts, strict=True):
         np.testing.assert_array_equal(first, second)

@@ -14,8 +14,8 @@ from scipy.cluster.vq import kmeans2
 from formats.sog.test_sog import naive_read
 from gsgen.formats import NotSupported, Splats, open_splats, read_ply, read_sog, write_sog
 from gsgen.formats.shared.morton import grid_order
-from gsgen.formats.sog.codebook import codes, make_codebook
-from gsgen.formats.sog.meta import CODES
+from gsgen.formats.sog.codebook import make_codebook, nearest_codes
+from gsgen.formats.sog.meta import CODEBOOK_SIZE
 from gsgen.formats.sog.palette import make_palette, nearest_entries
 from gsgen.formats.sog.write import sog_order
 from support.splat_files import FIELDS, GOLDENS, assert_near, opacity, scene, turn_between
@@ -155,7 +155,7 @@ def optimal_error(values: np.ndarray, size: int) -> float:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_codebook_is_nearly_the_best_one(seed, monkeypatch):
-    monkeypatch.setattr("gsgen.formats.sog.codebook.CODES", 16)
+    monkeypatch.setattr("gsgen.formats.sog.codebook.CODEBOOK_SIZE", 16)
     values = np.random.default_rng(seed).standard_normal(600).astype(np.float32)
     book = make_codebook(values)
     assert len(book) == 16
@@ -169,17 +169,17 @@ def test_every_value_gets_the_nearest_code(seed, count, tail):
     rng = np.random.default_rng(seed)
     values = (rng.standard_cauchy(count) if tail else rng.standard_normal(count)).astype(np.float32)
     book = make_codebook(values)
-    assert book.shape == (CODES,)
+    assert book.shape == (CODEBOOK_SIZE,)
     assert (np.diff(book) >= 0).all()
     distance = np.abs(values[:, None].astype(float) - book)
-    chosen = np.abs(values - book[codes(values, book)].astype(float))
+    chosen = np.abs(values - book[nearest_codes(values, book)].astype(float))
     np.testing.assert_allclose(chosen, distance.min(axis=1), rtol=1e-6, atol=0)
 
 
 def test_few_values_are_kept_exactly():
     values = np.float32([3, -1, 3, 7])
     book = make_codebook(values)
-    np.testing.assert_array_equal(book[codes(values, book)], values)
+    np.testing.assert_array_equal(book[nearest_codes(values, book)], values)
 
 
 def clustered(count: int, width: int, seed: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError, InputUnreadable
 from gsgen.formats import PointCloud, Splats, write_glb, write_ply, write_spz
-from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import Silent
@@ -41,7 +41,10 @@ def test_harmonics_and_other_formats_are_put_together(tmp_path):
 
 def test_a_single_splat_is_a_tileset(tmp_path):
     splats = scattered(10)
-    write_ply(tmp_path / "one.ply", Splats(**{name: getattr(splats, name)[:1] for name in ARRAYS}))
+    write_ply(
+        tmp_path / "one.ply",
+        Splats(**{name: getattr(splats, name)[:1] for name in SPLAT_ARRAY_NAMES}),
+    )
     report = build([tmp_path / "one.ply"], tmp_path / "tiles")
     assert (report.splats, report.tiles) == (1, 1)
     np.testing.assert_allclose(
@@ -51,7 +54,9 @@ def test_a_single_splat_is_a_tileset(tmp_path):
 
 def test_many_duplicates_are_divided_by_number(tmp_path):
     same = scattered(10)
-    row = Splats(**{name: np.repeat(getattr(same, name)[:1], 3000, axis=0) for name in ARRAYS})
+    row = Splats(
+        **{name: np.repeat(getattr(same, name)[:1], 3000, axis=0) for name in SPLAT_ARRAY_NAMES}
+    )
     write_ply(tmp_path / "same.ply", row)
     report = build([tmp_path / "same.ply"], tmp_path / "tiles")
     tileset = open_tileset(tmp_path / "tiles" / "tileset.json")

@@ -25,7 +25,7 @@ def test_codes_are_interleaved_bits(origin):
     rng = np.random.default_rng(1)
     position = (rng.normal(size=(50, 3)) * 7 + origin).astype(np.float32)
     wide = position.astype(np.float64)
-    cube = Cube.around(wide.min(axis=0), wide.max(axis=0))
+    cube = Cube.enclosing(wide.min(axis=0), wide.max(axis=0))
     codes = morton_codes(position, cube)
     assert codes.tolist() == [code_oracle(row, cube) for row in position]
     for row, code in zip(wide, codes.tolist(), strict=True):
@@ -37,7 +37,7 @@ def test_codes_are_interleaved_bits(origin):
 
 def test_a_scene_of_one_point_has_a_cube():
     point = np.array([3.0, 4.0, 5.0])
-    cube = Cube.around(point, point)
+    cube = Cube.enclosing(point, point)
     assert cube.side > 0
     assert morton_codes(point[None], cube)[0] < 1 << 63
 

@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime
 
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.joined import join_splats
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.format.neural_tile import EXTENSION
@@ -70,7 +70,7 @@ def write_neural_tileset(
                 },
             }
         )
-    (folder / "t" / "root.glb").write_bytes(write_content(joined(coarse), np.zeros(3)).data)
+    (folder / "t" / "root.glb").write_bytes(write_content(join_splats(coarse), np.zeros(3)).data)
     reach = SPACING * len(models)
     root = {
         "boundingVolume": {"box": [reach / 2, 0, 0, reach, 0, 0, 0, 8, 0, 0, 0, 8]},

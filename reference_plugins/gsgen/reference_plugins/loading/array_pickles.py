@@ -15,7 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import Shaped
 
-from gsgen.formats.checkpoints.pickled_data import Opaque, pickled_data
+from gsgen.formats.checkpoints.pickled_data import OpaqueObject, pickled_data
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 _RECONSTRUCT, _SCALAR, _FROM_BUFFER = (
@@ -41,7 +41,7 @@ def read_array_pickle(path: Path, names: Iterable[str]) -> dict[str, _Array]:
             if path.suffix == ".npy" and not _holds_object(file):
                 raise ValueError("the .npy file holds an array, expected a dict of arrays")
             read = pickled_data(file.read())
-        if isinstance(read, Opaque) and read.name in _RECONSTRUCT and read.state[1] == ():
+        if isinstance(read, OpaqueObject) and read.name in _RECONSTRUCT and read.state[1] == ():
             (read,) = read.state[-1]
         decoder = _Decoder()
         if not isinstance(read, dict):
@@ -78,7 +78,7 @@ class _Decoder:
 
     def array(self, value: Any) -> _Array:
         """Return the array that a value of a pickle stands for."""
-        if isinstance(value, Opaque):
+        if isinstance(value, OpaqueObject):
             if id(value) not in self._arrays:
                 self._arrays[id(value)] = self._decode(value)
             return self._arrays[id(value)]
@@ -87,7 +87,7 @@ class _Decoder:
             raise ValueError("the pickle holds a list of lists, expected an array")
         return np.asarray(value)
 
-    def _decode(self, record: Opaque) -> _Array:
+    def _decode(self, record: OpaqueObject) -> _Array:
         name, arguments, state = record.name, record.arguments, record.state
         if name in _RECONSTRUCT and arguments[0].name == "numpy.ndarray":
             _, shape, dtype, in_columns, data = state
@@ -163,9 +163,9 @@ class _Decoder:
 
 def _bytes_of(data: Any) -> bytes | bytearray:
     """Return stored bytes; Python 2 has them as a text, protocol 2 of Python 3 as an encoded one."""
-    if isinstance(data, Opaque) and data.name == "_codecs.encode":
+    if isinstance(data, OpaqueObject) and data.name == "_codecs.encode":
         data, _ = data.arguments
-    elif isinstance(data, Opaque) and data.name == "__builtin__.bytes":
+    elif isinstance(data, OpaqueObject) and data.name == "__builtin__.bytes":
         data = b"".join(data.arguments)  # it has none: the array is empty
     if isinstance(data, str):
         return data.encode("latin1")

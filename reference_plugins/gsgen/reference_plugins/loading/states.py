@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.formats.checkpoints.pickled_data import Opaque, TensorReference
+from gsgen.formats.checkpoints.pickled_data import OpaqueObject, TensorReference
 from gsgen.formats.checkpoints.torch_archive import TorchArchive
 from gsgen.formats.shared.errors import FormatError
 from gsgen.formats.shared.npz_arrays import unpacking
@@ -164,7 +164,7 @@ def _tensors(value: Any, prefix: str, seen: set[int]) -> Iterator[tuple[str, Ten
     """Yield the tensors of a module and of the modules in it, by their dotted names."""
     if isinstance(value, TensorReference):
         yield prefix, value
-    elif isinstance(value, Opaque):
+    elif isinstance(value, OpaqueObject):
         if not value.name.startswith("__torch__."):
             raise ValueError(f"the pickle refers to {value.name}, which is not a tensor")
         if id(value) in seen:  # modules that share modules may have more names than can be listed

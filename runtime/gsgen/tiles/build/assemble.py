@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
-from gsgen.formats.tileset_paths import INDEX
+from gsgen.formats.tileset_paths import INDEX_FILE
 from gsgen.tiles.build.files import read_json
 from gsgen.tiles.build.neural_tiles import Generator, add_neural_tiles
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
@@ -68,7 +68,7 @@ def write_index(
     count = plan.count + sum(tile.splats for tile in neural_tiles)
     degrees = [min(generator.first_frame.degree, MAX_DEGREE) for generator in generators]
     transform = np.array(plan.parameters.transform).reshape(4, 4).T
-    names = {INDEX: 0}
+    names = {INDEX_FILE: 0}
     qualities = plan.parameters.qualities
     if len(qualities) > 1:
         names |= {f"tileset-q{quality}.json": i for i, quality in enumerate(qualities)}

@@ -326,7 +326,7 @@ def _plan(
 ) -> Plan:
     filled = [fact for fact in facts if fact.count]
     low = np.min([fact.low for fact in filled], axis=0)
-    cube = Cube.around(low, np.max([fact.high for fact in filled], axis=0))
+    cube = Cube.enclosing(low, np.max([fact.high for fact in filled], axis=0))
     degree = max(file.degree for file in files)
     limit = min(partition, _PARTITION_BYTES // row_dtype(degree).itemsize)
     cells, counts = _count(run, chunks, cube, limit, work, anchored=not parameters.implicit)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.formats import Splats, read_ply
-from gsgen.formats.shared.files import replacing
+from gsgen.formats.shared.files import replace_file
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.index import ContentRecord, TileRecord
@@ -143,7 +143,7 @@ def add_neural_tiles(
             (f"{generator.name}.onnx", generator.data, generator.sha256),
         ):
             (output / path).parent.mkdir(parents=True, exist_ok=True)
-            with replacing(output / path) as file:
+            with replace_file(output / path) as file:
                 file.write(data)
             files[path] = len(data), sha256
         content = ContentRecord(uri=uri, size=len(encoded.data), low=encoded.low, high=encoded.high)

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Int64, UInt64
 
 from gsgen.formats import Splats
 from gsgen.formats.merging.morton import DEPTH, Cube, cell_codes, morton_codes
-from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES
 from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk, valid_rows
 from gsgen.tiles.gltf.encoding import SIGMAS
 
@@ -76,7 +76,7 @@ def scan_chunk(chunk: Chunk) -> ChunkFacts:
 
 def _digest(splats: Splats, first: int) -> str:
     digest = hashlib.sha256()
-    for name in ARRAYS:
+    for name in SPLAT_ARRAY_NAMES:
         block = getattr(splats, name)[first : first + BLOCK_ROWS]
         digest.update(np.ascontiguousarray(block).data)
     return digest.hexdigest()

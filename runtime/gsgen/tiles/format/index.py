@@ -25,8 +25,8 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.formats.glb.splats import NAME
-from gsgen.formats.shared.files import replacing
+from gsgen.formats.glb.splats import EXTENSION_NAME
+from gsgen.formats.shared.files import replace_file
 from gsgen.formats.shared.morton import interleave_bits
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
@@ -149,7 +149,7 @@ def write_tileset(
         quality=quality,
         transform=transform,
     )
-    with replacing(path) as file:
+    with replace_file(path) as file:
         file.write(json_bytes(document))
 
 
@@ -168,7 +168,7 @@ def tileset_document(
     if transform is not None:
         tree["transform"] = [float(value) for value in transform.T.ravel()]
     diagonal = float(np.linalg.norm(written.high - written.low))
-    needed = [NAME, SPZ_EXTENSION] if codec == "spz" else [NAME]
+    needed = [EXTENSION_NAME, SPZ_EXTENSION] if codec == "spz" else [EXTENSION_NAME]
     neural = [NEURAL] if _has_neural(root) else []
     return {
         "asset": {"version": "1.1", "generator": "gsgen"},
@@ -254,7 +254,7 @@ def write_build_record(
         "source_splats": source_splats,
         "version": 1,
     }
-    with replacing(path) as file:
+    with replace_file(path) as file:
         file.write(json_bytes(document))
 
 

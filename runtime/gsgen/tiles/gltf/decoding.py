@@ -19,7 +19,7 @@ from jaxtyping import Float64
 from gsgen.formats.glb.accessors import view_range
 from gsgen.formats.glb.container import Container, object_member
 from gsgen.formats.glb.glb import scene_primitives
-from gsgen.formats.glb.splats import NAME, is_splats, read_primitive
+from gsgen.formats.glb.splats import EXTENSION_NAME, is_splats, read_primitive
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
@@ -115,7 +115,7 @@ def _primitive(
 ) -> SplatPrimitive:
     attributes = object_member(primitive, "attributes", where)
     extensions = object_member(primitive, "extensions", where)
-    extension = object_member(extensions, NAME, where)
+    extension = object_member(extensions, EXTENSION_NAME, where)
     packed = extensions | object_member(extension, "extensions", where)
     counts = {}
     for name, index in attributes.items():
@@ -130,7 +130,7 @@ def _primitive(
             version, counts["SPZ"], degree = _spz_head(container, holder, f"{location}, {where}")
             break
     drafts: list[str] = [name for name in DRAFTS if name in packed]
-    if version is None or NAME not in extensions:
+    if version is None or EXTENSION_NAME not in extensions:
         drafts += [name for name in DRAFT_ATTRIBUTES if name in attributes]
     return SplatPrimitive(
         location=f"{location}, {where}",
@@ -145,7 +145,7 @@ def _primitive(
 def _disagreements(primitive: JsonDict, extensions: JsonDict) -> Iterator[str]:
     if primitive.get("mode", 4) != 0:
         yield f"mode {primitive.get('mode', 4)!r:.40} instead of 0, points"
-    extension = extensions.get(NAME)
+    extension = extensions.get(EXTENSION_NAME)
     if isinstance(extension, dict) and extension.get("kernel", "ellipse") != "ellipse":
         yield f"kernel {extension['kernel']!r:.40} instead of ellipse"
 

@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats.glb.container import build
-from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient
+from gsgen.formats.glb.splats import COLOR_SPACES, EXTENSION_NAME, coefficient
 from gsgen.formats.shared.quantities import sigmoid, unit
 from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
@@ -117,17 +117,17 @@ def _as_spz(local: Splats, quality: int) -> _Parts:
         "POSITION": _accessor("VEC3", count)
         | {"min": [float(v) for v in low], "max": [float(v) for v in high]},
         "COLOR_0": {**_accessor("VEC4", count, _BYTE), "normalized": True},
-        f"{NAME}:SCALE": _accessor("VEC3", count),
-        f"{NAME}:ROTATION": _accessor("VEC4", count),
+        f"{EXTENSION_NAME}:SCALE": _accessor("VEC3", count),
+        f"{EXTENSION_NAME}:ROTATION": _accessor("VEC4", count),
     }
     for band in range(1, stored.degree + 1):
         for index in range(2 * band + 1):
             accessors[coefficient(band, index)] = _accessor("VEC3", count)
     document = _document(accessors, [len(packed)], stored)
-    extension = document["meshes"][0]["primitives"][0]["extensions"][NAME]
+    extension = document["meshes"][0]["primitives"][0]["extensions"][EXTENSION_NAME]
     extension["extensions"] = {SPZ_EXTENSION: {"bufferView": 0}}
     for key in ("extensionsUsed", "extensionsRequired"):
-        document[key] = [NAME, SPZ_EXTENSION]
+        document[key] = [EXTENSION_NAME, SPZ_EXTENSION]
     return document, packed, stored
 
 
@@ -135,9 +135,9 @@ def _as_floats(local: Splats, quality: int) -> _Parts:
     del quality  # floats have one
     arrays = {
         "POSITION": local.position,
-        f"{NAME}:ROTATION": unit(local.rotation)[:, [1, 2, 3, 0]],
-        f"{NAME}:SCALE": linear_scale(local),
-        f"{NAME}:OPACITY": sigmoid(local.logit_opacity)[:, None],
+        f"{EXTENSION_NAME}:ROTATION": unit(local.rotation)[:, [1, 2, 3, 0]],
+        f"{EXTENSION_NAME}:SCALE": linear_scale(local),
+        f"{EXTENSION_NAME}:OPACITY": sigmoid(local.logit_opacity)[:, None],
     }
     pairs = [(band, n) for band in range(local.degree + 1) for n in range(2 * band + 1)]
     for column, pair in enumerate(pairs):
@@ -150,7 +150,7 @@ def _as_floats(local: Splats, quality: int) -> _Parts:
     accessors["POSITION"]["min"] = [float(value) for value in low]
     accessors["POSITION"]["max"] = [float(value) for value in high]
     document = _document(accessors, [array.nbytes for array in arrays.values()], local)
-    document["extensionsUsed"] = document["extensionsRequired"] = [NAME]
+    document["extensionsUsed"] = document["extensionsRequired"] = [EXTENSION_NAME]
     binary = b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values())
     return document, binary, local
 
@@ -171,7 +171,7 @@ def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) 
     primitive = {
         "mode": 0,
         "attributes": {name: index for index, name in enumerate(accessors)},
-        "extensions": {NAME: extension},
+        "extensions": {EXTENSION_NAME: extension},
     }
     return {
         "asset": {"version": "2.0", "generator": "gsgen"},

@@ -9,8 +9,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.formats.glb.nodes import moved
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.glb.nodes import transform_splats
+from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.splats import Splats
 
 
@@ -47,9 +47,9 @@ def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
     linear = np.eye(4)
     linear[:3, :3] = matrix[:3, :3]
     origin = matrix[:3, :3] @ middle + matrix[:3, 3]
-    return PlacedSplats(moved(near, linear), origin)
+    return PlacedSplats(transform_splats(near, linear), origin)
 
 
 def join_placed(parts: Sequence[PlacedSplats], origin: Float64[np.ndarray, " 3"]) -> Splats:
     """Join sets of splats with float64 origins into one set with one origin."""
-    return joined([part.around(origin) for part in parts])
+    return join_splats([part.around(origin) for part in parts])

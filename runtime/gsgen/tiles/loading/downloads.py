@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from gsgen.formats import FormatError, codec_of_suffix, open_splats
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-from gsgen.formats.sog.meta import META, Meta
+from gsgen.formats.sog.meta import META_FILE, Meta
 from gsgen.tiles.stores.http_store import HttpStore
 
 MAX_DOWNLOAD: Final = 8 << 30
@@ -44,7 +44,7 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
 
         try:
             file = fetch(name)
-            if name.lower() == META:
+            if name.lower() == META_FILE:
                 for image in Meta.parse(file.read_bytes()).all_files():
                     fetch(image)
             return open_splats(file)

@@ -23,7 +23,7 @@ from jaxtyping import Float32, Float64, UInt8
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.formats.packed import splats_of_rows
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.joined import join_splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -191,7 +191,7 @@ def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tu
             expected="contents with KHR_gaussian_splatting",
             fault=Fault.CONTENT,
         )
-    return joined(parts), size
+    return join_splats(parts), size
 
 
 def _cameras(

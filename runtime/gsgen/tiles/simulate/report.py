@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.units import MEBIBYTE
-from gsgen.formats.shared.files import replacing
+from gsgen.formats.shared.files import replace_file
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.simulate.client import Simulation
 from gsgen.tiles.streaming.metrics import StreamingMetrics
@@ -81,5 +81,5 @@ def write_plot(simulations: Sequence[Simulation], path: Path) -> None:
     upper.legend()
     # Without dates and versions: equal simulations give equal files.
     metadata = {"Software": None} if kind == "png" else {}
-    with replacing(path) as file:
+    with replace_file(path) as file:
         figure.savefig(file, format=kind, metadata=metadata)

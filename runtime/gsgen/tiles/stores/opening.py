@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from gsgen.formats.tileset_paths import INDEX
+from gsgen.formats.tileset_paths import INDEX_FILE
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.ranged_file import RangedFile
@@ -27,14 +27,14 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
         name = unquote(urlsplit(address).path.rpartition("/")[2])
         if name.lower().endswith(".3tz"):
             archive = RangedFile(HttpStore(address, allow_origins=allow_origins), name)
-            return ZipStore(archive, address), INDEX
+            return ZipStore(archive, address), INDEX_FILE
         folder = address if name else f"{address}/"
-        return HttpStore(folder, allow_origins=allow_origins), name or INDEX
+        return HttpStore(folder, allow_origins=allow_origins), name or INDEX_FILE
     path = Path(source)
     if path.suffix.lower() == ".3tz":
-        return ZipStore(path), INDEX
+        return ZipStore(path), INDEX_FILE
     if path.is_dir():
-        return FolderStore(path), INDEX
+        return FolderStore(path), INDEX_FILE
     return FolderStore(path.parent), path.name
 
 

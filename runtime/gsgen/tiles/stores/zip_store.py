@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Lock
 from typing import BinaryIO, Final, cast, final
 
-from gsgen.formats.shared.files import replacing
+from gsgen.formats.shared.files import replace_file
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
@@ -177,7 +177,7 @@ def write_archive(folder: Path, archive: Path) -> int:
     )
     paths = [path for path in paths if (folder / path).resolve() != archive.resolve()]
     records: list[bytes] = []
-    with replacing(archive) as stream, zipfile.ZipFile(stream, "w") as packed:
+    with replace_file(archive) as stream, zipfile.ZipFile(stream, "w") as packed:
         for path in paths:
             offset = stream.tell()
             packed.writestr(_entry(path), (folder / path).read_bytes())

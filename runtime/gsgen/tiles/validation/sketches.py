@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.glb.container import build
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.implicit_tiling.writing import implicit_uri, write_implicit_tileset
@@ -85,7 +85,7 @@ def explicit_sketch(
         edit_root: Changes the splats of the root's content, a third of those of the leaves.
     """
     leaves = [sample_splats(_ROWS, center, seed=n) for n, center in enumerate(_CENTERS)]
-    coarse = joined([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
+    coarse = join_splats([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
     if edit_root is not None:
         coarse = edit_root(coarse)
     if leaf_rows > _ROWS:
@@ -158,7 +158,7 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
     for level in (1, 0):
         for x, y, z in sorted({_above(cell, 2 - level) for cell in cells}):
             inner = [cell for cell in cells if _above(cell, 2 - level) == (x, y, z)]
-            coarse = joined([_rows(leaves[cell], slice(0, 8)) for cell in inner])
+            coarse = join_splats([_rows(leaves[cell], slice(0, 8)) for cell in inner])
             below = [
                 entry
                 for (depth, cell), entry in records.items()

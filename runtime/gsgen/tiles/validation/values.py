@@ -12,7 +12,7 @@ from gsgen.contract.spec.geometry import COVARIANCE_INDEX, covariance_upper, sym
 from gsgen.formats.glb.accessors import read_accessor
 from gsgen.formats.glb.container import Container
 from gsgen.formats.glb.glb import scene_primitives
-from gsgen.formats.glb.splats import NAME
+from gsgen.formats.glb.splats import EXTENSION_NAME
 from gsgen.formats.shared.errors import FormatError
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
@@ -152,7 +152,7 @@ def check_values(container: Container, decoded: list[Splats], location: str) -> 
             if len(splats):
                 require_drawable(splats)
         for primitive, _, where in scene_primitives(container):
-            index = primitive.get("attributes", {}).get(f"{NAME}:ROTATION")
+            index = primitive.get("attributes", {}).get(f"{EXTENSION_NAME}:ROTATION")
             accessor = container.item("accessors", index, where) if index is not None else {}
             if "bufferView" in accessor:
                 rotation = read_accessor(container, index, (4,), where)
@@ -174,7 +174,7 @@ def _check_unit(rotation: Float64[np.ndarray, "n 4"], location: str) -> None:
         raise TilesetInvalid(
             f"{np.count_nonzero(wrong)} of {len(length)} quaternions are not unit, the first "
             f"(row {first}) has length {length[first]:g}",
-            location=f"{location}, attribute {NAME}:ROTATION",
+            location=f"{location}, attribute {EXTENSION_NAME}:ROTATION",
             expected="length 1",
             fault=Fault.VALUES,
         )

@@ -26,7 +26,7 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.checkpoints.methods import refuse_other_content
+from gsgen.formats.checkpoints.methods import unsupported_content_error
 from gsgen.formats.checkpoints.pickled_data import TensorReference
 from gsgen.formats.checkpoints.torch_archive import TorchArchive
 from gsgen.formats.shared.errors import (
@@ -34,9 +34,9 @@ from gsgen.formats.shared.errors import (
     NotSupported,
     PropertyMissing,
     ValueInvalid,
-    listed,
+    join_names,
 )
-from gsgen.formats.shared.files import FilePath, opened
+from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
@@ -50,7 +50,7 @@ _CAPTURE_LENGTH = 12
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Layout:
+class _CheckpointLayout:
     """The splat tensors of a checkpoint and their names, from positions to higher SH degrees."""
 
     names: tuple[str, ...]
@@ -76,7 +76,7 @@ def read_checkpoint(path: FilePath) -> Splats:
         SizeExceeded: A member claims more bytes than the file has.
         ValueInvalid: A tensor has a wrong shape or type, or a value that cannot be drawn.
     """
-    with opened(path) as file:
+    with open_file(path) as file:
         first = file.read(len(ZIP_MAGIC))
         if first != ZIP_MAGIC:
             raise NotRecognised(
@@ -97,19 +97,19 @@ def read_checkpoint(path: FilePath) -> Splats:
     return splats
 
 
-def _layout_of(archive: TorchArchive, path: Path) -> _Layout:
+def _layout_of(archive: TorchArchive, path: Path) -> _CheckpointLayout:
     """Find the splat tensors in a checkpoint of gsplat, nerfstudio or 3DGS; raise for others."""
     content = archive.data()
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
-        return _of_gsplat(content, path)
+        return _gsplat_layout(content, path)
     if isinstance(content, dict) and isinstance(content.get("pipeline"), dict):
-        return _of_nerfstudio(content["pipeline"], path)
+        return _nerfstudio_layout(content["pipeline"], path)
     if isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple):
-        return _of_capture(content[0])
-    raise refuse_other_content(content, is_script=archive.is_script)
+        return _capture_layout(content[0])
+    raise unsupported_content_error(content, is_script=archive.is_script)
 
 
-def _of_gsplat(content: dict[Any, Any], path: Path) -> _Layout:
+def _gsplat_layout(content: dict[Any, Any], path: Path) -> _CheckpointLayout:
     tensors = dict(content["splats"])
     if "means3d" in tensors:  # the name until gsplat 1.0
         tensors["means"] = tensors.pop("means3d")
@@ -123,18 +123,20 @@ def _of_gsplat(content: dict[Any, Any], path: Path) -> _Layout:
     notes = []
     if "post_processing" in content:
         notes.append("colour correction per image (post_processing) has no effect")
-    shares = sorted(path.parent.glob(re.sub(r"_rank\d+$", "_rank*", path.stem) + path.suffix))
-    if len(shares) > 1:
-        notes.append(f"one of {len(shares)} files of a training on several GPUs; convert them all")
-    return _Layout(
+    rank_files = sorted(path.parent.glob(re.sub(r"_rank\d+$", "_rank*", path.stem) + path.suffix))
+    if len(rank_files) > 1:
+        notes.append(
+            f"one of {len(rank_files)} files of a training on several GPUs; convert them all"
+        )
+    return _CheckpointLayout(
         names=_GSPLAT,
         tensors=tensors,
-        antialiased=_setting(path.parent.parent / "cfg.yml", r"antialiased:\s*true"),
+        antialiased=_read_flag(path.parent.parent / "cfg.yml", r"antialiased:\s*true"),
         notes=tuple(notes),
     )
 
 
-def _of_nerfstudio(state: dict[Any, Any], path: Path) -> _Layout:
+def _nerfstudio_layout(state: dict[Any, Any], path: Path) -> _CheckpointLayout:
     prefix = "_model.gauss_params."
     has_prefix = any(str(name).startswith(prefix) for name in state)
     prefix = prefix if has_prefix else "_model."
@@ -143,19 +145,19 @@ def _of_nerfstudio(state: dict[Any, Any], path: Path) -> _Layout:
         for name, value in state.items()
         if isinstance(name, str) and name.startswith(prefix)
     }
-    extra = [name for name in tensors if name not in _SPLATFACTO]
-    if "means" not in tensors or (has_prefix and extra):
+    unknown_names = [name for name in tensors if name not in _SPLATFACTO]
+    if "means" not in tensors or (has_prefix and unknown_names):
         raise NotSupported(
-            f"the checkpoint holds another nerfstudio model than splatfacto, with {listed(extra or list(map(str, state)), limit=6)}",
+            f"the checkpoint holds another nerfstudio model than splatfacto, with {join_names(unknown_names or list(map(str, state)), limit=6)}",
             where="pipeline",
-            expected=f"{prefix}* of splatfacto: {listed(list(_SPLATFACTO))}",
+            expected=f"{prefix}* of splatfacto: {join_names(list(_SPLATFACTO))}",
         )
     rest = tensors.get("features_rest")
     has_grids = any(str(name).startswith("_model.bil_grids") for name in state)
-    return _Layout(
+    return _CheckpointLayout(
         names=_SPLATFACTO,
         tensors=tensors,
-        antialiased=_setting(
+        antialiased=_read_flag(
             path.parent.parent / "config.yml", r"\s*rasterize_mode:\s*antialiased"
         ),
         notes=("colour correction per image (bil_grids) has no effect",) if has_grids else (),
@@ -163,22 +165,24 @@ def _of_nerfstudio(state: dict[Any, Any], path: Path) -> _Layout:
     )
 
 
-def _of_capture(values: tuple[Any, ...]) -> _Layout:
+def _capture_layout(values: tuple[Any, ...]) -> _CheckpointLayout:
     tensors = [isinstance(value, TensorReference) for value in values[:7]]
     if len(values) != _CAPTURE_LENGTH or not all(tensors[1:]) or tensors[0]:
-        raise refuse_other_content(values, is_script=False)
+        raise unsupported_content_error(values, is_script=False)
     # capture() lists scales before quaternions, and harmonics before both.
     _, means, dc, rest, scales, quats, opacities, *_ = values
     ordered = (means, quats, scales, opacities, dc, rest)
-    return _Layout(names=_SPLATFACTO, tensors=dict(zip(_SPLATFACTO, ordered, strict=True)))
+    return _CheckpointLayout(
+        names=_SPLATFACTO, tensors=dict(zip(_SPLATFACTO, ordered, strict=True))
+    )
 
 
-def _splats(archive: TorchArchive, layout: _Layout) -> Splats:
+def _splats(archive: TorchArchive, layout: _CheckpointLayout) -> Splats:
     missing = [name for name in layout.names if name not in layout.tensors]
     if missing:
         raise PropertyMissing(
-            f"the checkpoint lacks the tensors {listed(missing)}; it has {listed(list(map(str, layout.tensors)))}",
-            expected=f"the tensors {listed(list(layout.names))}",
+            f"the checkpoint lacks the tensors {join_names(missing)}; it has {join_names(list(map(str, layout.tensors)))}",
+            expected=f"the tensors {join_names(list(layout.names))}",
         )
     for name in layout.names:
         if not isinstance(layout.tensors[name], TensorReference):
@@ -218,8 +222,8 @@ def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> N
             expected="three scales",
         )
     higher = tuple((n, count - 1, 3) for count in SH_COUNTS)
-    allowed = (((n, 3),), ((n, 4),), ((n, 3),), ((n,), (n, 1)), ((n, 1, 3), (n, 3)), higher)
-    for name, tensor, shapes in zip(names, tensors, allowed, strict=True):
+    allowed_shapes = (((n, 3),), ((n, 4),), ((n, 3),), ((n,), (n, 1)), ((n, 1, 3), (n, 3)), higher)
+    for name, tensor, shapes in zip(names, tensors, allowed_shapes, strict=True):
         if tensor.shape not in shapes:
             expected = " or ".join(str(list(shape)) for shape in shapes)
             raise ValueInvalid(
@@ -227,7 +231,7 @@ def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> N
             )
 
 
-def _setting(path: Path, line: str) -> bool:
+def _read_flag(path: Path, line: str) -> bool:
     """Return whether the settings file beside a training checkpoint contains a given line."""
     if not path.is_file():
         return False

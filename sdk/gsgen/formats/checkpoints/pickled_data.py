@@ -6,7 +6,7 @@ what would be called. `pickle.Unpickler` with a list of allowed names does less:
 bytes can make its memo take gigabytes, and a NumPy dtype that sets its own state crashes Python.
 """
 
-__all__ = ["Opaque", "Storage", "TensorReference", "pickled_data"]
+__all__ = ["OpaqueObject", "Storage", "TensorReference", "pickled_data"]
 
 import codecs
 import io
@@ -25,7 +25,7 @@ _STORAGES = {
 
 @final
 @dataclass(slots=True, eq=False)
-class Opaque:
+class OpaqueObject:
     """A Python class, function or object that a pickle names, which is left uninterpreted."""
 
     name: str
@@ -54,35 +54,35 @@ class TensorReference:
 
 
 @final
-class _Machine:
+class _PickleMachine:
     """The state of the pickle interpreter: stack, marks and memo."""
 
     def __init__(self) -> None:
         self.stack: list[Any] = []
-        self.memo: dict[int, Any] = {}
-        self._marks: list[int] = []
+        self.memoized: dict[int, Any] = {}
+        self._mark_offsets: list[int] = []
 
     def push(self, value: Any) -> None:
         self.stack.append(value)
 
     def mark(self) -> None:
-        self._marks.append(len(self.stack))
+        self._mark_offsets.append(len(self.stack))
 
-    def popped_to_mark(self) -> list[Any]:
-        start = self._marks.pop()
+    def pop_to_mark(self) -> list[Any]:
+        start = self._mark_offsets.pop()
         items = self.stack[start:]
         del self.stack[start:]
         return items
 
-    def popped(self, count: int) -> list[Any]:
+    def pop_many(self, count: int) -> list[Any]:
         if count > len(self.stack):
             raise ValueError("the pickle pops more values than it has pushed")
         items = self.stack[len(self.stack) - count :]
         del self.stack[len(self.stack) - count :]
         return items
 
-    def store(self, index: int) -> None:
-        self.memo[index] = self.stack[-1]
+    def memoize(self, index: int) -> None:
+        self.memoized[index] = self.stack[-1]
 
     def extend(self, items: list[Any]) -> None:
         if isinstance(self.stack[-1], list):
@@ -90,27 +90,27 @@ class _Machine:
 
     def update(self, items: list[Any]) -> None:
         if isinstance(self.stack[-1], dict):
-            self.stack[-1].update(_paired(items))
+            self.stack[-1].update(_dict_from_pairs(items))
 
-    def call(self) -> None:
-        function, arguments = self.popped(2)
-        is_name = isinstance(function, Opaque) and function.arguments is None
-        self.push(_object_of(function.name if is_name else "", arguments))
+    def call_function(self) -> None:
+        function, arguments = self.pop_many(2)
+        is_name = isinstance(function, OpaqueObject) and function.arguments is None
+        self.push(_build_object(function.name if is_name else "", arguments))
 
     def set_state(self) -> None:
-        (state,) = self.popped(1)
-        if isinstance(self.stack[-1], Opaque):
+        (state,) = self.pop_many(1)
+        if isinstance(self.stack[-1], OpaqueObject):
             self.stack[-1].state = state
 
-    def refer(self) -> None:
+    def load_persistent(self) -> None:
         """Push the storage that a pickle's persistent id names: class, key, device and count."""
-        (_, kind, key, *_), *_ = self.popped(1)
+        (_, kind, key, *_), *_ = self.pop_many(1)
         if not isinstance(key, str | int):
             raise TypeError("the pickle names stored numbers by neither a text nor a number")
         self.push(Storage(str(key), _STORAGES.get(kind.name.rpartition(".")[2], "")))
 
 
-def _paired(items: list[Any]) -> dict[Any, Any]:
+def _dict_from_pairs(items: list[Any]) -> dict[Any, Any]:
     """Return keys and values, which alternate in a pickle, as a dict."""
     for key in items[::2]:
         # Python's hash of a tuple overflows the stack if tuples are nested a million deep.
@@ -119,14 +119,14 @@ def _paired(items: list[Any]) -> dict[Any, Any]:
     return dict(zip(items[::2], items[1::2], strict=True))
 
 
-def _object_of(name: str, arguments: Any) -> Any:
+def _build_object(name: str, arguments: Any) -> Any:
     """Return plain data in place of the object that a call in a pickle would create."""
     if name == "collections.OrderedDict":
         return {}
     if name == "torch._utils._rebuild_parameter":
         return arguments[0]
     if name != "torch._utils._rebuild_tensor_v2":
-        return Opaque(name, arguments)
+        return OpaqueObject(name, arguments)
     storage, offset, shape, strides, *_ = arguments
     sizes = (offset, *shape, *strides)
     if not isinstance(storage, Storage) or any(type(size) is not int or size < 0 for size in sizes):
@@ -137,12 +137,12 @@ def _object_of(name: str, arguments: Any) -> Any:
 
 
 _INSTRUCTIONS = {instruction.code: instruction for instruction in pickletools.opcodes}
-_ACTIONS: dict[str, Callable[[_Machine, Any], object]] = {
+_ACTIONS: dict[str, Callable[[_PickleMachine, Any], object]] = {
     "PROTO": lambda machine, _: None,
     "FRAME": lambda machine, _: None,
     "MARK": lambda machine, _: machine.mark(),
-    "POP": lambda machine, _: machine.popped(1),
-    "POP_MARK": lambda machine, _: machine.popped_to_mark(),
+    "POP": lambda machine, _: machine.pop_many(1),
+    "POP_MARK": lambda machine, _: machine.pop_to_mark(),
     "DUP": lambda machine, _: machine.push(machine.stack[-1]),
     "NONE": lambda machine, _: machine.push(None),
     "NEWTRUE": lambda machine, _: machine.push(True),
@@ -151,28 +151,28 @@ _ACTIONS: dict[str, Callable[[_Machine, Any], object]] = {
     "EMPTY_LIST": lambda machine, _: machine.push([]),
     "EMPTY_TUPLE": lambda machine, _: machine.push(()),
     "EMPTY_SET": lambda machine, _: machine.push(set()),
-    "DICT": lambda machine, _: machine.push(_paired(machine.popped_to_mark())),
-    "LIST": lambda machine, _: machine.push(machine.popped_to_mark()),
-    "TUPLE": lambda machine, _: machine.push(tuple(machine.popped_to_mark())),
-    "TUPLE1": lambda machine, _: machine.push(tuple(machine.popped(1))),
-    "TUPLE2": lambda machine, _: machine.push(tuple(machine.popped(2))),
-    "TUPLE3": lambda machine, _: machine.push(tuple(machine.popped(3))),
-    "APPEND": lambda machine, _: machine.extend(machine.popped(1)),
-    "APPENDS": lambda machine, _: machine.extend(machine.popped_to_mark()),
-    "ADDITEMS": lambda machine, _: machine.popped_to_mark(),  # sets are not needed
-    "SETITEM": lambda machine, _: machine.update(machine.popped(2)),
-    "SETITEMS": lambda machine, _: machine.update(machine.popped_to_mark()),
-    "GLOBAL": lambda machine, name: machine.push(Opaque(name.replace(" ", "."))),
-    "STACK_GLOBAL": lambda machine, _: machine.push(Opaque(".".join(machine.popped(2)))),
-    "BINPERSID": lambda machine, _: machine.refer(),
-    "REDUCE": lambda machine, _: machine.call(),
-    "NEWOBJ": lambda machine, _: machine.call(),
+    "DICT": lambda machine, _: machine.push(_dict_from_pairs(machine.pop_to_mark())),
+    "LIST": lambda machine, _: machine.push(machine.pop_to_mark()),
+    "TUPLE": lambda machine, _: machine.push(tuple(machine.pop_to_mark())),
+    "TUPLE1": lambda machine, _: machine.push(tuple(machine.pop_many(1))),
+    "TUPLE2": lambda machine, _: machine.push(tuple(machine.pop_many(2))),
+    "TUPLE3": lambda machine, _: machine.push(tuple(machine.pop_many(3))),
+    "APPEND": lambda machine, _: machine.extend(machine.pop_many(1)),
+    "APPENDS": lambda machine, _: machine.extend(machine.pop_to_mark()),
+    "ADDITEMS": lambda machine, _: machine.pop_to_mark(),  # sets are not needed
+    "SETITEM": lambda machine, _: machine.update(machine.pop_many(2)),
+    "SETITEMS": lambda machine, _: machine.update(machine.pop_to_mark()),
+    "GLOBAL": lambda machine, name: machine.push(OpaqueObject(name.replace(" ", "."))),
+    "STACK_GLOBAL": lambda machine, _: machine.push(OpaqueObject(".".join(machine.pop_many(2)))),
+    "BINPERSID": lambda machine, _: machine.load_persistent(),
+    "REDUCE": lambda machine, _: machine.call_function(),
+    "NEWOBJ": lambda machine, _: machine.call_function(),
     "BUILD": lambda machine, _: machine.set_state(),
-    "MEMOIZE": lambda machine, _: machine.store(len(machine.memo)),
-    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _Machine.store),
+    "MEMOIZE": lambda machine, _: machine.memoize(len(machine.memoized)),
+    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _PickleMachine.memoize),
     **dict.fromkeys(
         ("GET", "BINGET", "LONG_BINGET"),
-        lambda machine, index: machine.push(operator.getitem(machine.memo, index)),
+        lambda machine, index: machine.push(operator.getitem(machine.memoized, index)),
     ),
     **dict.fromkeys(
         (
@@ -181,7 +181,7 @@ _ACTIONS: dict[str, Callable[[_Machine, Any], object]] = {
             *("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8"),
             *("BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BYTEARRAY8"),
         ),
-        _Machine.push,
+        _PickleMachine.push,
     ),
 }
 
@@ -196,13 +196,13 @@ def pickled_data(content: bytes) -> Any:
         LookupError: It takes a value that it has not pushed or stored.
         TypeError: It uses a value of the wrong kind, such as a list as a key.
     """
-    machine = _Machine()
+    machine = _PickleMachine()
     stream = io.BytesIO(content)
     while code := stream.read(1):
         instruction = _INSTRUCTIONS.get(code.decode("latin1"))
         name = f"{code!r}" if instruction is None else instruction.name
         if name == "STOP":
-            return machine.popped(1)[0]
+            return machine.pop_many(1)[0]
         if instruction is None or name not in _ACTIONS:
             raise ValueError(f"the instruction {name} of the pickle is not supported")
         _ACTIONS[name](machine, _argument(instruction, stream))

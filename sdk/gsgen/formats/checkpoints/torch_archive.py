@@ -1,6 +1,6 @@
 """Reads tensors from a ``torch.save`` file (zip archive, torch 1.6 and later) with NumPy."""
 
-__all__ = ["MEMBER", "TorchArchive"]
+__all__ = ["PICKLE_MEMBER", "TorchArchive"]
 
 import math
 import zipfile
@@ -13,7 +13,7 @@ from gsgen.formats.checkpoints.pickled_data import TensorReference, pickled_data
 from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported, SizeExceeded, ValueInvalid
 from gsgen.formats.shared.npz_arrays import unpacking
 
-MEMBER: Final = "*/data.pkl"
+PICKLE_MEMBER: Final = "*/data.pkl"
 """The member of the archive that names the tensors; its folder has the name of the file."""
 
 _MAX_PICKLE = 16 << 20
@@ -30,9 +30,9 @@ class TorchArchive:
             names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
             if len(names) != 1:
                 raise ValueError(f"the zip archive has {len(names)} files data.pkl, expected one")
-            self._root = names[0].removesuffix("data.pkl")
-            self.is_script = f"{self._root}constants.pkl" in archive.namelist()
-            has_order = f"{self._root}byteorder" in archive.namelist()
+            self._prefix = names[0].removesuffix("data.pkl")
+            self.is_script = f"{self._prefix}constants.pkl" in archive.namelist()
+            has_order = f"{self._prefix}byteorder" in archive.namelist()
             self._order = ">" if has_order and self._member("byteorder") == b"big" else "<"
 
     def data(self) -> Any:
@@ -56,16 +56,16 @@ class TorchArchive:
             content = self._member(f"data/{tensor.storage.key}")
             stored_type = "u2" if dtype == "bfloat16" else np.dtype(dtype).str[1:]
             numbers = np.frombuffer(content, f"{self._order}{stored_type}")
-            strided = _strided(numbers, tensor, name)
+            strided_array = _strided_view(numbers, tensor, name)
             if dtype == "bfloat16":  # the upper half of a float32
-                return (strided.astype(np.uint32) << 16).view(np.float32)
+                return (strided_array.astype(np.uint32) << 16).view(np.float32)
             # A double beyond float32 becomes infinite, which the check of values refuses.
             with np.errstate(over="ignore", invalid="ignore"):
-                return strided.astype(np.float32, order="C")
+                return strided_array.astype(np.float32, order="C")
 
     def _member(self, name: str, limit: int | None = None) -> bytes:
         """Read a file of the zip archive, after a check of its declared size."""
-        entry = self._archive.getinfo(self._root + name)
+        entry = self._archive.getinfo(self._prefix + name)
         if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
             raise NotSupported(
                 "the file in the archive is compressed",
@@ -82,7 +82,7 @@ class TorchArchive:
         return self._archive.read(entry)
 
 
-def _strided(numbers: np.ndarray, tensor: TensorReference, name: str) -> np.ndarray:
+def _strided_view(numbers: np.ndarray, tensor: TensorReference, name: str) -> np.ndarray:
     shape, strides = tensor.shape, tensor.strides
     if len(shape) != len(strides):
         raise ValueError(

@@ -15,7 +15,7 @@ from gsgen.formats.editing.filters import (
 )
 from gsgen.formats.editing.transforms import rotated, scaled, translated
 from gsgen.formats.merging.decimation import decimate
-from gsgen.formats.shared.errors import ValueInvalid, shown
+from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.splats import Splats
 
 Edit = Callable[[Splats], Splats]
@@ -29,12 +29,12 @@ class Option:
     Attributes:
         metavar: The form of its value; empty for a flag.
         parse: Returns the edit of a value.
-        by_rows: Whether each splat is edited without regard to the others.
+        is_row_wise: Whether each splat is edited without regard to the others.
     """
 
     metavar: str
     parse: Callable[[str], Edit]
-    by_rows: bool = True
+    is_row_wise: bool = True
 
 
 @final
@@ -45,22 +45,22 @@ class ParsedEdit:
     Attributes:
         text: The option and its value.
         apply: Edits splats, of which none may be left.
-        by_rows: Whether each splat is edited without regard to the others.
+        is_row_wise: Whether each splat is edited without regard to the others.
     """
 
     text: str
     apply: Edit
-    by_rows: bool
+    is_row_wise: bool
 
     def __call__(self, splats: Splats) -> Splats:
         """Apply the edit and return the edited splats; raise if no splat is left."""
         result = self.apply(splats)
         if not len(result):
-            raise none_left(self.text, len(splats))
+            raise no_splats_left(self.text, len(splats))
         return result
 
 
-def none_left(edits: str, count: int) -> ValueInvalid:
+def no_splats_left(edits: str, count: int) -> ValueInvalid:
     """Return the error for splat edits that remove all of ``count`` splats."""
     return ValueInvalid(f"{edits} leaves none of {count} splats", expected="at least one splat")
 
@@ -71,7 +71,7 @@ def _numbers(text: str, metavar: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != metavar.count(",") + 1 or not all(abs(n) < float("inf") for n in numbers):
-        raise ValueInvalid(shown(text), expected=f"finite numbers {metavar}")
+        raise ValueInvalid(quoted(text), expected=f"finite numbers {metavar}")
     return numbers
 
 
@@ -88,11 +88,11 @@ def _decimation(text: str) -> Edit:
     amount = float(match[1]) if match else 0.0
     is_invalid = amount > 100 if match and match[2] else amount % 1 > 0
     if not amount or is_invalid:
-        raise ValueInvalid(shown(text), expected="a number of splats, or a percentage such as 25%")
-    is_share = text.endswith("%")
+        raise ValueInvalid(quoted(text), expected="a number of splats, or a percentage such as 25%")
+    is_percentage = text.endswith("%")
 
     def merge(splats: Splats) -> Splats:
-        count = int(len(splats) * amount / 100) if is_share else int(amount)
+        count = int(len(splats) * amount / 100) if is_percentage else int(amount)
         return decimate(splats, max(1, count))
 
     return merge
@@ -115,9 +115,9 @@ OPTIONS: Final[dict[str, Option]] = {
     "box": _numeric(within_box, "X,Y,Z,X,Y,Z"),
     "sphere": _numeric(within_sphere, "X,Y,Z,RADIUS"),
     "where": Option("CONDITION", lambda text: partial(where_value, condition=text)),
-    "drop_floaters": Option("SIZE,COUNT", _floaters, by_rows=False),
-    "decimate": Option("N|N%", _decimation, by_rows=False),
-    "morton": Option("", lambda text: morton_ordered, by_rows=False),
+    "drop_floaters": Option("SIZE,COUNT", _floaters, is_row_wise=False),
+    "decimate": Option("N|N%", _decimation, is_row_wise=False),
+    "morton": Option("", lambda text: morton_ordered, is_row_wise=False),
 }
 """The edits by name."""
 
@@ -129,4 +129,4 @@ def parse_edit(name: str, text: str) -> ParsedEdit:
         ValueInvalid: The value has another form.
     """
     option = OPTIONS[name]
-    return ParsedEdit(f"--{name.replace('_', '-')} {text}", option.parse(text), option.by_rows)
+    return ParsedEdit(f"--{name.replace('_', '-')} {text}", option.parse(text), option.is_row_wise)

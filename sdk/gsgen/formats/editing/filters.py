@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.shared.errors import ValueInvalid, shown
+from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.morton import grid_order
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
 from gsgen.formats.shared.splat_values import rows_of
@@ -93,7 +93,7 @@ def where_value(splats: Splats, condition: str) -> Splats:
     number = _number(match[3]) if match else None
     if match is None or number is None or match[1] not in QUANTITIES:
         raise ValueInvalid(
-            f"the condition is {shown(condition)}",
+            f"the condition is {quoted(condition)}",
             where="condition",
             expected=f"one of {', '.join(QUANTITIES)}, then {' '.join(_COMPARISONS)}, then a number",
         )
@@ -123,13 +123,15 @@ def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:
             expected="cells of more than a millionth of the scene",
         )
     keys = (cell.astype(np.int64) + 1) @ np.array([1 << 42, 1 << 21, 1])
-    occupied, own, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    total = np.zeros(len(occupied), np.int64)
+    occupied_cells, cell_index, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    total = np.zeros(len(occupied_cells), np.int64)
     for offset in itertools.product((-1, 0, 1), repeat=3):
-        around = occupied + np.array(offset) @ np.array([1 << 42, 1 << 21, 1])
-        index = np.minimum(np.searchsorted(occupied, around), len(occupied) - 1)
-        total += np.where(occupied[index] == around, counts[index], 0)
-    return rows_of(splats, total[own] - 1 >= neighbours)
+        neighbour_cells = occupied_cells + np.array(offset) @ np.array([1 << 42, 1 << 21, 1])
+        index = np.minimum(
+            np.searchsorted(occupied_cells, neighbour_cells), len(occupied_cells) - 1
+        )
+        total += np.where(occupied_cells[index] == neighbour_cells, counts[index], 0)
+    return rows_of(splats, total[cell_index] - 1 >= neighbours)
 
 
 def _number(text: str) -> float | None:

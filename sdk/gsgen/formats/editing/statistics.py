@@ -10,11 +10,11 @@ from jaxtyping import Float64
 
 from gsgen.formats.editing.filters import QUANTITIES
 from gsgen.formats.shared.errors import NotSupported
-from gsgen.formats.shared.files import FilePath, replacing
+from gsgen.formats.shared.files import FilePath, replace_file
 from gsgen.formats.shared.splats import Splats
 
-_LOGARITHMIC: Final = "scale"  # quantities with this word are drawn on a logarithmic axis
-_BINS, _BAR, _HEIGHT, _COLUMNS, _MARGIN = 80, 3, 90, 3, 18
+_LOG_SCALED_WORD: Final = "scale"  # quantities with this word are drawn on a logarithmic axis
+_BINS, _BAR_WIDTH, _HEIGHT, _COLUMNS, _MARGIN = 80, 3, 90, 3, 18
 
 
 @final
@@ -71,26 +71,32 @@ def write_histograms(path: FilePath, splats: Splats) -> None:
             where="histograms",
             hint="pip install 'gsgen[formats]'",
         ) from error
-    width, height = _BINS * _BAR + _MARGIN, _HEIGHT + 2 * _MARGIN
+    width, height = _BINS * _BAR_WIDTH + _MARGIN, _HEIGHT + 2 * _MARGIN
     rows = -(-len(QUANTITIES) // _COLUMNS)
-    picture = Image.new("RGB", (_COLUMNS * width + _MARGIN, rows * height), "white")
-    draw = ImageDraw.Draw(picture)
+    image = Image.new("RGB", (_COLUMNS * width + _MARGIN, rows * height), "white")
+    draw = ImageDraw.Draw(image)
     for index, name in enumerate(QUANTITIES):
-        left, top = _MARGIN + index % _COLUMNS * width, index // _COLUMNS * height
+        left_edge, top_edge = _MARGIN + index % _COLUMNS * width, index // _COLUMNS * height
         values = _values(splats, name)
         counts, low, high = histogram(name, values)
-        base = top + _MARGIN + _HEIGHT
-        axis = ", logarithmic" if _LOGARITHMIC in name else ""
-        draw.text((left, top + 2), f"{name}: {low:.3g} to {high:.3g}{axis}", fill="black")
+        base = top_edge + _MARGIN + _HEIGHT
+        axis = ", logarithmic" if _LOG_SCALED_WORD in name else ""
+        draw.text((left_edge, top_edge + 2), f"{name}: {low:.3g} to {high:.3g}{axis}", fill="black")
         for bar, count in enumerate(counts):
-            tall = round(_HEIGHT * count / max(counts.max(), 1))
+            bar_height = round(_HEIGHT * count / max(counts.max(), 1))
             draw.rectangle(
-                (left + bar * _BAR, base - tall, left + bar * _BAR + _BAR - 2, base), fill="#3465a4"
+                (
+                    left_edge + bar * _BAR_WIDTH,
+                    base - bar_height,
+                    left_edge + bar * _BAR_WIDTH + _BAR_WIDTH - 2,
+                    base,
+                ),
+                fill="#3465a4",
             )
-        draw.line((left, base, left + _BINS * _BAR, base), fill="black")
+        draw.line((left_edge, base, left_edge + _BINS * _BAR_WIDTH, base), fill="black")
     stream = BytesIO()
-    picture.save(stream, "PNG")
-    with replacing(path) as file:
+    image.save(stream, "PNG")
+    with replace_file(path) as file:
         file.write(stream.getvalue())
 
 
@@ -99,7 +105,7 @@ def histogram(name: str, values: Float64[np.ndarray, " n"]) -> tuple[np.ndarray,
     if not len(values):
         return np.zeros(_BINS, np.int64), 0.0, 0.0
     low, high = float(values.min()), float(values.max())
-    if _LOGARITHMIC in name:
+    if _LOG_SCALED_WORD in name:
         values = np.log(values[values > 0])
     counts, _ = np.histogram(values, _BINS)
     return counts, low, high

@@ -43,16 +43,16 @@ def rotated(splats: Splats, angles: Vector) -> Splats:
         splats: The splats.
         angles: Degrees about the axes x, y and z, which do not move, in this order.
     """
-    turn = np.array([1.0, 0, 0, 0])
+    quaternion = np.array([1.0, 0, 0, 0])
     for axis, angle in enumerate(angles):
-        half = math.radians(angle) / 2
+        half_angle = math.radians(angle) / 2
         step = np.zeros(4)
-        step[[0, 1 + axis]] = math.cos(half), math.sin(half)
-        turn = quaternion_product(step, turn[None])[0]
-    matrix = rotation_matrix(turn[None])[0]
+        step[[0, 1 + axis]] = math.cos(half_angle), math.sin(half_angle)
+        quaternion = quaternion_product(step, quaternion[None])[0]
+    matrix = rotation_matrix(quaternion[None])[0]
     return replace(
         splats,
         position=(splats.position @ matrix.T).astype(np.float32),
-        rotation=quaternion_product(turn, splats.rotation).astype(np.float32),
+        rotation=quaternion_product(quaternion, splats.rotation).astype(np.float32),
         sh=rotate_sh(splats.sh, matrix),
     )

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.glb.container import Container, Json, whole_number
-from gsgen.formats.shared.bytes import require_room
-from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, shown
+from gsgen.formats.glb.container import Container, Json, require_integer
+from gsgen.formats.shared.bytes import require_length
+from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, quoted
 
 _COMPONENTS: Final = {
     5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4",
@@ -41,7 +41,7 @@ def read_accessor(
         or width not in _WIDTHS
     ):
         raise HeaderMalformed(
-            f"the accessor has type {shown(str(width))} and component type {shown(str(kind))}",
+            f"the accessor has type {quoted(str(width))} and component type {quoted(str(kind))}",
             where=where,
             expected=f"{', '.join(_WIDTHS)} of a component type from 5120 to 5126",
         )
@@ -59,9 +59,9 @@ def read_accessor(
 
 def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str) -> np.ndarray:
     view = glb.item("bufferViews", accessor["bufferView"], where)
-    count = whole_number(accessor.get("count"), f"{where}, count")
+    count = require_integer(accessor.get("count"), f"{where}, count")
     value_bytes = dtype.itemsize * width
-    stride = whole_number(
+    stride = require_integer(
         view.get("byteStride", value_bytes), f"{where}, byteStride", _LONGEST_STRIDE
     )
     if stride < value_bytes:
@@ -71,7 +71,7 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
             expected=f"{value_bytes} or more",
         )
     start, size = view_range(glb, view, where)
-    offset = whole_number(accessor.get("byteOffset", 0), f"{where}, byteOffset")
+    offset = require_integer(accessor.get("byteOffset", 0), f"{where}, byteOffset")
     needed = stride * (count - 1) + value_bytes if count else 0
     if offset + needed > size:
         raise HeaderMalformed(
@@ -86,7 +86,7 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
     """Return the byte offset of a glTF buffer view in the GLB file, and the view's length."""
-    buffer = whole_number(view.get("buffer"), f"{where}, buffer")
+    buffer = require_integer(view.get("buffer"), f"{where}, buffer")
     if buffer or "uri" in glb.item("buffers", 0, where):
         raise NotSupported(
             f"buffer {buffer} is not in the GLB file",
@@ -94,8 +94,8 @@ def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
             expected="data in the binary chunk",
             hint="pack all buffers into the GLB file",
         )
-    offset = whole_number(view.get("byteOffset", 0), f"{where}, byteOffset")
-    size = whole_number(view.get("byteLength"), f"{where}, byteLength")
+    offset = require_integer(view.get("byteOffset", 0), f"{where}, byteOffset")
+    size = require_integer(view.get("byteLength"), f"{where}, byteLength")
     chunk = memoryview(glb.data)[: glb.start + glb.size]
-    require_room(chunk, glb.start + offset, size, where)
+    require_length(chunk, glb.start + offset, size, where)
     return glb.start + offset, size

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, require_room
-from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, require_length
+from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, quoted
 
 MAGIC: Final = b"glTF"
 
@@ -23,7 +23,7 @@ COMPRESSIONS: Final = (
 """Extensions that compress attributes or indices, which are not decoded."""
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
-_MOST_JSON = 1 << 28
+_MAX_JSON_BYTES = 1 << 28
 Json = dict[str, Any]
 
 
@@ -48,12 +48,12 @@ class Container:
         """Return the JSON object ``index`` in the array ``group`` of a glTF document."""
         items = self.document.get(group, [])
         if not isinstance(items, list):
-            raise _malformed(items, group, "an array")
-        number = whole_number(index, where)
+            raise _malformed_error(items, group, "an array")
+        number = require_integer(index, where)
         if number >= len(items):
-            raise _malformed(number, where, f"less than the {len(items)} of {group}")
+            raise _malformed_error(number, where, f"less than the {len(items)} of {group}")
         if not isinstance(items[number], dict):
-            raise _malformed(items[number], f"{group}[{number}]", "an object")
+            raise _malformed_error(items[number], f"{group}[{number}]", "an object")
         return dict(items[number])
 
 
@@ -66,7 +66,7 @@ def parse(data: Data) -> Container:
         FileTruncated: The file ends early.
         HeaderMalformed: A chunk has an unknown type, or its JSON is invalid.
     """
-    require_room(data, 0, _HEADER.size + _CHUNK.size, "header")
+    require_length(data, 0, _HEADER.size + _CHUNK.size, "header")
     magic, version, length = _HEADER.unpack_from(data)
     if magic != MAGIC:
         raise NotRecognised(
@@ -76,22 +76,22 @@ def parse(data: Data) -> Container:
         raise NotSupported(
             f"the file has glTF version {version}", where="byte 4", expected="version 2"
         )
-    require_room(data, 0, length, "header")
+    require_length(data, 0, length, "header")
     size, kind = _CHUNK.unpack_from(data, _HEADER.size)
     start = _HEADER.size + _CHUNK.size
-    if kind != b"JSON" or size > _MOST_JSON:
+    if kind != b"JSON" or size > _MAX_JSON_BYTES:
         raise HeaderMalformed(
             f"the first chunk is {kind!r} of {size} bytes",
             where=f"byte {_HEADER.size}",
-            expected=f"a chunk JSON of at most {_MOST_JSON} bytes",
+            expected=f"a chunk JSON of at most {_MAX_JSON_BYTES} bytes",
         )
-    require_room(data, start, size, "chunk JSON")
+    require_length(data, start, size, "chunk JSON")
     document = _document(bytes(data[start : start + size]))
     binary, body = start + size, 0
     if binary + _CHUNK.size <= min(length, len(data)):
         body, kind = _CHUNK.unpack_from(data, binary)
         body = body if kind == b"BIN\0" else 0
-        require_room(data, binary + _CHUNK.size, body, "chunk BIN")
+        require_length(data, binary + _CHUNK.size, body, "chunk BIN")
     return Container(document, data, binary + _CHUNK.size, body)
 
 
@@ -118,7 +118,7 @@ def _document(content: bytes) -> Json:
             hint=DOWNLOAD_HINT,
         ) from error
     if not isinstance(document, dict):
-        raise _malformed(document, "chunk JSON", "an object")
+        raise _malformed_error(document, "chunk JSON", "an object")
     return document
 
 
@@ -137,39 +137,39 @@ def build(document: Json, size: int) -> bytes:
     )
 
 
-def whole_number(value: object, where: str, most: int = 2**53) -> int:
+def require_integer(value: object, where: str, most: int = 2**53) -> int:
     """Return a JSON value if it is a whole number from 0 to ``most``; raise otherwise."""
     number = int(value) if isinstance(value, float) and value.is_integer() else value
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
-        raise _malformed(value, where, f"a whole number from 0 to {most}")
+        raise _malformed_error(value, where, f"a whole number from 0 to {most}")
     return number
 
 
-def object_member(holder: Mapping[str, Any], key: str, where: str) -> Json:
-    """Return the JSON object at key ``key`` of ``holder``; an empty object if absent."""
-    value = holder.get(key, {})
+def object_member(json_object: Mapping[str, Any], key: str, where: str) -> Json:
+    """Return the JSON object at key ``key`` of ``json_object``; an empty object if absent."""
+    value = json_object.get(key, {})
     if not isinstance(value, dict):
-        raise _malformed(value, f"{where}.{key}", "an object")
+        raise _malformed_error(value, f"{where}.{key}", "an object")
     return value
 
 
-def array_member(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    """Return the JSON array at key ``key`` of ``holder``; an empty array if absent."""
-    value = holder.get(key, [])
+def array_member(json_object: Mapping[str, Any], key: str, where: str) -> list[Any]:
+    """Return the JSON array at key ``key`` of ``json_object``; an empty array if absent."""
+    value = json_object.get(key, [])
     if not isinstance(value, list):
-        raise _malformed(value, f"{where}.{key}", "an array")
+        raise _malformed_error(value, f"{where}.{key}", "an array")
     return value
 
 
 def number_member(
-    holder: Mapping[str, Any], key: str, default: tuple[float, ...], where: str
+    json_object: Mapping[str, Any], key: str, default: tuple[float, ...], where: str
 ) -> tuple[float, ...]:
-    """Return the JSON array of finite numbers at key ``key`` of ``holder``, or ``default``."""
-    value_list = holder.get(key, default)
+    """Return the JSON array of finite numbers at key ``key`` of ``json_object``, or ``default``."""
+    value_list = json_object.get(key, default)
     size = len(default)
-    fits = isinstance(value_list, list | tuple) and len(value_list) == size
-    if not fits or not all(_is_finite(value) for value in value_list):
-        raise _malformed(value_list, f"{where}.{key}", f"{size} finite numbers")
+    is_valid = isinstance(value_list, list | tuple) and len(value_list) == size
+    if not is_valid or not all(_is_finite(value) for value in value_list):
+        raise _malformed_error(value_list, f"{where}.{key}", f"{size} finite numbers")
     return tuple(float(value) for value in value_list)
 
 
@@ -179,5 +179,5 @@ def _is_finite(value: object) -> bool:
     return abs(value) < 1e300 and not math.isnan(value)
 
 
-def _malformed(value: object, where: str, expected: str) -> HeaderMalformed:
-    return HeaderMalformed(shown(str(value)), where=where, expected=expected)
+def _malformed_error(value: object, where: str, expected: str) -> HeaderMalformed:
+    return HeaderMalformed(quoted(str(value)), where=where, expected=expected)

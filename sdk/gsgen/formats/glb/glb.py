@@ -11,13 +11,19 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsgen.formats.glb.container import Container, array_member, build, parse, require_uncompressed
-from gsgen.formats.glb.nodes import Matrix, meshes, moved
-from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient, is_splats, read_primitive
+from gsgen.formats.glb.nodes import Matrix, meshes, transform_splats
+from gsgen.formats.glb.splats import (
+    COLOR_SPACES,
+    EXTENSION_NAME,
+    coefficient,
+    is_splats,
+    read_primitive,
+)
 from gsgen.formats.shared.axes import RDF_LUF, flip
 from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
 from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, SizeExceeded, ValueInvalid
-from gsgen.formats.shared.files import FilePath, naming, replacing
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.files import FilePath, naming, replace_file
+from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.quantities import sigmoid, unit
 from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import Splats
@@ -28,7 +34,7 @@ __all__ = ["decode_glb", "read_glb", "scene_primitives", "write_glb"]
 _LARGEST = 2**32 - 1
 _HEADER_ROOM = 1 << 16
 _FLOAT, _WIDTHS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-_BYTES_EACH = 44  # of a splat in memory, less its harmonics
+_BYTES_PER_SPLAT = 44  # of a splat in memory, less its harmonics
 
 
 def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
@@ -65,17 +71,17 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     for primitive, matrix, where in scene_primitives(glb):
         splats = read_primitive(glb, primitive, where, max_bytes - used_bytes)
         require_rows(len(splats), where)
-        used_bytes += len(splats) * (_BYTES_EACH + 12 * splats.sh.shape[1])
+        used_bytes += len(splats) * (_BYTES_PER_SPLAT + 12 * splats.sh.shape[1])
         if used_bytes > max_bytes:
             raise SizeExceeded(
                 f"the splats take {used_bytes} bytes",
                 where=where,
                 expected=f"{max_bytes} bytes or fewer",
             )
-        parts.append(moved(splats, matrix))
+        parts.append(transform_splats(splats, matrix))
     if not parts:
         raise PropertyMissing(
-            "the glTF scene holds no splats", expected=f"a mesh of points with {NAME}"
+            "the glTF scene holds no splats", expected=f"a mesh of points with {EXTENSION_NAME}"
         )
     spaces = {part.color_space for part in parts}
     if len(spaces) > 1:
@@ -84,7 +90,7 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
             where="colorSpace",
             expected="one colour space for all primitives",
         )
-    return flip(joined(parts), RDF_LUF)
+    return flip(join_splats(parts), RDF_LUF)
 
 
 def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
@@ -122,7 +128,7 @@ def write_glb(path: FilePath, splats: Splats) -> None:
                 where="arrays",
                 expected="less than 4 GiB, the limit of GLB",
             )
-    with replacing(path) as file:
+    with replace_file(path) as file:
         file.write(build(_document(arrays, splats), size))
         for array in arrays.values():
             file.write(np.ascontiguousarray(array, "<f4").data)
@@ -132,9 +138,9 @@ def _attributes(splats: Splats) -> dict[str, Float32[np.ndarray, "n w"]]:
     rotation = unit(splats.rotation)[:, [1, 2, 3, 0]]
     arrays = {
         "POSITION": splats.position,
-        f"{NAME}:ROTATION": rotation,
-        f"{NAME}:SCALE": linear_scale(splats),
-        f"{NAME}:OPACITY": sigmoid(splats.logit_opacity)[:, None],
+        f"{EXTENSION_NAME}:ROTATION": rotation,
+        f"{EXTENSION_NAME}:SCALE": linear_scale(splats),
+        f"{EXTENSION_NAME}:OPACITY": sigmoid(splats.logit_opacity)[:, None],
     }
     bands = range(splats.degree + 1)
     pairs = [(band, index) for band in bands for index in range(2 * band + 1)]
@@ -168,11 +174,11 @@ def _document(arrays: dict[str, Float32[np.ndarray, "n w"]], splats: Splats) -> 
     primitive = {
         "mode": 0,
         "attributes": {name: index for index, name in enumerate(arrays)},
-        "extensions": {NAME: extension},
+        "extensions": {EXTENSION_NAME: extension},
     }
     return {
         "asset": {"version": "2.0", "generator": f"gsgen {version('gsgen')}"},
-        "extensionsUsed": [NAME],
+        "extensionsUsed": [EXTENSION_NAME],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],

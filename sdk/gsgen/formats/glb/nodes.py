@@ -11,7 +11,13 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.formats.glb.container import Container, Json, array_member, number_member, whole_number
+from gsgen.formats.glb.container import (
+    Container,
+    Json,
+    array_member,
+    number_member,
+    require_integer,
+)
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.quantities import log, rotations, unit
@@ -20,46 +26,50 @@ from gsgen.formats.shared.splats import Splats
 Matrix = Float64[np.ndarray, "4 4"]
 
 _IDENTITY = tuple(np.eye(4).flatten().tolist())
-_DEEPEST = 200
+_MAX_DEPTH = 200
 
 
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
     """Yield the meshes of a glTF scene, each with its mesh→world matrix."""
-    todo = [(index, np.eye(4), 0) for index in reversed(_roots(glb))]
+    pending_nodes = [(index, np.eye(4), 0) for index in reversed(_roots(glb))]
     visited: set[int] = set()
-    while todo:
-        index, above, depth = todo.pop()
+    while pending_nodes:
+        index, parent_matrix, depth = pending_nodes.pop()
         where = f"nodes[{index}]"
-        if index in visited or depth > _DEEPEST:
+        if index in visited or depth > _MAX_DEPTH:
             raise HeaderMalformed(
                 "the node is its own ancestor or has two parents", where=where, expected="a tree"
             )
         visited.add(index)
         node = glb.item("nodes", index, where)
-        matrix = above @ _local(node, where)
+        matrix = parent_matrix @ _local_matrix(node, where)
         if "mesh" in node:
-            yield whole_number(node["mesh"], f"{where}.mesh"), matrix
-        inner = [
-            whole_number(child, f"{where}.children")
+            yield require_integer(node["mesh"], f"{where}.mesh"), matrix
+        child_indices = [
+            require_integer(child, f"{where}.children")
             for child in array_member(node, "children", where)
         ]
-        todo += [(child, matrix, depth + 1) for child in reversed(inner)]
+        pending_nodes += [(child, matrix, depth + 1) for child in reversed(child_indices)]
 
 
 def _roots(glb: Container) -> list[int]:
     if "scenes" in glb.document:
         scene = glb.item("scenes", glb.document.get("scene", 0), "scene")
-        return [whole_number(root, "scene.nodes") for root in array_member(scene, "nodes", "scene")]
+        return [
+            require_integer(root, "scene.nodes") for root in array_member(scene, "nodes", "scene")
+        ]
     nodes = array_member(glb.document, "nodes", "document")
-    inner: set[Any] = set()
+    child_indices: set[Any] = set()
     for index, node in enumerate(nodes):
         if isinstance(node, dict):
             children = array_member(node, "children", f"nodes[{index}]")
-            inner |= {whole_number(child, f"nodes[{index}].children") for child in children}
-    return [index for index in range(len(nodes)) if index not in inner]
+            child_indices |= {
+                require_integer(child, f"nodes[{index}].children") for child in children
+            }
+    return [index for index in range(len(nodes)) if index not in child_indices]
 
 
-def _local(node: Json, where: str) -> Matrix:
+def _local_matrix(node: Json, where: str) -> Matrix:
     if "matrix" in node:
         matrix = np.array(number_member(node, "matrix", _IDENTITY, where)).reshape(4, 4).T
     else:
@@ -83,39 +93,39 @@ def _local(node: Json, where: str) -> Matrix:
     return np.asarray(matrix)
 
 
-def moved(splats: Splats, matrix: Matrix) -> Splats:
+def transform_splats(splats: Splats, matrix: Matrix) -> Splats:
     """Transform ``splats`` by a matrix M: Σ becomes M Σ Mᵀ, and SH are rotated."""
     linear = matrix[:3, :3]
     if np.array_equal(matrix, np.eye(4)):
         return splats
-    u, sizes, right = np.linalg.svd(linear)
-    turn = u @ right
+    u, sizes, right_vectors = np.linalg.svd(linear)
+    rotation_part = u @ right_vectors
     position = splats.position @ linear.T + matrix[:3, 3]
     if np.allclose(sizes, sizes[0], rtol=1e-6):  # without shear the axes stay orthogonal
-        rotation = _turned(splats.rotation, turn)
+        rotation = _rotated_quaternions(splats.rotation, rotation_part)
         log_scale = splats.log_scale + np.float32(np.log(sizes[0]))
     else:
-        spread = np.einsum("ij,njk->nik", linear, rotation_matrix(splats.rotation))
+        ellipsoid_axes = np.einsum("ij,njk->nik", linear, rotation_matrix(splats.rotation))
         with np.errstate(over="ignore"):
-            spread *= np.exp(splats.log_scale.astype(np.float64))[:, None, :]
-        axes, scale = _axes(spread)
+            ellipsoid_axes *= np.exp(splats.log_scale.astype(np.float64))[:, None, :]
+        axes, scale = _axes(ellipsoid_axes)
         rotation, log_scale = rotations(axes), log(scale)
     return replace(
         splats,
         position=position.astype(np.float32),
         rotation=rotation,
         log_scale=log_scale.astype(np.float32),
-        sh=rotate_sh(splats.sh, turn),
+        sh=rotate_sh(splats.sh, rotation_part),
     )
 
 
-def _turned(
-    rotation: Float32[np.ndarray, "n 4"], turn: Float64[np.ndarray, "3 3"]
+def _rotated_quaternions(
+    rotation: Float32[np.ndarray, "n 4"], rotation_part: Float64[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n 4"]:
     """Rotate quaternions by a rotation matrix, and make their largest component positive."""
-    w, x, y, z = rotations(turn[None])[0].astype(np.float64)
+    w, x, y, z = rotations(rotation_part[None])[0].astype(np.float64)
     a, b, c, d = unit(rotation).T.astype(np.float64)
-    turned = np.stack(
+    quaternions = np.stack(
         [
             w * a - x * b - y * c - z * d,
             x * a + w * b - z * c + y * d,
@@ -123,15 +133,15 @@ def _turned(
             z * a - y * b + x * c + w * d,
         ]
     )
-    largest = np.abs(turned).argmax(axis=0)
-    turned *= np.where(turned[largest, np.arange(len(largest))] < 0, -1.0, 1.0)
-    return np.ascontiguousarray(turned.T, np.float32)
+    largest = np.abs(quaternions).argmax(axis=0)
+    quaternions *= np.where(quaternions[largest, np.arange(len(largest))] < 0, -1.0, 1.0)
+    return np.ascontiguousarray(quaternions.T, np.float32)
 
 
 def _axes(
-    spread: Float64[np.ndarray, "n 3 3"],
+    ellipsoid_axes: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
     """Decompose covariances S Sᵀ of 3×3 matrices S into rotations and standard deviations."""
-    u, sizes, _ = np.linalg.svd(spread)
+    u, sizes, _ = np.linalg.svd(ellipsoid_axes)
     u[:, :, 2] *= np.sign(np.linalg.det(u))[:, None]
     return u, sizes

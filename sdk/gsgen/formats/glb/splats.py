@@ -19,13 +19,13 @@ from gsgen.formats.shared.errors import (
     NotSupported,
     PropertyMissing,
     ValueInvalid,
-    shown,
+    quoted,
 )
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.spz import container, streams
 
-NAME: Final = "KHR_gaussian_splatting"
+EXTENSION_NAME: Final = "KHR_gaussian_splatting"
 COLOR_SPACES: Final[dict[str, Literal["srgb", "linear"]]] = {
     "srgb_rec709_display": "srgb",
     "lin_rec709_display": "linear",
@@ -36,14 +36,16 @@ _SPZ = (
     "KHR_gaussian_splatting_compression_spz",
     "KHR_spz_gaussian_splats_compression",
 )
-_POINTS = 0
-_COEFFICIENT = re.compile(re.escape(NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
+_POINTS_MODE = 0
+_COEFFICIENT_NAME = re.compile(re.escape(EXTENSION_NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
 
 
 def is_splats(primitive: Json) -> bool:
     """Return whether a glTF primitive holds splats by KHR_gaussian_splatting or a draft of it."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
-    has_extension = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
+    has_extension = isinstance(extensions, dict) and any(
+        key in extensions for key in (EXTENSION_NAME, *_SPZ)
+    )
     return has_extension or (isinstance(attributes, dict) and _is_drafted(attributes))
 
 
@@ -54,13 +56,13 @@ def _is_drafted(attributes: Json) -> bool:
 def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
     """Decode the splats of a glTF primitive."""
     extensions = object_member(primitive, "extensions", where)
-    extension = object_member(extensions, NAME, where)
+    extension = object_member(extensions, EXTENSION_NAME, where)
     mode = primitive.get("mode", 4)
-    if mode != _POINTS:
-        raise HeaderMalformed(shown(str(mode)), where=f"{where}, mode", expected="0, points")
+    if mode != _POINTS_MODE:
+        raise HeaderMalformed(quoted(str(mode)), where=f"{where}, mode", expected="0, points")
     space: Literal["srgb", "linear"] = "srgb"
     attributes = object_member(primitive, "attributes", where)
-    if NAME in extensions:
+    if EXTENSION_NAME in extensions:
         space = _color_space(extension, attributes, where)
     packed = extensions | object_member(extension, "extensions", where)
     for name in _SPZ:
@@ -75,13 +77,13 @@ def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) 
 def _color_space(extension: Json, attributes: Json, where: str) -> Literal["srgb", "linear"]:
     kernel, space = extension.get("kernel", "ellipse"), extension.get("colorSpace")
     if kernel != "ellipse":
-        raise NotSupported(shown(str(kernel)), where=f"{where}, kernel", expected="ellipse")
+        raise NotSupported(quoted(str(kernel)), where=f"{where}, kernel", expected="ellipse")
     # Drafts do not state it, whether they store SPZ or attributes of their own names.
     if space is None and ("extensions" in extension or _is_drafted(attributes)):
         return "srgb"
     if not isinstance(space, str) or space not in COLOR_SPACES:
         raise NotSupported(
-            "missing" if space is None else shown(str(space)),
+            "missing" if space is None else quoted(str(space)),
             where=f"{where}, colorSpace",
             expected=" or ".join(COLOR_SPACES),
         )
@@ -109,17 +111,17 @@ def _from_attributes(
 ) -> Splats:
     arrays = _Arrays(glb, attributes, where)
     position = arrays.read("POSITION", widths=(3,))
-    rotation = arrays.read(f"{NAME}:ROTATION", "_ROTATION", widths=(4,))
-    scale = arrays.read(f"{NAME}:SCALE", "_SCALE", widths=(3,))
+    rotation = arrays.read(f"{EXTENSION_NAME}:ROTATION", "_ROTATION", widths=(4,))
+    scale = arrays.read(f"{EXTENSION_NAME}:SCALE", "_SCALE", widths=(3,))
     color = None
-    if f"{NAME}:OPACITY" in attributes:
-        opacity = arrays.read(f"{NAME}:OPACITY", widths=(1,))[:, 0]
+    if f"{EXTENSION_NAME}:OPACITY" in attributes:
+        opacity = arrays.read(f"{EXTENSION_NAME}:OPACITY", widths=(1,))[:, 0]
         sh = _harmonics(arrays, attributes, where)
     else:
         color = arrays.read("COLOR_0", widths=(4,))
         opacity, sh = color[:, 3], ((color[:, None, :3] - 0.5) / SH_C0).astype(np.float32)
-    _require(scale, scale >= 0, f"{where}, SCALE", "0 or more")
-    _require(opacity, (opacity >= 0) & (opacity <= 1), f"{where}, OPACITY", "0 to 1")
+    _require_valid(scale, scale >= 0, f"{where}, SCALE", "0 or more")
+    _require_valid(opacity, (opacity >= 0) & (opacity <= 1), f"{where}, OPACITY", "0 to 1")
     return Splats(
         position=position,
         rotation=unit(rotation[:, [3, 0, 1, 2]]),
@@ -134,7 +136,7 @@ class _Arrays:
     """Reads the attribute arrays of one glTF primitive, which must have equal lengths."""
 
     def __init__(self, glb: Container, attributes: dict[str, Any], where: str) -> None:
-        self._glb, self._attributes, self._where = glb, attributes, where
+        self._glb, self._attributes, self._location = glb, attributes, where
         self._rows: int | None = None
 
     def read(self, *names: str, widths: tuple[int, ...]) -> Float32[np.ndarray, "n w"]:
@@ -143,10 +145,10 @@ class _Arrays:
         if name is None:
             raise PropertyMissing(
                 f"the primitive lacks the attribute {names[0]}",
-                where=self._where,
-                expected=f"POSITION, and ROTATION, SCALE, OPACITY and SH of {NAME}",
+                where=self._location,
+                expected=f"POSITION, and ROTATION, SCALE, OPACITY and SH of {EXTENSION_NAME}",
             )
-        where = f"{self._where}, attribute {name}"
+        where = f"{self._location}, attribute {name}"
         array = read_accessor(self._glb, self._attributes[name], widths, where)
         if self._rows is not None and len(array) != self._rows:
             raise HeaderMalformed(
@@ -160,7 +162,9 @@ class _Arrays:
 
 def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndarray, "n k 3"]:
     stored_pairs = {
-        (int(match[1]), int(match[2])) for match in map(_COEFFICIENT.fullmatch, attributes) if match
+        (int(match[1]), int(match[2]))
+        for match in map(_COEFFICIENT_NAME.fullmatch, attributes)
+        if match
     }
     degree = max((band for band, _ in stored_pairs), default=0)
     if degree >= len(SH_COUNTS):
@@ -184,10 +188,10 @@ def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndar
 
 def coefficient(band: int, index: int) -> str:
     """Return the glTF attribute name of the SH coefficient of degree ``band`` at ``index``."""
-    return f"{NAME}:SH_DEGREE_{band}_COEF_{index}"
+    return f"{EXTENSION_NAME}:SH_DEGREE_{band}_COEF_{index}"
 
 
-def _require(
+def _require_valid(
     values: Float32[np.ndarray, "..."], is_valid: Bool[np.ndarray, "..."], where: str, expected: str
 ) -> None:
     if not is_valid.all():

@@ -22,7 +22,7 @@ def decimate(splats: Splats, count: int) -> Splats:
     if count >= len(splats):
         return splats
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
-    cube = Cube.around(low.astype(np.float64), high.astype(np.float64))
+    cube = Cube.enclosing(low.astype(np.float64), high.astype(np.float64))
     codes = morton_codes(splats.position, cube)
     mixture = mixture_of(splats, codes)
     mixture = mixture.rows(np.argsort(codes, kind="stable"))
@@ -43,14 +43,14 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
     """Return the first splat of each of at most ``count`` clusters of Morton-sorted splats."""
     # Row i separates from row i − 1 at this depth; the first row separates at once.
     separation = np.concatenate([[0], separation_depths(mixture.code)])
-    occupied = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
-    depth = max(0, int(np.searchsorted(occupied, count, side="right")) - 1)
+    cell_counts = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
+    depth = max(0, int(np.searchsorted(cell_counts, count, side="right")) - 1)
     is_start = separation <= depth
     if depth == DEPTH:
         return np.flatnonzero(is_start)
     cell = np.cumsum(is_start) - 1
     parts = np.bincount(cell[separation == depth + 1], minlength=int(cell[-1]) + 1)
-    order = np.argsort(-_spread(mixture, cell), kind="stable")
+    order = np.argsort(-_cell_scatter(mixture, cell), kind="stable")
     order = order[parts[order] > 0]
     is_split = np.zeros(len(parts), bool)
     is_split[
@@ -59,7 +59,7 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
     return np.flatnonzero(is_start | ((separation == depth + 1) & is_split[cell]))
 
 
-def _spread(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
+def _cell_scatter(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
     """Return each octree cell's sum of mass × squared distance from the mean, over its splats."""
     mass = mixture.mass
     total = np.maximum(np.bincount(cell, mass), np.finfo(np.float64).tiny)

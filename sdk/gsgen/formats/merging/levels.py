@@ -45,11 +45,11 @@ def choose_cells(
     """
     separation = np.maximum(separation_depths(code), depth)
     # Rows that begin a cell at depth d are those that separate at d or before.
-    begun = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
-    occupied = 1 + begun[depth:]
+    started_cells = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
+    cell_counts = 1 + started_cells[depth:]
     if depth < DEPTH:  # at the depth of the tile itself there is one cell
-        occupied[0] = 1
-    cell_depth = depth + int(np.argmin(np.abs(np.log(occupied / target))))
+        cell_counts[0] = 1
+    cell_depth = depth + int(np.argmin(np.abs(np.log(cell_counts / target))))
     starts = np.flatnonzero(separation <= cell_depth) + 1
     if cell_depth == depth:
         starts = starts[:0]
@@ -68,22 +68,22 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
     mass = mixture.mass
     # 1. Cells: as many as the level should have splats, within what powers of two allow.
     cell_depth, starts = choose_cells(mixture.code, depth, target)
-    retained = _largest(mass, starts, int(target))
+    is_retained = _select_largest(mass, starts, int(target))
     # 2. Where these cells are too many, coarser ones leave room for the largest splats. They are
     #    better where these splats are most of what is seen: merging large splats blurs most.
     if len(starts) > target and cell_depth > depth:
-        coarse = _starts(cell_codes(mixture.code, cell_depth - 1))
-        unmerged = _largest(mass, coarse, int(target))
-        if float(mass[unmerged].sum()) > RETAINED_MASS * float(mass.sum()):
-            cell_depth, starts, retained = cell_depth - 1, coarse, unmerged
+        coarse_starts = _starts(cell_codes(mixture.code, cell_depth - 1))
+        is_unmerged = _select_largest(mass, coarse_starts, int(target))
+        if float(mass[is_unmerged].sum()) > RETAINED_MASS * float(mass.sum()):
+            cell_depth, starts, is_retained = cell_depth - 1, coarse_starts, is_unmerged
     # 3. The largest splats stay as they are: each becomes a cluster of its own.
-    if retained.any():
+    if is_retained.any():
         cells = _cell_numbers(starts, len(mixture))
-        number = np.where(retained, np.arange(1, len(mixture) + 1), 0)
+        number = np.where(is_retained, np.arange(1, len(mixture) + 1), 0)
         order = np.lexsort((number, cells))
         mixture, cells, number = mixture.rows(order), cells[order], number[order]
-        new = (cells[1:] != cells[:-1]) | (number[1:] != number[:-1])
-        starts = np.concatenate([np.zeros(1, np.int64), np.flatnonzero(new) + 1])
+        is_new_cluster = (cells[1:] != cells[:-1]) | (number[1:] != number[:-1])
+        starts = np.concatenate([np.zeros(1, np.int64), np.flatnonzero(is_new_cluster) + 1])
     merged = merge_clusters(mixture, starts)
     # 4. A retained splat may have a code before that of the cluster beside it.
     merged = merged.rows(np.argsort(merged.code, kind="stable"))
@@ -100,7 +100,7 @@ def _cell_numbers(starts: Int64[np.ndarray, " m"], count: int) -> Int64[np.ndarr
     return np.repeat(np.arange(len(starts)), np.diff(starts, append=count))
 
 
-def _largest(
+def _select_largest(
     mass: Float64[np.ndarray, " n"], starts: Int64[np.ndarray, " m"], count: int
 ) -> Bool[np.ndarray, " n"]:
     """Return the mask of the largest splats to keep unmerged, for a level of ``count`` splats.
@@ -112,12 +112,12 @@ def _largest(
         starts: First row of each cell.
         count: Splats of the level, those of the cells included.
     """
-    retained = np.zeros(len(mass), bool)
+    is_retained = np.zeros(len(mass), bool)
     if count <= len(starts):
-        return retained
+        return is_retained
     # 1. No more than ``count`` can stay: sort these alone.
-    least = np.partition(mass, len(mass) - count)[len(mass) - count]
-    rows = np.flatnonzero(mass >= least)
+    threshold = np.partition(mass, len(mass) - count)[len(mass) - count]
+    rows = np.flatnonzero(mass >= threshold)
     rows = rows[np.argsort(-mass[rows], kind="stable")[:count]]
     # 2. How many of its cell have gone before each row.
     cell = _cell_numbers(starts, len(mass))[rows]
@@ -125,11 +125,11 @@ def _largest(
     run = _starts(cell[by_cell])
     rank = np.empty(len(rows), np.int64)
     rank[by_cell] = np.arange(len(rows)) - np.repeat(run, np.diff(run, append=len(rows)))
-    adds = rank + 1 < np.diff(starts, append=len(mass))[cell]
+    is_added = rank + 1 < np.diff(starts, append=len(mass))[cell]
     # 3. As many as there is room for.
-    fitting = np.searchsorted(np.cumsum(adds), count - len(starts), side="right")
-    retained[rows[:fitting]] = True
-    return retained
+    fitting_count = np.searchsorted(np.cumsum(is_added), count - len(starts), side="right")
+    is_retained[rows[:fitting_count]] = True
+    return is_retained
 
 
 def stored_degree(mixture: Mixture) -> int:

@@ -37,7 +37,7 @@ SPREAD: Final = 2.0
 """κ: how much wider than its members' centres a merged Gaussian is, in variance."""
 WIDEN: Final = 1.1
 """f: how much wider a merged Gaussian is at last, in standard deviations."""
-_DIGITS: Final = 6  # eigenvectors are rounded: their last bits differ between machines
+_ROUNDED_DIGITS: Final = 6  # eigenvectors are rounded: their last bits differ between machines
 
 
 def merge_clusters(
@@ -72,27 +72,27 @@ def merge_clusters(
     sizes = np.diff(first, append=len(cluster))
     number = np.repeat(np.arange(len(first)), sizes)
     # 2. Weights that sum to 1 in each cluster.
-    total = _sums(number, mass, len(first))
+    total = _group_sums(number, mass, len(first))
     weight = mass / total[number]
     # 3. Moments. Offsets from the first member keep digits far from the origin.
     origin = mixture.mean[first]
     offset = mixture.mean - origin[number]
-    mean = _weighted(number, weight, offset, len(first))
+    mean = _group_means(number, weight, offset, len(first))
     offset -= mean[number]
     scatter = np.stack([offset[:, i] * offset[:, j] for i, j in UPPER_TRIANGLE], axis=1)
     members = mixture.covariance + spread * scatter
-    covariance = widen**2 * _weighted(number, weight, members, len(first))
-    flat = mixture.sh.reshape(len(mixture), -1)
-    sh = _weighted(number, weight, flat, len(first)).astype(np.float32)
+    covariance = widen**2 * _group_means(number, weight, members, len(first))
+    flat_sh = mixture.sh.reshape(len(mixture), -1)
+    sh = _group_means(number, weight, flat_sh, len(first)).astype(np.float32)
     # 4. A single member stays as it is; the others are turned into ellipsoids.
     scale, rotation = mixture.scale[first], mixture.rotation[first]
-    several = sizes > 1
-    if several.any():
-        scale[several], rotation[several] = ellipsoids(covariance[several])
+    is_merged = sizes > 1
+    if is_merged.any():
+        scale[is_merged], rotation[is_merged] = ellipsoids(covariance[is_merged])
     opacity = mixture.opacity[first]
-    area = surface_area(scale[several])
-    opacity[several] = np.minimum(total[several] / area, MAX_OPACITY)
-    covariance[~several] = mixture.covariance[first[~several]]
+    area = surface_area(scale[is_merged])
+    opacity[is_merged] = np.minimum(total[is_merged] / area, MAX_OPACITY)
+    covariance[~is_merged] = mixture.covariance[first[~is_merged]]
     return Mixture(
         code=mixture.code[first],
         mean=origin + mean,
@@ -104,17 +104,17 @@ def merge_clusters(
     )
 
 
-def _weighted(
+def _group_means(
     number: Int64[np.ndarray, " n"],
     weight: Float64[np.ndarray, " n"],
     values: Float[np.ndarray, "n c"],
     clusters: int,
 ) -> Float64[np.ndarray, "m c"]:
-    columns = [_sums(number, weight * column, clusters) for column in values.T]
+    columns = [_group_sums(number, weight * column, clusters) for column in values.T]
     return np.stack(columns, axis=1)
 
 
-def _sums(
+def _group_sums(
     number: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"], clusters: int
 ) -> Float64[np.ndarray, " m"]:
     """Sum the values of the Gaussians of each cluster, in float64 and in order."""
@@ -134,12 +134,12 @@ def ellipsoids(
     """
     value, vector = np.linalg.eigh(symmetric(covariance))
     scale = np.sqrt(np.maximum(value, 0))
-    vector = np.round(vector, _DIGITS)
+    vector = np.round(vector, _ROUNDED_DIGITS)
     largest = np.abs(vector).argmax(axis=1)[:, None, :]
     sign = np.where(np.take_along_axis(vector, largest, axis=1) < 0, -1.0, 1.0)
     vector *= sign
     vector[:, :, 2] *= np.where(np.linalg.det(vector) < 0, -1.0, 1.0)[:, None]
     rotation = rotations(vector)
-    ball = value[:, 2] - value[:, 0] <= 10.0**-_DIGITS * value[:, 2]
-    rotation[ball] = np.array([1, 0, 0, 0], np.float32)
+    is_isotropic = value[:, 2] - value[:, 0] <= 10.0**-_ROUNDED_DIGITS * value[:, 2]
+    rotation[is_isotropic] = np.array([1, 0, 0, 0], np.float32)
     return scale, rotation

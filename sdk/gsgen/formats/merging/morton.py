@@ -18,7 +18,7 @@ from gsgen.formats.shared.morton import interleave_bits
 DEPTH: Final = 21
 """Bits of a code along each axis, and the deepest level of the octree."""
 
-_CELLS: Final = 1 << DEPTH
+_CELLS_PER_SIDE: Final = 1 << DEPTH
 
 
 @final
@@ -35,14 +35,14 @@ class Cube:
     side: float
 
     @classmethod
-    def around(cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> "Cube":
+    def enclosing(cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> "Cube":
         """Return a cube around an axis-aligned box, with the same centre.
 
         The side is a little longer than the box, and never shorter than float64 can divide.
         """
         center = (low + high) / 2
-        reach = float(np.abs([low, high]).max())
-        side = max(float((high - low).max()), reach * 1e-9, 1e-9) * (1 + 1e-9)
+        max_coordinate = float(np.abs([low, high]).max())
+        side = max(float((high - low).max()), max_coordinate * 1e-9, 1e-9) * (1 + 1e-9)
         corner = center - side / 2
         return cls((float(corner[0]), float(corner[1]), float(corner[2])), side)
 
@@ -68,7 +68,7 @@ def morton_codes(position: Float[np.ndarray, "n 3"], cube: Cube) -> UInt64[np.nd
     Positions beyond the cube have the code of its nearest cell.
     """
     share = (position.astype(np.float64) - np.asarray(cube.low)) / cube.side
-    cells = np.clip(np.floor(share * _CELLS), 0, _CELLS - 1).astype(np.uint64)
+    cells = np.clip(np.floor(share * _CELLS_PER_SIDE), 0, _CELLS_PER_SIDE - 1).astype(np.uint64)
     return interleave_bits(*cells.T)
 
 

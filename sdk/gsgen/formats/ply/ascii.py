@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.ply.header import Element, Header
-from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, shown
+from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, quoted
 
 CHUNK_ROWS = 1 << 12
 MAX_LINE = 1 << 24
@@ -27,55 +27,55 @@ def ascii_rows(
             early (raised by the iterator).
         BodyMalformed: A row holds too many or too few values, or values that are not numbers.
     """
-    _require_room(data, header, vertex)
+    _require_length(data, header, vertex)
     return _chunks(data, header, vertex)
 
 
 def _chunks(
     data: mmap.mmap, header: Header, vertex: Element
 ) -> Iterator[dict[str, Float64[np.ndarray, " rows"]]]:
-    lines = _lines(data, header.body)
-    for element in _before(header, vertex):
-        _take(lines, element)
+    lines = _lines(data, header.body_offset)
+    for element in _preceding_elements(header, vertex):
+        _skip_element(lines, element)
     for start in range(0, vertex.count, CHUNK_ROWS):
         rows = list(islice(lines, min(CHUNK_ROWS, vertex.count - start)))
         if len(rows) < min(CHUNK_ROWS, vertex.count - start):
-            raise _ended(vertex, start + len(rows))
+            raise _truncated_error(vertex, start + len(rows))
         table = _parse(rows, start, len(vertex.properties))
         yield dict(zip(vertex.types, table.T, strict=True))
 
 
-def _before(header: Header, vertex: Element) -> tuple[Element, ...]:
+def _preceding_elements(header: Header, vertex: Element) -> tuple[Element, ...]:
     """Return the PLY elements that come before ``vertex`` in the file and have properties."""
     elements = header.elements[: header.elements.index(vertex)]
     return tuple(element for element in elements if element.properties)
 
 
-def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
+def _require_length(data: mmap.mmap, header: Header, vertex: Element) -> None:
     """Raise FileTruncated if a text PLY file is too short for its number of rows."""
-    remaining = len(data) - header.body
-    for element in (*_before(header, vertex), vertex):
+    remaining = len(data) - header.body_offset
+    for element in (*_preceding_elements(header, vertex), vertex):
         # A digit and a blank or line end for each value; the last line may lack its end.
-        least = 2 * len(element.properties) * element.count - 1
-        if least > remaining:
+        min_bytes = 2 * len(element.properties) * element.count - 1
+        if min_bytes > remaining:
             raise FileTruncated(
-                f"the {element.count} rows need {least} bytes or more, but {remaining} are left",
-                where=f"element {shown(element.name)}",
+                f"the {element.count} rows need {min_bytes} bytes or more, but {remaining} are left",
+                where=f"element {quoted(element.name)}",
                 hint="copy or download the file again",
             )
 
 
-def _take(lines: Iterator[str], element: Element) -> None:
+def _skip_element(lines: Iterator[str], element: Element) -> None:
     """Skip the lines of a PLY element in a text file: one line per row, lists included."""
     rows = sum(1 for _ in islice(lines, element.count))
     if rows < element.count:
-        raise _ended(element, rows)
+        raise _truncated_error(element, rows)
 
 
-def _ended(element: Element, rows: int) -> FileTruncated:
+def _truncated_error(element: Element, rows: int) -> FileTruncated:
     return FileTruncated(
         f"the file ends after {rows} of {element.count} rows",
-        where=f"element {shown(element.name)}",
+        where=f"element {quoted(element.name)}",
         hint="copy or download the file again",
     )
 
@@ -102,13 +102,13 @@ def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows
     try:
         table = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise _diagnosis(rows, first, width, str(error)) from error
+        raise _first_row_error(rows, first, width, str(error)) from error
     if table.shape != (len(rows), width):
-        raise _diagnosis(rows, first, width, f"{table.shape[1]} values per row")
+        raise _first_row_error(rows, first, width, f"{table.shape[1]} values per row")
     return table
 
 
-def _diagnosis(rows: list[str], first: int, width: int, trouble: str) -> BodyMalformed:
+def _first_row_error(rows: list[str], first: int, width: int, problem: str) -> BodyMalformed:
     """Return the error of the first invalid row of a text PLY file, or a general error."""
     for number, row in enumerate(rows, start=first):
         values = row.split()
@@ -118,9 +118,9 @@ def _diagnosis(rows: list[str], first: int, width: int, trouble: str) -> BodyMal
             return BodyMalformed(f"{len(values)} values", where=where, expected=expected)
         for value in values:
             if not _is_number(value):
-                return BodyMalformed(shown(value), where=where, expected="a number")
+                return BodyMalformed(quoted(value), where=where, expected="a number")
     where = f"element 'vertex', rows {first} to {first + len(rows) - 1}"
-    return BodyMalformed(trouble, where=where, expected=f"{width} numbers in each")
+    return BodyMalformed(problem, where=where, expected=f"{width} numbers in each")
 
 
 def _is_number(text: str) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from gsgen.formats.ply.header import Element, Header, Property
-from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, shown
+from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, quoted
 
 CHUNK_ROWS = 1 << 12
 """Rows a chunk; they fit in a processor's cache while their columns are copied."""
@@ -36,17 +36,17 @@ def binary_rows(
 
 def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
     """Return the byte offset of the PLY element ``vertex``; raise if the file is too short."""
-    start = header.body
+    start = header.body_offset
     for element in header.elements[: header.elements.index(vertex)]:
-        start = _end(data, header, element, start)
-    _require_room(data, vertex, start)
+        start = _element_end(data, header, element, start)
+    _require_length(data, vertex, start)
     return start
 
 
-def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
+def _element_end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
     """Return the byte offset after the PLY element ``element`` that begins at byte ``start``."""
     if not element.has_lists:
-        _require_room(data, element, start)
+        _require_length(data, element, start)
         return start + element.count * element.row_bytes
     for row in range(element.count):
         for item in element.properties:
@@ -55,7 +55,7 @@ def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
             if start > len(data):
                 raise FileTruncated(
                     f"the file ends after {row} of {element.count} rows",
-                    where=f"element {shown(element.name)}",
+                    where=f"element {quoted(element.name)}",
                     hint="copy or download the file again",
                 )
     return start
@@ -66,22 +66,22 @@ def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: in
     if item.count_type is None:
         return 1
     count = data[start : start + int(item.count_type[1])]
-    signed = item.count_type[0] == "i"
-    length = int.from_bytes(count, header.byte_order, signed=signed)
+    is_signed = item.count_type[0] == "i"
+    length = int.from_bytes(count, header.byte_order, signed=is_signed)
     if length < 0:
-        where = f"property {shown(item.name)}, row {row}, byte {start}"
+        where = f"property {quoted(item.name)}, row {row}, byte {start}"
         raise BodyMalformed(
             f"the list has {length} values", where=where, expected="0 values or more"
         )
     return length
 
 
-def _require_room(data: mmap.mmap, element: Element, start: int) -> None:
-    needed, remaining = element.count * element.row_bytes, len(data) - start
-    if needed > remaining:
+def _require_length(data: mmap.mmap, element: Element, start: int) -> None:
+    needed_bytes, remaining = element.count * element.row_bytes, len(data) - start
+    if needed_bytes > remaining:
         raise FileTruncated(
-            f"the {element.count} rows of {element.row_bytes} bytes need {needed} bytes, "
+            f"the {element.count} rows of {element.row_bytes} bytes need {needed_bytes} bytes, "
             f"but {remaining} are left from byte {start} on",
-            where=f"element {shown(element.name)}",
+            where=f"element {quoted(element.name)}",
             hint="copy or download the file again",
         )

@@ -13,7 +13,7 @@ from gsgen.formats.ply.header import parse_header
 from gsgen.formats.ply.layout import find_vertex, is_splat, splat_degree, splat_groups
 from gsgen.formats.ply.packed import is_packed
 from gsgen.formats.shared.errors import FileTruncated
-from gsgen.formats.shared.files import FilePath, mapped, naming
+from gsgen.formats.shared.files import FilePath, map_file, naming
 from gsgen.formats.shared.splats import Splats
 
 
@@ -49,7 +49,7 @@ def ply_table(path: FilePath) -> PlyTable | None:
         None where rows cannot be read by ranges: the numbers are text, big-endian, packed or of
         several types, or the file holds points. :func:`~gsgen.formats.read_ply` reads those.
     """
-    with mapped(path) as data:
+    with map_file(path) as data:
         header = parse_header(data)
         if is_packed(header):
             return None

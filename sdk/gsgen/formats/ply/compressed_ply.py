@@ -11,7 +11,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from gsgen.formats.ply import packed_rows as rows
 from gsgen.formats.ply.header import ANTIALIASED_COMMENT
-from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.morton import morton_order
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
@@ -38,18 +38,18 @@ def write_compressed_ply(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
-    ordered = _ordered(splats)
+    sorted_splats = _sort_splats(splats)
     higher_count = 3 * (splats.sh.shape[1] - 1)
-    with replacing(path) as file:
-        boxes, words = _packed(ordered)
+    with replace_file(path) as file:
+        boxes, words = _packed(sorted_splats)
         file.write(_header(len(boxes), splats, higher_count))
         file.write(boxes.astype("<f4").tobytes())
         file.write(words.astype("<u4").tobytes())
-        channels = ordered.sh[:, 1:].swapaxes(1, 2).reshape(len(splats), higher_count)
+        channels = sorted_splats.sh[:, 1:].swapaxes(1, 2).reshape(len(splats), higher_count)
         file.write(rows.pack_sh(channels).tobytes())
 
 
-def _ordered(splats: Splats) -> Splats:
+def _sort_splats(splats: Splats) -> Splats:
     order = compressed_order(splats)
     limit = np.float32(rows.LARGEST_LOG_SCALE)
     return replace(
@@ -68,7 +68,7 @@ def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
     parts = (splats.position, splats.log_scale, color)
     boxes = [_box(part) for part in parts]
     (p_low, p_high), (s_low, s_high), (c_low, c_high) = (
-        [np.repeat(end, rows.CHUNK, axis=0)[: len(splats)] for end in box] for box in boxes
+        [np.repeat(end, rows.ROWS_PER_CHUNK, axis=0)[: len(splats)] for end in box] for box in boxes
     )
     words = [
         rows.pack_in_box(splats.position, p_low, p_high),
@@ -84,14 +84,17 @@ def _box(
     values: Float32[np.ndarray, "n 3"] | Float64[np.ndarray, "n 3"],
 ) -> Sequence[Float32[np.ndarray, "c 3"]]:
     """Return the minimum and the maximum of each chunk of 256 rows."""
-    starts = np.arange(0, len(values), rows.CHUNK)
+    starts = np.arange(0, len(values), rows.ROWS_PER_CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     return low.astype(np.float32), high.astype(np.float32)
 
 
 def _header(boxes: int, splats: Splats, higher_count: int) -> bytes:
     count = len(splats)
-    elements = [("chunk", boxes, "float", rows.BOX), ("vertex", count, "uint", rows.WORDS)]
+    elements = [
+        ("chunk", boxes, "float", rows.BOX_PROPERTIES),
+        ("vertex", count, "uint", rows.PACKED_PROPERTIES),
+    ]
     if higher_count:
         names = tuple(f"f_rest_{index}" for index in range(higher_count))
         elements.append(("sh", count, "uchar", names))

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import Final, Literal, final, get_args
 
-from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, NotRecognised, shown
+from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, NotRecognised, quoted
 
 Encoding = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 """The encodings of the rows of a PLY file."""
@@ -26,7 +26,7 @@ MAX_HEADER = 1 << 20
 MAX_COUNT_DIGITS = 18
 """The most digits of an element count; more rows would not fit on any disk."""
 
-TYPES = {
+PROPERTY_TYPES = {
     "char": "i1",
     "uchar": "u1",
     "short": "i2",
@@ -94,7 +94,7 @@ class Header:
 
     encoding: Encoding
     elements: tuple[Element, ...]
-    body: int
+    body_offset: int
     comments: tuple[str, ...] = ()
     infos: tuple[str, ...] = ()
 
@@ -122,7 +122,7 @@ def parse_header(data: mmap.mmap) -> Header:
         FileTruncated: The data ends inside the header.
         HeaderMalformed: A line breaks the rules of the format.
     """
-    lines, body = _split(data)
+    lines, body_offset = _split(data)
     encoding: Encoding | None = None
     tables: dict[str, tuple[int, dict[str, Property]]] = {}
     comments: list[str] = []
@@ -140,14 +140,16 @@ def parse_header(data: mmap.mmap) -> Header:
             case ["element", name, count]:
                 _add_element(tables, name, count, number)
             case ["property", "list", count_type, item_type, name] if tables:
-                listing = Property(name, _known(item_type, number), _countable(count_type, number))
+                listing = Property(
+                    name, _type_code(item_type, number), _count_type(count_type, number)
+                )
                 _add_property(tables, listing, number)
             case ["property", type_name, name] if tables:
-                _add_property(tables, Property(name, _known(type_name, number)), number)
+                _add_property(tables, Property(name, _type_code(type_name, number)), number)
             case _:
-                raise _malformed(number, shown(line), _grammar(line))
+                raise _malformed_error(number, quoted(line), _expected_syntax(line))
     if encoding is None:
-        raise _malformed(2, "no format line", _grammar("format"))
+        raise _malformed_error(2, "no format line", _expected_syntax("format"))
     elements = (
         Element(name, count, tuple(properties.values()))
         for name, (count, properties) in tables.items()
@@ -155,7 +157,7 @@ def parse_header(data: mmap.mmap) -> Header:
     return Header(
         encoding=encoding,
         elements=tuple(elements),
-        body=body,
+        body_offset=body_offset,
         comments=tuple(comments),
         infos=tuple(infos),
     )
@@ -163,31 +165,31 @@ def parse_header(data: mmap.mmap) -> Header:
 
 def _split(data: mmap.mmap) -> tuple[list[str], int]:
     """Return the lines of a PLY header between ``ply`` and ``end_header``, and the data offset."""
-    head = data[:MAX_HEADER]
-    if not head.startswith(MAGIC):
+    first_bytes = data[:MAX_HEADER]
+    if not first_bytes.startswith(MAGIC):
         raise NotRecognised(
-            shown(head[:4].decode("latin-1")),
+            quoted(first_bytes[:4].decode("latin-1")),
             where="first bytes",
             expected="`ply` on a line of its own, the start of a PLY file",
         )
-    end = re.search(rb"(?<=\n)end_header[ \t]*\r?\n", head)
+    end = re.search(rb"(?<=\n)end_header[ \t]*\r?\n", first_bytes)
     if end is None:
-        raise _endless(len(head), len(data))
-    if not head[: end.start()].isascii():
-        offset = next(index for index, byte in enumerate(head) if byte > 127)
+        raise _missing_end_error(len(first_bytes), len(data))
+    if not first_bytes[: end.start()].isascii():
+        offset = next(index for index, byte in enumerate(first_bytes) if byte > 127)
         raise HeaderMalformed(
-            f"the PLY header has byte {head[offset]:#04x} at offset {offset}",
+            f"the PLY header has byte {first_bytes[offset]:#04x} at offset {offset}",
             where="header",
             expected="ASCII only",
         )
-    lines = head[: end.start()].decode("ascii").split("\n")
+    lines = first_bytes[: end.start()].decode("ascii").split("\n")
     return lines[1:-1], end.end()
 
 
-def _endless(searched: int, size: int) -> FileTruncated | HeaderMalformed:
-    message = f"the PLY header has no end_header in its first {searched} bytes"
+def _missing_end_error(searched_bytes: int, size: int) -> FileTruncated | HeaderMalformed:
+    message = f"the PLY header has no end_header in its first {searched_bytes} bytes"
     expected = "a line `end_header`"
-    if searched < size:
+    if searched_bytes < size:
         return HeaderMalformed(message, where="header", expected=expected)
     return FileTruncated(
         f"{message}, the whole file",
@@ -201,49 +203,55 @@ def _add_element(
     tables: dict[str, tuple[int, dict[str, Property]]], name: str, count: str, number: int
 ) -> None:
     if name in tables:
-        raise _malformed(number, f"element {shown(name)} for the second time", "unique names")
+        raise _malformed_error(
+            number, f"element {quoted(name)} for the second time", "unique names"
+        )
     if not (count.isdigit() and len(count) <= MAX_COUNT_DIGITS):
-        raise _malformed(
+        raise _malformed_error(
             number,
-            f"element {shown(name)} with {shown(count)} rows",
+            f"element {quoted(name)} with {quoted(count)} rows",
             f"a whole number of rows, not negative, of {MAX_COUNT_DIGITS} digits at most",
         )
     tables[name] = int(count), {}
 
 
 def _add_property(
-    tables: dict[str, tuple[int, dict[str, Property]]], added: Property, number: int
+    tables: dict[str, tuple[int, dict[str, Property]]], new_property: Property, number: int
 ) -> None:
     element, (_, properties) = next(reversed(tables.items()))
-    if added.name in properties:
-        noun = f"property {shown(added.name)} of element {shown(element)}"
-        raise _malformed(number, f"{noun} for the second time", "unique names")
-    properties[added.name] = added
+    if new_property.name in properties:
+        description = f"property {quoted(new_property.name)} of element {quoted(element)}"
+        raise _malformed_error(number, f"{description} for the second time", "unique names")
+    properties[new_property.name] = new_property
 
 
-def _known(type_name: str, number: int) -> str:
-    if type_name not in TYPES:
-        raise _malformed(number, f"unknown type {shown(type_name)}", f"one of {', '.join(TYPES)}")
-    return TYPES[type_name]
+def _type_code(type_name: str, number: int) -> str:
+    if type_name not in PROPERTY_TYPES:
+        raise _malformed_error(
+            number, f"unknown type {quoted(type_name)}", f"one of {', '.join(PROPERTY_TYPES)}"
+        )
+    return PROPERTY_TYPES[type_name]
 
 
-def _countable(type_name: str, number: int) -> str:
-    code = _known(type_name, number)
+def _count_type(type_name: str, number: int) -> str:
+    code = _type_code(type_name, number)
     if code[0] == "f":
-        raise _malformed(number, f"a list counted in {shown(type_name)}", "a whole-number type")
+        raise _malformed_error(
+            number, f"a list counted in {quoted(type_name)}", "a whole-number type"
+        )
     return code
 
 
-def _grammar(line: str) -> str:
+def _expected_syntax(line: str) -> str:
     """Return the valid syntax of a PLY header line like ``line``, for error messages."""
-    forms = {
+    syntax_by_keyword = {
         "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
         "element": "`element NAME COUNT`",
         "property": "`property TYPE NAME` or `property list TYPE TYPE NAME`, after an element",
     }
     keyword = line.split()[0]
-    return forms.get(keyword, "format, element, property, comment or obj_info")
+    return syntax_by_keyword.get(keyword, "format, element, property, comment or obj_info")
 
 
-def _malformed(number: int, message: str, expected: str) -> HeaderMalformed:
+def _malformed_error(number: int, message: str, expected: str) -> HeaderMalformed:
     return HeaderMalformed(message, where=f"header line {number}", expected=expected)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Mapping
 
 from gsgen.formats.ply.header import Element, Header
-from gsgen.formats.shared.errors import NotSupported, PropertyMissing, listed
+from gsgen.formats.shared.errors import NotSupported, PropertyMissing, join_names
 from gsgen.formats.shared.splats import SH_COUNTS
 
 XYZ = ("x", "y", "z")
@@ -58,7 +58,7 @@ def find_vertex(header: Header) -> Element:
     """Return the PLY element ``vertex``, whose rows are splats or points."""
     vertex = header.find("vertex")
     if vertex is None:
-        names = listed([element.name for element in header.elements])
+        names = join_names([element.name for element in header.elements])
         raise PropertyMissing(
             f"the PLY file has no element 'vertex', only {names}", expected="element 'vertex'"
         )
@@ -72,7 +72,7 @@ def find_vertex(header: Header) -> Element:
     lists = [item.name for item in vertex.properties if item.count_type]
     if lists:
         raise NotSupported(
-            f"the properties {listed(lists)} are lists",
+            f"the properties {join_names(lists)} are lists",
             where="element 'vertex'",
             expected="plain numbers",
         )
@@ -96,7 +96,7 @@ def splat_degree(names: Collection[str]) -> int:
     higher = [name for name in names if _REST_NAME.fullmatch(name)]
     if len(higher) not in _REST_COUNTS:
         raise PropertyMissing(
-            f"the file has {len(higher)} properties f_rest: {listed(higher)}",
+            f"the file has {len(higher)} properties f_rest: {join_names(higher)}",
             where="element 'vertex'",
             expected="0, 9, 24, 45 or 72, for SH degree 0 to 4",
         )
@@ -113,7 +113,7 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
     if missing == ["scale_2"]:
         hint = "two scales look like a 2DGS file: `gsgen export 2dgs` reads its flat splats"
     raise PropertyMissing(
-        f"the properties {listed(missing, limit=100)} are missing; found {listed(list(names))}",
+        f"the properties {join_names(missing, limit=100)} are missing; found {join_names(list(names))}",
         where="element 'vertex'",
         expected="all properties of a 3DGS PLY",
         hint=hint,
@@ -127,7 +127,7 @@ def cloud_colors(types: Mapping[str, str]) -> tuple[str, ...]:
     missing = [name for name in (*XYZ, *colors) if name not in types]
     if missing:
         raise PropertyMissing(
-            f"the properties {listed(missing)} are missing; found {listed(list(types))}",
+            f"the properties {join_names(missing)} are missing; found {join_names(list(types))}",
             where="element 'vertex'",
             expected="x, y, z and a colour, or all properties of a 3DGS PLY",
         )

@@ -9,25 +9,25 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsgen.contract._entry_points import registered_entry_points
-from gsgen.formats.shared.errors import NotSupported, listed
+from gsgen.formats.shared.errors import NotSupported, join_names
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.quantities import logit, sigmoid
 
-FILTER: Final = "filter_3D"
+FILTER_PROPERTY: Final = "filter_3D"
 """The property of Mip-Splatting (Yu et al. 2023): the size of its smoothing filter, in units."""
 
-_METHODS: Final = (
+_METHOD_PROPERTIES: Final = (
     ("SpacetimeGaussians", "spacetime-gaussians", re.compile(r"motion_\d+|omega_\d+|trbf_\w+")),
     ("GaussianAvatars", "gaussian-avatars", re.compile(r"binding_\d+")),
     ("rotor 4DGS", "rotor-4dgs", re.compile(r"scale_t|t_scale|rot_r_\d+|rotation_r_\d+")),
 )
-_HARMLESS: Final = re.compile(r"n[xyz]|(diffuse_)?(red|green|blue)|alpha|f_rest_\d+")
+_IGNORED_PROPERTIES: Final = re.compile(r"n[xyz]|(diffuse_)?(red|green|blue)|alpha|f_rest_\d+")
 
 
 def require_still_splats(names: Collection[str]) -> None:
     """Raise NotSupported if PLY properties animate the splats, or attach them to triangles."""
-    for title, plugin, pattern in _METHODS:
+    for title, plugin, pattern in _METHOD_PROPERTIES:
         matches = [name for name in names if pattern.fullmatch(name)]
         if not matches:
             continue
@@ -35,7 +35,7 @@ def require_still_splats(names: Collection[str]) -> None:
             point.name for point in registered_entry_points("gsgen.generators")
         }
         raise NotSupported(
-            f"{listed(matches, limit=6)}: splats of {title}, which move or follow triangles",
+            f"{join_names(matches, limit=6)}: splats of {title}, which move or follow triangles",
             where="element 'vertex'",
             expected="the properties of a 3DGS PLY",
             hint=f"`gsgen export {plugin} --checkpoint FILE -o OUT.onnx` exports them"
@@ -44,11 +44,17 @@ def require_still_splats(names: Collection[str]) -> None:
         )
 
 
-def warn_of_unknown(names: Collection[str], known: Collection[str], path: FilePath) -> None:
+def warn_of_unknown_properties(
+    names: Collection[str], known_names: Collection[str], path: FilePath
+) -> None:
     """Warn about the PLY properties that have no effect on the splats, by name."""
-    unknown = [name for name in names if name not in known and not _HARMLESS.fullmatch(name)]
+    unknown = [
+        name
+        for name in names
+        if name not in known_names and not _IGNORED_PROPERTIES.fullmatch(name)
+    ]
     if unknown:
-        text = f"{path}: properties {listed(unknown)} are not understood and have no effect"
+        text = f"{path}: properties {join_names(unknown)} are not understood and have no effect"
         warnings.warn(text, FormatWarning, stacklevel=2)
 
 
@@ -62,13 +68,19 @@ def with_smoothing_filter(
     A variance s² becomes s² + f², and the opacity is multiplied by √(Π s² / Π (s² + f²)).
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        before = log_scale.astype(np.float64)
-        after = np.logaddexp(2 * before, 2 * np.log(np.abs(size.astype(np.float64)))[:, None]) / 2
-        ratio = np.exp(np.where(np.isneginf(after), 0, before - after).sum(axis=1))
+        log_scale64 = log_scale.astype(np.float64)
+        filtered_log_scale = (
+            np.logaddexp(2 * log_scale64, 2 * np.log(np.abs(size.astype(np.float64)))[:, None]) / 2
+        )
+        ratio = np.exp(
+            np.where(np.isneginf(filtered_log_scale), 0, log_scale64 - filtered_log_scale).sum(
+                axis=1
+            )
+        )
         opacity = sigmoid(logit_opacity).astype(np.float64) * ratio
     # Without a filter nothing changes, not even by rounding.
-    is_same = size == 0
+    is_unfiltered = size == 0
     return (
-        np.where(is_same[:, None], log_scale, after).astype(np.float32),
-        np.where(is_same, logit_opacity, logit(opacity)).astype(np.float32),
+        np.where(is_unfiltered[:, None], log_scale, filtered_log_scale).astype(np.float32),
+        np.where(is_unfiltered, logit_opacity, logit(opacity)).astype(np.float32),
     )

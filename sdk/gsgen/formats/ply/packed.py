@@ -10,34 +10,34 @@ from gsgen.formats.ply import packed_rows as rows
 from gsgen.formats.ply.ascii import ascii_rows
 from gsgen.formats.ply.binary import binary_rows
 from gsgen.formats.ply.header import Element, Header
-from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, listed
+from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, join_names
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.shared.values import require_rows
 
-_OLD_BOX = rows.BOX[:12]
+_BOX_WITHOUT_COLORS = rows.BOX_PROPERTIES[:12]
 _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
 
 
 def is_packed(header: Header) -> bool:
     """Return whether a PLY file is a compressed one, whose vertices are packed words."""
     vertex = header.find("vertex")
-    return vertex is not None and rows.WORDS[0] in vertex.types
+    return vertex is not None and rows.PACKED_PROPERTIES[0] in vertex.types
 
 
 def read_packed(data: mmap.mmap, header: Header) -> Splats:
     """Return the splats of a compressed PLY file."""
     vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
-    needed = -(-vertex.count // rows.CHUNK)
+    needed = -(-vertex.count // rows.ROWS_PER_CHUNK)
     if boxes.count < needed:
         raise HeaderMalformed(
             f"the element has {boxes.count} rows",
             where="element 'chunk'",
             expected=f"{needed} or more",
         )
-    words = _columns(data, header, vertex, rows.WORDS, "u4")
-    box = _boxes(data, header, boxes, vertex.count)
+    words = _columns(data, header, vertex, rows.PACKED_PROPERTIES, "u4")
+    box = _read_boxes(data, header, boxes, vertex.count)
     low_color = np.zeros((1, 3), np.float32) if box.shape[1] == 12 else box[:, 12:15]
     high_color = np.ones((1, 3), np.float32) if box.shape[1] == 12 else box[:, 15:18]
     constant, logit_opacity = rows.unpack_color(words[3], low_color, high_color)
@@ -46,26 +46,26 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
         rotation=rows.unpack_rotation(words[1]),
         log_scale=rows.unpack_in_box(words[2], box[:, 6:9], box[:, 9:12]),
         logit_opacity=logit_opacity,
-        sh=np.concatenate([constant[:, None], _higher(data, header, vertex.count)], axis=1),
+        sh=np.concatenate([constant[:, None], _higher_bands(data, header, vertex.count)], axis=1),
         antialiased=header.antialiased,
     )
     require_drawable(splats)
     return splats
 
 
-def _boxes(
+def _read_boxes(
     data: mmap.mmap, header: Header, element: Element, count: int
 ) -> Float32[np.ndarray, "n b"]:
     """Return the bounds of each splat's chunk in a compressed PLY; old files bound no colours.
 
     Colour bounds came in 2024.
     """
-    names = rows.BOX if rows.BOX[-1] in element.types else _OLD_BOX
+    names = rows.BOX_PROPERTIES if rows.BOX_PROPERTIES[-1] in element.types else _BOX_WITHOUT_COLORS
     columns = _columns(data, header, element, names, "f4")
-    return np.repeat(np.stack(columns, axis=1), rows.CHUNK, axis=0)[:count]
+    return np.repeat(np.stack(columns, axis=1), rows.ROWS_PER_CHUNK, axis=0)[:count]
 
 
-def _higher(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, "n k 3"]:
+def _higher_bands(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, "n k 3"]:
     element = header.find("sh")
     if element is None:
         return np.empty((count, 0, 3), np.float32)
@@ -106,9 +106,9 @@ def _columns(
     if wrong or element.has_lists:
         kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}
         raise PropertyMissing(
-            f"the properties {listed(wrong)} are missing or of another type; found {listed(list(element.types))}",
+            f"the properties {join_names(wrong)} are missing or of another type; found {join_names(list(element.types))}",
             where=f"element {element.name!r}",
-            expected=f"{listed(list(names), limit=100)} of type {kinds[code]}, no lists",
+            expected=f"{join_names(list(names), limit=100)} of type {kinds[code]}, no lists",
         )
     read = ascii_rows if header.encoding == "ascii" else binary_rows
     parts = list(read(data, header, element))

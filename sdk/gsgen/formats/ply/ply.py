@@ -16,16 +16,16 @@ from gsgen.formats.ply.layout import (
     splat_names,
 )
 from gsgen.formats.ply.methods import (
-    FILTER,
+    FILTER_PROPERTY,
     require_still_splats,
-    warn_of_unknown,
+    warn_of_unknown_properties,
     with_smoothing_filter,
 )
 from gsgen.formats.ply.packed import is_packed, read_packed
 from gsgen.formats.ply.values import only_drawable, only_finite, require_cloud, require_splats
 from gsgen.formats.ply.write import write_ply
 from gsgen.formats.shared.errors import ValueInvalid
-from gsgen.formats.shared.files import FilePath, mapped
+from gsgen.formats.shared.files import FilePath, map_file
 from gsgen.formats.shared.splats import PointCloud, Splats
 from gsgen.formats.shared.values import require_rows
 
@@ -61,7 +61,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
             infinity other than ±inf for opacity and -inf for a scale. With ``drop_invalid``,
             every row holds such a value.
     """
-    with mapped(path) as data:
+    with map_file(path) as data:
         header = parse_header(data)
         if is_packed(header):
             return read_packed(data, header)
@@ -74,23 +74,25 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
             error.hint = error.hint or ("" if drop_invalid else _DROP_HINT)
             raise
         if isinstance(content, Splats):
-            warn_of_unknown(vertex.types, (*splat_names(content.degree), FILTER), path)
+            warn_of_unknown_properties(
+                vertex.types, (*splat_names(content.degree), FILTER_PROPERTY), path
+            )
         return content
 
 
 def _read_splats(
-    data: mmap.mmap, header: Header, vertex: Element, dropping: FilePath | None
+    data: mmap.mmap, header: Header, vertex: Element, dropped_path: FilePath | None
 ) -> Splats:
     groups: dict[str, tuple[str, ...]] = splat_groups(splat_degree(vertex.types))
-    has_filter = FILTER in vertex.types
+    has_filter = FILTER_PROPERTY in vertex.types
     if has_filter:
-        groups |= {FILTER: (FILTER,)}
+        groups |= {FILTER_PROPERTY: (FILTER_PROPERTY,)}
     require_rows(vertex.count, "element 'vertex'")
     tables = read_columns(data, header, vertex, groups)
     log_scale, logit_opacity = tables["log_scale"], tables["logit_opacity"].reshape(-1)
     if has_filter:
         log_scale, logit_opacity = with_smoothing_filter(
-            log_scale, logit_opacity, tables[FILTER].reshape(-1)
+            log_scale, logit_opacity, tables[FILTER_PROPERTY].reshape(-1)
         )
     splats = Splats(
         position=tables["position"],
@@ -100,14 +102,14 @@ def _read_splats(
         sh=tables["sh"].reshape(vertex.count, -1, 3),
         antialiased=header.antialiased or has_filter,
     )
-    if dropping is not None:
-        return only_drawable(splats, dropping)
+    if dropped_path is not None:
+        return only_drawable(splats, dropped_path)
     require_splats(splats)
     return splats
 
 
 def _read_cloud(
-    data: mmap.mmap, header: Header, vertex: Element, dropping: FilePath | None
+    data: mmap.mmap, header: Header, vertex: Element, dropped_path: FilePath | None
 ) -> PointCloud:
     colors = cloud_colors(vertex.types)
     require_rows(vertex.count, "element 'vertex'")
@@ -116,7 +118,7 @@ def _read_cloud(
     if vertex.types[colors[0]] == "u1":
         tables["color"] /= np.float32(255)
     cloud = PointCloud(position=tables["position"], color=tables["color"])
-    if dropping is not None:
-        cloud = only_finite(cloud, dropping)
+    if dropped_path is not None:
+        cloud = only_finite(cloud, dropped_path)
     require_cloud(cloud, colors)
     return cloud

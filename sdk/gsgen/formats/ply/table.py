@@ -12,8 +12,8 @@ from jaxtyping import Float32
 from gsgen.formats.ply.columns import read_columns
 from gsgen.formats.ply.header import parse_header
 from gsgen.formats.ply.layout import find_vertex
-from gsgen.formats.shared.errors import PropertyMissing, listed
-from gsgen.formats.shared.files import FilePath, mapped
+from gsgen.formats.shared.errors import PropertyMissing, join_names
+from gsgen.formats.shared.files import FilePath, map_file
 from gsgen.formats.shared.values import require_finite, require_rows
 
 __all__ = ["ply_infos", "ply_properties", "read_ply_columns"]
@@ -21,13 +21,13 @@ __all__ = ["ply_infos", "ply_properties", "read_ply_columns"]
 
 def ply_properties(path: FilePath) -> tuple[str, ...]:
     """Return the property names of the PLY element ``vertex``, in the order of the file."""
-    with mapped(path) as data:
+    with map_file(path) as data:
         return tuple(item.name for item in find_vertex(parse_header(data)).properties)
 
 
 def ply_infos(path: FilePath) -> tuple[str, ...]:
     """Return the texts of the lines ``obj_info`` in the header of a PLY file."""
-    with mapped(path) as data:
+    with map_file(path) as data:
         return parse_header(data).infos
 
 
@@ -39,7 +39,7 @@ def read_ply_columns(
     Numbers may be text or binary, of either byte order and any type; they become float32 and
     must be finite.
     """
-    with mapped(path) as data:
+    with map_file(path) as data:
         header = parse_header(data)
         vertex = find_vertex(header)
         _require_properties(vertex.types, groups)
@@ -55,7 +55,7 @@ def _require_properties(types: Mapping[str, str], groups: Mapping[str, Sequence[
     missing = [name for name in needed if name not in types]
     if missing:
         raise PropertyMissing(
-            f"the properties {listed(missing, limit=100)} are missing; found {listed(list(types))}",
+            f"the properties {join_names(missing, limit=100)} are missing; found {join_names(list(types))}",
             where="element 'vertex'",
-            expected=f"the properties {listed(needed, limit=100)}",
+            expected=f"the properties {join_names(needed, limit=100)}",
         )

@@ -11,7 +11,7 @@ from gsgen.formats.ply.layout import COLORS, XYZ, splat_groups
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.splat_values import INFINITE
+from gsgen.formats.shared.splat_values import ALLOWED_INFINITIES
 from gsgen.formats.shared.splats import PointCloud, Splats
 from gsgen.formats.shared.values import (
     finite_or_allowed,
@@ -21,15 +21,15 @@ from gsgen.formats.shared.values import (
 )
 
 
-def require_splats(splats: Splats, *, checked: Collection[str] = ()) -> None:
+def require_splats(splats: Splats, *, checked_fields: Collection[str] = ()) -> None:
     """Raise ValueInvalid if ``splats`` is empty or holds a value that cannot be drawn.
 
-    Arrays that are named in ``checked`` are known to be valid.
+    Arrays that are named in ``checked_fields`` are known to be valid.
     """
     require_rows(len(splats), "element 'vertex'")
     for array, names, table in _tables(splats):
-        if array not in checked:
-            require_finite(table, _labels(names), INFINITE.get(array, ()))
+        if array not in checked_fields:
+            require_finite(table, _labels(names), ALLOWED_INFINITIES.get(array, ()))
 
 
 def only_drawable(splats: Splats, path: FilePath) -> Splats:
@@ -39,48 +39,51 @@ def only_drawable(splats: Splats, path: FilePath) -> Splats:
     except ValueInvalid:
         is_valid = np.concatenate(
             [
-                finite_or_allowed(table, INFINITE.get(array, ()))
+                finite_or_allowed(table, ALLOWED_INFINITIES.get(array, ()))
                 for array, _, table in _tables(splats)
             ],
             axis=1,
         )
-        drawable = is_valid.all(axis=1)
-        if not drawable.any():
+        is_drawable = is_valid.all(axis=1)
+        if not is_drawable.any():
             raise
     else:
         return splats
     values = np.concatenate([table for *_, table in _tables(splats)], axis=1)
     labels = [name for _, names, _ in _tables(splats) for name in names]
-    _warn_of(path, is_valid, values, labels)
+    _warn_of_dropped(path, is_valid, values, labels)
     return replace(
-        splats, **{array: getattr(splats, array)[drawable] for array, *_ in _tables(splats)}
+        splats, **{array: getattr(splats, array)[is_drawable] for array, *_ in _tables(splats)}
     )
 
 
 def only_finite(cloud: PointCloud, path: FilePath) -> PointCloud:
     """Return the points with finite positions, and warn about dropped points of the PLY file."""
     is_valid = np.isfinite(cloud.position)
-    drawable = is_valid.all(axis=1)
-    if drawable.all():
+    is_drawable = is_valid.all(axis=1)
+    if is_drawable.all():
         return cloud
-    if not drawable.any():
+    if not is_drawable.any():
         require_finite(cloud.position, _labels(XYZ))
-    _warn_of(path, is_valid, cloud.position, XYZ)
-    return PointCloud(cloud.position[drawable], cloud.color[drawable])
+    _warn_of_dropped(path, is_valid, cloud.position, XYZ)
+    return PointCloud(cloud.position[is_drawable], cloud.color[is_drawable])
 
 
-def _warn_of(
+def _warn_of_dropped(
     path: FilePath,
     is_valid: Bool[np.ndarray, "n m"],
     values: Float32[np.ndarray, "n m"],
     names: Sequence[str],
 ) -> None:
     """Warn about the number of rows dropped from a PLY file, and the fault of the first one."""
-    drawable = np.asarray(is_valid.all(axis=1))
-    row, dropped = int(np.argmin(drawable)), len(drawable) - int(np.count_nonzero(drawable))
+    is_drawable = np.asarray(is_valid.all(axis=1))
+    row, dropped_count = (
+        int(np.argmin(is_drawable)),
+        len(is_drawable) - int(np.count_nonzero(is_drawable)),
+    )
     column = int(np.argmin(is_valid[row]))
     text = (
-        f"{path}: {dropped:,} of {len(drawable):,} rows cannot be drawn and are left out; row {row} "
+        f"{path}: {dropped_count:,} of {len(is_drawable):,} rows cannot be drawn and are left out; row {row} "
         f"is the first, where {names[column]} is {values[row, column]:g}"
     )
     warnings.warn(text, FormatWarning, stacklevel=2)

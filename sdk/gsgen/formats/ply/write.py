@@ -12,8 +12,8 @@ from jaxtyping import Float32
 from gsgen.formats.ply.header import ANTIALIASED_COMMENT, ENCODINGS, Encoding
 from gsgen.formats.ply.layout import COLORS, XYZ, splat_names
 from gsgen.formats.ply.values import require_cloud, require_splats
-from gsgen.formats.shared.errors import ValueInvalid, shown
-from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.errors import ValueInvalid, quoted
+from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.splats import PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
@@ -53,14 +53,14 @@ def write_ply(
     """
     with naming(path):
         if format not in ENCODINGS:
-            raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
+            raise ValueInvalid(quoted(str(format)), where="format", expected=", ".join(ENCODINGS))
         if isinstance(content, Splats):
             require_splats(content)
             blocks = _splat_blocks(content)
         else:
             require_cloud(content)
             blocks = _point_blocks(content)
-    with replacing(path) as file:
+    with replace_file(path) as file:
         is_antialiased = isinstance(content, Splats) and content.antialiased
         file.write(_header(blocks, len(content), format, antialiased=is_antialiased))
         _write_rows(file, blocks, format)
@@ -69,7 +69,7 @@ def write_ply(
 def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None:
     """Write ``count`` splats as a binary PLY file; the parts have equal SH degree and flags."""
     encoding: Encoding = "binary_little_endian"
-    with replacing(path) as file:
+    with replace_file(path) as file:
         for index, part in enumerate(parts):
             require_splats(part)
             blocks = _splat_blocks(part)
@@ -99,7 +99,7 @@ class PlyFrames:
             return
         keeps_colors = splats.sh is self._sh
         with naming(path):
-            require_splats(splats, checked=("sh",) if keeps_colors else ())
+            require_splats(splats, checked_fields=("sh",) if keeps_colors else ())
         blocks = _splat_blocks(splats)
         encoding: Encoding = "binary_little_endian"
         if not keeps_colors:
@@ -108,7 +108,7 @@ class PlyFrames:
         changed = [
             block for block in blocks if not (keeps_colors and block.names[0].startswith("f_"))
         ]
-        with replacing(path) as file:
+        with replace_file(path) as file:
             file.write(_header(blocks, len(splats), encoding, antialiased=splats.antialiased))
             for start in range(0, len(splats), CHUNK_ROWS):
                 rows = slice(start, start + CHUNK_ROWS)
@@ -144,13 +144,13 @@ def _point_blocks(cloud: PointCloud) -> list[_Block]:
 def _header(
     blocks: Sequence[_Block], count: int, encoding: Encoding, *, antialiased: bool
 ) -> bytes:
-    words = {"f4": "float", "u1": "uchar"}
+    type_names = {"f4": "float", "u1": "uchar"}
     lines = [
         "ply",
         f"format {encoding} 1.0",
         *([ANTIALIASED_COMMENT] if antialiased else []),
         f"element vertex {count}",
-        *(f"property {words[block.code]} {name}" for block in blocks for name in block.names),
+        *(f"property {type_names[block.code]} {name}" for block in blocks for name in block.names),
         "end_header\n",
     ]
     return "\n".join(lines).encode("ascii")

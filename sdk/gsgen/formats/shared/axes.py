@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.shared.errors import ValueInvalid, shown
+from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.splats import Splats
 
 Signs = tuple[int, int, int]
@@ -33,7 +33,7 @@ def axis_signs(axes: str) -> Signs:
         letter not in pair for letter, pair in zip(letters, ("RL", "DU", "FB"), strict=True)
     ):
         raise ValueInvalid(
-            shown(axes), where="axes", expected="R or L, U or D, F or B, such as RUB or RDF"
+            quoted(axes), where="axes", expected="R or L, U or D, F or B, such as RUB or RDF"
         )
     x, y, z = (1 if letter in "RDF" else -1 for letter in letters)
     return x, y, z
@@ -47,13 +47,13 @@ def flip(splats: Splats, signs: Signs) -> Splats:
     x, y, z = signs
     return replace(
         splats,
-        position=_times(splats.position, np.array(signs, np.float32)),
-        rotation=_times(splats.rotation, np.array([1, y * z, x * z, x * y], np.float32)),
-        sh=_times(splats.sh, sh_signs(splats.degree, signs)[:, None]),
+        position=_multiply(splats.position, np.array(signs, np.float32)),
+        rotation=_multiply(splats.rotation, np.array([1, y * z, x * z, x * y], np.float32)),
+        sh=_multiply(splats.sh, sh_signs(splats.degree, signs)[:, None]),
     )
 
 
-def _times(
+def _multiply(
     array: Float32[np.ndarray, "..."], signs: Float32[np.ndarray, "..."]
 ) -> Float32[np.ndarray, "..."]:
     product = array * signs
@@ -63,8 +63,8 @@ def _times(
 
 def sh_signs(degree: int, signs: Signs) -> Float32[np.ndarray, " k"]:
     """Return the sign change of each SH coefficient if x, y and z are multiplied by ``signs``."""
-    orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
-    return np.array([_sh_sign(band, m, signs) for band, m in orders], np.float32)
+    bands_and_orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
+    return np.array([_sh_sign(band, m, signs) for band, m in bands_and_orders], np.float32)
 
 
 def _sh_sign(degree: int, order: int, signs: Signs) -> int:

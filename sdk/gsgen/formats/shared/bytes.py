@@ -10,13 +10,13 @@ from jaxtyping import Shaped
 from numpy.typing import DTypeLike
 
 from gsgen.formats.shared.errors import FileTruncated
-from gsgen.formats.shared.files import FilePath, mapped, naming
+from gsgen.formats.shared.files import FilePath, map_file, naming
 
 Data = bytes | bytearray | memoryview | mmap.mmap
 """The bytes of a file, in memory or mapped."""
 
 DOWNLOAD_HINT: Final = "copy or download the file again"
-MOST_SPLATS: Final = 2**31 - 1
+MAX_SPLATS: Final = 2**31 - 1
 """The most splats of a file whose counts other readers store as int32."""
 MAX_BYTES: Final = 8 << 30
 """The default limit of the bytes that a compressed file may unpack to."""
@@ -28,11 +28,11 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
 
     Overflows raise no warnings: the checks of values refuse the resulting infinity or NaN.
     """
-    with naming(path), mapped(path) as data, np.errstate(all="ignore"):
+    with naming(path), map_file(path) as data, np.errstate(all="ignore"):
         yield data
 
 
-def take(
+def read_array(
     data: Data, dtype: DTypeLike, shape: tuple[int, ...], start: int, where: str
 ) -> Shaped[np.ndarray, "..."]:
     """Return an array view of ``data`` from byte ``start`` on."""
@@ -40,11 +40,11 @@ def take(
     count = 1
     for size in shape:  # not np.prod: a hostile size may be beyond 64 bits
         count *= size
-    require_room(data, start, count * kind.itemsize, where)
+    require_length(data, start, count * kind.itemsize, where)
     return np.frombuffer(data, kind, count, start).reshape(shape)
 
 
-def require_room(data: Data, start: int, needed: int, where: str) -> None:
+def require_length(data: Data, start: int, needed: int, where: str) -> None:
     """Raise FileTruncated unless ``data`` has ``needed`` bytes from ``start`` on."""
     remaining = len(data) - start
     if start < 0 or needed > remaining:

@@ -112,14 +112,14 @@ class ValueInvalid(FormatError, ValueError):
     """Raised if splats cannot be drawn because of a value, a shape or a dtype."""
 
 
-def shown(text: str, limit: int = 60) -> str:
+def quoted(text: str, limit: int = 60) -> str:
     """Return ``text`` quoted and truncated to ``limit`` characters, for error messages."""
     return repr(text if len(text) <= limit else text[: limit - 1] + "…")
 
 
-def listed(names: list[str], limit: int = 12) -> str:
+def join_names(names: list[str], limit: int = 12) -> str:
     """Join names by commas; those after the first ``limit`` are only counted."""
-    words = [name if name.isidentifier() else shown(name) for name in names[:limit]]
+    words = [name if name.isidentifier() else quoted(name) for name in names[:limit]]
     if len(names) > limit:
         words.append(f"and {len(names) - limit} more")
     return ", ".join(words) or "nothing"

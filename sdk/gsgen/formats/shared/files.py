@@ -34,7 +34,7 @@ def naming(path: FilePath) -> Iterator[None]:
 
 
 @contextmanager
-def opened(path: FilePath) -> Iterator[BinaryIO]:
+def open_file(path: FilePath) -> Iterator[BinaryIO]:
     """Open the file at ``path`` for reading; faults raise FileUnreadable."""
     with naming(path):
         try:
@@ -46,9 +46,9 @@ def opened(path: FilePath) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def mapped(path: FilePath) -> Iterator[mmap.mmap]:
+def map_file(path: FilePath) -> Iterator[mmap.mmap]:
     """Map the file at ``path`` into memory, read-only."""
-    with opened(path) as file:
+    with open_file(path) as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
             yield data
@@ -60,7 +60,7 @@ def mapped(path: FilePath) -> Iterator[mmap.mmap]:
 
 
 @contextmanager
-def replacing(path: FilePath) -> Iterator[BinaryIO]:
+def replace_file(path: FilePath) -> Iterator[BinaryIO]:
     """Open a new file that replaces ``path`` when the ``with`` block ends.
 
     Another process that reads ``path`` sees the old file or the new one, never a part. If the

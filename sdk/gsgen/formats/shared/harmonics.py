@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32, Float64
 
 from gsgen.formats.shared.splats import SH_COUNTS
 
-_SAMPLES = 200
+_DIRECTION_COUNT = 200
 
 
 def rotate_sh(
@@ -20,25 +20,25 @@ def rotate_sh(
     """
     degree = SH_COUNTS.index(sh.shape[1])
     directions = _directions()
-    basis, turned_basis = (
+    basis, rotated_basis = (
         sh_basis(directions, degree),
         sh_basis(directions @ np.asarray(rotation).T, degree),
     )
-    turned = sh.copy()
+    rotated = sh.copy()
     for band in range(1, degree + 1):
         part = slice(band * band, (band + 1) * (band + 1))
-        turn, *_ = np.linalg.lstsq(turned_basis[:, part], basis[:, part], rcond=None)
-        turned[:, part] = np.einsum("lk,nkc->nlc", turn, sh[:, part])
-    return turned
+        band_rotation, *_ = np.linalg.lstsq(rotated_basis[:, part], basis[:, part], rcond=None)
+        rotated[:, part] = np.einsum("lk,nkc->nlc", band_rotation, sh[:, part])
+    return rotated
 
 
 def _directions() -> Float64[np.ndarray, "d 3"]:
     """Return unit directions evenly spread over the sphere, on a golden-angle spiral."""
-    steps = np.arange(_SAMPLES) + 0.5
-    z = 1 - 2 * steps / _SAMPLES
-    around = math.pi * (3 - math.sqrt(5)) * steps
-    ring = np.sqrt(1 - z * z)
-    return np.column_stack([ring * np.cos(around), ring * np.sin(around), z])
+    steps = np.arange(_DIRECTION_COUNT) + 0.5
+    z = 1 - 2 * steps / _DIRECTION_COUNT
+    azimuths = math.pi * (3 - math.sqrt(5)) * steps
+    ring_radius = np.sqrt(1 - z * z)
+    return np.column_stack([ring_radius * np.cos(azimuths), ring_radius * np.sin(azimuths), z])
 
 
 def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.ndarray, "d k"]:
@@ -50,14 +50,14 @@ def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.nd
     """
     x, y, z = np.asarray(directions, np.float64).T
     # (x + iy)^m = (ring e^iφ)^m, and P_l^m / ring^m is a polynomial of z.
-    turns = [(x + 1j * y) ** m for m in range(degree + 1)]
+    azimuth_powers = [(x + 1j * y) ** m for m in range(degree + 1)]
     basis = np.empty((len(z), SH_COUNTS[degree]))
     for band in range(degree + 1):
         for order in range(-band, band + 1):
             m = abs(order)
             ratio = math.factorial(band - m) / math.factorial(band + m)
             norm = math.sqrt((2 if m else 1) * (2 * band + 1) / (4 * math.pi) * ratio)
-            angle = turns[m].imag if order < 0 else turns[m].real
+            angle = azimuth_powers[m].imag if order < 0 else azimuth_powers[m].real
             column = band * band + band + order
             basis[:, column] = (-1) ** m * norm * _legendre(band, m, z) * angle
     return basis
@@ -65,9 +65,9 @@ def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.nd
 
 def _legendre(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
     """Return P_l^m(z) / (1 − z²)^(m/2) of associated Legendre functions, by recurrence in l."""
-    before = np.zeros_like(z)
-    now = np.full_like(z, float(math.prod(range(1, 2 * m, 2))))
+    previous = np.zeros_like(z)
+    current = np.full_like(z, float(math.prod(range(1, 2 * m, 2))))
     for step in range(m + 1, band + 1):
-        after = ((2 * step - 1) * z * now - (step + m - 1) * before) / (step - m)
-        before, now = now, after
-    return now
+        next_value = ((2 * step - 1) * z * current - (step + m - 1) * previous) / (step - m)
+        previous, current = current, next_value
+    return current

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from gsgen.formats.shared.splats import Splats
 
 
-def joined(parts: Sequence[Splats]) -> Splats:
+def join_splats(parts: Sequence[Splats]) -> Splats:
     """Concatenate sets of splats; SH coefficients that a set lacks are zero."""
     if len(parts) == 1:
         return parts[0]

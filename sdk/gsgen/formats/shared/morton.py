@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float32, Int64, Integer, UInt64
 
 _BITS = 10
-_ROWS = 1 << 18
-_LAST = (1 << _BITS) - 1
-_SPREAD = (
+_CHUNK_ROWS = 1 << 18
+_MAX_CELL = (1 << _BITS) - 1
+_SPREAD_STEPS = (
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),
     (8, 0x100F00F00F00F00F),
@@ -24,7 +24,7 @@ def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"
     position64 = position.astype(np.float64)
     low, high = position64.min(axis=0), position64.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
-    return grid_order(np.rint((position64 - low) / size * _LAST).astype(np.uint32))
+    return grid_order(np.rint((position64 - low) / size * _MAX_CELL).astype(np.uint32))
 
 
 def grid_order(cells: Integer[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -42,9 +42,9 @@ def grid_codes(cells: Integer[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
     interleaved, are the index on the curve.
     """
     codes = np.zeros(len(cells), np.uint64)
-    for start in range(0, len(cells), _ROWS):
-        x, y, z = cells[start : start + _ROWS].T.astype(np.uint64)
-        codes[start : start + _ROWS] = interleave_bits(z, y, x)
+    for start in range(0, len(cells), _CHUNK_ROWS):
+        x, y, z = cells[start : start + _CHUNK_ROWS].T.astype(np.uint64)
+        codes[start : start + _CHUNK_ROWS] = interleave_bits(z, y, x)
     return codes
 
 
@@ -59,6 +59,6 @@ def interleave_bits(
 
 def _spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
     """Insert two zero bits between the bits of each number of 21 bits."""
-    for shift, mask in _SPREAD:
+    for shift, mask in _SPREAD_STEPS:
         number = (number | (number << np.uint64(shift))) & np.uint64(mask)
     return number

@@ -19,7 +19,7 @@ ZIP_MAGIC: Final = b"PK\x03\x04"
 MAX_HEADER = 1 << 16
 """The largest header of an array that is read, in bytes; plain arrays need 128."""
 
-_LONGEST = 200
+_MAX_MESSAGE_LENGTH = 200
 
 
 @contextmanager
@@ -32,21 +32,23 @@ def unpacking(where: str) -> Iterator[None]:
     except OSError as error:
         if error.errno != errno.EINVAL:  # EINVAL is an offset before the start of the file
             raise
-        raise _damaged(where, error) from error
+        raise _damaged_error(where, error) from error
     except MemoryError as error:
         raise SizeExceeded("reading takes more memory than is available", where=where) from error
     # The libraries document no common base: BadZipFile, zlib.error, EOFError, ValueError,
     # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
     except Exception as error:
-        raise _damaged(where, error) from error
+        raise _damaged_error(where, error) from error
 
 
-def _damaged(where: str, error: Exception) -> ArchiveDamaged:
+def _damaged_error(where: str, error: Exception) -> ArchiveDamaged:
     # It may quote the file. NumPy's further lines advise to unpickle.
     reason = next(iter(str(error).splitlines()), "")
-    short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}…"
+    short_reason = (
+        reason if len(reason) <= _MAX_MESSAGE_LENGTH else f"{reason[:_MAX_MESSAGE_LENGTH]}…"
+    )
     return ArchiveDamaged(
-        f"the archive cannot be unpacked ({type(error).__name__}: {short})",
+        f"the archive cannot be unpacked ({type(error).__name__}: {short_reason})",
         where=where,
         hint="copy, download or save the file again",
     )
@@ -78,8 +80,8 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
     entry = archive.getinfo(f"{key}.npy")
     with unpacking(f"array {key}"), archive.open(entry) as stream:
         # This limit holds for any length that the header declares.
-        head = BytesIO(stream.read(MAX_HEADER))
-        shape, dtype = _parse_header(head)
+        header_bytes = BytesIO(stream.read(MAX_HEADER))
+        shape, dtype = _parse_header(header_bytes)
     if dtype.hasobject:
         raise NotSupported(
             "the array holds Python objects",
@@ -88,23 +90,23 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
             hint="save it as an array of one numeric type",
         )
     size = math.prod(shape) * dtype.itemsize
-    if head.tell() + size != entry.file_size:
+    if header_bytes.tell() + size != entry.file_size:
         raise ArchiveDamaged(
             f"the array has {entry.file_size} bytes, but {dtype} {list(shape)} takes "
-            f"{head.tell() + size}, header included",
+            f"{header_bytes.tell() + size}, header included",
             where=f"array {key}",
             hint="copy, download or save the file again",
         )
     return size
 
 
-def _parse_header(head: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
+def _parse_header(header_bytes: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
     """Read the header of a .npy array from a stream, up to the first byte of the data."""
-    version = np.lib.format.read_magic(head)
+    version = np.lib.format.read_magic(header_bytes)
     if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(head)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(header_bytes)
     elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(head)
+        shape, _, dtype = np.lib.format.read_array_header_2_0(header_bytes)
     else:
         # Version 3 is for field names beyond Latin-1, which plain arrays do not have.
         raise ValueError(

@@ -7,18 +7,18 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-_ROWS: Final = 1 << 13  # at a time, which stay in the cache
-_TINY: Final = 1e-150  # in place of 0 below a fraction: its square is a float64, too
+_CHUNK_ROWS: Final = 1 << 13  # at a time, which stay in the cache
+_SMALLEST_DIVISOR: Final = 1e-150  # in place of 0 below a fraction: its square is a float64, too
 # 2 cos(arccos(r) / 3) for r from 0 to 1, to 7.3e-5: a cubic polynomial, the constant term first
-_ROOT: Final = (1.73212365, 0.33080901, -0.08176291, 0.01888736)
+_ROOT_COEFFICIENTS: Final = (1.73212365, 0.33080901, -0.08176291, 0.01888736)
 _NEWTON_STEPS: Final = 2  # to 4.6e-9, then to the rounding of float64
 # Of upper triangles xx xy xz yy yz zz: those of the diagonal and those beside it, each followed by
 # its first two again.
-_CYCLIC: Final = [0, 3, 5, 0, 3, 4, 2, 1, 4, 2]
-_ORDER: Final = (2, 0, 2)  # the axes about which swaps sort three scales
+_CYCLIC_INDICES: Final = [0, 3, 5, 0, 3, 4, 2, 1, 4, 2]
+_SWAP_AXES: Final = (2, 0, 2)  # the axes about which swaps sort three scales
 # For each axis r, (w, q) and (r, p): a turn about it mixes w with r, and q with p, where p and q are
 # the axes that follow r.
-_PAIRS: Final = (
+_QUATERNION_PAIRS: Final = (
     (slice(0, None, 3), slice(1, 3)),
     (slice(0, 2), slice(2, 4)),
     (slice(0, None, 2), slice(3, None, -2)),
@@ -27,7 +27,7 @@ _PAIRS: Final = (
 Column = Float64[np.ndarray, " n"]
 Vectors = Float64[np.ndarray, "3 n"]
 Quaternions = Float32[np.ndarray, "4 n"]
-Shares = Float32[np.ndarray, " n"]
+Floats = Float32[np.ndarray, " n"]
 
 
 def scales_and_quaternions(
@@ -59,18 +59,18 @@ def variances_and_quaternions(
     """
     variances = np.empty((3, len(covariance)))
     quaternions = np.empty((len(covariance), 4), np.float32)
-    for start in range(0, len(covariance), _ROWS):
-        part = slice(start, start + _ROWS)
-        diagonal, turn = _diagonalized(covariance[part].T.astype(np.float64, order="C"))
-        _sort(diagonal, turn)
-        _take_smallest_turn(turn)
+    for start in range(0, len(covariance), _CHUNK_ROWS):
+        part = slice(start, start + _CHUNK_ROWS)
+        diagonal, quaternion = _diagonalize(covariance[part].T.astype(np.float64, order="C"))
+        _sort_axes(diagonal, quaternion)
+        _choose_smallest_rotation(quaternion)
         variances[:, part] = diagonal
         for component in range(4):  # one after the other, several times as fast as turn.T
-            quaternions[part, component] = turn[component]
+            quaternions[part, component] = quaternion[component]
     return variances, quaternions
 
 
-def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quaternions]:
+def _diagonalize(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quaternions]:
     """Return eigenvalues, and eigenvectors as quaternions that are not normalised.
 
     1. The eigenvalue that is farthest from the two others has a well-conditioned eigenvector v.
@@ -79,7 +79,7 @@ def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quat
     """
     xx, xy, xz, yy, yz, zz = covariance
     trace = xx + yy + zz
-    axis, third = _separate_axis(covariance, trace * (1 / 3))
+    axis, third_eigenvalue = _separate_axis(covariance, trace * (1 / 3))
     # The rotation 1 + vz − vy i + vx j has the columns u, t and v.
     vx, vy, vz = axis
     w = 1 + vz
@@ -90,22 +90,26 @@ def _diagonalized(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quat
     x = xx * ux + xy * uy - xz * vx
     y = xy * ux + yy * uy - yz * vx
     z = xz * ux + yz * uy - zz * vx
-    first = ux * x + uy * y - vx * z
-    between = uy * x + ty * y - vy * z
-    second = trace - third
-    second -= first
+    first_diagonal = ux * x + uy * y - vx * z
+    off_diagonal = uy * x + ty * y - vy * z
+    second_diagonal = trace - third_eigenvalue
+    second_diagonal -= first_diagonal
     # tan φ = ± 2 b / (|d| + √(d² + 4 b²)): the smaller angle, 0 where there is nothing to do
-    difference, twice = second - first, between + between
-    length = np.sqrt(difference * difference + twice * twice) + np.abs(difference)
-    tangent = twice / np.copysign(np.maximum(length, _TINY), difference)
-    shift = tangent * between
-    variances = np.stack([first - shift, second + shift, third])
+    difference, doubled_off_diagonal = second_diagonal - first_diagonal, off_diagonal + off_diagonal
+    length = np.sqrt(
+        difference * difference + doubled_off_diagonal * doubled_off_diagonal
+    ) + np.abs(difference)
+    tangent = doubled_off_diagonal / np.copysign(np.maximum(length, _SMALLEST_DIVISOR), difference)
+    shift = tangent * off_diagonal
+    variances = np.stack([first_diagonal - shift, second_diagonal + shift, third_eigenvalue])
     tangent /= np.sqrt(tangent * tangent + 1) + 1  # of φ / 2
     # Quaternions are float32 from here on, of which half as many bytes are moved.
     vx, vy, vz = axis.astype(np.float32)
-    w, half_turn = 1 + vz, tangent.astype(np.float32)
-    turn = np.stack([w, -vy - half_turn * vx, vx - half_turn * vy, -half_turn * w])
-    return variances, turn
+    w, half_angle_tangent = 1 + vz, tangent.astype(np.float32)
+    quaternion = np.stack(
+        [w, -vy - half_angle_tangent * vx, vx - half_angle_tangent * vy, -half_angle_tangent * w]
+    )
+    return variances, quaternion
 
 
 def _separate_axis(covariance: Float64[np.ndarray, "6 n"], mean: Column) -> tuple[Vectors, Column]:
@@ -116,13 +120,13 @@ def _separate_axis(covariance: Float64[np.ndarray, "6 n"], mean: Column) -> tupl
     −√3 (O. K. Smith, "Eigenvalues of a symmetric 3×3 matrix", 1961). The columns of the adjugate of
     B − β, which is adj B + βB + β², are multiples of the eigenvector. Its z is not negative.
     """
-    cyclic = covariance[_CYCLIC].reshape(2, 5, -1)
+    cyclic = covariance[_CYCLIC_INDICES].reshape(2, 5, -1)
     cyclic[0] -= mean
     squares = np.square(cyclic[:, :3])
     squares[0] += squares[1]
     squares[0] += squares[1]
-    spread = np.sqrt(squares[0].sum(axis=0) * (1 / 6))
-    cyclic *= 1 / np.maximum(spread, _TINY)
+    deviation = np.sqrt(squares[0].sum(axis=0) * (1 / 6))
+    cyclic *= 1 / np.maximum(deviation, _SMALLEST_DIVISOR)
     upper = cyclic[:, :3]  # of B: the diagonal, and what is beside it
     adjugate = cyclic[:, 1:4] * cyclic[:, 2:]
     adjugate -= upper[1] * upper[::-1]
@@ -144,7 +148,7 @@ def _separate_axis(covariance: Float64[np.ndarray, "6 n"], mean: Column) -> tupl
         ]
     )
     axis /= np.copysign(np.sqrt(np.square(axis).sum(axis=0)), axis[2])
-    return axis, mean + spread * root
+    return axis, mean + deviation * root
 
 
 def _farthest_root(determinant: Column) -> Column:
@@ -152,12 +156,12 @@ def _farthest_root(determinant: Column) -> Column:
 
     Newton's method, whose slope is at least 6 there, from a polynomial.
     """
-    half = 0.5 * determinant
-    root = _ROOT[3] * half
-    for coefficient in _ROOT[2:0:-1]:
+    half_determinant = 0.5 * determinant
+    root = _ROOT_COEFFICIENTS[3] * half_determinant
+    for coefficient in _ROOT_COEFFICIENTS[2:0:-1]:
         root += coefficient
-        root *= half
-    root += _ROOT[0]
+        root *= half_determinant
+    root += _ROOT_COEFFICIENTS[0]
     for _ in range(_NEWTON_STEPS):
         square = root * root
         step = square - 3
@@ -170,41 +174,43 @@ def _farthest_root(determinant: Column) -> Column:
     return root
 
 
-def _turn_about(turn: Quaternions, axis: int, sine: Shares, cosine: Shares | None = None) -> None:
+def _rotate_about_axis(
+    quaternion: Quaternions, axis: int, sine: Floats, cosine: Floats | None = None
+) -> None:
     """Rotate quaternions by −θ about one of their own axes: by a factor cos θ/2 − sin θ/2 e.
 
     Without a cosine it is 1, ``sine`` is tan θ/2, and the result is not normalised.
     """
-    left, right = (turn[pair] for pair in _PAIRS[axis])
-    to_left, to_right = sine * right, sine * left
+    left, right = (quaternion[pair] for pair in _QUATERNION_PAIRS[axis])
+    left_change, right_change = sine * right, sine * left
     if cosine is not None:
-        turn *= cosine
-    left += to_left
-    right -= to_right
+        quaternion *= cosine
+    left += left_change
+    right -= right_change
 
 
-def _sort(variances: Vectors, turn: Quaternions) -> None:
+def _sort_axes(variances: Vectors, quaternion: Quaternions) -> None:
     """Sort eigenvalues in place by swaps of two axes, which are quarter turns about the third."""
-    for axis in _ORDER:
+    for axis in _SWAP_AXES:
         low, high = variances[(axis + 1) % 3], variances[(axis + 2) % 3]
         is_swapped = (low > high).astype(np.float32)  # 0 or 1: tan 0° or tan 45°
         smaller = np.minimum(low, high)
         np.maximum(low, high, out=high)
         low[:] = smaller
-        _turn_about(turn, axis, is_swapped)
+        _rotate_about_axis(quaternion, axis, is_swapped)
 
 
-def _take_smallest_turn(turn: Quaternions) -> None:
+def _choose_smallest_rotation(quaternion: Quaternions) -> None:
     """Rotate the axes of ellipsoids by half turns until w is the quaternions' largest component.
 
     Half turns about own axes keep the covariance. The quaternions are normalised, in place.
     """
     # 1. Where y or z is the largest, a half turn about y makes it w or x.
-    length = np.abs(turn)
-    is_far = np.maximum(length[2], length[3]) > np.maximum(length[0], length[1])
-    sine = is_far.astype(np.float32)
-    _turn_about(turn, 1, sine, 1 - sine)
+    length = np.abs(quaternion)
+    is_beyond_half_turn = np.maximum(length[2], length[3]) > np.maximum(length[0], length[1])
+    sine = is_beyond_half_turn.astype(np.float32)
+    _rotate_about_axis(quaternion, 1, sine, 1 - sine)
     # 2. Where x is larger than w, a half turn about x exchanges them.
-    sine = (np.abs(turn[1]) > np.abs(turn[0])).astype(np.float32)
-    _turn_about(turn, 0, sine, 1 - sine)
-    turn /= np.copysign(np.sqrt((turn * turn).sum(axis=0)), turn[0])
+    sine = (np.abs(quaternion[1]) > np.abs(quaternion[0])).astype(np.float32)
+    _rotate_about_axis(quaternion, 0, sine, 1 - sine)
+    quaternion /= np.copysign(np.sqrt((quaternion * quaternion).sum(axis=0)), quaternion[0])

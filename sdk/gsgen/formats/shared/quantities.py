@@ -49,7 +49,7 @@ def to_bytes(values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
     return rounded(values, 0, 255).astype(np.uint8)
 
 
-def from_largest(
+def quaternions_from_largest(
     largest: Integer[np.ndarray, " n"], smaller: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 4"]:
     """Rebuild unit quaternions from their three components other than the largest.
@@ -59,12 +59,12 @@ def from_largest(
         smaller: The other components, in order of their indices.
     """
     rows = np.arange(len(largest))
-    whole = np.empty((len(largest), 4), np.float64)
+    quaternions = np.empty((len(largest), 4), np.float64)
     for index in range(3):
-        whole[rows, index + (index >= largest)] = smaller[:, index]
+        quaternions[rows, index + (index >= largest)] = smaller[:, index]
     squares = np.square(smaller.astype(np.float64)).sum(axis=1)
-    whole[rows, largest] = np.sqrt(np.maximum(1 - squares, 0))
-    return whole.astype(np.float32)
+    quaternions[rows, largest] = np.sqrt(np.maximum(1 - squares, 0))
+    return quaternions.astype(np.float32)
 
 
 def without_largest(
@@ -97,5 +97,5 @@ def rotations(matrices: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarray, "n 
         ],
         axis=1,
     )
-    best = np.argmax(table[:, range(4), range(4)], axis=1)
-    return unit(table[np.arange(len(table)), best])
+    best_column = np.argmax(table[:, range(4), range(4)], axis=1)
+    return unit(table[np.arange(len(table)), best_column])

@@ -48,12 +48,12 @@ class Splats:
     color_space: Literal["srgb", "linear"] = "srgb"
 
     def __post_init__(self) -> None:
-        _require("position", self.position, ("float32",), ("n", 3))
+        _require_array("position", self.position, ("float32",), ("n", 3))
         rows = len(self.position)
-        _require("rotation", self.rotation, ("float32",), (rows, 4))
-        _require("log_scale", self.log_scale, ("float32",), (rows, 3))
-        _require("logit_opacity", self.logit_opacity, ("float32",), (rows,))
-        _require("sh", self.sh, ("float32",), (rows, "k", 3))
+        _require_array("rotation", self.rotation, ("float32",), (rows, 4))
+        _require_array("log_scale", self.log_scale, ("float32",), (rows, 3))
+        _require_array("logit_opacity", self.logit_opacity, ("float32",), (rows,))
+        _require_array("sh", self.sh, ("float32",), (rows, "k", 3))
         if self.sh.shape[1] not in SH_COUNTS:
             raise ValueInvalid(
                 f"the splats have {self.sh.shape[1]} SH coefficients",
@@ -114,8 +114,8 @@ class PointCloud:
     color: Float32[np.ndarray, "n 3"]
 
     def __post_init__(self) -> None:
-        _require("position", self.position, ("float32",), ("n", 3))
-        _require("color", self.color, ("float32",), (len(self.position), 3))
+        _require_array("position", self.position, ("float32",), ("n", 3))
+        _require_array("color", self.color, ("float32",), (len(self.position), 3))
 
     def __len__(self) -> int:
         return len(self.position)
@@ -143,9 +143,9 @@ class PackedRows:
     appearance: Float[np.ndarray, "n c"]
 
     def __post_init__(self) -> None:
-        halves = ("float16", "float32")
-        _require("gaussians", self.gaussians, halves, ("n", 10))
-        _require("appearance", self.appearance, halves, (len(self.gaussians), "c"))
+        float_dtypes = ("float16", "float32")
+        _require_array("gaussians", self.gaussians, float_dtypes, ("n", 10))
+        _require_array("appearance", self.appearance, float_dtypes, (len(self.gaussians), "c"))
 
     def __len__(self) -> int:
         return len(self.gaussians)
@@ -155,23 +155,23 @@ class PackedRows:
         return f"<PackedRows: {len(self):,} Gaussians, {channels}, {self.gaussians.dtype}>"
 
 
-def _require(
+def _require_array(
     name: str, array: object, dtypes: tuple[str, ...], shape: tuple[int | str, ...]
 ) -> None:
     """Raise ValueInvalid unless an array has the given dtype and shape; named sizes match any."""
-    expected = f"{' or '.join(dtypes)} {_bracketed(shape)}"
+    expected = f"{' or '.join(dtypes)} {_shape_text(shape)}"
     if not isinstance(array, np.ndarray):
         raise ValueInvalid(f"the value is a {type(array).__name__}", where=name, expected=expected)
     sizes = zip(array.shape, shape, strict=False)
-    fits = (
+    is_valid = (
         array.ndim == len(shape)
         and array.dtype in [np.dtype(dtype) for dtype in dtypes]
         and all(length == size or isinstance(size, str) for length, size in sizes)
     )
-    if not fits:
-        actual = f"the array is {array.dtype} {_bracketed(array.shape)}"
+    if not is_valid:
+        actual = f"the array is {array.dtype} {_shape_text(array.shape)}"
         raise ValueInvalid(actual, where=name, expected=expected)
 
 
-def _bracketed(shape: tuple[int | str, ...]) -> str:
+def _shape_text(shape: tuple[int | str, ...]) -> str:
     return "[" + ", ".join(map(str, shape)) + "]"

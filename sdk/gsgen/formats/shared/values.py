@@ -28,7 +28,7 @@ def require_finite(
             return
     expected = " or ".join(["a finite number", *(f"{value:+}" for value in infinite)])
     for column, label in zip(table.T, labels, strict=True):
-        _require(finite_or_allowed(column, infinite), column, label, expected)
+        _require_valid(finite_or_allowed(column, infinite), column, label, expected)
 
 
 def finite_or_allowed(
@@ -45,10 +45,10 @@ def require_colors(table: Float32[np.ndarray, "n 3"], labels: Sequence[str]) -> 
     """Raise ValueInvalid unless all colours lie in [0, 1]; ``labels`` names the columns."""
     hint = "store colours from 0 to 255 as bytes (uchar, uint8)"
     for column, label in zip(table.T, labels, strict=True):
-        _require((column >= 0) & (column <= 1), column, label, "0 <= value <= 1", hint)
+        _require_valid((column >= 0) & (column <= 1), column, label, "0 <= value <= 1", hint)
 
 
-def _require(
+def _require_valid(
     is_valid: Bool[np.ndarray, " n"],
     column: Float32[np.ndarray, " n"],
     label: str,

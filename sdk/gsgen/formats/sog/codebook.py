@@ -5,11 +5,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
-from gsgen.formats.sog.meta import CODES
+from gsgen.formats.sog.meta import CODEBOOK_SIZE
 
-_KNOTS: Final = 4096
-_ROUNDS: Final = 300
-_SAMPLES: Final = 1 << 22
+_KNOT_COUNT: Final = 4096
+_MAX_ROUNDS: Final = 300
+_MAX_SAMPLES: Final = 1 << 22
 
 
 def make_codebook(
@@ -25,42 +25,44 @@ def make_codebook(
         values: Finite numbers, at least one.
         weights: The weight of each value's error; all are equal if None.
     """
-    flat = values.reshape(-1)
-    if weights is None and len(flat) > _SAMPLES:
-        ends = np.array([flat.min(), flat.max()])
-        flat = np.concatenate([flat[:: -(-len(flat) // _SAMPLES)], ends])
-    order = np.argsort(flat, kind="stable")
-    ascending = flat[order].astype(np.float64)
+    flat_values = values.reshape(-1)
+    if weights is None and len(flat_values) > _MAX_SAMPLES:
+        ends = np.array([flat_values.min(), flat_values.max()])
+        flat_values = np.concatenate([flat_values[:: -(-len(flat_values) // _MAX_SAMPLES)], ends])
+    order = np.argsort(flat_values, kind="stable")
+    ascending = flat_values[order].astype(np.float64)
     weight = np.ones(len(ascending)) if weights is None else weights[order].astype(np.float64)
-    distinct = np.unique(ascending.astype(np.float32))
-    if len(distinct) <= CODES:
-        return np.concatenate([distinct, np.repeat(distinct[-1:], CODES - len(distinct))])
+    distinct_values = np.unique(ascending.astype(np.float32))
+    if len(distinct_values) <= CODEBOOK_SIZE:
+        return np.concatenate(
+            [distinct_values, np.repeat(distinct_values[-1:], CODEBOOK_SIZE - len(distinct_values))]
+        )
     total, moment = (np.append(0, np.cumsum(terms)) for terms in (weight, weight * ascending))
-    book = _companded(ascending)
-    for _ in range(_ROUNDS):
-        inner = np.searchsorted(ascending, (book[1:] + book[:-1]) / 2)
-        edges = np.concatenate([[0], inner, [len(ascending)]])
+    codebook = _initial_codebook(ascending)
+    for _ in range(_MAX_ROUNDS):
+        inner_edges = np.searchsorted(ascending, (codebook[1:] + codebook[:-1]) / 2)
+        edges = np.concatenate([[0], inner_edges, [len(ascending)]])
         cell_weight = np.diff(total[edges])
         means = np.diff(moment[edges]) / np.maximum(cell_weight, np.finfo(np.float64).tiny)
-        moved = np.sort(np.where(cell_weight > 0, means, book))
-        if np.array_equal(moved, book):
+        updated_codebook = np.sort(np.where(cell_weight > 0, means, codebook))
+        if np.array_equal(updated_codebook, codebook):
             break
-        book = moved
-    return book.astype(np.float32)
+        codebook = updated_codebook
+    return codebook.astype(np.float32)
 
 
-def codes(
-    values: Float[np.ndarray, "..."], book: Float32[np.ndarray, "256"]
+def nearest_codes(
+    values: Float[np.ndarray, "..."], codebook: Float32[np.ndarray, "256"]
 ) -> UInt8[np.ndarray, "..."]:
     """Return for each value the index of the nearest codebook number."""
-    middles = (book[1:].astype(np.float64) + book[:-1]) / 2
-    return np.searchsorted(middles, values).astype(np.uint8)
+    midpoints = (codebook[1:].astype(np.float64) + codebook[:-1]) / 2
+    return np.searchsorted(midpoints, values).astype(np.uint8)
 
 
-def _companded(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
+def _initial_codebook(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
     """Return an initial codebook for ``values``, spaced by the cube root of their density."""
-    ranks = np.linspace(0, len(ascending) - 1, _KNOTS + 1).astype(np.int64)
+    ranks = np.linspace(0, len(ascending) - 1, _KNOT_COUNT + 1).astype(np.int64)
     knots = ascending[ranks]
-    measure = np.append(0, np.cumsum(np.diff(knots) ** (2 / 3)))
-    share = (np.arange(CODES) + 0.5) / CODES
-    return np.asarray(np.interp(share * measure[-1], measure, knots))
+    cumulative_density = np.append(0, np.cumsum(np.diff(knots) ** (2 / 3)))
+    quantiles = (np.arange(CODEBOOK_SIZE) + 0.5) / CODEBOOK_SIZE
+    return np.asarray(np.interp(quantiles * cumulative_density[-1], cumulative_density, knots))

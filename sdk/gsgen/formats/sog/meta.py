@@ -9,11 +9,11 @@ from typing import Any, Final, NoReturn, final
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from gsgen.formats.shared.bytes import MOST_SPLATS
-from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
+from gsgen.formats.shared.bytes import MAX_SPLATS
+from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, quoted
 from gsgen.formats.shared.files import FilePath
 
-META: Final = "meta.json"
+META_FILE: Final = "meta.json"
 """The file that describes the images."""
 STREAMED_META: Final = "lod-meta.json"
 """The file that lists the SOG files of several levels of detail."""
@@ -23,17 +23,17 @@ PALETTE_WIDTH: Final = 64
 """The entries of the palette of harmonics in a row of its image."""
 QUATERNION_TAG: Final = 252
 """Alpha of a quaternion whose largest component is the first."""
-CODES: Final = 256
+CODEBOOK_SIZE: Final = 256
 """The numbers of a codebook."""
-MOST_PALETTE: Final = 1 << 16
+MAX_PALETTE_SIZE: Final = 1 << 16
 """The most entries of the palette of harmonics."""
 
-_BANDS = (1, 2, 3)
+_SH_BANDS = (1, 2, 3)
 
 
 def is_meta(path: FilePath) -> bool:
     """Return whether a path is that of a SOG's meta.json, beside which its images lie."""
-    return Path(path).name.lower() == META
+    return Path(path).name.lower() == META_FILE
 
 
 def is_streamed_meta(path: FilePath) -> bool:
@@ -70,22 +70,22 @@ class Meta:
         if "lodLevels" in data or "tree" in data:
             raise NotSupported(
                 "the file is a streamed SOG of several levels of detail",
-                where=META,
+                where=META_FILE,
                 expected="a SOG of one level",
                 hint="read one of the files that it lists",
             )
         if "means" not in data:
             raise NotRecognised(
                 "the JSON object lacks the key 'means'",
-                where=META,
+                where=META_FILE,
                 expected="the meta.json of a SOG",
             )
         version = data.get("version", 1)
         if version != 2:
             raise NotSupported(
-                f"the SOG version is {shown(str(version))}", where=META, expected="version 2"
+                f"the SOG version is {quoted(str(version))}", where=META_FILE, expected="version 2"
             )
-        return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
+        return cls(data, _require_integer(data.get("count"), f"{META_FILE}, count", MAX_SPLATS))
 
     @property
     def antialiased(self) -> bool:
@@ -94,9 +94,9 @@ class Meta:
 
     def files(self, group: str, number: int) -> list[str]:
         """Return the image file names of a quantity ``group`` in SOG's meta.json."""
-        names = self._list(group, "files", number)
+        names = self._require_list(group, "files", number)
         if not all(isinstance(name, str) for name in names):
-            self._refuse(group, "files", f"{number} names")
+            self._raise_malformed(group, "files", f"{number} names")
         return names
 
     def all_files(self) -> list[str]:
@@ -112,7 +112,7 @@ class Meta:
     def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
         """Return the 256 codebook numbers of ``group`` in SOG's meta.json."""
         with np.errstate(over="ignore"):  # the check of values refuses infinity
-            numbers = np.array(self._numbers(group, "codebook", CODES), np.float64)
+            numbers = np.array(self._numbers(group, "codebook", CODEBOOK_SIZE), np.float64)
             return numbers.astype(np.float32)
 
     def palette(self) -> tuple[int, int] | None:
@@ -120,37 +120,37 @@ class Meta:
         if self.data.get("shN") is None:
             return None
         group = self._group("shN")
-        size = _whole(group.get("count"), f"{META}, shN.count", MOST_PALETTE)
+        size = _require_integer(group.get("count"), f"{META_FILE}, shN.count", MAX_PALETTE_SIZE)
         bands = group.get("bands")
-        if bands not in _BANDS:
-            self._refuse("shN", "bands", "1, 2 or 3")
+        if bands not in _SH_BANDS:
+            self._raise_malformed("shN", "bands", "1, 2 or 3")
         return size, int(bands)
 
     def _group(self, group: str) -> dict[str, Any]:
         entry = self.data.get(group)
         if not isinstance(entry, dict):
             raise HeaderMalformed(
-                f"the JSON object lacks the key {group!r}", where=META, expected="an object"
+                f"the JSON object lacks the key {group!r}", where=META_FILE, expected="an object"
             )
         return entry
 
-    def _list(self, group: str, key: str, number: int) -> list[Any]:
+    def _require_list(self, group: str, key: str, number: int) -> list[Any]:
         entries = self._group(group).get(key)
         if not isinstance(entries, list) or len(entries) != number:
-            self._refuse(group, key, f"a list of {number}")
+            self._raise_malformed(group, key, f"a list of {number}")
         return entries
 
     def _numbers(self, group: str, key: str, number: int) -> list[float]:
-        entries = self._list(group, key, number)
+        entries = self._require_list(group, key, number)
         for value in entries:
-            number_like = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (number_like and abs(value) < math.inf):
-                self._refuse(group, key, f"{number} finite numbers")
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not (is_number and abs(value) < math.inf):
+                self._raise_malformed(group, key, f"{number} finite numbers")
         return [float(value) if abs(value) < 1e300 else math.inf for value in entries]
 
-    def _refuse(self, group: str, key: str, expected: str) -> NoReturn:
-        actual = shown(str(self._group(group).get(key)))
-        raise HeaderMalformed(actual, where=f"{META}, {group}.{key}", expected=expected)
+    def _raise_malformed(self, group: str, key: str, expected: str) -> NoReturn:
+        actual = quoted(str(self._group(group).get(key)))
+        raise HeaderMalformed(actual, where=f"{META_FILE}, {group}.{key}", expected=expected)
 
 
 def parse_object(content: bytes) -> dict[str, Any]:
@@ -164,20 +164,22 @@ def parse_object(content: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         reason = "it nests too deeply" if isinstance(error, RecursionError) else error
         raise NotRecognised(
-            f"the file has invalid JSON ({reason})", where=META, expected="the meta.json of a SOG"
+            f"the file has invalid JSON ({reason})",
+            where=META_FILE,
+            expected="the meta.json of a SOG",
         ) from error
     if not isinstance(data, dict):
         raise NotRecognised(
             f"the JSON value is a {type(data).__name__}",
-            where=META,
+            where=META_FILE,
             expected="an object, the meta.json of a SOG",
         )
     return data
 
 
-def _whole(value: object, where: str, most: int) -> int:
+def _require_integer(value: object, where: str, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
         raise HeaderMalformed(
-            shown(str(value)), where=where, expected=f"a whole number from 1 to {most}"
+            quoted(str(value)), where=where, expected=f"a whole number from 1 to {most}"
         )
     return value

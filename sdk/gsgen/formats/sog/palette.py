@@ -13,34 +13,36 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-_TRAINING: Final = 1 << 19
+_MAX_TRAINING_ROWS: Final = 1 << 19
 _TRIAL_ROUNDS: Final = 2
-_ROUNDS: Final = 2
+_LLOYD_ROUNDS: Final = 2
 _POWER_STEPS: Final = 2
-_SEARCHED: Final = 3072  # the entries, at least, of the blocks in which a splat looks
-_ROWS: Final = 1 << 12
-_ALL_SPLIT: Final = 8  # every cluster is split while the tree has fewer than 1/8 of its leaves
-_SHARE_SPLIT: Final = 3  # later, the worst third
+_MIN_SEARCHED_ENTRIES: Final = 3072  # the entries, at least, of the blocks in which a splat looks
+_CHUNK_ROWS: Final = 1 << 12
+_FULL_SPLIT_DIVISOR: Final = (
+    8  # every cluster is split while the tree has fewer than 1/8 of its leaves
+)
+_SPLIT_DIVISOR: Final = 3  # later, the worst third
 
 Rows = Float32[np.ndarray, "n d"]
 
 
 def training_step(count: int) -> int:
     """Return the row stride that samples at most half a million splats to compute an SH palette."""
-    return -(-count // _TRAINING)
+    return -(-count // _MAX_TRAINING_ROWS)
 
 
 def make_palette(rows: Rows, size: int) -> Rows:
     """Return at most ``size`` palette entries that quantise rows of SH with small squared error."""
     # Real scenes have clusters, which a tree finds; noise has none, and rows of it start better.
-    spaced = rows[np.linspace(0, len(rows) - 1, min(size, len(rows))).astype(np.int64)]
-    starts = [_split_clusters(candidate, size) for candidate in (rows, spaced)]
-    rounds = [_moved(rows, palette, _TRIAL_ROUNDS) for palette in starts]
+    spaced_rows = rows[np.linspace(0, len(rows) - 1, min(size, len(rows))).astype(np.int64)]
+    starts = [_split_clusters(candidate, size) for candidate in (rows, spaced_rows)]
+    rounds = [_refined_palette(rows, palette, _TRIAL_ROUNDS) for palette in starts]
     palette, _ = min(rounds, key=lambda entry: entry[1])
-    return _moved(rows, palette, _ROUNDS)[0]
+    return _refined_palette(rows, palette, _LLOYD_ROUNDS)[0]
 
 
-def _moved(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, float]:
+def _refined_palette(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, float]:
     """Return the SH palette after Lloyd iterations, and the squared error before the last one."""
     error = 0.0
     for _ in range(rounds):
@@ -51,7 +53,7 @@ def _moved(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, float]:
 
 
 def _error(rows: Rows, palette: Rows, labels: Int64[np.ndarray, " n"]) -> float:
-    parts = (slice(start, start + _ROWS) for start in range(0, len(rows), _ROWS))
+    parts = (slice(start, start + _CHUNK_ROWS) for start in range(0, len(rows), _CHUNK_ROWS))
     return float(sum(np.square(rows[part] - palette[labels[part]]).sum() for part in parts))
 
 
@@ -64,18 +66,18 @@ def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
     members = [np.arange(start, min(start + block, len(palette))) for start in starts]
-    around = np.argsort(_distances(centres, centres), axis=1, kind="stable")
-    around = around[:, : -(-_SEARCHED // block)]
-    parts = (values[start : start + _ROWS] for start in range(0, len(values), _ROWS))
-    home = np.concatenate([_distances(part, centres).argmin(axis=1) for part in parts])
-    order = np.argsort(home, kind="stable")
-    edges = np.searchsorted(home[order], np.arange(len(starts) + 1))
+    neighbour_blocks = np.argsort(_distances(centres, centres), axis=1, kind="stable")
+    neighbour_blocks = neighbour_blocks[:, : -(-_MIN_SEARCHED_ENTRIES // block)]
+    parts = (values[start : start + _CHUNK_ROWS] for start in range(0, len(values), _CHUNK_ROWS))
+    nearest_block = np.concatenate([_distances(part, centres).argmin(axis=1) for part in parts])
+    order = np.argsort(nearest_block, kind="stable")
+    block_starts = np.searchsorted(nearest_block[order], np.arange(len(starts) + 1))
     labels = np.empty(len(values), np.int64)
-    for index, blocks in enumerate(around):
+    for index, blocks in enumerate(neighbour_blocks):
         candidates = np.concatenate([members[neighbour] for neighbour in np.sort(blocks)])
         entries = palette[candidates]
-        for start in range(edges[index], edges[index + 1], _ROWS):
-            rows = order[start : min(start + _ROWS, edges[index + 1])]
+        for start in range(block_starts[index], block_starts[index + 1], _CHUNK_ROWS):
+            rows = order[start : min(start + _CHUNK_ROWS, block_starts[index + 1])]
             labels[rows] = candidates[_distances(values[rows], entries).argmin(axis=1)]
     return labels
 
@@ -92,16 +94,16 @@ def _split_clusters(rows: Rows, size: int) -> Rows:
         candidates = np.flatnonzero((counts > 1) & (error > 0))
         if not len(candidates):
             break
-        share = 1 if len(starts) < size // _ALL_SPLIT else _SHARE_SPLIT
-        most = min(-(-len(candidates) // share), size - len(starts))
-        worst = candidates[np.argsort(-error[candidates], kind="stable")[:most]]
-        is_split = np.isin(np.arange(len(starts)), worst)
-        side = (_projections(centred, variances, starts, label) > 0) & is_split[label]
-        moved = label * 2 + side
+        divisor = 1 if len(starts) < size // _FULL_SPLIT_DIVISOR else _SPLIT_DIVISOR
+        most = min(-(-len(candidates) // divisor), size - len(starts))
+        split_labels = candidates[np.argsort(-error[candidates], kind="stable")[:most]]
+        is_split = np.isin(np.arange(len(starts)), split_labels)
+        is_positive_side = (_projections(centred, variances, starts, label) > 0) & is_split[label]
+        moved = label * 2 + is_positive_side
         order = np.argsort(moved, kind="stable")
-        rows, before = rows[order], len(starts)
+        rows, cluster_count = rows[order], len(starts)
         starts = np.flatnonzero(np.diff(moved[order], prepend=-1))
-        if len(starts) == before:  # only rounding separates the rows of these clusters
+        if len(starts) == cluster_count:  # only rounding separates the rows of these clusters
             break
     return _group_means(rows, starts)
 
@@ -112,8 +114,8 @@ def _projections(
     """Project each row onto the principal axis of its cluster, found by power iteration."""
     axis = np.eye(variances.shape[1], dtype=np.float32)[variances.argmax(axis=1)]
     for _ in range(_POWER_STEPS):
-        along = np.einsum("nd,nd->n", centred, axis[label])
-        axis = np.add.reduceat(centred * along[:, None], starts, axis=0)
+        projections = np.einsum("nd,nd->n", centred, axis[label])
+        axis = np.add.reduceat(centred * projections[:, None], starts, axis=0)
         length = np.linalg.norm(axis, axis=1, keepdims=True)
         axis /= np.where(length > 0, length, 1)
     return np.asarray(np.einsum("nd,nd->n", centred, axis[label]))

@@ -19,16 +19,16 @@ from gsgen.formats.shared.errors import (
     HeaderMalformed,
     PropertyMissing,
     SizeExceeded,
-    shown,
+    quoted,
 )
-from gsgen.formats.shared.files import FilePath, naming, opened
+from gsgen.formats.shared.files import FilePath, naming, open_file
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
-from gsgen.formats.shared.quantities import from_largest, logit, unit
+from gsgen.formats.shared.quantities import logit, quaternions_from_largest, unit
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.image import Image, decode_image, most_pixels
 from gsgen.formats.sog.meta import (
-    META,
+    META_FILE,
     PALETTE_WIDTH,
     QUATERNION_TAG,
     Meta,
@@ -41,12 +41,12 @@ from gsgen.formats.sog.streamed import is_streamed, read_levels
 __all__ = ["read_sog"]
 
 MAX_META: Final = 1 << 22
-_MOST_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
-_MOST_INFLATION = 1040  # the most bytes that deflate unpacks from one
+_MAX_PIXELS_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
+_MAX_INFLATION = 1040  # the most bytes that deflate unpacks from one
 _BYTES_PER_PIXEL = 8  # lossless WebP of noise takes little more than four
-_BYTES_EACH = 236  # the memory of a splat of degree 3
+_BYTES_PER_SPLAT = 236  # the memory of a splat of degree 3
 
-Fetch = Callable[[str, int], bytes]
+FetchFile = Callable[[str, int], bytes]
 """Returns the content of a file; raises if it has more bytes than the second argument."""
 
 
@@ -68,16 +68,18 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
         SizeExceeded: The splats need more than ``max_bytes``.
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
-    with naming(path), opened(path) as file, np.errstate(all="ignore"):
+    with naming(path), open_file(path) as file, np.errstate(all="ignore"):
         if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
             return _read_unpacked(path, max_bytes)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
-            return _decode(_within(archive, Path(path).stat().st_size), META, max_bytes)
+            return _decode(
+                _fetch_from_archive(archive, Path(path).stat().st_size), META_FILE, max_bytes
+            )
 
 
 def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
     """Read an unpacked SOG by its meta.json, or streamed SOG files by their lod-meta.json."""
-    fetch, name = _beside(path), Path(path).name
+    fetch, name = _fetch_from_folder(path), Path(path).name
     data = parse_object(fetch(name, MAX_META))
     if not is_streamed(data):
         return _decode(fetch, name, max_bytes)
@@ -85,13 +87,13 @@ def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
     def read_part(part: str, limit: int) -> Splats:
         file = Path(path).parent / part
         if not file.resolve().is_relative_to(Path(path).parent.resolve()):
-            raise HeaderMalformed(shown(part), where=name, expected="a file below its folder")
-        with opened(file) as stream:
+            raise HeaderMalformed(quoted(part), where=name, expected="a file below its folder")
+        with open_file(file) as stream:
             is_streamed_too = stream.read(len(ZIP_MAGIC)) != ZIP_MAGIC and is_streamed(
-                parse_object(_beside(file)(file.name, MAX_META))
+                parse_object(_fetch_from_folder(file)(file.name, MAX_META))
             )
         if is_streamed_too:
-            raise HeaderMalformed(shown(part), where=name, expected="the meta.json of one SOG")
+            raise HeaderMalformed(quoted(part), where=name, expected="the meta.json of one SOG")
         return read_sog(file, max_bytes=max(limit, 0))
 
     return read_levels(data, read_part, max_bytes)
@@ -110,69 +112,71 @@ def written_bytes(path: FilePath) -> int:
     return size + sum(Path(path).with_name(name).stat().st_size for name in names)
 
 
-def _within(archive: zipfile.ZipFile, size: int) -> Fetch:
+def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
     names = set(archive.namelist())
 
     def fetch(name: str, limit: int) -> bytes:
         if name not in names:
-            raise PropertyMissing(f"the archive holds no file {shown(name)}", where="archive")
-        most = min(limit, size * _MOST_INFLATION)
-        with unpacking(f"file {shown(name)}"), archive.open(name) as stream:
-            return _limited(stream.read(most + 1), most, name)
+            raise PropertyMissing(f"the archive holds no file {quoted(name)}", where="archive")
+        most = min(limit, size * _MAX_INFLATION)
+        with unpacking(f"file {quoted(name)}"), archive.open(name) as stream:
+            return _require_size_limit(stream.read(most + 1), most, name)
 
     return fetch
 
 
-def _beside(path: FilePath) -> Fetch:
+def _fetch_from_folder(path: FilePath) -> FetchFile:
     folder = Path(path).parent
 
     def fetch(name: str, limit: int) -> bytes:
         if Path(name).name != name:
             raise HeaderMalformed(
-                shown(name), where=META, expected="the name of a file in the same folder"
+                quoted(name), where=META_FILE, expected="the name of a file in the same folder"
             )
-        with opened(folder / name) as file:
+        with open_file(folder / name) as file:
             most = min(limit, os.fstat(file.fileno()).st_size)
-            return _limited(file.read(most + 1), most, name)
+            return _require_size_limit(file.read(most + 1), most, name)
 
     return fetch
 
 
-def _limited(content: bytes, limit: int, name: str) -> bytes:
+def _require_size_limit(content: bytes, limit: int, name: str) -> bytes:
     if len(content) > limit:
         raise SizeExceeded(
-            f"the file has more than {limit} bytes", where=f"file {shown(name)}", hint=DOWNLOAD_HINT
+            f"the file has more than {limit} bytes",
+            where=f"file {quoted(name)}",
+            hint=DOWNLOAD_HINT,
         )
     return content
 
 
-def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
+def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
     meta = Meta.parse(fetch(name, MAX_META))
     count = meta.count
-    if count * _BYTES_EACH > max_bytes:
+    if count * _BYTES_PER_SPLAT > max_bytes:
         raise SizeExceeded(
-            f"the {count} splats take about {count * _BYTES_EACH} bytes",
+            f"the {count} splats take about {count * _BYTES_PER_SPLAT} bytes",
             expected=f"{max_bytes} bytes or fewer",
             hint="if you trust the file, read it with a larger max_bytes",
         )
 
-    def fetched(file: str, pixels: int) -> bytes:
+    def fetch_image(file: str, pixels: int) -> bytes:
         return fetch(file, _BYTES_PER_PIXEL * most_pixels(pixels))
 
-    means = [fetched(file, count) for file in meta.files("means", 2)]
+    means = [fetch_image(file, count) for file in meta.files("means", 2)]
     packed = sum(map(len, means))
-    if count > packed * _MOST_PER_BYTE:
+    if count > packed * _MAX_PIXELS_PER_BYTE:
         raise FileTruncated(
             f"meta.json declares {count} splats, but their positions are {packed} bytes",
-            where=f"{META}, count",
-            expected=f"at most {packed * _MOST_PER_BYTE} splats, with the best compression",
+            where=f"{META_FILE}, count",
+            expected=f"at most {packed * _MAX_PIXELS_PER_BYTE} splats, with the best compression",
             hint=DOWNLOAD_HINT,
         )
     low, high = (decode_image(image, count, "means") for image in means)
 
     def image(group: str) -> Image:
         (file,) = meta.files(group, 1)
-        return decode_image(fetched(file, count), count, group)
+        return decode_image(fetch_image(file, count), count, group)
 
     color = image("sh0")
     constant = meta.codebook("sh0")[color[:, :3]]
@@ -181,7 +185,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
         rotation=_rotations(image("quats")),
         log_scale=meta.codebook("scales")[image("scales")[:, :3]],
         logit_opacity=logit(color[:, 3] / np.float32(255)),
-        sh=np.concatenate([constant[:, None], _higher(meta, fetched)], axis=1),
+        sh=np.concatenate([constant[:, None], _higher_bands(meta, fetch_image)], axis=1),
         antialiased=meta.antialiased,
     )
     require_drawable(splats)
@@ -189,9 +193,9 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
 
 
 def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"]:
-    share = (low[:, :3] | high[:, :3].astype(np.int64) << 8) / 65535
+    fractions = (low[:, :3] | high[:, :3].astype(np.int64) << 8) / 65535
     least, most = meta.triple("means", "mins"), meta.triple("means", "maxs")
-    stored = least * (1 - share) + most * share
+    stored = least * (1 - fractions) + most * fractions
     return np.asarray(np.sign(stored) * np.expm1(np.abs(stored)), np.float32)
 
 
@@ -199,12 +203,14 @@ def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
     """Decode quaternions from the pixels of a SOG image; an invalid tag gives the identity."""
     tag = image[:, 3].astype(np.int64) - QUATERNION_TAG
     smaller = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
-    rotation = unit(from_largest(np.maximum(tag, 0), smaller))
+    rotation = unit(quaternions_from_largest(np.maximum(tag, 0), smaller))
     rotation[tag < 0] = (1, 0, 0, 0)
     return rotation
 
 
-def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndarray, "n k 3"]:
+def _higher_bands(
+    meta: Meta, fetch_image: Callable[[str, int], bytes]
+) -> Float32[np.ndarray, "n k 3"]:
     """Return the SH coefficients above degree 0 of each splat, from the palette of a SOG file."""
     palette = meta.palette()
     if palette is None:
@@ -214,8 +220,10 @@ def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndar
     centroids, labels = meta.files("shN", 2)
     height = -(-size // PALETTE_WIDTH)
     pixels = PALETTE_WIDTH * higher_count * height
-    image = decode_image(fetched(centroids, pixels), pixels, "shN", PALETTE_WIDTH * higher_count)
-    indices = decode_image(fetched(labels, meta.count), meta.count, "shN")
+    image = decode_image(
+        fetch_image(centroids, pixels), pixels, "shN", PALETTE_WIDTH * higher_count
+    )
+    indices = decode_image(fetch_image(labels, meta.count), meta.count, "shN")
     label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
     if (label >= size).any():
         raise HeaderMalformed(

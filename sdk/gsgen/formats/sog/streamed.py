@@ -11,14 +11,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from gsgen.formats.shared.errors import HeaderMalformed, SizeExceeded, shown
-from gsgen.formats.shared.joined import joined
-from gsgen.formats.shared.splat_values import ARRAYS, rows_of
+from gsgen.formats.shared.errors import HeaderMalformed, SizeExceeded, quoted
+from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.meta import STREAMED_META
 
-_MOST_DEPTH: Final = 64
-_MOST_LEAVES: Final = 1 << 20
+_MAX_DEPTH: Final = 64
+_MAX_LEAVES: Final = 1 << 20
 
 
 def is_streamed(data: dict[str, Any]) -> bool:
@@ -41,30 +41,30 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
     names = data.get("filenames")
     if not isinstance(names, list) or not all(_is_inside(name) for name in names):
         raise HeaderMalformed(
-            shown(str(names)),
+            quoted(str(names)),
             where=f"{STREAMED_META}, filenames",
             expected="names below its folder",
         )
     ranges: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for leaf in _leaves(data.get("tree")):
-        index, offset, count = _finest(leaf, len(names))
+        index, offset, count = _finest_range(leaf, len(names))
         ranges[index].append((offset, count))
     parts: list[Splats] = []
     for index in sorted(ranges):
-        used = sum(_bytes_of(part) for part in parts)
-        splats = read(names[index], max_bytes - used)
+        used_bytes = sum(_bytes_of(part) for part in parts)
+        splats = read(names[index], max_bytes - used_bytes)
         rows = [np.arange(offset, offset + count) for offset, count in sorted(ranges[index])]
         selected = np.concatenate(rows)
         where = f"{STREAMED_META}, tree"
         if selected[-1] >= len(splats):
             raise HeaderMalformed(
-                f"the level-of-detail tree lists splat {selected[-1]} of {shown(names[index])}",
+                f"the level-of-detail tree lists splat {selected[-1]} of {quoted(names[index])}",
                 where=where,
                 expected=f"splats from 0 to {len(splats) - 1}, as that file has",
             )
         if len(np.unique(selected)) < len(selected):
             raise HeaderMalformed(
-                f"the level-of-detail tree lists splats of {shown(names[index])} twice",
+                f"the level-of-detail tree lists splats of {quoted(names[index])} twice",
                 where=where,
                 expected="each splat once",
             )
@@ -72,18 +72,18 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
     environment = data.get("environment")
     if environment is not None:
         if not _is_inside(environment):
-            raise HeaderMalformed(shown(str(environment)), where=f"{STREAMED_META}, environment")
+            raise HeaderMalformed(quoted(str(environment)), where=f"{STREAMED_META}, environment")
         parts.append(read(environment, max_bytes - sum(_bytes_of(part) for part in parts)))
     if sum(_bytes_of(part) for part in parts) > max_bytes:
         raise SizeExceeded(
             "the splats of all files take more memory than allowed",
             expected=f"{max_bytes} bytes or fewer",
         )
-    return joined(parts)
+    return join_splats(parts)
 
 
 def _bytes_of(splats: Splats) -> int:
-    return sum(getattr(splats, name).nbytes for name in ARRAYS)
+    return sum(getattr(splats, name).nbytes for name in SPLAT_ARRAY_NAMES)
 
 
 def _is_inside(name: object) -> bool:
@@ -104,12 +104,12 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
         if not isinstance(node, dict):
             actual = f"node {count} of the tree is a {type(node).__name__}"
             raise HeaderMalformed(actual, where=where, expected="an object")
-        if depth > _MOST_DEPTH:
+        if depth > _MAX_DEPTH:
             actual = f"node {count} of the tree is at depth {depth}"
-            raise HeaderMalformed(actual, where=where, expected=f"a depth of {_MOST_DEPTH} or less")
-        if count > _MOST_LEAVES:
+            raise HeaderMalformed(actual, where=where, expected=f"a depth of {_MAX_DEPTH} or less")
+        if count > _MAX_LEAVES:
             actual = f"the tree has {count:,} nodes or more"
-            raise HeaderMalformed(actual, where=where, expected=f"at most {_MOST_LEAVES:,}")
+            raise HeaderMalformed(actual, where=where, expected=f"at most {_MAX_LEAVES:,}")
         children = node.get("children")
         if isinstance(children, list) and children:
             nodes += [(child, depth + 1) for child in reversed(children)]
@@ -117,7 +117,7 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
             yield node
 
 
-def _finest(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
+def _finest_range(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
     """Return file index, first row and row count of the finest level of a streamed SOG's leaf."""
     levels = leaf.get("lods")
     numbers = [key for key in levels if key.isdecimal()] if isinstance(levels, dict) else []
@@ -128,14 +128,14 @@ def _finest(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
         values = [value for value in members if type(value) is int and value >= 0]
     if len(values) != 3:
         raise HeaderMalformed(
-            shown(str(levels)),
+            quoted(str(levels)),
             where=f"{STREAMED_META}, lods",
             expected="file, offset and count of a level",
         )
     index, offset, count = values
     if index >= files or count < 1 or offset + count >= 1 << 31:
         raise HeaderMalformed(
-            shown(str(entry)),
+            quoted(str(entry)),
             where=f"{STREAMED_META}, lods",
             expected=f"one of {files} files, and rows",
         )

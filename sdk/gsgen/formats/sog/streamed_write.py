@@ -17,17 +17,17 @@ import numpy as np
 from jaxtyping import UInt64
 
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.formats.shared.files import FilePath, make_folder, replacing
-from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.files import FilePath, make_folder, replace_file
+from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.splat_values import rows_of
 from gsgen.formats.shared.splats import Splats
-from gsgen.formats.sog.meta import META
+from gsgen.formats.sog.meta import META_FILE
 
 _TOP_BIT: Final = 47  # of a Morton code of three 16-bit numbers
-_SHARE: Final = 4  # splats of a level for each splat of the next one
-_DEVIATIONS: Final = 3
+_LEVEL_RATIO: Final = 4  # splats of a level for each splat of the next one
+_BOUND_DEVIATIONS: Final = 3
 
-Write = Callable[[Path, Splats], None]
+WriteSplats = Callable[[Path, Splats], None]
 
 
 @final
@@ -60,7 +60,7 @@ def write_levels(
     path: FilePath,
     splats: Splats,
     codes: UInt64[np.ndarray, " n"],
-    write: Write,
+    write: WriteSplats,
     chunks: Chunks = Chunks(),
 ) -> None:
     """Write lod-meta.json, and before it the SOG files of all levels, in folders beside it.
@@ -87,10 +87,10 @@ def write_levels(
                 entry = {"file": len(names), "offset": offset, "count": len(part)}
                 leaf.node["lods"][str(level)] = entry
                 offset += len(part)
-            names.append(f"{level}_{index}/{META}")
+            names.append(f"{level}_{index}/{META_FILE}")
             file = Path(path).parent / names[-1]
             make_folder(file)
-            write(file, joined([part for _, part in members]))
+            write(file, join_splats([part for _, part in members]))
             counts[-1] += offset
     document = {
         "version": 1,
@@ -106,7 +106,7 @@ def write_levels(
         "filenames": names,
         "tree": root,
     }
-    with replacing(path) as stream:
+    with replace_file(path) as stream:
         stream.write(json.dumps(document, separators=(",", ":")).encode())
 
 
@@ -116,16 +116,19 @@ def _node(
     """Return the tree's node of Morton-sorted splats; its leaves are appended to ``leaves``."""
     extent = np.ptp(splats.position, axis=0).max()
     is_large = len(splats) > chunks.leaf_rows and extent > chunks.leaf_size
-    middle = 0
-    while (is_large or len(splats) > chunks.file_rows) and bit >= 0 and not 0 < middle < len(codes):
+    split_row = 0
+    while (
+        (is_large or len(splats) > chunks.file_rows) and bit >= 0 and not 0 < split_row < len(codes)
+    ):
         # The cells that the next bit separates; a bit that all splats share separates none.
-        middle = int(np.searchsorted(codes >> np.uint64(bit) & np.uint64(1), 1))
+        split_row = int(np.searchsorted(codes >> np.uint64(bit) & np.uint64(1), 1))
         bit -= 1
     node: dict[str, Any] = {"bound": _bound(splats)}
-    if 0 < middle < len(codes):
-        halves = (slice(None, middle), slice(middle, None))
+    if 0 < split_row < len(codes):
+        half_slices = (slice(None, split_row), slice(split_row, None))
         node["children"] = [
-            _node(rows_of(splats, half), codes[half], bit, chunks, leaves) for half in halves
+            _node(rows_of(splats, half_slice), codes[half_slice], bit, chunks, leaves)
+            for half_slice in half_slices
         ]
     else:
         node["lods"] = {}
@@ -140,21 +143,21 @@ def _files(
     from gsgen.formats.merging.decimation import decimate
 
     members: list[tuple[_Leaf, Splats]] = []
-    used = 0
+    file_splats = 0
     for leaf in leaves:
         if level:
-            leaf.splats = decimate(leaf.splats, max(1, len(leaf.splats) // _SHARE))
-        if members and used + len(leaf.splats) > file_rows:
+            leaf.splats = decimate(leaf.splats, max(1, len(leaf.splats) // _LEVEL_RATIO))
+        if members and file_splats + len(leaf.splats) > file_rows:
             yield members
-            members, used = [], 0
+            members, file_splats = [], 0
         members.append((leaf, leaf.splats))
-        used += len(leaf.splats)
+        file_splats += len(leaf.splats)
     yield members
 
 
 def _bound(splats: Splats) -> dict[str, list[float]]:
     """Return the box of all splats' ellipsoids at three standard deviations."""
     variance = covariance_upper(np.exp(splats.log_scale), splats.rotation)[:, [0, 3, 5]]
-    reach = _DEVIATIONS * np.sqrt(variance)
-    low, high = (splats.position - reach).min(axis=0), (splats.position + reach).max(axis=0)
+    extents = _BOUND_DEVIATIONS * np.sqrt(variance)
+    low, high = (splats.position - extents).min(axis=0), (splats.position + extents).max(axis=0)
     return {"min": low.astype(float).tolist(), "max": high.astype(float).tolist()}

@@ -12,17 +12,17 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8, UInt16, UInt32
 
 from gsgen.formats.shared.errors import NotSupported
-from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.morton import grid_codes, grid_order
 from gsgen.formats.shared.quantities import rounded, sigmoid, to_bytes, unit, without_largest
 from gsgen.formats.shared.splat_values import require_drawable, rows_of
 from gsgen.formats.shared.splats import Splats
-from gsgen.formats.sog.codebook import codes, make_codebook
+from gsgen.formats.sog.codebook import make_codebook, nearest_codes
 from gsgen.formats.sog.image import encode_image
 from gsgen.formats.sog.meta import (
     ANTIALIASED,
-    META,
-    MOST_PALETTE,
+    MAX_PALETTE_SIZE,
+    META_FILE,
     PALETTE_WIDTH,
     QUATERNION_TAG,
     is_meta,
@@ -34,11 +34,11 @@ from gsgen.formats.sog.streamed_write import write_levels
 __all__ = ["SplatParts", "sog_order", "write_sog", "write_sog_parts"]
 
 _MOST_DEGREE: Final = 3
-_LAST_STEP: Final = 65535
-_FLAT: Final = -20.0  # the logarithm of the scale of a flat axis, whose own is -inf
-_ROWS: Final = 1 << 18
-_SMALL: Final = 1 << 10  # splats of a scene whose palette has an entry for each
-_WIDEST: Final = 16383  # pixels of a side, the limit of WebP
+_MAX_STEP: Final = 65535
+_FLAT_LOG_SCALE: Final = -20.0  # the logarithm of the scale of a flat axis, whose own is -inf
+_CHUNK_ROWS: Final = 1 << 18
+_SMALL_SPLAT_COUNT: Final = 1 << 10  # splats of a scene whose palette has an entry for each
+_MAX_IMAGE_WIDTH: Final = 16383  # pixels of a side, the limit of WebP
 
 Rows = UInt32[np.ndarray, " m"]
 
@@ -102,13 +102,13 @@ def write_sog(path: FilePath, splats: Splats) -> None:
         return
     with naming(path):  # before the first folder is made
         _require_encodable(InMemory(splats))
-    codes = grid_codes(_stored_positions(splats.position)[0])
-    order = np.argsort(codes, kind="stable")
+    nearest_codes = grid_codes(_stored_positions(splats.position)[0])
+    order = np.argsort(nearest_codes, kind="stable")
 
     def write(file: Path, part: Splats) -> None:
         write_sog_parts(file, InMemory(part), is_sorted=True)
 
-    write_levels(path, rows_of(splats, order), codes[order], write)
+    write_levels(path, rows_of(splats, order), nearest_codes[order], write)
 
 
 def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = False) -> None:
@@ -122,10 +122,10 @@ def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = Fal
         files = _files(splats, is_sorted=is_sorted)
     if is_meta(path):
         for name, content in files.items():  # meta.json is the last
-            with replacing(Path(path).with_name(name) if name != META else path) as file:
+            with replace_file(Path(path).with_name(name) if name != META_FILE else path) as file:
                 file.write(content)
         return
-    with replacing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+    with replace_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name), content)
 
@@ -136,10 +136,10 @@ def _require_encodable(splats: SplatParts) -> None:
         raise NotSupported(
             f"the splats have SH degree {splats.degree}", expected=f"degree {_MOST_DEGREE} or less"
         )
-    if len(splats) > _WIDEST**2:
+    if len(splats) > _MAX_IMAGE_WIDTH**2:
         raise NotSupported(
             f"the scene has {len(splats)} splats",
-            expected=f"{_WIDEST**2} or fewer, the pixels of an image",
+            expected=f"{_MAX_IMAGE_WIDTH**2} or fewer, the pixels of an image",
             hint="write several files, each of a box of the scene",
         )
 
@@ -165,9 +165,9 @@ class _Images:
     def add(self, name: str, pixels: Callable[[Rows], UInt8[np.ndarray, "m c"]]) -> str:
         """Encode a SOG image with one pixel per splat; missing channels are 255."""
         table = np.full((len(self.order), 4), 255, np.uint8)
-        for start in range(0, len(table), _ROWS):
-            part = pixels(self.order[start : start + _ROWS])
-            table[start : start + _ROWS, : part.shape[1]] = part
+        for start in range(0, len(table), _CHUNK_ROWS):
+            part = pixels(self.order[start : start + _CHUNK_ROWS])
+            table[start : start + _CHUNK_ROWS, : part.shape[1]] = part
         self.files[name] = encode_image(table)
         return name
 
@@ -193,12 +193,12 @@ def _higher_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
     The batches do not depend on the sizes of the parts, so that rounding does not either.
     """
     parts: list[Float32[np.ndarray, "m d"]] = []
-    missing = _ROWS
+    missing = _CHUNK_ROWS
     for part in splats:
         rows = part.sh[:, 1:].reshape(len(part), -1)
         while len(rows) >= missing:
             yield np.concatenate([*parts, rows[:missing]])
-            parts, rows, missing = [], rows[missing:], _ROWS
+            parts, rows, missing = [], rows[missing:], _CHUNK_ROWS
         if len(rows):
             parts.append(rows)
             missing -= len(rows)
@@ -218,13 +218,13 @@ def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     meta["scales"] = _add_scales(
         _finite_scales(_column(splats, lambda part: part.log_scale)), images
     )
-    meta["quats"] = _add_turns(_column(splats, lambda part: part.rotation), images)
+    meta["quats"] = _add_rotations(_column(splats, lambda part: part.rotation), images)
     logit_opacity = _column(splats, lambda part: part.logit_opacity)
     meta["sh0"] = _add_colors(_column(splats, lambda part: part.sh[:, 0]), logit_opacity, images)
     del logit_opacity
     if splats.degree:
         meta["shN"] = _add_palette(splats, images)
-    return images.files | {META: json.dumps(meta, separators=(",", ":")).encode()}
+    return images.files | {META_FILE: json.dumps(meta, separators=(",", ":")).encode()}
 
 
 def _add_means(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
@@ -234,29 +234,29 @@ def _add_means(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, An
     return {"files": [low, high]}
 
 
-def _add_turns(rotation: Float32[np.ndarray, "n 4"], images: _Images) -> dict[str, Any]:
+def _add_rotations(rotation: Float32[np.ndarray, "n 4"], images: _Images) -> dict[str, Any]:
     """Encode rotations as an image of a SOG file; return its JSON description."""
-    return {"files": [images.add("quats.webp", lambda rows: _turns(rotation[rows]))]}
+    return {"files": [images.add("quats.webp", lambda rows: _packed_rotations(rotation[rows]))]}
 
 
 def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
     """Encode scales as an image of a SOG file; return its JSON description."""
-    book = make_codebook(log_scale)
-    name = images.add("scales.webp", lambda rows: codes(log_scale[rows], book))
-    return {"codebook": _numbers(book), "files": [name]}
+    code_values = make_codebook(log_scale)
+    name = images.add("scales.webp", lambda rows: nearest_codes(log_scale[rows], code_values))
+    return {"codebook": _numbers(code_values), "files": [name]}
 
 
 def _add_colors(
     color: Float32[np.ndarray, "n 3"], logit_opacity: Float32[np.ndarray, " n"], images: _Images
 ) -> dict[str, Any]:
     """Encode colours and opacities as an image of a SOG file; return its JSON description."""
-    book = make_codebook(color)
+    code_values = make_codebook(color)
 
-    def colored(rows: Rows) -> UInt8[np.ndarray, "m 4"]:
+    def color_pixels(rows: Rows) -> UInt8[np.ndarray, "m 4"]:
         alpha = to_bytes(sigmoid(logit_opacity[rows]) * np.float32(255))
-        return np.column_stack([codes(color[rows], book), alpha])
+        return np.column_stack([nearest_codes(color[rows], code_values), alpha])
 
-    return {"codebook": _numbers(book), "files": [images.add("sh0.webp", colored)]}
+    return {"codebook": _numbers(code_values), "files": [images.add("sh0.webp", color_pixels)]}
 
 
 def _stored_positions(
@@ -267,10 +267,12 @@ def _stored_positions(
     low, high = np.sign(ends) * np.log1p(np.abs(ends))
     size = np.where(high > low, high - low, 1.0)
     steps = np.empty((len(position), 3), np.uint16)
-    for start in range(0, len(position), _ROWS):
-        part = position[start : start + _ROWS].astype(np.float64)
+    for start in range(0, len(position), _CHUNK_ROWS):
+        part = position[start : start + _CHUNK_ROWS].astype(np.float64)
         stored = np.sign(part) * np.log1p(np.abs(part))
-        steps[start : start + _ROWS] = rounded((stored - low) / size * _LAST_STEP, 0, _LAST_STEP)
+        steps[start : start + _CHUNK_ROWS] = rounded(
+            (stored - low) / size * _MAX_STEP, 0, _MAX_STEP
+        )
     return steps, low, high
 
 
@@ -279,11 +281,11 @@ def _finite_scales(log_scale: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray,
     is_flat = np.isneginf(log_scale)
     if not is_flat.any():
         return log_scale
-    least = np.min(log_scale, initial=_FLAT, where=~is_flat)
-    return np.where(is_flat, np.float32(least), log_scale)
+    smallest_scale = np.min(log_scale, initial=_FLAT_LOG_SCALE, where=~is_flat)
+    return np.where(is_flat, np.float32(smallest_scale), log_scale)
 
 
-def _turns(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
+def _packed_rotations(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
     largest, smaller = without_largest(unit(rotation))
     return np.column_stack(
         [
@@ -303,12 +305,12 @@ def _add_palette(splats: SplatParts, images: _Images) -> dict[str, Any]:
     palette = make_palette(sample, _palette_size(len(splats)))
     members = np.bincount(nearest_entries(sample, palette), minlength=len(palette))
     del sample
-    book = make_codebook(palette, np.repeat(members, palette.shape[1]))
-    coded = codes(palette, book)
-    labels = _labels(splats, book[coded])
+    code_values = make_codebook(palette, np.repeat(members, palette.shape[1]))
+    palette_codes = nearest_codes(palette, code_values)
+    labels = _labels(splats, code_values[palette_codes])
     width = PALETTE_WIDTH * size
     pixels = np.full((-(-len(palette) // PALETTE_WIDTH) * width, 4), 255, np.uint8)
-    pixels[: coded.size // 3, :3] = coded.reshape(-1, 3)
+    pixels[: palette_codes.size // 3, :3] = palette_codes.reshape(-1, 3)
     centroids = "shN_centroids.webp"
     images.files[centroids] = encode_image(pixels, width)
 
@@ -319,7 +321,7 @@ def _add_palette(splats: SplatParts, images: _Images) -> dict[str, Any]:
     return {
         "count": len(palette),
         "bands": splats.degree,
-        "codebook": _numbers(book),
+        "codebook": _numbers(code_values),
         "files": [centroids, images.add("shN_labels.webp", label_pixels)],
     }
 
@@ -346,12 +348,12 @@ def _palette_size(count: int) -> int:
     A small scene has an entry for each splat. Otherwise ``count`` is rounded down to a power of
     two, of which a sixteenth is added, up to the limit of the format.
     """
-    if count <= _SMALL:
+    if count <= _SMALL_SPLAT_COUNT:
         return count
     size = 1 << (count.bit_length() - 1)
-    return min(MOST_PALETTE, count, size + size // 16)  # rows of 64 stay full
+    return min(MAX_PALETTE_SIZE, count, size + size // 16)  # rows of 64 stay full
 
 
-def _numbers(book: Float32[np.ndarray, "256"]) -> list[float]:
+def _numbers(code_values: Float32[np.ndarray, "256"]) -> list[float]:
     """Return the shortest decimal numbers that parse to given float32 numbers."""
-    return [float(str(number)) for number in book]
+    return [float(str(number)) for number in code_values]

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.formats.shared.axes import RDF_RUB, Signs
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MOST_SPLATS, Data, require_room, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_SPLATS, Data, read_array, require_length
 from gsgen.formats.shared.errors import (
     ArchiveDamaged,
     FileTruncated,
@@ -27,23 +27,23 @@ from gsgen.formats.shared.errors import (
 )
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.spz import zstd
-from gsgen.formats.spz.streams import NAMES, sizes
+from gsgen.formats.spz.streams import STREAM_NAMES, sizes
 
 MAGIC: Final = b"NGSP"
 GZIP: Final = b"\x1f\x8b"
-LAST_GZIP, LAST = 3, 4
+NEWEST_GZIP_VERSION, NEWEST_VERSION = 3, 4
 """The last version in gzip, and the last version."""
 
-_ANTIALIASED, _EXTENDED = 1, 2
+_ANTIALIASED_FLAG, _EXTENDED_FLAG = 1, 2
 _HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
 _TOC_ENTRY = struct.Struct("<QQ")
 _RECORD = struct.Struct("<II")
-_MOST_PER_NINE_BYTES = 1024
+_MAX_SPLATS_PER_NINE_BYTES = 1024
 
-_MOST_DEGREE, _MOST_FRACTION = 4, 24
-_MOST_EXTENSIONS = 1 << 20
+_MOST_DEGREE, _MAX_FRACTIONAL_BITS = 4, 24
+_MAX_EXTENSIONS = 1 << 20
 _CHUNK = 1 << 20
-_CAMERA, _COORDINATES = 0xADBE0002, 0xADBE0003
+_CAMERA_EXTENSION, _COORDINATES_EXTENSION = 0xADBE0002, 0xADBE0003
 
 Streams = dict[str, UInt8[np.ndarray, " b"]]
 
@@ -79,9 +79,11 @@ def unpack(data: Data, max_bytes: int) -> Frame:
     """
     if data[:2] == GZIP:
         return _unpack_gzip(data, max_bytes)
-    require_room(data, 0, _HEADER.size, "header")
+    require_length(data, 0, _HEADER.size, "header")
     version = _HEADER.unpack_from(data)[1]
-    if data[:4] == MAGIC and version <= LAST_GZIP:  # the content of the gzip stream, not compressed
+    if (
+        data[:4] == MAGIC and version <= NEWEST_GZIP_VERSION
+    ):  # the content of the gzip stream, not compressed
         return _unpack_plain(iter([bytes(data)]), len(data), max_bytes)
     return _unpack_zstd(data, max_bytes)
 
@@ -116,10 +118,10 @@ def _inflated(data: Data) -> Iterator[bytes]:
 def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     """Parse the header and attributes of SPZ versions 1 to 3 from unpacked gzip data."""
     body = bytearray()
-    _fill(body, pieces, _HEADER.size)
-    require_room(body, 0, _HEADER.size, "header, unpacked")
+    _append_pieces(body, pieces, _HEADER.size)
+    require_length(body, 0, _HEADER.size, "header, unpacked")
     magic, version, count, degree, fraction, flags = _HEADER.unpack_from(body)
-    if version > LAST_GZIP:
+    if version > NEWEST_GZIP_VERSION:
         raise HeaderMalformed(
             f"the gzip file has SPZ version {version}", where="byte 4", expected="1, 2 or 3"
         )
@@ -128,34 +130,34 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     end = _HEADER.size + sum(parts.values())
     _require_memory(end, max_bytes)
     # One more byte than needed, which reveals excess data.
-    _fill(body, pieces, end + (_MOST_EXTENSIONS if flags & _EXTENDED else 1))
-    require_room(body, _HEADER.size, end - _HEADER.size, f"{count} splats, unpacked")
-    extra = body[end:]
-    if extra and not flags & _EXTENDED:
+    _append_pieces(body, pieces, end + (_MAX_EXTENSIONS if flags & _EXTENDED_FLAG else 1))
+    require_length(body, _HEADER.size, end - _HEADER.size, f"{count} splats, unpacked")
+    trailing_bytes = body[end:]
+    if trailing_bytes and not flags & _EXTENDED_FLAG:
         raise HeaderMalformed(
             f"the file has more than the {end} bytes of {count} splats of degree {degree}",
             where="unpacked data",
             expected=f"{end} bytes",
             hint=DOWNLOAD_HINT,
         )
-    signs = _extensions(bytes(extra)) if flags & _EXTENDED else RDF_RUB
+    signs = _extensions(bytes(trailing_bytes)) if flags & _EXTENDED_FLAG else RDF_RUB
     streams, offset = {}, _HEADER.size
     for name, length in parts.items():
-        streams[name] = take(body, np.uint8, (length,), offset, name)
+        streams[name] = read_array(body, np.uint8, (length,), offset, name)
         offset += length
-    aliased = bool(flags & _ANTIALIASED)
+    is_antialiased = bool(flags & _ANTIALIASED_FLAG)
     return Frame(
         version=version,
         count=count,
         degree=degree,
         fractional_bits=fraction,
-        antialiased=aliased,
+        antialiased=is_antialiased,
         streams=streams,
         signs=signs,
     )
 
 
-def _fill(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
+def _append_pieces(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
     for piece in pieces if len(body) < length else ():
         body += piece
         if len(body) >= length:
@@ -163,7 +165,7 @@ def _fill(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
 
 
 def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
-    require_room(data, 0, _LONG_HEADER.size, "header")
+    require_length(data, 0, _LONG_HEADER.size, "header")
     fields = _LONG_HEADER.unpack_from(data)
     magic, version, count, degree, fraction, flags, stream_count, toc = fields
     _require_header(magic, version, count, degree, fraction, len(data))
@@ -179,38 +181,38 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
         raise HeaderMalformed(
             f"the table of contents is at byte {toc}", where="byte 16", expected="byte 32 or more"
         )
-    require_room(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
-    signs = _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED else RDF_RUB
+    require_length(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
+    signs = _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED_FLAG else RDF_RUB
     streams, offset = {}, toc + stream_count * _TOC_ENTRY.size
     for index, (name, size) in enumerate(parts.items()):
         entry = toc + index * _TOC_ENTRY.size
-        packed, unpacked = _TOC_ENTRY.unpack_from(data, entry)
-        if unpacked != size:
+        packed_size, unpacked_size = _TOC_ENTRY.unpack_from(data, entry)
+        if unpacked_size != size:
             raise HeaderMalformed(
-                f"stream {name} unpacks to {unpacked} bytes",
+                f"stream {name} unpacks to {unpacked_size} bytes",
                 where=f"byte {entry + 8}",
                 expected=f"{size} bytes",
             )
-        require_room(data, offset, packed, f"stream {name}")
+        require_length(data, offset, packed_size, f"stream {name}")
         content = zstd.unpack(
-            bytes(data[offset : offset + packed]), size, f"stream {name}, byte {offset}"
+            bytes(data[offset : offset + packed_size]), size, f"stream {name}, byte {offset}"
         )
         streams[name] = np.frombuffer(content, np.uint8)
-        offset += packed
+        offset += packed_size
     if offset != len(data):
         raise HeaderMalformed(
             f"the file has {len(data)} bytes",
             where="file",
             expected=f"{offset}, the end of the last stream",
         )
-    streams = {name: streams.get(name, np.empty(0, np.uint8)) for name in NAMES}
-    aliased = bool(flags & _ANTIALIASED)
+    streams = {name: streams.get(name, np.empty(0, np.uint8)) for name in STREAM_NAMES}
+    is_antialiased = bool(flags & _ANTIALIASED_FLAG)
     return Frame(
         version=version,
         count=count,
         degree=degree,
         fractional_bits=fraction,
-        antialiased=aliased,
+        antialiased=is_antialiased,
         streams=streams,
         signs=signs,
     )
@@ -223,7 +225,7 @@ def _require_header(
         raise NotRecognised(
             magic.hex(" "), where="first bytes", expected="4e 47 53 50 (NGSP), the start of an SPZ"
         )
-    if not 1 <= version <= LAST:
+    if not 1 <= version <= NEWEST_VERSION:
         raise NotSupported(
             f"the file has SPZ version {version}", where="byte 4", expected="1, 2, 3 or 4"
         )
@@ -232,7 +234,7 @@ def _require_header(
     require_count(count, size)
     if degree > _MOST_DEGREE:
         raise HeaderMalformed(f"the SH degree is {degree}", where="byte 12", expected="0 to 4")
-    if fraction > _MOST_FRACTION:
+    if fraction > _MAX_FRACTIONAL_BITS:
         raise HeaderMalformed(
             f"the positions have {fraction} fractional bits", where="byte 13", expected="0 to 24"
         )
@@ -240,11 +242,11 @@ def _require_header(
 
 def require_count(count: int, size: int) -> None:
     """Raise FileTruncated if an SPZ file of ``size`` bytes cannot hold ``count`` splats."""
-    if count > min(MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
+    if count > min(MAX_SPLATS, size * _MAX_SPLATS_PER_NINE_BYTES // 9):
         raise FileTruncated(
             f"the header declares {count} splats in a file of {size} bytes",
             where="byte 8",
-            expected=f"at most {size * _MOST_PER_NINE_BYTES // 9}, with the best compression",
+            expected=f"at most {size * _MAX_SPLATS_PER_NINE_BYTES // 9}, with the best compression",
             hint=DOWNLOAD_HINT,
         )
 
@@ -258,17 +260,17 @@ def _require_memory(needed: int, max_bytes: int) -> None:
         )
 
 
-def _extensions(zone: bytes) -> Signs:
+def _extensions(records: bytes) -> Signs:
     """Return the axis signs that SPZ extension records declare; warn about unknown records."""
     signs, offset = RDF_RUB, 0
-    while offset < len(zone):
-        require_room(zone, offset, _RECORD.size, "extension record")
-        kind, length = _RECORD.unpack_from(zone, offset)
+    while offset < len(records):
+        require_length(records, offset, _RECORD.size, "extension record")
+        kind, length = _RECORD.unpack_from(records, offset)
         offset += _RECORD.size
-        require_room(zone, offset, length, f"extension {kind:#x}")
-        if kind == _COORDINATES:
-            signs = _declared_signs(zone[offset : offset + length])
-        elif kind != _CAMERA:
+        require_length(records, offset, length, f"extension {kind:#x}")
+        if kind == _COORDINATES_EXTENSION:
+            signs = _declared_signs(records[offset : offset + length])
+        elif kind != _CAMERA_EXTENSION:
             text = f"extension {kind:#x} is unknown and ignored"
             warnings.warn(text, FormatWarning, stacklevel=2)
         offset += length
@@ -285,12 +287,12 @@ def _declared_signs(payload: bytes) -> Signs:
             expected="1 to 8, whose axes are not swapped",
             hint="save it in RUB, which every reader understands",
         )
-    right, up, forward = code - 1 & 1, code - 1 & 2, code - 1 & 4
-    return (1 if right else -1, -1 if up else 1, 1 if forward else -1)
+    right_bit, up_bit, forward_bit = code - 1 & 1, code - 1 & 2, code - 1 & 4
+    return (1 if right_bit else -1, -1 if up_bit else 1, 1 if forward_bit else -1)
 
 
 def _fields(frame: Frame) -> tuple[bytes, int, int, int, int, int]:
-    flags = _ANTIALIASED if frame.antialiased else 0
+    flags = _ANTIALIASED_FLAG if frame.antialiased else 0
     return MAGIC, frame.version, frame.count, frame.degree, frame.fractional_bits, flags
 
 
@@ -307,11 +309,11 @@ def pack_gzip(frame: Frame, content: Iterable[Iterable[bytes]]) -> Iterator[byte
 
 def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
     """Return the bytes of an SPZ file with a given header and unpacked attributes."""
-    if frame.version <= LAST_GZIP:
-        return b"".join(pack_gzip(frame, ([content[name]] for name in NAMES)))
-    common = _fields(frame)
-    parts = [content[name] for name in NAMES if content[name]]
+    if frame.version <= NEWEST_GZIP_VERSION:
+        return b"".join(pack_gzip(frame, ([content[name]] for name in STREAM_NAMES)))
+    header_fields = _fields(frame)
+    parts = [content[name] for name in STREAM_NAMES if content[name]]
     streams = [zstd.pack(part) for part in parts]
     toc = (_TOC_ENTRY.pack(len(a), len(b)) for a, b in zip(streams, parts, strict=True))
-    header = _LONG_HEADER.pack(*common, len(parts), _LONG_HEADER.size)
+    header = _LONG_HEADER.pack(*header_fields, len(parts), _LONG_HEADER.size)
     return b"".join([header, *toc, *streams])

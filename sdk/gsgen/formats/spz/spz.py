@@ -14,7 +14,7 @@ import numpy as np
 from gsgen.formats.shared.axes import Signs, axis_signs, flip
 from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
 from gsgen.formats.shared.errors import ValueInvalid
-from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container as container
@@ -33,7 +33,7 @@ AXES = "RUB"
 """The axes of the format: x right, y up, z back."""
 
 _LARGEST_HALF = 65504.0
-_PIECE = 1 << 20
+_PIECE_BYTES = 1 << 20
 
 
 def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = None) -> Splats:
@@ -73,19 +73,19 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: Signs | None = Non
         antialiased=frame.antialiased,
     )
     require_drawable(splats)
-    return _turned(splats, frame.signs if signs is None else signs)
+    return _flipped(splats, frame.signs if signs is None else signs)
 
 
-def _turned(splats: Splats, signs: Signs) -> Splats:
+def _flipped(splats: Splats, signs: Signs) -> Splats:
     """Convert splats to other coordinate axes, exactly as the library nianticlabs/spz does.
 
     That code treats the harmonic of degree 4 and order 4, x⁴ − 6x²y² + y⁴, as odd in y. It is
     even, but existing files are written and read like this.
     """
-    turned = flip(splats, signs)
-    if turned.degree == 4 and signs[1] < 0:
-        turned.sh[:, -1] *= -1
-    return turned
+    flipped_splats = flip(splats, signs)
+    if flipped_splats.degree == 4 and signs[1] < 0:
+        flipped_splats.sh[:, -1] *= -1
+    return flipped_splats
 
 
 def write_spz(
@@ -124,7 +124,7 @@ def write_spz(
         require_drawable(splats)
         fraction = _fractional_bits(float(np.abs(splats.position).max()), version)
         content = streams.encode(
-            _turned(splats, axis_signs(axes)),
+            _flipped(splats, axis_signs(axes)),
             version=version,
             fractional_bits=fraction,
             sh_bits=sh_bits,
@@ -139,11 +139,13 @@ def write_spz(
         )
         packed = container.pack(frame, content)
         container.require_count(len(splats), len(packed))
-    with replacing(path) as file:
+    with replace_file(path) as file:
         file.write(packed)
 
 
-def write_spz_parts(path: FilePath, parts: Iterable[Splats], count: int, reach: float) -> None:
+def write_spz_parts(
+    path: FilePath, parts: Iterable[Splats], count: int, max_coordinate: float
+) -> None:
     """Write splats that come in parts of equal SH degree and flags as an SPZ file, version 3.
 
     Encoded attributes are kept in temporary files until all parts are read.
@@ -152,21 +154,21 @@ def write_spz_parts(path: FilePath, parts: Iterable[Splats], count: int, reach: 
         path: The output path; an existing file is replaced.
         parts: The splats.
         count: The number of all splats.
-        reach: The largest absolute coordinate of all splats.
+        max_coordinate: The largest absolute coordinate of all splats.
 
     Raises:
         ValueInvalid: A coordinate exceeds the range of the format.
         FileUnwritable: The file cannot be written at ``path``.
     """
     with ExitStack() as stack:
-        files = {name: stack.enter_context(TemporaryFile()) for name in streams.NAMES}
-        fraction = _fractional_bits(reach, VERSION)
+        files = {name: stack.enter_context(TemporaryFile()) for name in streams.STREAM_NAMES}
+        fraction = _fractional_bits(max_coordinate, VERSION)
         degree, antialiased = 0, False
         for part in parts:
             degree, antialiased = part.degree, part.antialiased
-            turned = _turned(part, axis_signs(AXES))
+            flipped_splats = _flipped(part, axis_signs(AXES))
             content = streams.encode(
-                turned, version=VERSION, fractional_bits=fraction, sh_bits=SH_BITS
+                flipped_splats, version=VERSION, fractional_bits=fraction, sh_bits=SH_BITS
             )
             for name, data in content.items():
                 files[name].write(data)
@@ -180,29 +182,29 @@ def write_spz_parts(path: FilePath, parts: Iterable[Splats], count: int, reach: 
         )
         for attribute in files.values():
             attribute.seek(0)
-        pieces = (iter(partial(attribute.read, _PIECE), b"") for attribute in files.values())
-        with replacing(path) as file:
+        pieces = (iter(partial(attribute.read, _PIECE_BYTES), b"") for attribute in files.values())
+        with replace_file(path) as file:
             file.writelines(container.pack_gzip(frame, pieces))
             container.require_count(count, file.tell())
 
 
-def _fractional_bits(reach: float, version: int) -> int:
+def _fractional_bits(max_coordinate: float, version: int) -> int:
     """Return how many fractional bits, up to 12, SPZ positions can have without overflow."""
-    half = version <= streams.HALF_POSITIONS
-    limit = _LARGEST_HALF if half else float(streams.COORDINATE_LIMIT)
-    if reach > limit:
+    uses_float16 = version <= streams.HALF_POSITIONS
+    limit = _LARGEST_HALF if uses_float16 else float(streams.COORDINATE_LIMIT)
+    if max_coordinate > limit:
         raise ValueInvalid(
-            f"the largest coordinate is {reach:g}",
+            f"the largest coordinate is {max_coordinate:g}",
             where="position",
             expected=f"at most {limit:g} in an SPZ file of version {version}",
             hint="scale the scene down, or write another format",
         )
-    spare = int(math.log2(streams.COORDINATE_LIMIT / max(reach, 1)))
-    return min(FRACTIONAL_BITS, spare)
+    spare_bits = int(math.log2(streams.COORDINATE_LIMIT / max(max_coordinate, 1)))
+    return min(FRACTIONAL_BITS, spare_bits)
 
 
 def _require_options(version: int, sh_bits: tuple[int, int]) -> None:
-    if not 1 <= version <= container.LAST:
+    if not 1 <= version <= container.NEWEST_VERSION:
         raise ValueInvalid(
             f"the version of SPZ is {version}", where="version", expected="1, 2, 3 or 4"
         )

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from gsgen.formats.shared.quantities import (
-    from_largest,
     logit,
+    quaternions_from_largest,
     rounded,
     sigmoid,
     to_bytes,
@@ -20,7 +20,7 @@ from gsgen.formats.shared.quantities import (
 )
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
-NAMES: Final = ("positions", "alphas", "colors", "scales", "rotations", "sh")
+STREAM_NAMES: Final = ("positions", "alphas", "colors", "scales", "rotations", "sh")
 """The attributes in the order of the file."""
 HALF_POSITIONS, BYTE_ROTATIONS = 1, 2
 """The last version with float16 positions, and the last one with rotations of three bytes."""
@@ -29,7 +29,7 @@ COORDINATE_LIMIT: Final = (1 << 23) - 1
 
 _COLOR_SCALE = 0.15
 _MAGNITUDE = 511
-_ROOT_HALF = float(np.sqrt(0.5))
+_SQRT_HALF = float(np.sqrt(0.5))
 
 
 def sizes(version: int, count: int, degree: int) -> dict[str, int]:
@@ -42,7 +42,7 @@ def sizes(version: int, count: int, degree: int) -> dict[str, int]:
         3 if version <= BYTE_ROTATIONS else 4,
         3 * (SH_COUNTS[degree] - 1),
     )
-    return {name: count * size for name, size in zip(NAMES, widths, strict=True)}
+    return {name: count * size for name, size in zip(STREAM_NAMES, widths, strict=True)}
 
 
 def decode(
@@ -77,8 +77,8 @@ def _decode_positions(
     if version <= HALF_POSITIONS:
         return stream.view("<f2").reshape(count, 3).astype(np.float32)
     parts = stream.reshape(count, 3, 3).astype(np.int32)
-    whole = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
-    signed = whole - ((whole & 0x800000) << 1)
+    unsigned = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
+    signed = unsigned - ((unsigned & 0x800000) << 1)
     return np.ldexp(signed.astype(np.float32), -fractional_bits)
 
 
@@ -93,9 +93,9 @@ def _decode_word_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarra
     smaller = np.empty((len(words), 3))
     for index in range(3):  # the last of the three has the lowest bits
         field = words >> np.uint32(10 * (2 - index)) & 0x3FF
-        size = (field & 0x1FF) / _MAGNITUDE * _ROOT_HALF
+        size = (field & 0x1FF) / _MAGNITUDE * _SQRT_HALF
         smaller[:, index] = np.where(field & 0x200, -size, size)
-    xyzw = from_largest((words >> 30).astype(np.int64), smaller)
+    xyzw = quaternions_from_largest((words >> 30).astype(np.int64), smaller)
     return unit(xyzw[:, [3, 0, 1, 2]])
 
 
@@ -123,8 +123,8 @@ def _encode_positions(
     if version <= HALF_POSITIONS:
         return position.astype("<f2").tobytes()
     steps = np.ldexp(position.astype(np.float64), fractional_bits)
-    whole = rounded(steps, -COORDINATE_LIMIT, COORDINATE_LIMIT).astype("<i4")
-    return whole.view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
+    unsigned = rounded(steps, -COORDINATE_LIMIT, COORDINATE_LIMIT).astype("<i4")
+    return unsigned.view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
 
 
 def _encode_byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
@@ -134,7 +134,7 @@ def _encode_byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
 
 def _encode_word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
     largest, smaller = without_largest(rotation[:, [1, 2, 3, 0]])
-    sizes = rounded(np.abs(smaller) / _ROOT_HALF * _MAGNITUDE, 0, _MAGNITUDE)
+    sizes = rounded(np.abs(smaller) / _SQRT_HALF * _MAGNITUDE, 0, _MAGNITUDE)
     fields = np.where(smaller < 0, 0x200, 0) | sizes
     words = largest << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
     return bytes(words.astype("<u4").tobytes())

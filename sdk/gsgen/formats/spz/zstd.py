@@ -6,7 +6,7 @@ from gsgen.formats.shared.bytes import DOWNLOAD_HINT
 from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported
 
 _CHUNK = 1 << 20
-_MOST_WINDOW = 1 << 27
+_MAX_WINDOW = 1 << 27
 
 
 def _package() -> Any:
@@ -25,7 +25,7 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
     zstandard = _package()
     content = bytearray()
     try:
-        unpacker = zstandard.ZstdDecompressor(max_window_size=_MOST_WINDOW)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
         with unpacker.stream_reader(data, read_across_frames=False) as reader:
             while len(content) <= size:
                 piece = reader.read(min(_CHUNK, size + 1 - len(content)))

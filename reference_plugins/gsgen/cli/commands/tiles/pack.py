@@ -24,12 +24,12 @@ def pack(
     has no tileset.json.
     """
     from gsgen.contract.process.atomic_files import refuse_itself
-    from gsgen.formats.tileset_paths import INDEX
+    from gsgen.formats.tileset_paths import INDEX_FILE
     from gsgen.tiles.stores.zip_store import write_archive
 
-    if not (folder / INDEX).is_file():
+    if not (folder / INDEX_FILE).is_file():
         raise InputUnreadable(
-            f"the folder has no {INDEX}; expected the folder of a tileset",
+            f"the folder has no {INDEX_FILE}; expected the folder of a tileset",
             where=str(folder),
             hint="`gsgen tiles build SCENE -o FOLDER` builds one.",
         )

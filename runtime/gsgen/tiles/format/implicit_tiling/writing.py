@@ -15,7 +15,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.formats.shared.files import make_folder, replacing
+from gsgen.formats.shared.files import make_folder, replace_file
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.implicit_tiling.subtree import tile_count
 from gsgen.tiles.format.index import (
@@ -98,9 +98,9 @@ def write_implicit_tileset(
     subtrees = dict(_subtrees(tiles, subtree_levels, quality))
     for uri, data in subtrees.items():
         make_folder(path.parent / uri)
-        with replacing(path.parent / uri) as file:
+        with replace_file(path.parent / uri) as file:
             file.write(data)
-    with replacing(path) as file:
+    with replace_file(path) as file:
         file.write(json_bytes(document))
     return list(subtrees)
 

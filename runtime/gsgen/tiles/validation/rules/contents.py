@@ -5,7 +5,7 @@ from typing import Final
 
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.formats.glb.splats import NAME
+from gsgen.formats.glb.splats import EXTENSION_NAME
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION
 from gsgen.tiles.gltf.spz_quality import SPZ_VERSION
@@ -33,11 +33,11 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
             yield Violation.at(
                 f"content {content.content.uri}",
                 "no splats in the scene",
-                f"a mesh of points with {NAME}",
+                f"a mesh of points with {EXTENSION_NAME}",
             )
     for primitive in primitives(inspected):
         for text in primitive.conforms:
-            yield Violation.at(f"content {primitive.location}", text, f"as {NAME} says")
+            yield Violation.at(f"content {primitive.location}", text, f"as {EXTENSION_NAME} says")
 
 
 @tileset_rule("GT006", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
@@ -86,7 +86,7 @@ def extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
     sets = list(primitives(inspected))
     if tileset is None or not sets:
         return
-    needed = [NAME]
+    needed = [EXTENSION_NAME]
     if any(primitive.spz_version is not None for primitive in sets):
         needed.append(SPZ_EXTENSION)
     declared = tileset.content_extensions or ()

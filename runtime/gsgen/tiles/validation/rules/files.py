@@ -6,7 +6,7 @@ from typing import Final
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.finding import Violation
-from gsgen.formats.glb.splats import NAME
+from gsgen.formats.glb.splats import EXTENSION_NAME
 from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
@@ -135,5 +135,5 @@ def draft_names(inspected: InspectedTileset) -> Iterator[Violation]:
         if primitive.drafts:
             names = ", ".join(primitive.drafts)
             yield Violation.at(
-                f"content {primitive.location}", names, f"names of {NAME} as ratified"
+                f"content {primitive.location}", names, f"names of {EXTENSION_NAME} as ratified"
             )
