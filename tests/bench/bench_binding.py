@@ -78,14 +78,14 @@ def alternating(actions: list[Callable[[], object]], times: int) -> np.ndarray:
     They take turns, so that load hits all alike, and in changing order, since the first of a turn
     meets colder caches.
     """
-    taken = np.zeros((times, len(actions)))
-    for number, turn in enumerate(taken):
-        for place in range(len(actions)):
-            k = (place + number) % len(actions)
+    durations = np.zeros((times, len(actions)))
+    for number, turn in enumerate(durations):
+        for index in range(len(actions)):
+            k = (index + number) % len(actions)
             began = time.perf_counter()
             actions[k]()
             turn[k] = time.perf_counter() - began
-    return taken
+    return durations
 
 
 def bare_frame(session: FrameSession) -> Callable[[], object]:
@@ -110,10 +110,10 @@ def bare(path: Path, threads: int = 1) -> Callable[[], object]:
     binding, now = session.io_binding(), np.zeros(1, np.float32)
     binding.bind_ortvalue_input("time", onnxruntime.OrtValue.ortvalue_from_numpy(now))
     kinds = {"tensor(float)": np.float32, "tensor(int32)": np.int32}
-    for one in session.get_outputs():
-        array = np.zeros(one.shape, kinds[one.type])
+    for output in session.get_outputs():
+        array = np.zeros(output.shape, kinds[output.type])
         value = onnxruntime.OrtValue.ortvalue_from_numpy(array)
-        binding.bind_ortvalue_output(one.name, value)
+        binding.bind_ortvalue_output(output.name, value)
 
     def frame() -> None:
         now[0] = 0.3
@@ -139,7 +139,7 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
     with FrameSession(decoder, provider="cpu", threads=1) as session:
         alone = bare_frame(session)
         actions = [alone, lambda: session.run({"time": 0.3})["gaussians"], alone]
-        one, ours, again = np.median(alternating(actions, 30), axis=0)
+        entry, ours, again = np.median(alternating(actions, 30), axis=0)
         inside = Inside(session._ready.bound.session)
         session._ready.bound.session = inside
         frames = np.zeros((60, 2))
@@ -154,7 +154,7 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
         f"of which {1e6 * np.median(whole - bare):.1f} µs are ours, {100 * more:+.3f} % (bar +3 %)"
     )
     print_figure(
-        f"taking turns: {1e3 * ours:.2f} ms against {1e3 * one:.2f} and {1e3 * again:.2f} bare"
+        f"taking turns: {1e3 * ours:.2f} ms against {1e3 * entry:.2f} and {1e3 * again:.2f} bare"
     )
     assert more <= 0.03
 
@@ -178,10 +178,10 @@ def bench_first_frame(decoder: Path) -> None:
         with FrameSession(decoder, provider="cpu", threads=1) as session:
             session.run()
 
-    baseline, taken = np.median(alternating([create, ours], 5), axis=0)
+    baseline, durations = np.median(alternating([create, ours], 5), axis=0)
     print_figure(f"first frame, from the file: bare {1e3 * baseline:.0f} ms, ")
     print_figure(
-        f"FrameSession {1e3 * taken:.0f} ms with its warm-up, ratio {taken / baseline:.2f}"
+        f"FrameSession {1e3 * durations:.0f} ms with its warm-up, ratio {durations / baseline:.2f}"
     )
 
 

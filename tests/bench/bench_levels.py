@@ -37,12 +37,12 @@ _WIDE, _SHARE = 128, 0.7
 def long_chain(nodes: int) -> ModelSpec:
     """A generator whose centres go through a chain of ``nodes`` nodes more."""
     base = find("swing").draw()
-    first, rest = "moved = Add (center, shift)", []
+    first, remaining = "moved = Add (center, shift)", []
     for k in range(0, nodes, 2):
         source = "plain" if k == 0 else f"step_{k}"
-        rest.append(f"half_{k} = Mul ({source}, one)")
-        rest.append(f"step_{k + 2} = Add (half_{k}, nil)")
-    chain = " ".join(rest)
+        remaining.append(f"half_{k} = Mul ({source}, one)")
+        remaining.append(f"step_{k + 2} = Add (half_{k}, nil)")
+    chain = " ".join(remaining)
     text = f"plain = Add (center, shift) {chain} moved = Identity (step_{nodes})"
     numbers = {"one": np.ones(3, np.float32), "nil": np.zeros(3, np.float32)}
     return base.reworded(first, text).weighing(**numbers)
@@ -74,7 +74,7 @@ def network(rows: int, width: int) -> ModelSpec:
         "c = MatMul (b, second) d = Relu (c) e = MatMul (d, third) f = Tanh (e) "
         "shift = Mul (f, speed) moved = Add (center, shift)"
     )
-    rest = {
+    remaining = {
         name: np.resize(value, (rows, *value.shape[1:]))
         for name, value in base.weights.items()
         if value.ndim == 2 and len(value) == 5
@@ -85,7 +85,7 @@ def network(rows: int, width: int) -> ModelSpec:
     gaussians = replace(outputs.gaussians, capacity=rows)
     layers = {"first": normal(width, width), "second": normal(width, width)}
     return (
-        sketch.weighing(**rest, **layers, third=normal(width, 3), feature=normal(rows, width))
+        sketch.weighing(**remaining, **layers, third=normal(width, 3), feature=normal(rows, width))
         .weighing(live=np.int32([rows]), center=rng.uniform(-1, 1, (rows, 3)).astype("f4"))
         .declaring_outputs(gaussians=gaussians)
     )
@@ -124,7 +124,7 @@ def bench_static_beside_the_checker(tmp_path: Path, megabytes: int) -> None:
     weighing(long_chain(NODES), megabytes).write(path)
     settings = Settings(level=Level.STATIC)
     report = validate(path, settings)
-    assert report.verdict == "conforms", [str(one) for one in report.findings]
+    assert report.verdict == "conforms", [str(finding) for finding in report.findings]
     times = compared(path, settings)
     best = {name: 1000 * min(values) for name, values in times.items()}
     middle = {name: statistics.median(values) for name, values in times.items()}
@@ -146,14 +146,14 @@ def bench_share_of_onnx_runtime_in_behaviour(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int, width: int
 ) -> None:
     """How much of a validation is making sessions and running them, with and without the start."""
-    seen: list[Execution] = []
+    recorded: list[Execution] = []
 
     @contextmanager
     def noted(
         path: Path, names: Sequence[str], probes: Sequence[Probe], limits: Limits
     ) -> Iterator[Execution]:
         with execute(path, names, probes, limits) as execution:
-            seen.append(execution)
+            recorded.append(execution)
             yield execution
 
     monkeypatch.setattr(engine, "execute", noted)
@@ -162,12 +162,12 @@ def bench_share_of_onnx_runtime_in_behaviour(
     settings = Settings(level=Level.BEHAVIOUR)
     validate(path, settings)
     report = validate(path, settings)
-    assert report.verdict == "conforms", [str(one) for one in report.findings]
-    inside, child = seen[-1].inside, report.runtime_seconds
+    assert report.verdict == "conforms", [str(finding) for finding in report.findings]
+    inside, child = recorded[-1].inside, report.runtime_seconds
     start = empty_child_seconds()
     print_figure(
         f"behaviour, {rows} rows moved by a network of width {width}: {report.seconds:.2f} s, "
-        f"{len(seen[-1].runs)} runs; ONNX Runtime {inside:.2f} s, its process {child:.2f} s"
+        f"{len(recorded[-1].runs)} runs; ONNX Runtime {inside:.2f} s, its process {child:.2f} s"
     )
     bar = f" (bar {_SHARE:.0%})" if width >= _WIDE else ""
     print_figure(

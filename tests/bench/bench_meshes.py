@@ -23,23 +23,25 @@ AROUND = Camera.panorama((0, 0, 0), width=1024)
 
 
 def cpu(renderer: Renderer, scene: Scene, times: int = 5, camera: Camera = CAMERA) -> float:
-    taken = []
+    durations = []
     for _ in range(times + 1):
         began = time.process_time()
         renderer.render(scene, camera)
-        taken.append(time.process_time() - began)
-    return min(taken[1:])
+        durations.append(time.process_time() - began)
+    return min(durations[1:])
 
 
 @pytest.fixture(scope="module")
 def splats() -> SplatData:
     rng = np.random.default_rng(0)
     z = rng.uniform(2, 8, COUNT)
-    at = np.stack([rng.uniform(-0.8, 0.8, COUNT) * z, rng.uniform(-0.45, 0.45, COUNT) * z, z], 1)
+    centers = np.stack(
+        [rng.uniform(-0.8, 0.8, COUNT) * z, rng.uniform(-0.45, 0.45, COUNT) * z, z], 1
+    )
     sigma = covariance_upper(
         0.012 * np.exp(0.4 * rng.normal(size=(COUNT, 3))), rng.normal(size=(COUNT, 4))
     )
-    rows = np.concatenate([at, rng.uniform(0.05, 0.6, (COUNT, 1)), sigma], 1)
+    rows = np.concatenate([centers, rng.uniform(0.05, 0.6, (COUNT, 1)), sigma], 1)
     return SplatData(
         rows.astype(np.float32), rng.uniform(size=(COUNT, 3)).astype(np.float32), "rgb"
     )
@@ -60,9 +62,9 @@ def ball(rings: int) -> MeshData:
 
 
 def placed(data: MeshData, depth: float, scale: float) -> Mesh:
-    made = np.diag([scale, scale, scale, 1.0])
-    made[2, 3] = depth
-    return Mesh(data, made, "headlight")
+    result = np.diag([scale, scale, scale, 1.0])
+    result[2, 3] = depth
+    return Mesh(data, result, "headlight")
 
 
 def bench_meshes(splats: SplatData) -> None:

@@ -32,13 +32,13 @@ NOTHING_BEHIND = np.zeros(3)
 
 def least(action: Callable[[], object], after: Callable[[], object]) -> float:
     """Return the least CPU milliseconds of this thread for an action, over many frames."""
-    taken = []
+    durations = []
     for _ in range(FRAMES):
         began = time.thread_time()
         action()
-        taken.append(time.thread_time() - began)
+        durations.append(time.thread_time() - began)
         after()
-    return 1000 * min(taken)
+    return 1000 * min(durations)
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +53,10 @@ def models(count: int) -> Scene:
     for number in range(count):
         rows = np.zeros((100, 10), np.float32)
         rows[:, :3], rows[:, 3], rows[:, [4, 7, 9]] = rng.normal(size=(100, 3)), 0.5, 1e-3
-        place = np.eye(4)
-        place[:3, 3] = 0.1 * number, 0, 0
+        transform = np.eye(4)
+        transform[:3, 3] = 0.1 * number, 0, 0
         color = rng.normal(size=(100, 48)).astype(np.float32)
-        sets.append(SplatSet(SplatData(rows, color, "sh"), place))
+        sets.append(SplatSet(SplatData(rows, color, "sh"), transform))
     return Scene(sets)
 
 
@@ -93,31 +93,31 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
 def bench_what_stays(renderer: Renderer) -> None:
     """Noticing that a million Gaussians are as before, beside uploading them again."""
     rng = np.random.default_rng(0)
-    made = [rng.normal(size=(1_000_000, width)).astype(np.float32) for width in (10, 48)]
-    kept = [_OutputBuffer() for _ in made]
-    data = SplatData(*made, "sh")
+    result = [rng.normal(size=(1_000_000, width)).astype(np.float32) for width in (10, 48)]
+    retained = [_OutputBuffer() for _ in result]
+    data = SplatData(*result, "sh")
     residency = Residency(renderer.device)
     residency.pages(data)
 
     def cpu(action: Callable[[], object]) -> float:
-        taken = []
+        durations = []
         for _ in range(5):
             began = time.process_time()
             action()
-            taken.append(time.process_time() - began)
-        return 1000 * min(taken)
+            durations.append(time.process_time() - began)
+        return 1000 * min(durations)
 
     def compare() -> None:
-        for one, array in zip(kept, made, strict=True):
-            one.take(array, len(array))
+        for entry, array in zip(retained, result, strict=True):
+            entry.take(array, len(array))
 
     def copy() -> None:
-        for one, array in zip(kept, made, strict=True):
+        for entry, array in zip(retained, result, strict=True):
             array[0] += 1
-            one.take(array, len(array))
+            entry.take(array, len(array))
 
     def upload() -> None:
-        data.update(*made)
+        data.update(*result)
         residency.pages(data)
 
     compare()
@@ -151,20 +151,23 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
         owner = FrameSession if name == "run" else Renderer
 
         def watched(
-            *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
+            *args: object,
+            original: object = getattr(owner, name),
+            name: str = name,
+            **kwargs: object,
         ) -> object:
             began = time.perf_counter()
-            made = plain(*args, **rest)
+            result = original(*args, **kwargs)
             spans[name].append((began, time.perf_counter()))
-            return made
+            return result
 
         monkeypatch.setattr(owner, name, watched)
 
     def shared(play: Callable[[GeneratorPlayer], object]) -> float:
         with GeneratorPlayer(tmp_path / "many.onnx", provider="cpu", renderer=renderer) as player:
             player.render(camera, time=0.5)
-            for one in spans.values():
-                one.clear()
+            for span in spans.values():
+                span.clear()
             play(player)
         in_flight = [
             (begin, end)
@@ -178,7 +181,7 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
         return both / sum(end - began for began, end in spans["run"])
 
     played = shared(lambda player: list(player.play(camera, times=times)))
-    alone = shared(lambda player: [player.render(camera, time=at) for at in times])
+    alone = shared(lambda player: [player.render(camera, time=time) for time in times])
     print_figure(
         f"200,000 moving Gaussians: {100 * played:.0f} % of inference passes while a frame is drawn or read, "
     )
@@ -195,11 +198,11 @@ def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, work: str) -> Non
     drifting(100_000, degree=1).write(tmp_path / "many.onnx")
     camera = Camera.orbit((0, 0, 0), 4, width=640, height=360)
     moments = np.linspace(0, 1, 8)
-    taken: dict[int, list[float]] = {1: [], 2: []}
+    durations: dict[int, list[float]] = {1: [], 2: []}
     waited: dict[int, list[float]] = {1: [], 2: []}
     source = GeneratorSource(tmp_path / "many.onnx")
     players = {
-        count: Player([source], renderer=renderer, frames_in_flight=count) for count in taken
+        count: Player([source], renderer=renderer, frames_in_flight=count) for count in durations
     }
     for turn in range(6):
         for count, player in players.items():
@@ -209,14 +212,14 @@ def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, work: str) -> Non
                 if work != "frames alone":
                     save_picture(tmp_path / f"{number}.png", frame.srgb8)
             if turn:  # the first one compiles
-                taken[count].append(time.perf_counter() - began)
+                durations[count].append(time.perf_counter() - began)
                 waited[count].append(player.statistics.waited)
     source.close()
-    ratio = np.median(np.divide(taken[2], taken[1]))
-    one, two = (1000 * np.median(waited[count]) / len(moments) for count in (1, 2))
+    ratio = np.median(np.divide(durations[2], durations[1]))
+    first, two = (1000 * np.median(waited[count]) / len(moments) for count in (1, 2))
     print_figure(
         f"100,000 moving Gaussians, {work}: with two frames in flight {ratio:.2f} of the time"
     )
     print_figure(
-        f"    of waiting for each; the host waits {two:.1f} ms a frame instead of {one:.1f}"
+        f"    of waiting for each; the host waits {two:.1f} ms a frame instead of {first:.1f}"
     )

@@ -39,12 +39,12 @@ NOTHING_BEHIND = np.zeros(3)
 
 def cpu(action: Callable[[], object], times: int = 5) -> float:
     """Return the least CPU seconds of several runs."""
-    taken = []
+    durations = []
     for _ in range(times):
         began = time.process_time()
         action()
-        taken.append(time.process_time() - began)
-    return min(taken)
+        durations.append(time.process_time() - began)
+    return min(durations)
 
 
 def room(n: int = MILLION) -> SplatData:
@@ -185,20 +185,22 @@ def bench_what_changes(
             ("nothing", ()),
         ):
             print_figure(f"  {name:9} new {cpu(lambda v=values: frame(*v)):.3f} CPU-s")
-    assert all(np.array_equal(one, drawn[0]) for one in drawn)
+    assert all(np.array_equal(entry, drawn[0]) for entry in drawn)
 
 
 @pytest.mark.parametrize("size", SIZES)
 def bench_quads(device: Device, scene: Scene, size: tuple[int, int]) -> None:
     """The hardware's rasteriser beside the tiles; a software driver has none."""
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
-    taken = {}
+    durations = {}
     for rasteriser in ("tiles", "quads"):
-        one = Renderer(device, rasteriser=rasteriser)
-        one.render(scene, camera)
-        taken[rasteriser] = cpu(lambda one=one: one.render(scene, camera), 3)
-    print_figure(f"{size[0]}×{size[1]}, frame by tiles {taken['tiles']:.3f} CPU-s, ")
-    print_figure(f"by quads {taken['quads']:.3f}")
+        own_renderer = Renderer(device, rasteriser=rasteriser)
+        own_renderer.render(scene, camera)
+        durations[rasteriser] = cpu(
+            lambda own_renderer=own_renderer: own_renderer.render(scene, camera), 3
+        )
+    print_figure(f"{size[0]}×{size[1]}, frame by tiles {durations['tiles']:.3f} CPU-s, ")
+    print_figure(f"by quads {durations['quads']:.3f}")
 
 
 def bench_panorama(device: Device, scene: Scene) -> None:
@@ -207,8 +209,8 @@ def bench_panorama(device: Device, scene: Scene) -> None:
     straight = Camera.look_at(eye, np.add(eye, toward).tolist(), width=1024, height=512)
     around = Camera.panorama(eye, toward, width=1024)
     for name, camera in (("pinhole", straight), ("panorama", around)):
-        one = Renderer(device, rasteriser="tiles")
-        plan, placed, pairs = planned(one, scene, camera)
+        own_renderer = Renderer(device, rasteriser="tiles")
+        plan, placed, pairs = planned(own_renderer, scene, camera)
 
         def frame(
             *stages: str, plan: Plan = plan, placed: list[Placed] = placed, camera: Camera = camera
@@ -241,15 +243,17 @@ def bench_encoding(renderer: Renderer) -> None:
         for _ in range(20):
             began.append(time.thread_time())
             plan.submit(placed, camera, NOTHING_BEHIND)
-            taken.append(time.thread_time() - began[-1])
+            durations.append(time.thread_time() - began[-1])
             plan.collect()
 
     began: list[float] = []
-    taken: list[float] = []
+    durations: list[float] = []
     encode()
     both()
     steps = sum(map(len, plan.stages.values()))
-    print_figure(f"encode and submit {steps} dispatches: {1000 * min(taken):.2f} ms of one thread")
+    print_figure(
+        f"encode and submit {steps} dispatches: {1000 * min(durations):.2f} ms of one thread"
+    )
 
 
 def bench_memory(device: Device, scene: Scene) -> None:
@@ -274,9 +278,9 @@ def bench_memory(device: Device, scene: Scene) -> None:
     splats = sum(
         buffer.size for name, buffer in plan.buffers.items() if name.startswith(of_gaussians)
     )
-    rest = sum(buffer.size for buffer in plan.buffers.values()) - splats
+    remaining = sum(buffer.size for buffer in plan.buffers.values()) - splats
     print_figure(f"the plan of a frame takes {splats / MILLION:.0f} bytes per Gaussian, and ")
-    print_figure(f"{rest / 1e6:.0f} MB for {pairs / MILLION:.1f} million pairs and the image")
+    print_figure(f"{remaining / 1e6:.0f} MB for {pairs / MILLION:.1f} million pairs and the image")
     print_figure(f"largest binding: {max(b.size for b in plan.buffers.values()) / 2**20:.0f} MiB, ")
     print_figure(f"a page of {PAGE_ROWS:,} rows {PAGE_ROWS * 192 / 2**20:.0f} MiB")
 
@@ -291,7 +295,7 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
     columns = [
         Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]
-    steps, at = sort.steps(
+    steps, result_index = sort.steps(
         counts,
         sort.histograms(n, 32),
         columns,
@@ -310,8 +314,8 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
         device.read(counts, np.uint32, 1)
 
     seconds = cpu(once, 3)
-    wanted = sort_reference(keys, 32)
-    np.testing.assert_array_equal(device.read(columns[at].values, np.uint32, n), wanted)
+    expected = sort_reference(keys, 32)
+    np.testing.assert_array_equal(device.read(columns[result_index].values, np.uint32, n), expected)
     numpys = cpu(lambda: np.argsort(keys, kind="stable"), 2)
     print_figure(f"sort of 4 M keys: {seconds:.3f} CPU-s, numpy's stable argsort {numpys:.3f}")
 

@@ -57,17 +57,17 @@ class Case:
 def built(name: str, folder: Path) -> Case:
     """Export a module as torch does, and as we do."""
     make, rows, degree = CASES[name]
-    made = traced(make(), name, rows, degree)
-    model, probes = made.model, made.probes
+    result = traced(make(), name, rows, degree)
+    model, probes = result.model, result.probes
     before, after = folder / f"{name}.onnx", folder / f"{name}_rewritten.onnx"
     save_model(model, before)
-    plain = copy.copy(ir.load(before))
+    original = copy.copy(ir.load(before))
     began = time.process_time()
-    rewrite_and_embed(model, made.manifest, load_target("core"))
+    rewrite_and_embed(model, result.manifest, load_target("core"))
     print_figure(f"{name}: rewritten in {time.process_time() - began:.1f} s of CPU time")
     save_model(model, after)
-    inputs = [torch.from_numpy(np.array(one)) for one in probes[3].inputs.values()]
-    return Case(made.module, inputs, list(probes[3].inputs), before, after, plain)
+    inputs = [torch.from_numpy(np.array(entry)) for entry in probes[3].inputs.values()]
+    return Case(result.module, inputs, list(probes[3].inputs), before, after, original)
 
 
 def session(path: Path) -> onnxruntime.InferenceSession:
@@ -85,11 +85,11 @@ def cpu_seconds(action: Callable[[], object]) -> float:
 
 def by_turns(actions: dict[str, Callable[[], object]]) -> dict[str, float]:
     """Run all actions in turn, several times; return the shortest time of each."""
-    taken = {name: [cpu_seconds(action) for _ in range(1)] for name, action in actions.items()}
+    durations = {name: [cpu_seconds(action) for _ in range(1)] for name, action in actions.items()}
     for _ in range(TURNS):
         for name, action in actions.items():
-            taken[name].append(cpu_seconds(action))
-    return {name: min(times[1:]) for name, times in taken.items()}
+            durations[name].append(cpu_seconds(action))
+    return {name: min(times[1:]) for name, times in durations.items()}
 
 
 def speeds() -> tuple[float, float]:
@@ -107,16 +107,16 @@ def floor_of(case: Case, outputs: list[np.ndarray]) -> tuple[float, float]:
     operations = 0.0
     for node in case.model.graph.all_nodes():
         if node.op_type in ("Gemm", "MatMul"):
-            left, made = node.inputs[0], node.outputs[0]
+            left, result = node.inputs[0], node.outputs[0]
             assert left is not None
             inner = left.shape[-1] if left.shape is not None else 0
-            operations += 2 * int(inner) * prod(int(size) for size in made.shape or (0,))
+            operations += 2 * int(inner) * prod(int(size) for size in result.shape or (0,))
     weights = sum(
         value.const_value.nbytes
         for value in case.model.graph.initializers.values()
         if value.const_value is not None
     )
-    return operations, weights + sum(one.nbytes for one in outputs)
+    return operations, weights + sum(output.nbytes for output in outputs)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -126,15 +126,15 @@ def bench_rewritten_graph_on_the_cpu(name: str, tmp_path: Path) -> None:
     try:
         case = built(name, tmp_path)
         feeds = {k: v.numpy() for k, v in zip(case.names, case.inputs, strict=True)}
-        plain, ours = session(case.before), session(case.after)
+        original, ours = session(case.before), session(case.after)
         with torch.no_grad():
-            wanted = [one.numpy() for one in case.module(*case.inputs)]
-            for a, b in zip(wanted, ours.run(None, feeds), strict=True):
+            expected = [entry.numpy() for entry in case.module(*case.inputs)]
+            for a, b in zip(expected, ours.run(None, feeds), strict=True):
                 room = 1e-4 * np.abs(a).max(axis=0) + 1e-6 if a.ndim > 1 else 0
                 assert (np.abs(a - b) <= room).all()
             seconds = by_turns(
                 {
-                    "plain": lambda: plain.run(None, feeds),
+                    "plain": lambda: original.run(None, feeds),
                     "ours": lambda: ours.run(None, feeds),
                     "eager": lambda: case.module(*case.inputs),
                 }
@@ -142,10 +142,10 @@ def bench_rewritten_graph_on_the_cpu(name: str, tmp_path: Path) -> None:
         rate, bandwidth = speeds()
     finally:
         torch.set_num_threads(threads)
-    operations, size = floor_of(case, wanted)
+    operations, size = floor_of(case, expected)
     floor = operations / rate + size / bandwidth
-    said = ", ".join(f"{name} {1000 * taken:.0f} ms" for name, taken in seconds.items())
-    to_plain, to_eager = (seconds["ours"] / seconds[one] for one in ("plain", "eager"))
+    said = ", ".join(f"{name} {1000 * second:.0f} ms" for name, second in seconds.items())
+    to_plain, to_eager = (seconds["ours"] / seconds[array] for array in ("plain", "eager"))
     print_figure(f"{name}, one core: {said}")
     print_figure(
         f"ours / plain {to_plain:.2f} (bar {BAR_PLAIN}), ours / eager {to_eager:.2f} (bar {BAR_EAGER})"
@@ -166,11 +166,11 @@ def bench_assignment(make: Callable[[], GaussianGenerator], tmp_path: Path) -> N
     for rewrite in (False, True):
         path = tmp_path / f"{rewrite}.onnx"
         export(make(), path, rewrite=rewrite, settings=static)
-        seen = graph_stats(path, goal)
+        actual = graph_stats(path, goal)
         print_figure(
-            f"{make.__name__}, {'rewritten' if rewrite else 'as torch exports it'}: {seen.nodes} nodes, "
+            f"{make.__name__}, {'rewritten' if rewrite else 'as torch exports it'}: {actual.nodes} nodes, "
         )
-        print_figure(f"  not captured by some release: {len(seen.uncaptured)}")
-        for line in seen.uncaptured:
+        print_figure(f"  not captured by some release: {len(actual.uncaptured)}")
+        for line in actual.uncaptured:
             print_figure(f"    {line}")
-    assert seen.uncaptured == ()
+    assert actual.uncaptured == ()

@@ -32,12 +32,12 @@ MILLION = 1_000_000
 
 def best(action: Callable[[], object], times: int = 5) -> float:
     """Return the shortest of several runs, in seconds."""
-    taken = []
+    durations = []
     for _ in range(times):
         began = time.perf_counter()
         action()
-        taken.append(time.perf_counter() - began)
-    return min(taken)
+        durations.append(time.perf_counter() - began)
+    return min(durations)
 
 
 def million(dtype: type, degree: int) -> PackedRows:
@@ -138,11 +138,11 @@ def bench_memory_of_static_on_a_large_model(large: Path) -> None:
 
 def values_seconds(path: Path) -> tuple[float, str]:
     """Return the time of everything but ONNX Runtime's process, and the JSON report."""
-    taken = []
+    durations = []
     for _ in range(3):
         report = validate(path, Settings(level=Level.VALUES))
-        taken.append(report.seconds - report.runtime_seconds)
-    return min(taken), to_json([report])
+        durations.append(report.seconds - report.runtime_seconds)
+    return min(durations), to_json([report])
 
 
 def bench_values_of_a_million_and_a_million_broken(half: Path, tmp_path: Path) -> None:

@@ -66,24 +66,24 @@ def bench_sums_beside_sorting(device: Device, data: SplatData, size: tuple[int, 
     )
     weighted = WeightedSum(background=0.15, depth_range=20.0)
     print_figure(f"{len(data):,} Gaussians in {CELLS:,} cells at {width}×{height}")
-    taken = {}
-    for name, one, columns in (
+    durations = {}
+    for name, splat_set, columns in (
         ("sorted", SplatSet(data), SORTED),
         ("summed", SplatSet(data, weighted=weighted), CELLED),
     ):
-        renderer, scene = Renderer(device, rasteriser="tiles"), Scene([one])
+        renderer, scene = Renderer(device, rasteriser="tiles"), Scene([splat_set])
         frame = renderer.render(scene, seen_by)
         seconds = []
         for _ in range(FRAMES):
             began = time.process_time()
             renderer.render(scene, seen_by)
             seconds.append(time.process_time() - began)
-        taken[name] = min(seconds)
+        durations[name] = min(seconds)
         sizes = renderer._plan.buffers.items()
-        own = sum(held.size for label, held in sizes if label.startswith(columns))
+        own = sum(size.size for label, size in sizes if label.startswith(columns))
         own += PAIR_BYTES * frame.pairs
         print_figure(
             f"{name:7} {min(seconds):6.3f} CPU-s  {frame.pairs:9,} pairs  "
             f"{own / len(data):5.1f} bytes a Gaussian to bring them into order"
         )
-    print_figure(f"summing takes {taken['summed'] / taken['sorted']:.2f} of sorting")
+    print_figure(f"summing takes {durations['summed'] / durations['sorted']:.2f} of sorting")

@@ -51,7 +51,7 @@ def psnr(error: np.ndarray) -> float:
 
 
 def splats(renderer: Renderer, scene: Scene, camera: Camera) -> Splats:
-    one, placed = scene.sets[0], renderer.placed(scene)
+    splat_set, placed = scene.sets[0], renderer.placed(scene)
     plan = renderer.plan(placed, camera, frozenset(["color"]))
     plan.submit(placed, camera, NOTHING_BEHIND, only=["project"])
     plan.collect()
@@ -66,25 +66,25 @@ def splats(renderer: Renderer, scene: Scene, camera: Camera) -> Splats:
     back = np.argsort(np.concatenate(where))
     keys, lows = keys[back], lows[back]
     drawn = keys != ABSENT
-    rows = one.data.rows[drawn].astype(np.float64)
-    found = ellipses(rows, one, camera)
+    rows = splat_set.data.rows[drawn].astype(np.float64)
+    actual = ellipses(rows, splat_set, camera)
     naive = (rows[:, :3].astype(np.float32) - camera.eye.astype(np.float32)) @ camera.view[
         2, :3
     ].astype(np.float32)
-    inverse = np.linalg.inv(found.dilated)
-    return Splats(found.mean, inverse, rows[:, 3], found.depth, naive, keys[drawn], lows[drawn])
+    inverse = np.linalg.inv(actual.dilated)
+    return Splats(actual.mean, inverse, rows[:, 3], actual.depth, naive, keys[drawn], lows[drawn])
 
 
-def describe(made: Splats) -> None:
+def describe(result: Splats) -> None:
     """Say how many neighbours in depth are in doubt, by what each way to sort knows of them."""
-    order = np.argsort(made.depth, kind="stable")
+    order = np.argsort(result.depth, kind="stable")
     key, low, naive = (
-        made.keys[order].astype(np.int64),
-        made.lows[order].astype(np.int64),
-        made.rounded[order],
+        result.keys[order].astype(np.int64),
+        result.lows[order].astype(np.int64),
+        result.rounded[order],
     )
     swapped = (np.diff(key) < 0) | ((np.diff(key) == 0) & (np.diff(low) < 0))
-    swapped &= np.diff(made.depth[order]) > _TIE * made.depth[order][1:]
+    swapped &= np.diff(result.depth[order]) > _TIE * result.depth[order][1:]
     print_figure(
         f"of {len(order):,} splats, {int((np.diff(naive) < 0).sum()):,} stand before one that is "
     )
@@ -96,18 +96,18 @@ def describe(made: Splats) -> None:
     )
 
 
-def reason(made: Splats, x: int, y: int) -> str:
+def reason(result: Splats, x: int, y: int) -> str:
     """Say what is behind the error of a pixel."""
-    away = np.array([x, y]) + 0.5 - made.mean
-    power = np.einsum("ni,nij,nj->n", away, made.inverse, away)
-    alpha = made.opacity * np.exp(-0.5 * power)
+    away = np.array([x, y]) + 0.5 - result.mean
+    power = np.einsum("ni,nij,nj->n", away, result.inverse, away)
+    alpha = result.opacity * np.exp(-0.5 * power)
     near = np.flatnonzero(alpha >= 0.9 * _CULL)
-    near = near[np.argsort(made.depth[near], kind="stable")]
-    rank = np.lexsort((near, made.lows[near], made.keys[near]))
+    near = near[np.argsort(result.depth[near], kind="stable")]
+    rank = np.lexsort((near, result.lows[near], result.keys[near]))
     if (rank != np.arange(len(near))).any():
         first = int(np.flatnonzero(rank != np.arange(len(near)))[0])
-        gap = made.depth[near[first + 1]] - made.depth[near[first]]
-        return f"two splats {gap:.1e} apart, at {made.depth[near[first]]:.3f}, stand the other way around"
+        gap = result.depth[near[first + 1]] - result.depth[near[first]]
+        return f"two splats {gap:.1e} apart, at {result.depth[near[first]]:.3f}, stand the other way around"
     drawn = np.minimum(np.where(alpha[near] >= _CULL, alpha[near], 0), 0.99)
     light = np.cumprod(1 - drawn)
     reached = np.append(1, light[:-1]) > _FINISHED
@@ -125,28 +125,28 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--size", default="640x360", help="WIDTHxHEIGHT (default: %(default)s)")
     parser.add_argument("--gaussians", type=int, default=1_000_000, help="(default: %(default)s)")
-    given = parser.parse_args()
-    width, height = map(int, given.size.split("x"))
+    arguments = parser.parse_args()
+    width, height = map(int, arguments.size.split("x"))
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=width, height=height)
-    scene = Scene([room(given.gaussians)])
+    scene = Scene([room(arguments.gaussians)])
     renderer = Renderer(Device.open(), rasteriser="tiles")
-    seen = renderer.render(scene, camera).rgba
-    assert seen is not None
-    describe(made := splats(renderer, scene, camera))
-    wanted = oracle.render(scene, camera)
-    error = np.abs(seen - wanted.rgba)
+    actual = renderer.render(scene, camera).rgba
+    assert actual is not None
+    describe(result := splats(renderer, scene, camera))
+    frame = oracle.render(scene, camera)
+    error = np.abs(actual - frame.rgba)
     worst = error.max(axis=-1)
-    undeclared = float(worst[~wanted.fragile].max())
+    undeclared = float(worst[~frame.fragile].max())
     print_figure(
         f"{width}×{height}, {renderer.device.name}: {psnr(error):.1f} dB over all pixels; "
     )
     print_figure(
         f"largest error {worst.max():.1e}, away from declared discontinuities {undeclared:.1e} "
     )
-    print_figure(f"({100 * wanted.fragile.mean():.1f} % of the pixels have one)")
-    for place in np.argsort(worst.ravel())[::-1][:_WORST]:
-        y, x = divmod(int(place), width)
-        print_figure(f"  pixel {x:4}, {y:4}: {worst[y, x]:.1e}: {reason(made, x, y)}")
+    print_figure(f"({100 * frame.fragile.mean():.1f} % of the pixels have one)")
+    for pixel in np.argsort(worst.ravel())[::-1][:_WORST]:
+        y, x = divmod(int(pixel), width)
+        print_figure(f"  pixel {x:4}, {y:4}: {worst[y, x]:.1e}: {reason(result, x, y)}")
     sys.stdout.write("\n")
     return int(not (psnr(error) >= BAR_PSNR and undeclared <= BAR_ERROR))
 

@@ -122,7 +122,7 @@ def crowd(n: int, camera: Camera, degree: int) -> SplatData:
 
 def seconds(device: Device, action: Callable[[Any], None], times: int = 5) -> float:
     """Return the median seconds of what ``action`` encodes, from submitting to having it done."""
-    marker, taken = device.storage("marker", 16), []
+    marker, durations = device.storage("marker", 16), []
     for number in range(times + 1):
         encoder = device.raw.create_command_encoder()
         action(encoder)
@@ -130,8 +130,8 @@ def seconds(device: Device, action: Callable[[Any], None], times: int = 5) -> fl
         device.raw.queue.submit([encoder.finish()])
         device.read(marker, np.uint32, 1)
         if number:
-            taken.append(time.perf_counter() - began)
-    return statistics.median(taken)
+            durations.append(time.perf_counter() - began)
+    return statistics.median(durations)
 
 
 def copy_rate(device: Device) -> float:
@@ -155,10 +155,10 @@ def flop_rate(device: Device) -> float:
     pipeline = raw.create_compute_pipeline(
         layout="auto", compute={"module": raw.create_shader_module(code=code)}
     )
-    made = device.storage("made", 1 << 20)
+    result = device.storage("made", 1 << 20)
     bind = raw.create_bind_group(
         layout=pipeline.get_bind_group_layout(0),
-        entries=[{"binding": 0, "resource": {"buffer": made}}],
+        entries=[{"binding": 0, "resource": {"buffer": result}}],
     )
 
     def loop(encoder: Any) -> None:
@@ -196,20 +196,20 @@ class Frame:
         if not device.has_clock:
             return {}
         clock = StageClock(device)
-        told = list[dict[str, float]]()
+        message = list[dict[str, float]]()
         for number in range(frames + WARM):
             self.plan.submit(self.placed, self.camera, NOTHING, clock=clock, fetch=False)
             self.plan.collect(fetch=False)
             if number >= WARM:
-                told.append(clock.seconds())
-        for one in told:
-            one["sum"] = sum(one.values())
+                message.append(clock.seconds())
+        for first in message:
+            first["sum"] = sum(first.values())
         return {
             name: {
-                "p50": 1e3 * float(np.median([one[name] for one in told])),
-                "p95": 1e3 * float(np.percentile([one[name] for one in told], 95)),
+                "p50": 1e3 * float(np.median([entry[name] for entry in message])),
+                "p95": 1e3 * float(np.percentile([entry[name] for entry in message], 95)),
             }
-            for name in told[0]
+            for name in message[0]
         }
 
     def wall(self, frames: int) -> float:
@@ -226,9 +226,9 @@ class Frame:
         for _ in range(frames):
             self.renderer.draw(scene, self.camera, wait=False)
             waited.append(self.renderer.late.waited)
-        taken = time.perf_counter() - began
+        elapsed = time.perf_counter() - began
         self.renderer.settle()
-        return {"frame": 1e3 * taken / frames, "waited": 1e3 * float(np.median(waited))}
+        return {"frame": 1e3 * elapsed / frames, "waited": 1e3 * float(np.median(waited))}
 
     def rows_bytes(self) -> tuple[int, int]:
         """Return the bytes of a row and of its appearance."""
@@ -266,15 +266,15 @@ def floors(frame: Frame, gaussians: int, bytes_a_second: float, flops: float) ->
         }
     else:
         amounts["quads"] = visible * 52 + pixels * 16
-    made: dict[str, Any] = {
+    result: dict[str, Any] = {
         name: {"MB": amount / 1e6, "ms": 1e3 * amount / bytes_a_second}
         for name, amount in amounts.items()
     }
-    made["sum"] = {"ms": sum(one["ms"] for one in made.values())}
+    result["sum"] = {"ms": sum(entry["ms"] for entry in result.values())}
     if pairs:
         work = FLOPS_OF_A_PIXEL * pairs * cut.tile**2
-        made["blend, operations at most"] = {"GFLOP": work / 1e9, "ms": 1e3 * work / flops}
-    return made
+        result["blend, operations at most"] = {"GFLOP": work / 1e9, "ms": 1e3 * work / flops}
+    return result
 
 
 def cropped(camera: Camera, size: tuple[int, int]) -> tuple[Camera, int, int]:
@@ -304,8 +304,10 @@ def near(data: SplatData, camera: Camera) -> SplatData:
     sigma = np.sqrt(data.rows[:, [4, 7, 9]].astype(np.float64).sum(axis=1))
     reach = 2 * 3.4 * (camera.fx * sigma / z + 1) + 2
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    kept = (u > -reach) & (u < camera.width + reach) & (v > -reach) & (v < camera.height + reach)
-    return SplatData(data.rows[kept], data.appearance[kept], "sh")
+    retained = (
+        (u > -reach) & (u < camera.width + reach) & (v > -reach) & (v < camera.height + reach)
+    )
+    return SplatData(data.rows[retained], data.appearance[retained], "sh")
 
 
 def decibels(a: np.ndarray, b: np.ndarray) -> float:
@@ -326,12 +328,12 @@ class Exactness:
 
     def of(self, renderer: Renderer, whole: np.ndarray) -> dict[str, float]:
         """Return decibels and errors; of the same crop of the whole image, too."""
-        seen = renderer.render(self.scene, self.camera).rgba
-        assert seen is not None
-        error = np.abs(seen - self.wanted.rgba).max(axis=-1)
+        actual = renderer.render(self.scene, self.camera).rgba
+        assert actual is not None
+        error = np.abs(actual - self.wanted.rgba).max(axis=-1)
         part = whole[self.y : self.y + self.camera.height, self.x : self.x + self.camera.width]
         return {
-            "dB": decibels(seen, self.wanted.rgba),
+            "dB": decibels(actual, self.wanted.rgba),
             "largest error": float(error.max()),
             "largest error where no threshold is met": float(
                 np.where(self.wanted.fragile, 0, error).max()
@@ -351,7 +353,7 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
     ]
     source = device.storage("unsorted", 4 * n)
     device.write(source, keys)
-    steps, at = sort.steps(
+    steps, result_index = sort.steps(
         counts,
         sort.histograms(n, 32),
         columns,
@@ -369,14 +371,14 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
         copy(encoder)
         run(encoder, steps, "sort")
 
-    taken = seconds(device, both) - seconds(device, copy)
-    wanted = sort_reference(keys, 32)
-    same = bool((device.read(columns[at].values, np.uint32, n) == wanted).all())
+    durations = seconds(device, both) - seconds(device, copy)
+    expected = sort_reference(keys, 32)
+    same = bool((device.read(columns[result_index].values, np.uint32, n) == expected).all())
     if not same:
         raise AssertionError(f"{n:,} keys are not sorted as NumPy sorts them")
-    if taken <= 0:
+    if durations <= 0:
         raise AssertionError(f"copying {n:,} keys took longer than copying and sorting them")
-    return {"keys": n, "ms": 1e3 * taken, "million keys a second": n / taken / 1e6}
+    return {"keys": n, "ms": 1e3 * durations, "million keys a second": n / durations / 1e6}
 
 
 def save(path: Path, rgba: np.ndarray) -> None:
@@ -422,7 +424,7 @@ def asked() -> argparse.Namespace:
 def main() -> int:
     words = asked()
     width, height = map(int, words.size.split("x"))
-    modes = [one.strip().replace(" compact", ", compact") for one in words.modes.split(",")]
+    modes = [word.strip().replace(" compact", ", compact") for word in words.modes.split(",")]
     out = Path(words.out)
     out.mkdir(parents=True, exist_ok=True)
     report = Report(out / "gpu.json")

@@ -23,8 +23,8 @@ class Tested:
     def counts(self) -> Counter[str]:
         return Counter(outcome(case) for case in self.cases.values())
 
-    def names(self, wanted: str) -> list[str]:
-        return [name for name, case in self.cases.items() if outcome(case) == wanted]
+    def names(self, expected: str) -> list[str]:
+        return [name for name, case in self.cases.items() if outcome(case) == expected]
 
 
 def outcome(case: ElementTree.Element) -> str:
@@ -38,8 +38,8 @@ def outcome(case: ElementTree.Element) -> str:
 
 
 def property_of(case: ElementTree.Element, name: str) -> str:
-    found = case.find(f"./properties/property[@name='{name}']")
-    return "" if found is None else found.get("value", "")
+    actual = case.find(f"./properties/property[@name='{name}']")
+    return "" if actual is None else actual.get("value", "")
 
 
 def run_pytest(folder: Path, *words: str | Path) -> Tested:

@@ -44,10 +44,10 @@ def test_json_lists_every_case(folder: Path) -> None:
     assert ran.code == 0
     document = json.loads(ran.out)
     assert document["schema"] == "gsgen-conformance/1"
-    (made,) = document["models"]
-    cases = [case for suite in made["suites"] for case in suite["cases"]]
-    assert made["verdict"] == "passed"
-    assert sum(made["counts"].values()) == len(cases)
+    (result,) = document["models"]
+    cases = [case for suite in result["suites"] for case in suite["cases"]]
+    assert result["verdict"] == "passed"
+    assert sum(result["counts"].values()) == len(cases)
     skipped = next(case for case in cases if case["rule"] == "GV003")
     assert skipped["status"] == "skipped"
     assert skipped["reason"] == "skipped: level values was not requested"

@@ -25,11 +25,11 @@ class TestMine(GeneratorConformance):
     ran = run_pytest(folder, "--gsgen-level=values")
     assert ran.code == 0, ran.out
     assert set(ran.counts) == {"passed", "skipped"}
-    place = "test_mine.TestMine::"
+    node_prefix = "test_mine.TestMine::"
     passed = ran.names("passed")
-    assert f"{place}test_camera[GI001-view-is-4x4]" in passed
-    assert f"{place}test_basic[GV003-opacity-range]" in passed
-    assert f"{place}test_time[GI003-time-is-1]" in ran.names("skipped")
+    assert f"{node_prefix}test_camera[GI001-view-is-4x4]" in passed
+    assert f"{node_prefix}test_basic[GV003-opacity-range]" in passed
+    assert f"{node_prefix}test_time[GI003-time-is-1]" in ran.names("skipped")
     assert "suite time is not for what it declares" in ran.out
     assert "::GeneratorConformance" not in ran.out
 
@@ -135,15 +135,15 @@ def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(fold
     ran = run_pytest(folder, "--gsgen-level=static")
     assert ran.code == 1
     errors = [name.partition("::")[0] for name in ran.names("error")]
-    wanted = ["TestRefused", "TestCrashing", "TestTwice"]
-    assert errors == [f"test_mine.{name}" for name in wanted]
+    expected = ["TestRefused", "TestCrashing", "TestTwice"]
+    assert errors == [f"test_mine.{name}" for name in expected]
     assert "test_mine.TestTwice::test_mine" in ran.names("passed")
-    held = "test_mine.TestTwice::test_camera[GI001-view-is-4x4-camera_and_proj]"
-    assert held in ran.names("passed")
-    told = ran.out.partition("ERROR at setup of TestRefused")[2].partition("____ ERROR")[0]
-    assert "mine.onnx: GV003 output gaussians: 4 of 5 rows\n  Squash it." in told
-    assert "test_mine.py:16: return build()" in told
-    assert "\nE  " not in told  # no traceback
+    passed_line = "test_mine.TestTwice::test_camera[GI001-view-is-4x4-camera_and_proj]"
+    assert passed_line in ran.names("passed")
+    message = ran.out.partition("ERROR at setup of TestRefused")[2].partition("____ ERROR")[0]
+    assert "mine.onnx: GV003 output gaussians: 4 of 5 rows\n  Squash it." in message
+    assert "test_mine.py:16: return build()" in message
+    assert "\nE  " not in message  # no traceback
     crash = ran.out.partition("ERROR at setup of TestCrashing")[2].partition("____ ERROR")[0]
     assert 'return {}["weights"]' in crash
     assert "KeyError: 'weights'" in crash

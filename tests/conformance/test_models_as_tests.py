@@ -20,8 +20,8 @@ def reproduce(line: str, folder: Path) -> "subprocess.CompletedProcess[str]":
 
 
 def lines_with(text: str, words: str) -> list[str]:
-    found = [line.partition(words)[2].strip() for line in text.splitlines()]
-    return [line for line in found if line]
+    actual = [line.partition(words)[2].strip() for line in text.splitlines()]
+    return [line for line in actual if line]
 
 
 def test_a_good_model_passes_and_only_the_model_is_collected(folder: Path) -> None:

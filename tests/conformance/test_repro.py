@@ -85,9 +85,9 @@ def test_unchecked_rule_is_neither_failed_nor_passed(
     folder: Path, name: str, rule: str, probe: str | None, words: str
 ) -> None:
     (model,) = write(folder, name)
-    found = installed_rules().find(rule)
+    actual = installed_rules().find(rule)
     with pytest.raises(GsgenError) as caught:
-        reproduce(model, found, Settings(), probe=probe)
+        reproduce(model, actual, Settings(), probe=probe)
     assert words in str(caught.value)
 
 

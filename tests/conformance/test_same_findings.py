@@ -19,11 +19,11 @@ MODELS = {"core": ("opacity_is_logits", "time_is_baked"), "visionary": ("drift",
 
 
 def told(findings: Iterable[dict[str, Any]]) -> list[Found]:
-    made = []
-    for one in findings:
-        where = one["where"]["subject"], one["where"].get("field") or ""
-        made.append((one["rule"], *where, one["message"]))
-    return sorted(made)
+    lines = []
+    for finding in findings:
+        where = finding["where"]["subject"], finding["where"].get("field") or ""
+        lines.append((finding["rule"], *where, finding["message"]))
+    return sorted(lines)
 
 
 @pytest.mark.parametrize("target", MODELS)
@@ -33,8 +33,8 @@ def test_python_command_and_pytest_report_equal_findings(folder: Path, target: s
     settings = Settings(target=load_target(target))
     python = {
         path.name: sorted(
-            (one.rule, one.where.subject, one.where.field, one.message)
-            for one in validate(path, settings).findings
+            (finding.rule, finding.where.subject, finding.where.field, finding.message)
+            for finding in validate(path, settings).findings
         )
         for path in paths
     }
@@ -54,7 +54,7 @@ def test_python_command_and_pytest_report_equal_findings(folder: Path, target: s
     for name, case in tested.cases.items():
         model = f"{name.partition('.onnx')[0]}.onnx"
         by_model[model] += json.loads(property_of(case, "gsgen.findings") or "[]")
-    assert {name: told(found) for name, found in by_model.items()} == python
+    assert {name: told(actual) for name, actual in by_model.items()} == python
     failing = {r["subject"]["uri"] for r in reports if r["verdict"] != "conforms"}
     failed = {f"{name.partition('.onnx')[0]}.onnx" for name in tested.names("failure")}
     assert failed == failing

@@ -18,15 +18,15 @@ PACKAGES = (
 def test_lazy_names_agree_with_type_checking_imports(package: str) -> None:
     module = import_module(package)
     assert module.__file__ is not None
-    told: dict[str, str] = {}
+    received: dict[str, str] = {}
     for block in ast.parse(Path(module.__file__).read_text("utf-8")).body:
         for node in block.body if isinstance(block, ast.If) else ():
             assert isinstance(node, ast.ImportFrom)
-            told |= {alias.name: str(node.module) for alias in node.names}
-    assert module._HOMES.keys() == told.keys()
+            received |= {alias.name: str(node.module) for alias in node.names}
+    assert module._HOMES.keys() == received.keys()
     for name, home in module._HOMES.items():
-        assert home in (told[name], f"{told[name]}.{name}")  # which is a module itself
-    assert set(told) <= set(module.__all__)
+        assert home in (received[name], f"{received[name]}.{name}")  # which is a module itself
+    assert set(received) <= set(module.__all__)
     assert dir(module) == sorted(module.__all__)
     for name in module.__all__:
         assert getattr(module, name) is not None

@@ -91,7 +91,7 @@ class Copy:
         """Assert that each touched file is in a place of the extension, and each place is used."""
         places = _PLACES[extension]
         used = [
-            max((place for place in places if f"{path}/".startswith(f"{place}/")), key=len)
+            max((location for location in places if f"{path}/".startswith(f"{location}/")), key=len)
             for path in self.touched
         ]
         assert sorted(used) == sorted(places)
@@ -112,7 +112,7 @@ def test_the_page_lists_every_extension() -> None:
 def test_every_path_on_the_page_exists() -> None:
     paths = {path for path in re.findall(r"`([\w./-]+/[\w./-]*)`", TEXT) if "…" not in path}
     paths |= {link.partition("#")[0] for link in links(PAGE) if "://" not in link}
-    assert {place for places in _PLACES.values() for place in places} <= paths
+    assert {path for places in _PLACES.values() for path in places} <= paths
     missing = [path for path in paths if not (ROOT / path).exists() and path[0] != "."]
     assert missing == []
 

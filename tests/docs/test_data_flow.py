@@ -18,10 +18,10 @@ def script() -> ModuleType:
     spec = importlib.util.spec_from_file_location("draw_data_flow", path)
     assert spec is not None
     assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    sys.modules["draw_data_flow"] = made  # dataclasses look their module up
-    spec.loader.exec_module(made)
-    return made
+    result = importlib.util.module_from_spec(spec)
+    sys.modules["draw_data_flow"] = result  # dataclasses look their module up
+    spec.loader.exec_module(result)
+    return result
 
 
 def stages() -> set[str]:
@@ -43,7 +43,7 @@ def test_data_flow_picture_is_current(script: ModuleType) -> None:
 
 def test_picture_has_exactly_the_stages_of_the_code(script: ModuleType) -> None:
     assert len(stages()) >= 14
-    boxes = [one for one in script.BOXES if one.fill == script.STAGE]
-    words = {word.strip(",") for one in boxes for word in f"{one.name} {one.below}".split()}
+    boxes = [box for box in script.BOXES if box.fill == script.STAGE]
+    words = {word.strip(",") for box in boxes for word in f"{box.name} {box.below}".split()}
     assert {name.partition(" ")[0] for name in stages()} <= words
-    assert {one.name for one in boxes} <= stages()
+    assert {box.name for box in boxes} <= stages()

@@ -19,10 +19,10 @@ def demo() -> ModuleType:
     spec = spec_from_file_location("demo_families", DOCS / "examples" / "demo_families.py")
     assert spec is not None
     assert spec.loader is not None
-    made = module_from_spec(spec)
-    sys.modules["demo_families"] = made  # dataclasses look their module up
-    spec.loader.exec_module(made)
-    return made
+    result = module_from_spec(spec)
+    sys.modules["demo_families"] = result  # dataclasses look their module up
+    spec.loader.exec_module(result)
+    return result
 
 
 @pytest.mark.slow
@@ -45,26 +45,26 @@ def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
 
 
 def test_family_is_exported_validated_and_drawn(demo: ModuleType, tmp_path: Path) -> None:
-    made = demo.make("static", tmp_path / "static")
-    assert (made.name, made.gaussians, made.verdict) == ("static", 20_000, "conforms")
-    assert made.size == (tmp_path / "static" / "static.onnx").stat().st_size
-    assert made.milliseconds > 0
+    result = demo.make("static", tmp_path / "static")
+    assert (result.name, result.gaussians, result.verdict) == ("static", 20_000, "conforms")
+    assert result.size == (tmp_path / "static" / "static.onnx").stat().st_size
+    assert result.milliseconds > 0
     typed = (tmp_path / "static" / "commands.txt").read_text("utf-8")
     assert typed.startswith("$ gsgen export static ")
     assert "$ gsgen render " in typed
-    with Image.open(made.strip) as strip:
+    with Image.open(result.strip) as strip:
         assert strip.size == (6 * 240, 240)
         tiles = np.split(np.asarray(strip), 6, axis=1)
     behind = np.array([0x16, 0x18, 0x1D])
     for tile in tiles:
         assert np.abs(tile[0, 0].astype(int) - behind).max() <= 1
-        seen = (np.abs(tile.astype(int) - behind).max(axis=2) > 40).mean()
-        assert 0.1 < seen < 0.6  # of the picture: neither empty nor too near
+        actual = (np.abs(tile.astype(int) - behind).max(axis=2) > 40).mean()
+        assert 0.1 < actual < 0.6  # of the picture: neither empty nor too near
         rows, columns = np.nonzero(np.abs(tile.astype(int) - behind).max(axis=2) > 40)
         assert min(rows.min(), columns.min()) > 3  # not cut off
         assert max(rows.max(), columns.max()) < 236
     assert not np.array_equal(tiles[0], tiles[1])
-    assert "static" in demo.table([made])
+    assert "static" in demo.table([result])
 
 
 def test_demo_without_a_driver_reports_it(

@@ -47,7 +47,7 @@ def test_the_guide_s_command_exports_a_model_that_is_captured(
     assert "end-on-compute (" in rewritten[1]
     shown = re.search(r"agrees with torch at 13 probes: (.*)", ran.output)
     assert shown is not None
-    shares = [float(one) for one in re.findall(r"\(([\d.e+-]+) % of allowed\)", shown[1])]
+    shares = [float(entry) for entry in re.findall(r"\(([\d.e+-]+) % of allowed\)", shown[1])]
     assert len(shares) == 4
     assert max(shares) <= 100
     manifest = loads(open_model(tmp_path / f"{name}.onnx").manifest_text or "")
@@ -73,14 +73,14 @@ class Network(torch.nn.Module):
 def test_the_guide_s_way_to_wrap_a_module_works() -> None:
     names: dict[str, object] = {"network": Network()}
     exec(BLOCKS["wrap"], names)
-    made = names["generator"](torch.eye(4), torch.ones(1))  # type: ignore[operator]
-    assert isinstance(made, Gaussians)
-    assert made.opacity.tolist() == [0.5, 0.5, 0.5]
+    result = names["generator"](torch.eye(4), torch.ones(1))  # type: ignore[operator]
+    assert isinstance(result, Gaussians)
+    assert result.opacity.tolist() == [0.5, 0.5, 0.5]
 
 
 def test_the_guide_s_way_to_return_cells_works() -> None:
     ones = torch.ones(6, 3)
-    made = {
+    result = {
         "xyz": ones,
         "opacity": ones[:, 0],
         "scale": ones,
@@ -91,12 +91,12 @@ def test_the_guide_s_way_to_return_cells_works() -> None:
         "size": ones[:2],
         "turn": torch.ones(2, 4),
     }
-    names: dict[str, object] = {"network": lambda view: made}
+    names: dict[str, object] = {"network": lambda view: result}
     exec(BLOCKS["cells"], names)
     generator = names["Bunches"]()  # type: ignore[operator]
-    given = generator(torch.eye(4))
-    assert isinstance(given, Gaussians)
-    assert given.cells.covariances().shape == (2, 6)
+    inputs = generator(torch.eye(4))
+    assert isinstance(inputs, Gaussians)
+    assert inputs.cells.covariances().shape == (2, 6)
     assert generator.weighted_sum.depth_range == 20
 
 
@@ -105,8 +105,8 @@ def test_the_guide_s_way_to_cull_works() -> None:
     names: dict[str, object] = {"math": math}
     exec(f"def cull(made, view, projection):\n{body}", names)
     ones = torch.ones(3, 3)
-    made = Gaussians(ones, ones[:, 0], ones, torch.ones(3, 4), rgb=ones)
-    culled = names["cull"](made, torch.zeros(4, 4), torch.zeros(4, 4))  # type: ignore[operator]
+    gaussians = Gaussians(ones, ones[:, 0], ones, torch.ones(3, 4), rgb=ones)
+    culled = names["cull"](gaussians, torch.zeros(4, 4), torch.zeros(4, 4))  # type: ignore[operator]
     assert culled.count.tolist() == [3]
 
 

@@ -63,8 +63,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
             timeout=300,
         )
 
-    made = typed("python make_checkpoint.py")
-    assert made.returncode == 0, made.stderr
+    result = typed("python make_checkpoint.py")
+    assert result.returncode == 0, result.stderr
     return typed
 
 
@@ -98,12 +98,12 @@ def test_a_wrong_file_is_named(
     exec(FILES["gsgen_blend_shapes/checkpoint.py"], names)
     sizes = {"N": 4, "K": 2}
     right = {
-        name: np.ones([sizes.get(one, one) for one in wanted])
-        for name, wanted in names["SHAPES"].items()
+        name: np.ones([sizes.get(entry, entry) for entry in expected])
+        for name, expected in names["SHAPES"].items()
     }
     np.savez(tmp_path / "right.npz", **right)
     assert set(names["read_shapes"](tmp_path / "right.npz")) == set(right)
-    wrong = {name: one for name, one in (right | change).items() if one is not None}
+    wrong = {name: entry for name, entry in (right | change).items() if entry is not None}
     np.savez(tmp_path / "wrong.npz", **wrong)
     with pytest.raises(GsgenError, match=words):
         names["read_shapes"](tmp_path / "wrong.npz")

@@ -25,10 +25,10 @@ def script() -> ModuleType:
     )
     assert spec is not None
     assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    sys.modules["write_pictures"] = made  # dataclasses look their module up
-    spec.loader.exec_module(made)
-    return made
+    result = importlib.util.module_from_spec(spec)
+    sys.modules["write_pictures"] = result  # dataclasses look their module up
+    spec.loader.exec_module(result)
+    return result
 
 
 def test_every_picture_is_of_the_blocks_that_stand_there(script: ModuleType) -> None:
@@ -36,24 +36,24 @@ def test_every_picture_is_of_the_blocks_that_stand_there(script: ModuleType) -> 
     assert len(digests) >= 10
     for name, digest in digests.items():
         with Image.open(PICTURES / name) as picture:
-            told = picture.info["comment"].decode()
-        assert told == digest, f"{name} is older than its block: run make gallery"
+            gaussians = picture.info["comment"].decode()
+        assert gaussians == digest, f"{name} is older than its block: run make gallery"
 
 
 def test_every_picture_is_shown_and_small(script: ModuleType) -> None:
     text = PAGE.read_text("utf-8")
-    made = script.digests(script.blocks(text))
-    kept = {path.name: path.stat().st_size for path in PICTURES.iterdir()}
-    assert set(kept) == set(made)
-    assert max(kept.values()) <= script.LIMIT
-    assert sum(kept.values()) <= MOST_BYTES
+    result = script.digests(script.blocks(text))
+    retained = {path.name: path.stat().st_size for path in PICTURES.iterdir()}
+    assert set(retained) == set(result)
+    assert max(retained.values()) <= script.LIMIT
+    assert sum(retained.values()) <= MOST_BYTES
     shown = re.findall(r"^!\[(.{20,})\]\(assets/gallery/(\S+)\)$", text, re.MULTILINE)
-    assert [name for _, name in shown] == list(made)
+    assert [name for _, name in shown] == list(result)
 
 
 def test_every_family_is_shown() -> None:
     shown = re.findall(r"\(assets/plugins/(\S+)\)", PAGE.read_text("utf-8"))
-    assert sorted(shown) == sorted(one.name for one in (DOCS / "assets/plugins").iterdir())
+    assert sorted(shown) == sorted(path.name for path in (DOCS / "assets/plugins").iterdir())
 
 
 def test_every_block_with_a_mark_is_understood(script: ModuleType) -> None:
@@ -80,12 +80,12 @@ def test_picture_is_composed_as_its_marker_states(script: ModuleType, tmp_path: 
     )
     (block,) = script.blocks(text)
     script.run(block, tmp_path)
-    made = np.asarray(script.assembled(block, tmp_path))[..., 0]
-    assert made.shape == (2 * 6 + script.GAP, 2 * 12 + script.GAP)
-    assert (made[:6, :12] == 0).all()
-    assert (made[:6, -12:] == 120).all()
-    assert (made[-6:, :12] == 200).all()
-    assert (made[-6:, -12:] == 255).all()  # nothing is there
+    result = np.asarray(script.assembled(block, tmp_path))[..., 0]
+    assert result.shape == (2 * 6 + script.GAP, 2 * 12 + script.GAP)
+    assert (result[:6, :12] == 0).all()
+    assert (result[:6, -12:] == 120).all()
+    assert (result[-6:, :12] == 200).all()
+    assert (result[-6:, -12:] == 255).all()  # nothing is there
 
 
 def test_a_block_that_fails_ends_the_script(script: ModuleType, tmp_path: Path) -> None:

@@ -147,8 +147,8 @@ def test_the_basis_in_the_specification_is_that_of_the_code():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     x, y, z = directions.T
     names = {"x": x, "y": y, "z": z}
-    made = [eval(formula, names) + 0 * x for _, _, formula in formulas]
-    np.testing.assert_allclose(np.stack(made, axis=1), basis(directions), rtol=1e-14)
+    result = [eval(formula, names) + 0 * x for _, _, formula in formulas]
+    np.testing.assert_allclose(np.stack(result, axis=1), basis(directions), rtol=1e-14)
 
 
 def test_the_rule_of_the_guide_can_be_installed(tmp_path):

@@ -62,7 +62,7 @@ def test_every_page_of_the_navigation_exists():
     rules = {
         f"rules/{rule.id}.md" for rule in all_rules().rules.values()
     }  # found through their index
-    passes = {f"passes/{one.name}.md" for one in REWRITES}
+    passes = {f"passes/{rewrite.name}.md" for rewrite in REWRITES}
     assert set(named) == on_site - rules - passes
 
 
@@ -71,7 +71,7 @@ def _files(entry: object) -> list[str]:
         return [entry]
     inner = entry.values() if isinstance(entry, dict) else entry
     assert not isinstance(inner, (int, float))
-    return [file for one in inner for file in _files(one)]  # type: ignore[attr-defined]
+    return [file for entry in inner for file in _files(entry)]  # type: ignore[attr-defined]
 
 
 def _shown(page: Path) -> list[str]:
@@ -96,9 +96,9 @@ def test_every_public_name_is_on_its_page(name):
     shown = set()
     for path in _shown(DOCS / "api" / f"{name.partition('.')[0]}.md"):
         module, _, last = path.rpartition(".")
-        found = getattr(import_module(module), last)
+        actual = getattr(import_module(module), last)
         # A page may show a module as a whole.
-        shown |= {last, *(found.__all__ if isinstance(found, ModuleType) else ())}
+        shown |= {last, *(actual.__all__ if isinstance(actual, ModuleType) else ())}
     assert set(import_module(f"gsgen.{name}").__all__) <= shown
 
 

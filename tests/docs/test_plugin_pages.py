@@ -18,7 +18,7 @@ PICTURES = DOCS / "assets" / "plugins"
 LARGEST = 40_000  # bytes
 SECTIONS = ("Inputs", "Input files", "Options", "Ignored data", "Known limits")
 OURS = sorted(
-    name for name, found in find_plugins().items() if found.point.value.startswith("gsgen.")
+    name for name, plugin in find_plugins().items() if plugin.point.value.startswith("gsgen.")
 )
 
 
@@ -35,9 +35,9 @@ def test_every_plugin_has_a_page_and_a_picture() -> None:
 def test_the_page_shows_its_picture_which_is_small(name: str) -> None:
     shown, *others = re.findall(r"^!\[(.+)\]\((\S+)\)$", text_of(name), re.MULTILINE)
     assert shown[1] == f"../assets/plugins/{name}.jpg"
-    for said, place in (shown, *others):
+    for said, array in (shown, *others):
         assert len(said) > 20  # says what can be seen, to those who cannot see it
-        data = (PAGES / place).read_bytes()
+        data = (PAGES / array).read_bytes()
         assert len(data) <= LARGEST
         with Image.open(io.BytesIO(data)) as picture:
             assert picture.format == "JPEG"
@@ -90,16 +90,16 @@ def options_of(plugin: Plugin) -> list[str]:
 
 def spelled(function: Callable[..., object]) -> list[str]:
     """Return a function's options as typed: of a switch that is on, what turns it off."""
-    found = []
+    results = []
     for parameter in inspect.signature(function).parameters.values():
-        told = getattr(parameter.annotation, "__metadata__", ())
-        info = next((one for one in told if isinstance(one, OptionInfo)), None)
+        message = getattr(parameter.annotation, "__metadata__", ())
+        info = next((entry for entry in message if isinstance(entry, OptionInfo)), None)
         if info is not None:  # typer takes the first spelling for a default until it is used
             written = " ".join(map(str, (info.default, *(info.param_decls or ()))))
-            words = [one for one in written.replace("/", " ").split() if one[:2] == "--"]
-            found.append((words or [f"--{parameter.name.replace('_', '-')}"])[-1])
-    assert found
-    return found
+            words = [word for word in written.replace("/", " ").split() if word[:2] == "--"]
+            results.append((words or [f"--{parameter.name.replace('_', '-')}"])[-1])
+    assert results
+    return results
 
 
 @pytest.mark.parametrize("name", OURS)

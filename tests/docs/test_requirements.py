@@ -36,13 +36,13 @@ def plain(text: str) -> str:
 def sentences(text: str) -> list[str]:
     """Return the sentences of a page that contain *must* or *should*."""
     text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
-    found = []
+    results = []
     for line in text.splitlines():
         cells = line.strip().strip("|").split(" | ") if line.startswith("|") else [line]
         for cell in cells:
             stripped = re.sub(r"^\s*(?:[-*]|[0-9]+\.)\s+", "", cell)
-            found += [s for s in _SENTENCE_END.split(plain(stripped)) if _WORD.search(s)]
-    return found
+            results += [s for s in _SENTENCE_END.split(plain(stripped)) if _WORD.search(s)]
+    return results
 
 
 def requirements() -> list[Requirement]:

@@ -67,16 +67,16 @@ def viewer(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
 @pytest.fixture
 def fed(viewer: ModuleType, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What the viewer gave the model."""
-    seen: dict[str, Any] = {}
+    recorded: dict[str, Any] = {}
     feed = viewer.feed
 
     def watched(*words: Any) -> dict[str, np.ndarray]:
-        made: dict[str, np.ndarray] = feed(*words)
-        seen.update(made)
-        return made
+        result: dict[str, np.ndarray] = feed(*words)
+        recorded.update(result)
+        return result
 
     monkeypatch.setattr(viewer, "feed", watched)
-    return seen
+    return recorded
 
 
 @pytest.mark.parametrize(("name", "eye"), MODELS)
@@ -97,26 +97,26 @@ def test_the_picture_is_that_of_the_oracle(
     session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     manifest = viewer.read_manifest(session)
     outputs = manifest["outputs"]
-    names = [outputs[one]["name"] for one in ("gaussians", "appearance", "count")]
+    names = [outputs[array]["name"] for array in ("gaussians", "appearance", "count")]
     rows, looks, count = session.run(names, fed)
     space = outputs["appearance"]["space"]
     live = min(int(count[0]), len(rows))
     data = SplatData(rows, looks, space, count=live)
     scene = Scene([SplatSet(data, antialias=manifest.get("antialias", "classic"))])
-    wanted = oracle.render(scene, Camera(**lens))
-    assert wanted.visible > 0
-    apart = np.abs(picture - wanted.rgba)[~wanted.fragile]
+    frame = oracle.render(scene, Camera(**lens))
+    assert frame.visible > 0
+    apart = np.abs(picture - frame.rgba)[~frame.fragile]
     # The oracle finishes pixels that have 1e-4 of the light left, as the specification allows.
-    assert apart.max() <= 2e-4 * max(1, wanted.rgba.max())
+    assert apart.max() <= 2e-4 * max(1, frame.rgba.max())
 
 
 def test_both_memory_orders_give_one_picture(viewer: ModuleType, tmp_path: Path) -> None:
-    one, other = (
+    first, other = (
         viewer.frame(str(find(name).write(tmp_path)), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
         for name in ("fade_row", "fade_column")
     )
-    assert one[..., 3].max() > 0.1
-    np.testing.assert_array_equal(one, other)
+    assert first[..., 3].max() > 0.1
+    np.testing.assert_array_equal(first, other)
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
@@ -127,10 +127,10 @@ def test_missing_inputs_are_fed_as_gsgen_feeds_them(
     viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
     with FrameSession(path) as session:
         assert fed.keys() == session.inputs.keys()
-        wanted = session.run(copy=True)
+        outputs = session.run(copy=True)
         again = session.run(fed, copy=True)
         for output in session.outputs:
-            np.testing.assert_array_equal(again[output], wanted[output])
+            np.testing.assert_array_equal(again[output], outputs[output])
 
 
 def altered(name: str, path: Path, edit: Callable[[dict[str, Any]], object]) -> Path:

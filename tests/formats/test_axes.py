@@ -13,16 +13,16 @@ SIGNS = list(itertools.product((1, -1), repeat=3))
 
 
 def directions(count: int = 50) -> np.ndarray:
-    made = np.random.default_rng(0).standard_normal((count, 3))
-    return made / np.linalg.norm(made, axis=1, keepdims=True)
+    result = np.random.default_rng(0).standard_normal((count, 3))
+    return result / np.linalg.norm(result, axis=1, keepdims=True)
 
 
 @pytest.mark.parametrize("signs", SIGNS)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_harmonics_change_sign_as_their_functions_do(degree, signs):
-    there = sh_basis(directions() * signs, degree)
+    reference = sh_basis(directions() * signs, degree)
     here = sh_basis(directions(), degree)
-    np.testing.assert_allclose(there, here * sh_signs(degree, signs), atol=1e-12)
+    np.testing.assert_allclose(reference, here * sh_signs(degree, signs), atol=1e-12)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -59,10 +59,11 @@ def test_a_flip_turns_ellipsoids_and_colours(signs):
     flipped = flip(splats, signs)
     mirror = np.diag(signs)
     shapes = [
-        rotation_matrix(one.rotation) * np.exp(one.log_scale)[:, None] for one in (splats, flipped)
+        rotation_matrix(scene_splats.rotation) * np.exp(scene_splats.log_scale)[:, None]
+        for scene_splats in (splats, flipped)
     ]
-    here, there = (shape @ shape.swapaxes(1, 2) for shape in shapes)
-    np.testing.assert_allclose(there, mirror @ here @ mirror, rtol=1e-5, atol=1e-9)
+    here, reference = (shape @ shape.swapaxes(1, 2) for shape in shapes)
+    np.testing.assert_allclose(reference, mirror @ here @ mirror, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(
         evaluate(flipped.sh, directions() * signs), evaluate(splats.sh, directions()), atol=1e-6
     )
@@ -74,5 +75,5 @@ def test_turned_harmonics_show_the_same_colours_along_turned_directions(degree):
     sh = scene(10, degree).sh
     turned = rotate_sh(sh, turn)
     here = np.einsum("dk,nkc->ndc", sh_basis(directions(), degree), sh)
-    there = np.einsum("dk,nkc->ndc", sh_basis(directions() @ turn.T, degree), turned)
-    np.testing.assert_allclose(there, here, atol=1e-6)
+    reference = np.einsum("dk,nkc->ndc", sh_basis(directions() @ turn.T, degree), turned)
+    np.testing.assert_allclose(reference, here, atol=1e-6)

@@ -46,8 +46,8 @@ def of_gsplat(count: int = 6, degree: int = 1, **changes: object) -> dict[str, o
         "sh0": splats.sh[:, :1],
         "shN": splats.sh[:, 1:],
     }
-    held = {name: torch.from_numpy(array.copy()) for name, array in tensors.items()} | changes
-    return {"step": 1, "splats": {k: v for k, v in held.items() if v is not None}}
+    stored = {name: torch.from_numpy(array.copy()) for name, array in tensors.items()} | changes
+    return {"step": 1, "splats": {k: v for k, v in stored.items() if v is not None}}
 
 
 def refusal(file: Path, kind: type[FormatError]) -> str:
@@ -108,10 +108,10 @@ def test_older_names_of_gsplat_and_splatfacto_are_read(tmp_path):
     splatfacto["features_rest"] = splatfacto.pop("shN")
     del splatfacto["means3d"]
     pipeline = {f"_model.{name}": value for name, value in splatfacto.items()}
-    one = read_checkpoint(stored(tmp_path / "a.pt", {"splats": gsplat}))
+    entry = read_checkpoint(stored(tmp_path / "a.pt", {"splats": gsplat}))
     other = read_checkpoint(stored(tmp_path / "a.ckpt", {"pipeline": pipeline}))
     for name in FIELDS:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_array_equal(getattr(entry, name), getattr(other, name))
 
 
 @pytest.mark.parametrize(
@@ -208,12 +208,12 @@ class Bomb:
         return os.mkdir, ("exploded",)
 
 
-@pytest.mark.parametrize("place", ["beside", "inside"])
-def test_code_in_a_checkpoint_is_not_run(tmp_path, monkeypatch, place):
+@pytest.mark.parametrize("location", ["beside", "inside"])
+def test_code_in_a_checkpoint_is_not_run(tmp_path, monkeypatch, location):
     monkeypatch.chdir(tmp_path)
-    content = of_gsplat() | {"x": Bomb()} if place == "beside" else of_gsplat(means=Bomb())
+    content = of_gsplat() | {"x": Bomb()} if location == "beside" else of_gsplat(means=Bomb())
     file = stored(tmp_path / "a.pt", content)
-    if place == "beside":
+    if location == "beside":
         assert len(read_checkpoint(file)) == 6
     else:
         assert "a Opaque" in refusal(file, ValueInvalid)

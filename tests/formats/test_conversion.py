@@ -27,8 +27,8 @@ from support.splat_files import GOLDENS, assert_near, opacity, scene, turn_betwe
 WRITTEN = [codec.name for codec in CODECS if codec.write]
 
 
-def by_name(found: tuple) -> dict[str, float]:
-    return {one.name: one.largest for one in found}
+def by_name(actual: tuple) -> dict[str, float]:
+    return {entry.name: entry.largest for entry in actual}
 
 
 def test_reported_differences_match_the_introduced_ones():
@@ -57,23 +57,23 @@ def test_reported_differences_match_the_introduced_ones():
         log_scale=(before.log_scale + np.float32(math.log(1.1))).astype(np.float32),
         sh=harmonics,
     )
-    found = differences(before, after)
-    off = by_name(found)
+    actual = differences(before, after)
+    off = by_name(actual)
     assert off["position"] == pytest.approx(0.5, abs=1e-6)
     assert off["rotation"] == pytest.approx(0.5, abs=1e-4)
     assert off["scale"] == pytest.approx(10, abs=1e-3)
     assert off["opacity"] == 0
     assert off["color"] == pytest.approx(0.1, abs=1e-6)
     assert off["harmonics"] == pytest.approx(0.25, abs=1e-6)
-    typical = {one.name: one.typical for one in found}
+    typical = {entry.name: entry.typical for entry in actual}
     assert typical["position"] == pytest.approx(0.5 / math.sqrt(900), rel=1e-4)
     assert typical["rotation"] == pytest.approx(0.5, abs=1e-4)
 
 
 def test_infinities_differ_by_nothing():
-    plain = scene(2, 0)
+    original = scene(2, 0)
     odd = replace(
-        plain,
+        original,
         log_scale=np.float32([[-np.inf, 0, 0]] * 2),
         logit_opacity=np.float32([np.inf, -np.inf]),
     )
@@ -92,13 +92,13 @@ def test_every_format_is_written_and_compared(tmp_path, name, degree):
     file, target = tmp_path / "a.spz", tmp_path / "b"
     write_ply(file, splats)
     done = convert(file, target, codec_named(name), sh_degree=degree)
-    kept = min(2 if degree is None else degree, codec_named(name).most_degree)
-    assert (done.count, done.degree, done.format) == (400, (2, kept), name)
+    retained = min(2 if degree is None else degree, codec_named(name).most_degree)
+    assert (done.count, done.degree, done.format) == (400, (2, retained), name)
     assert done.sizes == (file.stat().st_size, target.stat().st_size)
-    assert ("harmonics above degree" in " ".join(done.lost)) is (kept < 2)
+    assert ("harmonics above degree" in " ".join(done.lost)) is (retained < 2)
     back = open_splats(target)
     assert isinstance(back, Splats)
-    assert back.degree == kept
+    assert back.degree == retained
     off = by_name(done.differences)
     exact = {"ply": 0, "glb": 1e-5}
     assert max(off.values()) <= exact.get(name, 10)

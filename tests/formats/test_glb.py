@@ -28,8 +28,8 @@ def covariance(splats: Splats) -> np.ndarray:
 
 
 def directions(count: int = 40) -> np.ndarray:
-    made = np.random.default_rng(0).standard_normal((count, 3))
-    return made / np.linalg.norm(made, axis=1, keepdims=True)
+    result = np.random.default_rng(0).standard_normal((count, 3))
+    return result / np.linalg.norm(result, axis=1, keepdims=True)
 
 
 @settings(max_examples=20, deadline=None)
@@ -70,8 +70,8 @@ def test_written_file_follows_the_extension(tmp_path):
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[width]
         assert (accessor["componentType"], accessor["type"]) == (5126, kind)
         view = document["bufferViews"][accessor["bufferView"]]
-        at = view["byteOffset"]
-        return np.array(struct.unpack_from(f"<{4 * width}f", binary, at)).reshape(4, width)
+        offset = view["byteOffset"]
+        return np.array(struct.unpack_from(f"<{4 * width}f", binary, offset)).reshape(4, width)
 
     flipped = splats.position * np.array([-1, -1, 1])
     np.testing.assert_allclose(values("POSITION", 3), flipped, rtol=1e-6)
@@ -86,8 +86,8 @@ def test_written_file_follows_the_extension(tmp_path):
         values(f"{NAME}:OPACITY", 1)[:, 0], 1 / (1 + np.exp(-splats.logit_opacity)), rtol=1e-5
     )
     names = [name for name in primitive["attributes"] if "SH" in name]
-    wanted = [(0, 0), (1, 0), (1, 1), (1, 2)]
-    assert names == [f"{NAME}:SH_DEGREE_{band}_COEF_{n}" for band, n in wanted]
+    expected = [(0, 0), (1, 0), (1, 1), (1, 2)]
+    assert names == [f"{NAME}:SH_DEGREE_{band}_COEF_{n}" for band, n in expected]
     signs = [1, -1, 1, -1]  # of 1, y, z, x
     for index, name in enumerate(names):
         np.testing.assert_allclose(values(name, 3), splats.sh[:, index] * signs[index])
@@ -101,12 +101,12 @@ def test_written_file_follows_the_extension(tmp_path):
 
 def test_splat_transform_writes_the_same_ellipsoids():
     """Its quaternions are turned by 180° about z, which changes no ellipsoid."""
-    here, there = read_glb(GOLDENS / "scene.glb"), read_ply(GOLDENS / "scene.ply")
-    assert isinstance(there, Splats)
-    np.testing.assert_array_equal(here.position, there.position)
-    np.testing.assert_allclose(covariance(here), covariance(there), rtol=1e-4, atol=1e-9)
-    np.testing.assert_array_equal(here.sh, there.sh)
-    np.testing.assert_allclose(here.logit_opacity, there.logit_opacity, atol=1e-5)
+    here, reference = read_glb(GOLDENS / "scene.glb"), read_ply(GOLDENS / "scene.ply")
+    assert isinstance(reference, Splats)
+    np.testing.assert_array_equal(here.position, reference.position)
+    np.testing.assert_allclose(covariance(here), covariance(reference), rtol=1e-4, atol=1e-9)
+    np.testing.assert_array_equal(here.sh, reference.sh)
+    np.testing.assert_allclose(here.logit_opacity, reference.logit_opacity, atol=1e-5)
 
 
 def with_nodes(file, splats: Splats, nodes: list, **document: object) -> Splats:
@@ -119,10 +119,10 @@ def with_nodes(file, splats: Splats, nodes: list, **document: object) -> Splats:
 def spun(node: dict) -> np.ndarray:
     """The matrix of a node of translation, rotation and scale."""
     x, y, z, w = node.get("rotation", [0, 0, 0, 1])
-    made = np.eye(4)
-    made[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * node.get("scale", [1, 1, 1])
-    made[:3, 3] = node.get("translation", [0, 0, 0])
-    return made
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * node.get("scale", [1, 1, 1])
+    matrix[:3, 3] = node.get("translation", [0, 0, 0])
+    return matrix
 
 
 TURN = (np.array([0.5, -0.3, 0.2, 0.7]) / np.linalg.norm([0.5, -0.3, 0.2, 0.7])).tolist()
@@ -142,8 +142,8 @@ def test_nodes_put_splats_into_the_world(tmp_path, outer, inner):
     np.testing.assert_allclose(
         moved.position, splats.position @ linear.T + matrix[:3, 3], atol=1e-5
     )
-    wanted = linear @ covariance(splats) @ linear.T
-    np.testing.assert_allclose(covariance(moved), wanted, rtol=1e-3, atol=1e-8)
+    expected = linear @ covariance(splats) @ linear.T
+    np.testing.assert_allclose(covariance(moved), expected, rtol=1e-3, atol=1e-8)
     left, _, right = np.linalg.svd(linear)
     np.testing.assert_allclose(
         evaluate(moved.sh, directions() @ (left @ right).T),
@@ -189,7 +189,7 @@ STORED = {
 
 @pytest.mark.parametrize(
     ("name", "kind", "code", "largest"),
-    [(name, *one) for name, kinds in STORED.items() for one in kinds],
+    [(name, *kind) for name, kinds in STORED.items() for kind in kinds],
 )
 def test_normalised_integers_are_read_as_fractions(tmp_path, name, kind, code, largest):
     write_glb(tmp_path / "a.glb", scene(5, 0))
@@ -208,27 +208,27 @@ def test_normalised_integers_are_read_as_fractions(tmp_path, name, kind, code, l
     accessor["normalized"] = largest > 1
     (tmp_path / "a.glb").write_bytes(built(document, binary + rows))
     back = read_glb(tmp_path / "a.glb")
-    wanted = stored[:, :width] / (largest if largest > 1 else 1)
+    expected = stored[:, :width] / (largest if largest > 1 else 1)
     if name == "SCALE":
-        np.testing.assert_allclose(np.exp(back.log_scale), wanted, rtol=1e-5)
+        np.testing.assert_allclose(np.exp(back.log_scale), expected, rtol=1e-5)
     elif name == "OPACITY":
         shown = 1 / (1 + np.exp(-back.logit_opacity))
-        np.testing.assert_allclose(shown, wanted[:, 0], rtol=1e-5)
+        np.testing.assert_allclose(shown, expected[:, 0], rtol=1e-5)
     else:
-        turn = wanted[:, [3, 0, 1, 2]] * [1, -1, -1, 1]
+        turn = expected[:, [3, 0, 1, 2]] * [1, -1, -1, 1]
         turn /= np.linalg.norm(turn, axis=1, keepdims=True)
         np.testing.assert_allclose(back.rotation, turn, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    "place",
+    "location",
     [
         {NAME: {"extensions": {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}}},
         {NAME: {"extensions": {"KHR_gaussian_splatting_compression_spz": {"bufferView": 0}}}},
         {"KHR_spz_gaussian_splats_compression": {"bufferView": 0}},
     ],
 )
-def test_spz_of_the_drafts_is_read_as_left_up_forward(tmp_path, place):
+def test_spz_of_the_drafts_is_read_as_left_up_forward(tmp_path, location):
     splats = scene(5, 2)
     write_spz(tmp_path / "a.spz", splats, version=2)
     packed = (tmp_path / "a.spz").read_bytes()
@@ -236,14 +236,14 @@ def test_spz_of_the_drafts_is_read_as_left_up_forward(tmp_path, place):
         "asset": {"version": "2.0"},
         "buffers": [{"byteLength": len(packed)}],
         "bufferViews": [{"buffer": 0, "byteLength": len(packed)}],
-        "meshes": [{"primitives": [{"mode": 0, "attributes": {}, "extensions": place}]}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {}, "extensions": location}]}],
         "nodes": [{"mesh": 0}],
     }
     (tmp_path / "a.glb").write_bytes(built(document, packed))
-    here, there = read_glb(tmp_path / "a.glb"), read_spz(tmp_path / "a.spz")
+    here, reference = read_glb(tmp_path / "a.glb"), read_spz(tmp_path / "a.spz")
     # What SPZ alone calls right up back is here called left up forward.
-    np.testing.assert_array_equal(here.position, there.position * [-1, 1, -1])
-    np.testing.assert_array_equal(here.log_scale, there.log_scale)
+    np.testing.assert_array_equal(here.position, reference.position * [-1, 1, -1])
+    np.testing.assert_array_equal(here.log_scale, reference.log_scale)
 
 
 def test_attributes_of_the_first_draft_are_read(tmp_path):

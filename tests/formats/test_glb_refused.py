@@ -119,8 +119,8 @@ def test_values_beyond_their_range_are_refused(tmp_path, name, value):
     write_glb(file, scene(4, 1))
     document, binary = parts(file.read_bytes())
     index = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:{name}"]
-    at = document["bufferViews"][index]["byteOffset"]
-    binary = binary[:at] + struct.pack("<f", value) + binary[at + 4 :]
+    offset = document["bufferViews"][index]["byteOffset"]
+    binary = binary[:offset] + struct.pack("<f", value) + binary[offset + 4 :]
     file.write_bytes(built(document, binary))
     with pytest.raises(
         ValueInvalid, match=rf"{name}: 1 of \d+ values are invalid: the first is {value:g}"
@@ -178,11 +178,11 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
         (20, b"!", HeaderMalformed, "chunk JSON: the GLB file has invalid JSON ("),
     ],
 )
-def test_invalid_coordinate_frame_is_refused(tmp_path, at, value, kind, text):
+def test_invalid_coordinate_frame_is_refused(tmp_path, offset, value, kind, text):
     file = tmp_path / "bad.glb"
     write_glb(file, scene(4, 1))
     content = bytearray(file.read_bytes())
-    content[at : at + len(value)] = value
+    content[offset : offset + len(value)] = value
     file.write_bytes(content)
     with pytest.raises(FormatError) as caught:
         read_glb(file)

@@ -95,9 +95,9 @@ def huge_counts() -> dict[str, tuple[str, bytes]]:
     }
 
 
-@pytest.mark.parametrize("what", [*huge_counts()])
-def test_a_huge_count_takes_no_memory(tmp_path, what):
-    name, content = huge_counts()[what]
+@pytest.mark.parametrize("label", [*huge_counts()])
+def test_a_huge_count_takes_no_memory(tmp_path, label):
+    name, content = huge_counts()[label]
     file = tmp_path / "huge"
     file.write_bytes(content)
     assert peak_while_refusing(file, name) < LITTLE

@@ -52,8 +52,8 @@ def test_handwritten_file_is_read(tmp_path_factory, level, degree, count, seed):
 @pytest.mark.parametrize("level", LEVELS)
 def test_splat_transform_reads_ksplat_alike(level):
     here = read_ksplat(GOLDENS / f"level-{level}.ksplat")
-    there = read_ply(GOLDENS / f"level-{level}.ksplat.decoded.ply")
-    assert_near(here, there, rotation=1e-7, opacities=1e-7, sh=2e-7)
+    splats = read_ply(GOLDENS / f"level-{level}.ksplat.decoded.ply")
+    assert_near(here, splats, rotation=1e-7, opacities=1e-7, sh=2e-7)
 
 
 def test_ksplat_and_splat_of_one_scene_agree():
@@ -148,9 +148,9 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
         ),
     ],
 )
-def test_inconsistent_ksplat_is_refused(tmp_path, at, value, kind, text):
+def test_inconsistent_ksplat_is_refused(tmp_path, offset, value, kind, text):
     content = bytearray(ksplat(scene(12, 1), 1))
-    content[at : at + len(value)] = value
+    content[offset : offset + len(value)] = value
     file = tmp_path / "bad.ksplat"
     file.write_bytes(content)
     with pytest.raises(FormatError) as caught:

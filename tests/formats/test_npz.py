@@ -328,8 +328,8 @@ def test_every_truncated_archive_is_refused(tmp_path, content):
     ),
 )
 def test_a_mutated_archive_is_read_or_refused_but_never_crashes(tmp_path_factory, content, edits):
-    for at, gone, put in edits:
-        content = content[:at] + put + content[at + gone :]
+    for offset, gone, put in edits:
+        content = content[:offset] + put + content[offset + gone :]
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.npz", content)
 
 

@@ -64,9 +64,9 @@ def test_every_format_is_told_by_its_content(tmp_path, name):
         assert codec is not None
         # A compressed PLY file begins like any other; its reader sees the difference.
         assert codec.name == name.removeprefix("compressed-")
-        here, there = open_splats(file), codec_named(name).read(file)
-        assert type(here) is type(there)
-        assert len(here) == len(there)
+        here, reference = open_splats(file), codec_named(name).read(file)
+        assert type(here) is type(reference)
+        assert len(here) == len(reference)
 
 
 def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
@@ -79,13 +79,13 @@ def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "seen"), [(b"\x93NUMPY\x01\x00", "93 4e 55 4d 50"), (b"p", "70")]
 )
-def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, seen):
+def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, actual):
     file = tmp_path / "scene.abc"
     file.write_bytes(content)
     with pytest.raises(NotRecognised) as caught:
         open_splats(file)
     assert str(caught.value) == (
-        f"{file}: first bytes: {seen}\n"
+        f"{file}: first bytes: {actual}\n"
         "expected a file of splats: PLY, compressed PLY, SPZ, GLB, SOG, KSPLAT, SPLAT, "
         "PyTorch checkpoint or NPZ\n"
         "if it is of another format, convert it to one of these first"
@@ -114,8 +114,8 @@ def test_unrecognised_file_is_explained_by_the_format_of_its_suffix(tmp_path, su
     ],
 )
 def test_the_longest_suffix_names_the_format(name, codec):
-    found = codec_of_suffix(name)
-    assert (found.name if found else None) == codec
+    actual = codec_of_suffix(name)
+    assert (actual.name if actual else None) == codec
 
 
 def unreadable(path: Path, read: object) -> str:
@@ -173,7 +173,8 @@ def test_splats_agree_with_the_same_scene_in_another_format():
     record = [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("q", "u1", 4)]
     twin = np.fromfile(SHARED / "data/twins/test-splat.3-points-from-train.splat", record)
     splats_at = [
-        int(np.argmin(np.abs(splats.position - place).sum(axis=1))) for place in twin["position"]
+        int(np.argmin(np.abs(splats.position - location).sum(axis=1)))
+        for location in twin["position"]
     ]
     assert sorted(splats_at) == [0, 1, 2]
     np.testing.assert_array_equal(twin["position"], splats.position[splats_at])

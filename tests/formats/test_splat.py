@@ -51,10 +51,10 @@ def test_round_trip_error_is_within_half_a_step(tmp_path_factory, seed, degree):
 
 
 def test_rewriting_gives_the_same_bytes(tmp_path):
-    one, other = tmp_path / "one", tmp_path / "other"
-    write_splat(one, scene(50, 0))
-    write_splat(other, read_splat(one))
-    a, b = (np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, 32) for file in (one, other))
+    first, other = tmp_path / "one", tmp_path / "other"
+    write_splat(first, scene(50, 0))
+    write_splat(other, read_splat(first))
+    a, b = (np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, 32) for file in (first, other))
     np.testing.assert_array_equal(a[:, :12], b[:, :12])
     np.testing.assert_array_equal(a[:, 24:28], b[:, 24:28])
     assert np.abs(a[:, 28:].astype(int) - b[:, 28:]).max() <= 1
@@ -63,20 +63,20 @@ def test_rewriting_gives_the_same_bytes(tmp_path):
 def test_splat_and_ply_of_one_training_agree():
     name = "data/twins/test-splat.3-points-from-train"
     real, twin = read_ply(shared(f"{name}.ply")), read_splat(shared(f"{name}.splat"))
-    plain = Splats(
+    splats = Splats(
         position=real.position,
         rotation=real.rotation,
         log_scale=real.log_scale,
         logit_opacity=real.logit_opacity,
         sh=real.sh[:, :1],
     )
-    assert_near(plain, twin, rotation=0.02, log_scale=1e-6, opacities=1 / 255, sh=1 / 70)
+    assert_near(splats, twin, rotation=0.02, log_scale=1e-6, opacities=1 / 255, sh=1 / 70)
 
 
 def test_extreme_values_are_clamped(tmp_path):
-    plain = scene(2, 0)
+    original = scene(2, 0)
     odd = Splats(
-        position=plain.position,
+        position=original.position,
         rotation=np.float32([[0, 0, 0, 0], [-1, 0, 0, 0]]),
         log_scale=np.float32([[-np.inf, -100, 80]] * 2),
         logit_opacity=np.float32([np.inf, -np.inf]),
@@ -99,11 +99,11 @@ def test_extreme_values_are_clamped(tmp_path):
          "expected a finite number or -inf"),
     ],
 )  # fmt: skip
-def test_values_that_cannot_be_drawn_are_refused(tmp_path, at, value, text):
+def test_values_that_cannot_be_drawn_are_refused(tmp_path, offset, value, text):
     file = tmp_path / "bad.splat"
     write_splat(file, scene(2, 0))
     numbers = np.frombuffer(file.read_bytes(), "<f4").copy()
-    numbers[at] = value
+    numbers[offset] = value
     file.write_bytes(numbers.tobytes())
     with pytest.raises(ValueInvalid) as caught:
         read_splat(file)
@@ -122,13 +122,13 @@ def test_a_part_of_a_record_is_refused(tmp_path):
 
 
 def test_a_scale_beyond_float32_is_not_written(tmp_path):
-    plain = scene(1, 0)
+    original = scene(1, 0)
     huge = Splats(
-        position=plain.position,
-        rotation=plain.rotation,
-        log_scale=plain.log_scale + 100,
-        logit_opacity=plain.logit_opacity,
-        sh=plain.sh,
+        position=original.position,
+        rotation=original.rotation,
+        log_scale=original.log_scale + 100,
+        logit_opacity=original.logit_opacity,
+        sh=original.sh,
     )
     with pytest.raises(FormatError, match="row 0 is inf"):
         write_splat(tmp_path / "a.splat", huge)

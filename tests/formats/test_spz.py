@@ -34,7 +34,7 @@ def naive_read(content: bytes) -> Splats:
     body = gzip.decompress(content)
     _, version, count, degree, fraction, flags = struct.unpack_from("<IIIBBB", body)
     at = 16
-    rest = (degree + 1) ** 2 - 1
+    sh_count = (degree + 1) ** 2 - 1
 
     def some(each: int) -> list[bytes]:
         nonlocal at
@@ -53,7 +53,7 @@ def naive_read(content: bytes) -> Splats:
     colors = [[(c / 255 - 0.5) / 0.15 for c in row] for row in some(3)]
     scales = [[s / 16 - 10 for s in row] for row in some(3)]
     turns = [naive_turn(row, version) for row in some(4 if version == 3 else 3)]
-    higher = [[(b - 128) / 128 for b in row] for row in some(3 * rest)]
+    higher = [[(b - 128) / 128 for b in row] for row in some(3 * sh_count)]
     assert at == len(body)
 
     def logit(share: float) -> float:
@@ -61,9 +61,9 @@ def naive_read(content: bytes) -> Splats:
 
     # From x right, y up, z back to x right, y down, z forward; 3DGS harmonics of degree 1 are
     # y, z, x, of degree 2 xy, yz, z², xz, x²−y², of degree 3 y, xyz, y, z, x, z, x by parity.
-    signs = [-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1][:rest]
+    signs = [-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1][:sh_count]
     sh = [
-        [color, *(np.array(row).reshape(rest, 3) * np.array(signs)[:, None])]
+        [color, *(np.array(row).reshape(sh_count, 3) * np.array(signs)[:, None])]
         for color, row in zip(colors, higher, strict=True)
     ]
     return Splats(
@@ -71,7 +71,7 @@ def naive_read(content: bytes) -> Splats:
         rotation=np.array(turns, np.float32) * np.float32([1, 1, -1, -1]),
         log_scale=np.array(scales, np.float32),
         logit_opacity=np.array([logit(alpha) for alpha in alphas], np.float32),
-        sh=np.array(sh, np.float32).reshape(count, rest + 1, 3),
+        sh=np.array(sh, np.float32).reshape(count, sh_count + 1, 3),
         antialiased=bool(flags & 1),
     )
 
@@ -96,9 +96,9 @@ def naive_turn(row: bytes, version: int) -> list[float]:
 def test_spz_agrees_with_a_slow_decoder(tmp_path, version, degree):
     file = tmp_path / "a.spz"
     write_spz(file, scene(9, degree, antialiased=degree == 1), version=version)
-    here, there = read_spz(file), naive_read(file.read_bytes())
-    assert_near(here, there, rotation=2e-7, opacities=1e-7, log_scale=1e-6, sh=1e-6)
-    assert here.antialiased is there.antialiased is (degree == 1)
+    here, reference = read_spz(file), naive_read(file.read_bytes())
+    assert_near(here, reference, rotation=2e-7, opacities=1e-7, log_scale=1e-6, sh=1e-6)
+    assert here.antialiased is reference.antialiased is (degree == 1)
 
 
 @pytest.mark.parametrize("name", ["scene.v3.spz", "scene.v4.spz"])
@@ -160,12 +160,12 @@ def test_round_trip_error_is_within_half_a_step(
     half = 1 / 8192 if version > 1 else reach / 2048
     assert np.abs(back.position - splats.position).max() <= half * 1.001
     assert np.abs(back.log_scale - np.maximum(splats.log_scale, -10)).max() <= 1 / 32 + 1e-6
-    opacity = [1 / (1 + np.exp(-one.logit_opacity)) for one in (splats, back)]
+    opacity = [1 / (1 + np.exp(-scene_splats.logit_opacity)) for scene_splats in (splats, back)]
     assert np.abs(opacity[0] - opacity[1]).max() <= 1 / 510 + 1e-6
     constant = np.clip(splats.sh[:, 0], -0.5 / 0.15, 0.5 / 0.15)
     assert np.abs(back.sh[:, 0] - constant).max() <= 1 / 510 / 0.15 + 1e-6
-    for part, kept in ((slice(1, 4), bits[0]), (slice(4, None), bits[1])):
-        width = 2 ** (8 - kept)
+    for part, bit_count in ((slice(1, 4), bits[0]), (slice(4, None), bits[1])):
+        width = 2 ** (8 - bit_count)
         cut = np.clip(splats.sh[:, part], -1, 127 / 128)
         apart = np.abs(back.sh[:, part] - cut).max(initial=0)
         # Half a bucket, and half a step of the rounding before it.
@@ -179,19 +179,19 @@ def test_rotations_come_back_as_close_as_the_bits_allow(tmp_path_factory, versio
     file = tmp_path_factory.getbasetemp() / "turned.spz"
     write_spz(file, splats, version=version)
     back = read_spz(file).rotation.astype(np.float64)
-    wide = splats.rotation / np.linalg.norm(splats.rotation, axis=1, keepdims=True)
-    dots = np.abs(np.sum(wide * back, axis=1))
+    unit_rotations = splats.rotation / np.linalg.norm(splats.rotation, axis=1, keepdims=True)
+    dots = np.abs(np.sum(unit_rotations * back, axis=1))
     # Half a step for each stored component; where w is near 0, bytes lose more of it.
     loosest = 0.02 if version <= 2 else 1.5 * (ROTATION_STEP[version] / 2) ** 2 * 4
     assert 1 - dots.min() <= loosest
 
 
 def test_rewriting_gives_the_same_bytes(tmp_path):
-    one, other = tmp_path / "one.spz", tmp_path / "other.spz"
+    first, other = tmp_path / "one.spz", tmp_path / "other.spz"
     for version in (2, 3, 4):
-        write_spz(one, scene(20, 2), version=version)
-        write_spz(other, read_spz(one), version=version)
-        assert one.read_bytes() == other.read_bytes()
+        write_spz(first, scene(20, 2), version=version)
+        write_spz(other, read_spz(first), version=version)
+        assert first.read_bytes() == other.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -215,9 +215,9 @@ def test_a_large_scene_gets_larger_steps(tmp_path, reach, step):
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_extreme_values_are_clamped(tmp_path, version):
-    plain = scene(3, 1)
+    original = scene(3, 1)
     odd = Splats(
-        position=plain.position,
+        position=original.position,
         rotation=np.float32([[0, 0, 0, 0], [-1, 0, 0, 0], [1e-30, 0, 1e-30, 0]]),
         log_scale=np.float32([[-np.inf, -20, 9]] * 3),
         logit_opacity=np.float32([np.inf, -np.inf, 0]),
@@ -251,13 +251,13 @@ def test_invalid_options_are_refused(tmp_path, change, text):
 
 @pytest.mark.parametrize(("version", "reach"), [(1, 7e4), (3, 1e7)])
 def test_a_scene_beyond_the_format_is_refused(tmp_path, version, reach):
-    plain = scene(1, 0)
+    original = scene(1, 0)
     far = Splats(
         position=np.full((1, 3), reach, np.float32),
-        rotation=plain.rotation,
-        log_scale=plain.log_scale,
-        logit_opacity=plain.logit_opacity,
-        sh=plain.sh,
+        rotation=original.rotation,
+        log_scale=original.log_scale,
+        logit_opacity=original.logit_opacity,
+        sh=original.sh,
     )
     with pytest.raises(ValueInvalid, match="scale the scene down"):
         write_spz(tmp_path / "a.spz", far, version=version)
@@ -356,11 +356,11 @@ def with_record(kind: int, payload: bytes) -> bytes:
 def test_a_declared_coordinate_system_is_followed(tmp_path):
     file = tmp_path / "luf.spz"
     file.write_bytes(with_record(0xADBE0003, struct.pack("<I", 7)))
-    plain, turned = read_spz(GOLDENS / "degree-4.v4.spz"), read_spz(file)
+    original, turned = read_spz(GOLDENS / "degree-4.v4.spz"), read_spz(file)
     # Left up forward, where right up back was meant: to PLY −x −y z instead of x −y −z.
-    np.testing.assert_array_equal(turned.position, plain.position * [-1, 1, -1])
+    np.testing.assert_array_equal(turned.position, original.position * [-1, 1, -1])
     file.write_bytes(with_record(0xADBE0003, struct.pack("<I", 4)))
-    np.testing.assert_array_equal(read_spz(file).position, plain.position)
+    np.testing.assert_array_equal(read_spz(file).position, original.position)
 
 
 def test_a_space_of_swapped_axes_is_refused(tmp_path):
@@ -389,9 +389,9 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
         (40, 1, "byte 40: stream positions unpacks to 257 bytes\nexpected 360 bytes"),
     ],
 )
-def test_invalid_table_of_contents_is_refused(tmp_path, at, value, text):
+def test_invalid_table_of_contents_is_refused(tmp_path, offset, value, text):
     content = bytearray((GOLDENS / "scene.v4.spz").read_bytes())
-    content[at] = value
+    content[offset] = value
     assert refusal(tmp_path, bytes(content), HeaderMalformed) == text
 
 

@@ -26,28 +26,30 @@ from fuzz.pool import Pool
 
 def main() -> int:
     """Run as the command line says; 1 where something failed."""
-    given = _arguments()
-    if given.only is not None:
-        return _once(given.seed, given.only)
-    folder = given.folder / f"seed-{given.seed}"
+    arguments = _arguments()
+    if arguments.only is not None:
+        return _once(arguments.seed, arguments.only)
+    folder = arguments.folder / f"seed-{arguments.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "cases.jsonl"
     done = _read(log)
-    todo = [index for index in range(given.count) if index not in done]
-    deadline = time.monotonic() + 60 * given.minutes
-    failed = sum(bool(one["failures"]) for one in done.values())
+    todo = [index for index in range(arguments.count) if index not in done]
+    deadline = time.monotonic() + 60 * arguments.minutes
+    failed = sum(bool(outcome["failures"]) for outcome in done.values())
     with log.open("a") as out, _bar() as bar, suppress(KeyboardInterrupt):
-        task = bar.add_task("", total=given.count, completed=given.count - len(todo))
-        for result in Pool(given.seed, given.jobs).judged(todo, deadline):
+        task = bar.add_task("", total=arguments.count, completed=arguments.count - len(todo))
+        for result in Pool(arguments.seed, arguments.jobs).judged(todo, deadline):
             done[result["case"]] = result
             out.write(json.dumps(result) + "\n")
             out.flush()
             if result["failures"]:
                 failed += 1
-                _keep(given.seed, result, folder)
+                _keep(arguments.seed, result, folder)
                 bar.console.print(f"case {result['case']}: {result['failures'][0][-300:]}")
             bar.update(task, advance=1, description=f"{failed} failed")
-    return _sum_up([one for index, one in done.items() if index < given.count], given, folder)
+    return _sum_up(
+        [outcome for index, outcome in done.items() if index < arguments.count], arguments, folder
+    )
 
 
 def _arguments() -> argparse.Namespace:
@@ -64,7 +66,7 @@ def _arguments() -> argparse.Namespace:
 def _bar() -> Progress:
     console = Console(stderr=True)
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), Remaining())
-    shown = [TextColumn(one) if isinstance(one, str) else one for one in columns]
+    shown = [TextColumn(column) if isinstance(column, str) else column for column in columns]
     return Progress(*shown, console=console, disable=not console.is_terminal)
 
 
@@ -73,30 +75,30 @@ def _read(log: Path) -> dict[int, dict[str, Any]]:
     done: dict[int, dict[str, Any]] = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
         try:
-            one = json.loads(line)
+            document = json.loads(line)
         except ValueError:
             continue
-        done[one["case"]] = one
+        done[document["case"]] = document
     return done
 
 
 def _keep(seed: int, result: dict[str, Any], folder: Path) -> None:
     """Write what is needed to see a failure again: the model, what is beside it, the commands."""
-    kept = folder / "failures" / str(result["case"])
-    shutil.rmtree(kept, ignore_errors=True)
-    kept.mkdir(parents=True)
-    case = draw(seed, result["case"], bases(kept))
-    for one in kept.iterdir():
-        if case.base.folder is None or one != case.base.folder:
-            shutil.rmtree(one)
-    place = case.base.folder or kept
-    (place / "model.onnx").write_bytes(case.content)
+    kept_path = folder / "failures" / str(result["case"])
+    shutil.rmtree(kept_path, ignore_errors=True)
+    kept_path.mkdir(parents=True)
+    case = draw(seed, result["case"], bases(kept_path))
+    for path in kept_path.iterdir():
+        if case.base.folder is None or path != case.base.folder:
+            shutil.rmtree(path)
+    base_folder = case.base.folder or kept_path
+    (base_folder / "model.onnx").write_bytes(case.content)
     command = (
         f"PYTHONPATH=tests python -m fuzz --seed {seed} --only {result['case']}\n"
-        f"gsgen validate {place / 'model.onnx'} --level {case.level.word} --target {case.target}\n"
+        f"gsgen validate {base_folder / 'model.onnx'} --level {case.level.word} --target {case.target}\n"
     )
-    (kept / "reproduce.sh").write_text(command)
-    (kept / "case.json").write_text(json.dumps({"seed": seed, **result}, indent=2))
+    (kept_path / "reproduce.sh").write_text(command)
+    (kept_path / "case.json").write_text(json.dumps({"seed": seed, **result}, indent=2))
 
 
 def _once(seed: int, index: int) -> int:
@@ -113,21 +115,21 @@ def _once(seed: int, index: int) -> int:
     return 1 if verdict.failures else 0
 
 
-def _sum_up(done: list[dict[str, Any]], given: argparse.Namespace, folder: Path) -> int:
-    words = Counter(one["verdict"] for one in done)
-    failed = [one["case"] for one in done if one["failures"]]
-    slowest = max((one["seconds"] for one in done), default=0.0)
-    largest = max((one.get("peak", 0) for one in done), default=0)
+def _sum_up(done: list[dict[str, Any]], arguments: argparse.Namespace, folder: Path) -> int:
+    words = Counter(outcome["verdict"] for outcome in done)
+    failed = [outcome["case"] for outcome in done if outcome["failures"]]
+    slowest = max((outcome["seconds"] for outcome in done), default=0.0)
+    largest = max((outcome.get("peak", 0) for outcome in done), default=0)
     parts = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
-    ran = sum(one["ran"] for one in done)
+    ran = sum(outcome["ran"] for outcome in done)
     sys.stdout.write(
-        f"fuzz, seed {given.seed}: {len(done)} of {given.count} mutants ({parts}), "
+        f"fuzz, seed {arguments.seed}: {len(done)} of {arguments.count} mutants ({parts}), "
         f"{ran} reached ONNX Runtime; slowest {slowest:.1f} s, "
         f"peak {largest / (1 << 20):.0f} MiB; {len(failed)} failed\n"
     )
     if failed:
         sys.stdout.write(f"kept in {folder / 'failures'}: {failed[:20]}\n")
-    elif len(done) < given.count:
+    elif len(done) < arguments.count:
         sys.stdout.write("not all were judged: the same command goes on from here\n")
     return 1 if failed else 0
 

@@ -58,52 +58,52 @@ def draw(seed: int, index: int, corpus: Sequence[Base]) -> Case:
 
 
 def _mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:
-    what = rng.random()
-    if what < _BYTES_SHARE:
+    choice = rng.random()
+    if choice < _BYTES_SHARE:
         return _bytes_mutated(content, rng, names)
     model = ModelProto.FromString(content)
-    if what < _BYTES_SHARE + _MANIFEST_SHARE:
+    if choice < _BYTES_SHARE + _MANIFEST_SHARE:
         _mutate_manifest(model, rng, names)
-    if what >= _BYTES_SHARE + _MANIFEST_SHARE or rng.random() < 0.1:
+    if choice >= _BYTES_SHARE + _MANIFEST_SHARE or rng.random() < 0.1:
         for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
-            one = rng.choice(mutate_model.MUTATIONS)
-            _try(one, model, rng, names)
+            mutation = rng.choice(mutate_model.MUTATIONS)
+            _try(mutation, model, rng, names)
     return _written(model)
 
 
 def _bytes_mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:
     for _ in range(rng.choice((1, 1, 2, 4))):
-        one = rng.choice(mutate_bytes.MUTATIONS)
-        content = one(content, rng) or b"\0"
-        names.append(f"bytes.{one.__name__}")
+        mutation = rng.choice(mutate_bytes.MUTATIONS)
+        content = mutation(content, rng) or b"\0"
+        names.append(f"bytes.{mutation.__name__}")
     return content
 
 
 def _mutate_manifest(model: ModelProto, rng: random.Random, names: list[str]) -> None:
-    entry = next((one for one in model.metadata_props if one.key == MANIFEST_KEY), None)
+    entry = next((prop for prop in model.metadata_props if prop.key == MANIFEST_KEY), None)
     if entry is None:
         entry = model.metadata_props.add(key=MANIFEST_KEY, value='{"contract": "1.0"}')
     text = entry.value
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        one = rng.choice(mutate_manifest.MUTATIONS)
-        text = one(text, rng)
-        names.append(f"manifest.{one.__name__}")
+        mutation = rng.choice(mutate_manifest.MUTATIONS)
+        text = mutation(text, rng)
+        names.append(f"manifest.{mutation.__name__}")
     entry.value = text.encode("utf-8", "replace").decode()  # protobuf has no lone surrogates
 
 
 def _try(
-    one: mutate_model.Mutation, model: ModelProto, rng: random.Random, names: list[str]
+    mutation: mutate_model.Mutation, model: ModelProto, rng: random.Random, names: list[str]
 ) -> None:
     """Mutate; where protobuf itself cannot hold what was wanted, leave the model as it is."""
     before = ModelProto()
     before.CopyFrom(model)
     try:
-        one(model, rng)
+        mutation(model, rng)
         model.SerializeToString()
-        names.append(one.__name__)
+        names.append(mutation.__name__)
     except (ValueError, EncodeError, DecodeError, RecursionError):
         model.CopyFrom(before)
-        names.append(f"{one.__name__}!")
+        names.append(f"{mutation.__name__}!")
 
 
 def _written(model: ModelProto) -> bytes:

@@ -30,7 +30,7 @@ class Base:
 
 def bases(folder: Path | None = None) -> list[Base]:
     """Draw every fixture; write side files below ``folder``, where one is given."""
-    made = []
+    results = []
     for fixture in fixtures():
         sketch = fixture.draw()
         content = sketch.build().SerializeToString()
@@ -41,5 +41,5 @@ def bases(folder: Path | None = None) -> list[Base]:
             beside = folder / fixture.name
             beside.mkdir(parents=True, exist_ok=True)
             sketch.write(beside / "base.onnx")
-        made.append(Base(fixture.name, fixture.target, content, beside))
-    return made
+        results.append(Base(fixture.name, fixture.target, content, beside))
+    return results

@@ -48,8 +48,8 @@ class _Late(BaseException):
 
 def whole_files(folder: Path) -> dict[str, list[bytes]]:
     """Return what is damaged, by format."""
-    found = samples(folder)
-    return found | {ANY: [content for files in found.values() for content in files]}
+    actual = samples(folder)
+    return actual | {ANY: [content for files in actual.values() for content in files]}
 
 
 def read(format: str, file: Path) -> Trial:
@@ -79,14 +79,14 @@ def _fault(error: FormatError, file: Path) -> str:
 
 def main() -> int:
     """Run as the command line says; 1 where something failed."""
-    given = _arguments()
-    if given.worker:
-        return _work(given.worker, given.count, given.seed, given.first)
+    arguments = _arguments()
+    if arguments.worker:
+        return _work(arguments.worker, arguments.count, arguments.seed, arguments.first)
     with tempfile.TemporaryDirectory() as folder:
-        names = given.format or [*whole_files(Path(folder))]
+        names = arguments.format or [*whole_files(Path(folder))]
     failed = 0
     for name in names:
-        failed += _run(name, given.count, given.seed)
+        failed += _run(name, arguments.count, arguments.seed)
     return 1 if failed else 0
 
 
@@ -110,12 +110,12 @@ def _run(format: str, count: int, seed: int) -> int:
         command = [sys.executable, "-m", "fuzz.formats", *map(str, words)]
         done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
         for line in done.stdout.splitlines():
-            told = json.loads(line)
-            first = told["case"] + 1
-            kinds[told["kind"]] += 1
-            peak = max(peak, told["peak"])
-            if told["failure"]:
-                failures[told["case"]] = told["failure"]
+            document = json.loads(line)
+            first = document["case"] + 1
+            kinds[document["kind"]] += 1
+            peak = max(peak, document["peak"])
+            if document["failure"]:
+                failures[document["case"]] = document["failure"]
         if first < count:  # it died over this one
             failures[first] = f"ended with {done.returncode}: {done.stderr[-500:]}"
             kinds["died"] += 1
@@ -177,8 +177,8 @@ def _tell(index: int, trial: Trial, peak: int) -> None:
     failure = trial.failure
     if peak > MEMORY:
         failure = failure or f"{peak >> 20} MiB of memory"
-    told = {"case": index, "kind": trial.kind, "failure": failure, "peak": peak}
-    sys.stdout.write(json.dumps(told) + "\n")
+    message = {"case": index, "kind": trial.kind, "failure": failure, "peak": peak}
+    sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 

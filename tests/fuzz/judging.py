@@ -98,7 +98,7 @@ def _faults(report: Report, ended: list[int | None]) -> Iterator[str]:
             yield f"level {level.level.word} did not run: {level.reason or 'no reason'}"
     if report.verdict == "internal-error" and not report.statuses["crashed"]:
         yield "an internal error that no rule had"
-    known = {one.rule.id: one.status for one in report.outcomes}
+    known = {outcome.rule.id: outcome.status for outcome in report.outcomes}
     badly = [status for status in ended if status != 0]
     if badly and not any(known.get(rule) == "fail" for rule in _RUNS):
         yield f"ONNX Runtime's process ended with {badly}, and the report does not say so"
@@ -141,4 +141,4 @@ def _children(ended: list[int | None]) -> Iterator[None]:
 def peak() -> int:
     """Return the largest size that this process or a child of it ever had, in bytes."""
     who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    return max(resource.getrusage(one).ru_maxrss for one in who) * 1024
+    return max(resource.getrusage(entry).ru_maxrss for entry in who) * 1024

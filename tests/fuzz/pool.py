@@ -118,13 +118,13 @@ class Pool:
         hand.text += chunk
         *lines, hand.text = hand.text.split(b"\n")
         for line in lines:
-            told = json.loads(line)
-            if "ready" in told:
+            document = json.loads(line)
+            if "ready" in document:
                 hand.ready = True
             else:
                 hand.case = None
-                yield told
-                if told["failures"]:  # what went wrong must not colour the next case
+                yield document
+                if document["failures"]:  # what went wrong must not colour the next case
                     self._dismiss(hand, hands)
                     self._replace(hands)
                     return

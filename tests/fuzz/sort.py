@@ -16,8 +16,8 @@ def main() -> int:
     """Return 1 if a driver sorts otherwise than NumPy does, or there is none."""
     failed, tried = False, 0
     for driver in DRIVERS:
-        found = description(driver)
-        if found is None:
+        driver_info = description(driver)
+        if driver_info is None:
             sys.stdout.write(f"{driver} is not installed, so it was not tried\n")
             continue
         tried += 1
@@ -25,10 +25,10 @@ def main() -> int:
             [sys.executable, "-P", "-m", "support.rendering.driver_report", "-", *SIZES],
             stdout=subprocess.PIPE,
             text=True,
-            env=environment(found),
+            env=environment(driver_info),
         )
-        told = json.loads(done.stdout or "{}")
-        wrong = [*told.get("unsorted", ["nothing: it stopped"]), *told.get("unscanned", ())]
+        document = json.loads(done.stdout or "{}")
+        wrong = [*document.get("unsorted", ["nothing: it stopped"]), *document.get("unscanned", ())]
         sys.stdout.write(f"{driver}: {', '.join(wrong) or 'all sorted as NumPy does'}\n")
         failed |= bool(wrong)
     return int(failed or not tried)

@@ -41,45 +41,45 @@ def mutate(content: bytes, rng: random.Random) -> bytes:
 
 
 def _flip(content: bytes, rng: random.Random) -> bytes:
-    made = bytearray(content)
-    reach = len(made) if rng.random() < 0.5 else min(len(made), 200)
+    result = bytearray(content)
+    reach = len(result) if rng.random() < 0.5 else min(len(result), 200)
     for _ in range(rng.choice((1, 1, 2, 8))):
         values = (0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256))
-        made[rng.randrange(reach)] = rng.choice(values)
-    return bytes(made)
+        result[rng.randrange(reach)] = rng.choice(values)
+    return bytes(result)
 
 
 def _resize(content: bytes, rng: random.Random) -> bytes:
     """Put a number where one may be: a count, a length, an offset."""
-    made = bytearray(content)
+    result = bytearray(content)
     value = rng.choice((*_SIZES, len(content), len(content) - 1, rng.randrange(2**32)))
     packed = struct.pack("<Q", value)[: rng.choice((2, 4, 4, 8))]
-    reach = min(len(made), rng.choice((40, 200, 5200, len(made))))
-    at = rng.randrange(max(1, reach // 4)) * 4
-    made[at : at + len(packed)] = packed
-    return bytes(made)
+    reach = min(len(result), rng.choice((40, 200, 5200, len(result))))
+    offset = rng.randrange(max(1, reach // 4)) * 4
+    result[offset : offset + len(packed)] = packed
+    return bytes(result)
 
 
 def _number(content: bytes, rng: random.Random) -> bytes:
     """Replace a number that is written in digits."""
-    digits = [at for at, byte in enumerate(content[:4000]) if 48 <= byte < 58]
+    digits = [offset for offset, byte in enumerate(content[:4000]) if 48 <= byte < 58]
     if not digits:
         return _flip(content, rng)
-    at = rng.choice(digits)
+    index = rng.choice(digits)
     value = rng.choice((*_SIZES, -1, 10**20)) if rng.random() < 0.9 else "nan"
-    return content[:at] + str(value).encode() + content[at + rng.choice((0, 1)) :]
+    return content[:index] + str(value).encode() + content[index + rng.choice((0, 1)) :]
 
 
 def _cut(content: bytes, rng: random.Random) -> bytes:
-    at = rng.randrange(len(content))
+    offset = rng.randrange(len(content))
     if rng.random() < 0.5:
-        return content[:at]
-    return content[:at] + content[at + rng.randint(1, 64) :]
+        return content[:offset]
+    return content[:offset] + content[offset + rng.randint(1, 64) :]
 
 
 def _repeat(content: bytes, rng: random.Random) -> bytes:
-    at, size = rng.randrange(len(content)), rng.randint(1, 300)
-    part = content[at : at + size]
+    offset, size = rng.randrange(len(content)), rng.randint(1, 300)
+    part = content[offset : offset + size]
     to = rng.randrange(len(content))
     return content[:to] + part * rng.choice((1, 1, 20)) + content[to:]
 

@@ -60,8 +60,8 @@ def test_an_endless_reader_is_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr(formats, "SECONDS", 1)
     reading(monkeypatch, lambda file: time.sleep(60))
     formats.signal.signal(formats.signal.SIGALRM, formats._late)
-    made = formats._timed(formats.ANY, tmp_path / "mutant")
-    assert made == formats.Trial("late", "took more than 1 s")
+    result = formats._timed(formats.ANY, tmp_path / "mutant")
+    assert result == formats.Trial("late", "took more than 1 s")
 
 
 def test_a_run_sums_up_and_fails_where_a_file_did(tmp_path, monkeypatch, capsys):
@@ -107,8 +107,8 @@ def test_a_process_that_dies_is_seen_and_its_file_kept(tmp_path, monkeypatch, ca
 def test_worker_reports_memory_excess(monkeypatch, capsys):
     monkeypatch.setattr(formats, "MEMORY", 1000)
     formats._tell(3, formats.Trial("read"), 2 << 20)
-    told = json.loads(capsys.readouterr().out)
-    assert told == {"case": 3, "kind": "read", "failure": "2 MiB of memory", "peak": 2 << 20}
+    document = json.loads(capsys.readouterr().out)
+    assert document == {"case": 3, "kind": "read", "failure": "2 MiB of memory", "peak": 2 << 20}
 
 
 def test_every_format_has_whole_files():

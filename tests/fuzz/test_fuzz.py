@@ -38,8 +38,10 @@ pytestmark = pytest.mark.slow
 
 
 def registry_with(*rules):
-    kept = (one for one in installed_rules().rules.values() if one.id not in {r.id for r in rules})
-    return Registry.of([*kept, *rules])
+    retained = (
+        rule for rule in installed_rules().rules.values() if rule.id not in {r.id for r in rules}
+    )
+    return Registry.of([*retained, *rules])
 
 
 def test_a_case_is_decided_by_its_numbers_alone(corpus):
@@ -67,10 +69,10 @@ def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path):
     assert said.startswith("fuzz, seed 0: 25 of 25 mutants (")
     assert said.endswith("; 0 failed\n")
     log = tmp_path / "seed-0" / "cases.jsonl"
-    told = [json.loads(line) for line in log.read_text().splitlines()]
-    assert [one["case"] for one in told] == list(range(25))
-    assert {"invalid", "unreadable"} <= {one["verdict"] for one in told}
-    assert any(one["ran"] for one in told)
+    message = [json.loads(line) for line in log.read_text().splitlines()]
+    assert [entry["case"] for entry in message] == list(range(25))
+    assert {"invalid", "unreadable"} <= {entry["verdict"] for entry in message}
+    assert any(entry["ran"] for entry in message)
     again = subprocess.run(words, cwd=TESTS, capture_output=True, text=True, timeout=300)
     assert (again.returncode, again.stdout) == (0, said)  # nothing is left to judge
     assert log.read_text().count("\n") == 25
@@ -80,22 +82,22 @@ def test_failing_case_is_saved_with_its_repro_command(corpus, tmp_path):
     beside = next(k for k in range(500) if draw(0, k, corpus).base.folder is not None)
     for index in (0, beside):
         command._keep(0, {"case": index, "failures": ["it crashed"]}, tmp_path)
-        kept = tmp_path / "failures" / str(index)
+        kept_path = tmp_path / "failures" / str(index)
         case = draw(0, index, corpus)
-        (model,) = kept.rglob("model.onnx")
+        (model,) = kept_path.rglob("model.onnx")
         assert model.read_bytes() == case.content
-        again = (kept / "reproduce.sh").read_text()
+        again = (kept_path / "reproduce.sh").read_text()
         assert f"gsgen validate {model} --level {case.level.word}" in again
         assert f"python -m fuzz --seed 0 --only {index}\n" in again
-        assert json.loads((kept / "case.json").read_text())["failures"] == ["it crashed"]
-        assert len(list(kept.iterdir())) == 3
+        assert json.loads((kept_path / "case.json").read_text())["failures"] == ["it crashed"]
+        assert len(list(kept_path.iterdir())) == 3
 
 
 @pytest.fixture
 def good(corpus, tmp_path):
     """A model that runs, as a case without mutations."""
-    name = next(one.name for one in fixtures() if not one.rule)
-    base = next(one for one in corpus if one.name == name)
+    name = next(fixture.name for fixture in fixtures() if not fixture.rule)
+    base = next(entry for entry in corpus if entry.name == name)
     case = replace(draw(0, 0, corpus), base=base, content=base.content, target="core")
     return replace(case, command=False, level=Level.VALUES)
 
@@ -128,17 +130,19 @@ def test_an_error_that_escapes_is_seen(good, tmp_path, monkeypatch):
 def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
     monkeypatch.setattr(judging.sandbox, "_run_child", lambda *_: -9)
     path = write(good, tmp_path)
-    told = judging.judge(good, path)
-    assert (told.word, told.failures) == ("invalid", ())  # GV025 says so
+    message = judging.judge(good, path)
+    assert (message.word, message.failures) == ("invalid", ())  # GV025 says so
     blind = registry_with(made_up("GV025", over="execution"))
     verdict = judging.judge(good, path, blind)
-    assert any("ended with [-9], and the report does not" in one for one in verdict.failures)
+    assert any(
+        "ended with [-9], and the report does not" in failure for failure in verdict.failures
+    )
 
 
 def test_hung_or_dead_worker_is_replaced_and_reported():
     pool = Pool(seed=0, jobs=2, worker="fuzz.misbehaving_worker", limit=0.5)
-    told = {one["case"]: one for one in pool.judged(range(5), time.monotonic() + 60)}
-    assert sorted(told) == [0, 1, 2, 3, 4]
-    assert told[1]["failures"] == ["still busy after 0.5 s"]
-    assert told[2]["failures"] == ["the validator's process ended with -6: no luck"]
-    assert [told[index]["failures"] for index in (0, 3, 4)] == [[], [], []]
+    message = {entry["case"]: entry for entry in pool.judged(range(5), time.monotonic() + 60)}
+    assert sorted(message) == [0, 1, 2, 3, 4]
+    assert message[1]["failures"] == ["still busy after 0.5 s"]
+    assert message[2]["failures"] == ["the validator's process ended with -6: no luck"]
+    assert [message[index]["failures"] for index in (0, 3, 4)] == [[], [], []]

@@ -122,17 +122,17 @@ def _damage(data: bytes, name: str, rng: np.random.Generator) -> bytes:
         size = int.from_bytes(data[12:16], "little")
         text = _edited(data[20 : 20 + size], rng)
         text += b" " * (-len(text) % 4)
-        rest = data[20 + size :]
+        remaining = data[20 + size :]
         head = b"glTF" + (2).to_bytes(4, "little")
-        head += (20 + len(text) + len(rest)).to_bytes(4, "little")
-        return head + len(text).to_bytes(4, "little") + b"JSON" + text + rest
+        head += (20 + len(text) + len(remaining)).to_bytes(4, "little")
+        return head + len(text).to_bytes(4, "little") + b"JSON" + text + remaining
     if name.endswith(".subtree") and rng.random() < 0.5 and len(data) > 24:
         size = int.from_bytes(data[8:16], "little")
         text = _edited(data[24 : 24 + size], rng)
         text += b" " * (-len(text) % 8)
-        rest = data[24 + size :]
+        remaining = data[24 + size :]
         sizes = len(text).to_bytes(8, "little") + data[16:24]
-        return data[:8] + sizes + text + rest
+        return data[:8] + sizes + text + remaining
     return _bytes(data, rng)
 
 
@@ -174,14 +174,16 @@ def _bytes(data: bytes, rng: np.random.Generator) -> bytes:
     choice = rng.random()
     if not body or choice < 0.1:
         return bytes(rng.integers(0, 256, 40, dtype=np.uint8))
-    at = int(rng.integers(len(body)))
+    offset = int(rng.integers(len(body)))
     if choice < 0.3:
-        del body[at:]
+        del body[offset:]
     elif choice < 0.4:
-        body[at:at] = rng.bytes(int(rng.integers(1, 64)))
+        body[offset:offset] = rng.bytes(int(rng.integers(1, 64)))
     elif choice < 0.6:
-        at = int(rng.integers(min(len(body), 64)))
-        body[at : at + 4] = int(rng.choice([0, 1, 2**31 - 1, 2**32 - 1])).to_bytes(4, "little")
+        offset = int(rng.integers(min(len(body), 64)))
+        body[offset : offset + 4] = int(rng.choice([0, 1, 2**31 - 1, 2**32 - 1])).to_bytes(
+            4, "little"
+        )
     else:
         for _ in range(int(rng.integers(1, 8))):
             body[int(rng.integers(len(body)))] ^= 1 << int(rng.integers(8))
@@ -238,10 +240,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="another seed, other mutants")
     parser.add_argument("--first", type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.worker:
-        return _work(given.count, given.seed, given.first)
-    return 1 if _run(given.count, given.seed) else 0
+    arguments = parser.parse_args()
+    if arguments.worker:
+        return _work(arguments.count, arguments.seed, arguments.first)
+    return 1 if _run(arguments.count, arguments.seed) else 0
 
 
 def _run(count: int, seed: int) -> int:
@@ -253,12 +255,12 @@ def _run(count: int, seed: int) -> int:
         command = [sys.executable, "-m", "fuzz.tilesets", *map(str, words)]
         done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
         for line in done.stdout.splitlines():
-            told = json.loads(line)
-            first = told["case"] + 1
-            kinds[told["kind"]] += 1
-            peak = max(peak, told["peak"])
-            if told["failure"]:
-                failures[told["case"]] = told["failure"]
+            document = json.loads(line)
+            first = document["case"] + 1
+            kinds[document["kind"]] += 1
+            peak = max(peak, document["peak"])
+            if document["failure"]:
+                failures[document["case"]] = document["failure"]
         if first < count:  # it died over this one
             failures[first] = f"ended with {done.returncode}: {done.stderr[-500:]}"
             kinds["died"] += 1

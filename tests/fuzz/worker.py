@@ -50,8 +50,8 @@ def _judged(case: Case, scratch: Path) -> dict[str, Any]:
     }
 
 
-def _say(what: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
+def _say(label: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(label) + "\n")
     sys.stdout.flush()
 
 

@@ -44,8 +44,8 @@ def built(source: Path, folder: Path) -> Path:
     command = ["-m", "build", "--wheel", "--no-isolation", "--outdir", folder, source]
     done = run(sys.executable, *command, cwd=folder)
     assert done.returncode == 0, done.stderr
-    (made,) = folder.glob("*.whl")
-    return made
+    (wheel,) = folder.glob("*.whl")
+    return wheel
 
 
 def install(binaries: Path, *wanted: str | Path, cwd: Path) -> None:
@@ -65,8 +65,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fresh(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Path:
     """The bin folder of an environment that has the wheel and what it asks for, no extras."""
     folder = tmp_path_factory.mktemp("fresh")
-    made = run(sys.executable, "-m", "venv", "--without-pip", folder / "venv", cwd=folder)
-    assert made.returncode == 0, made.stderr
+    process = run(sys.executable, "-m", "venv", "--without-pip", folder / "venv", cwd=folder)
+    assert process.returncode == 0, process.stderr
     binaries = folder / "venv" / "bin"
     install(binaries, wheel, cwd=folder)
     return binaries
@@ -255,8 +255,8 @@ def test_a_third_party_brings_a_command(acme: Acme) -> None:
 
 
 def test_a_third_party_brings_a_generator_a_target_and_a_rule(acme: Acme) -> None:
-    made = acme("gsgen", "export", "row", "-o", "short.onnx")
-    assert made.stdout == "short.onnx: 3 in a row\n", made.stderr
+    result = acme("gsgen", "export", "row", "-o", "short.onnx")
+    assert result.stdout == "short.onnx: 3 in a row\n", result.stderr
     assert acme("gsgen", "export", "row", "-o", "long.onnx", "--count", "5").returncode == 0
     judged = acme("gsgen", "validate", "short.onnx", "long.onnx", "--target", "acme", "-q")
     assert judged.returncode == 1

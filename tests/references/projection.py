@@ -173,11 +173,11 @@ def visible_slots_reference(
     choices = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T
     corners = np.take_along_axis(boxes, np.broadcast_to(choices, (len(slots), 8, 3)), axis=1)
     eye = slots["eye"].astype(np.float64) + slots["eye_rest"]
-    at = (corners - eye[:, None]) @ linear.T
-    inside_low = at[..., :2] - frame["slope_low"] * at[..., 2:] >= 0
-    inside_high = at[..., :2] - frame["slope_high"] * at[..., 2:] <= 0
+    view_corners = (corners - eye[:, None]) @ linear.T
+    inside_low = view_corners[..., :2] - frame["slope_low"] * view_corners[..., 2:] >= 0
+    inside_high = view_corners[..., :2] - frame["slope_high"] * view_corners[..., 2:] <= 0
     sides = inside_low.any(axis=1).all(axis=1) & inside_high.any(axis=1).all(axis=1)
-    in_front = (at[..., 2] > frame["near"]).any(axis=1)
+    in_front = (view_corners[..., 2] > frame["near"]).any(axis=1)
     return np.asarray(drawn & sides & in_front)
 
 

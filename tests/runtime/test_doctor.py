@@ -22,7 +22,7 @@ def told(monkeypatch: pytest.MonkeyPatch, said: object) -> None:
 
 
 def named(name: str) -> Check:
-    (check,) = (one for one in doctor.checks() if one.name == name)
+    (check,) = (check for check in doctor.checks() if check.name == name)
     return check
 
 
@@ -48,20 +48,22 @@ def test_available_screen_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
     assert named("screen").state == "ok"
 
 
-@pytest.mark.parametrize("there", [(), ("glfw",), ("rendercanvas",)])
-def test_windows_need_two_packages(monkeypatch: pytest.MonkeyPatch, there: tuple[str, ...]) -> None:
-    installed(monkeypatch, *there)
+@pytest.mark.parametrize("installed_packages", [(), ("glfw",), ("rendercanvas",)])
+def test_windows_need_two_packages(
+    monkeypatch: pytest.MonkeyPatch, installed_packages: tuple[str, ...]
+) -> None:
+    installed(monkeypatch, *installed_packages)
     for name in ("glfw", "rendercanvas"):
         check = named(name)
-        assert check.state == ("ok" if name in there else "missing")
+        assert check.state == ("ok" if name in installed_packages else "missing")
         assert check.state == "ok" or check.remedy == "pip install 'gsgen[runtime]'"
-    assert not [one for one in doctor.checks() if one.name == "screen"]
+    assert not [check for check in doctor.checks() if check.name == "screen"]
 
 
-@pytest.mark.parametrize("there", ["anywidget", "jupyter_rfb"])
-def test_one_widget_is_enough(monkeypatch: pytest.MonkeyPatch, there: str) -> None:
-    installed(monkeypatch, there)
-    assert named(there).state == "ok"
+@pytest.mark.parametrize("package_name", ["anywidget", "jupyter_rfb"])
+def test_one_widget_is_enough(monkeypatch: pytest.MonkeyPatch, package_name: str) -> None:
+    installed(monkeypatch, package_name)
+    assert named(package_name).state == "ok"
 
 
 def test_no_widget_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,9 +64,9 @@ def test_a_complete_tree_may_be_released(project: Path) -> None:
 )
 def test_a_fault_is_named(project: Path, name: str, before: str, after: str, fault: str) -> None:
     change(project / name, before, after)
-    found = faults(project)
-    assert any(fault in text for text in found), found
-    assert "the working tree has changes; commit them" in found
+    actual = faults(project)
+    assert any(fault in text for text in actual), actual
+    assert "the working tree has changes; commit them" in actual
 
 
 def test_a_tag_is_not_used_twice(project: Path) -> None:

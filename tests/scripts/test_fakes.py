@@ -86,11 +86,11 @@ def test_a_replaced_part_is_found(code: str, parts: list[str]) -> None:
 
 
 def test_third_party_attributes_are_patched_only_for_missing_hardware() -> None:
-    found: dict[str, list[str]] = {}
+    results: dict[str, list[str]] = {}
     for path in sorted(Path(ROOT, "tests").rglob("*.py")):
         parts = list(replaced(path.read_text("utf-8")))
         if parts:
-            found[path.relative_to(ROOT).as_posix()] = parts
-    assert {name: sorted(parts) for name, parts in found.items()} == {
+            results[path.relative_to(ROOT).as_posix()] = parts
+    assert {name: sorted(parts) for name, parts in results.items()} == {
         name: sorted(parts) for name, parts in FAKES.items()
     }

@@ -19,9 +19,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     @cache
     def find(kind: type[GaussianGenerator], dtype: str = "float32") -> Path:
         path = folder / f"{kind.__name__}_{dtype}.onnx"
-        made = export(kind(), path, dtype=dtype, capacity=256)
-        assert made.parity.holds
-        assert made.parity.probes >= 8
+        exported = export(kind(), path, dtype=dtype, capacity=256)
+        assert exported.parity.holds
+        assert exported.parity.probes >= 8
         return path
 
     return find

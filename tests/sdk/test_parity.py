@@ -28,13 +28,13 @@ def reference() -> Reference:
     root = rng.normal(size=(n, 3, 3)) * 0.1
     full = root @ root.transpose(0, 2, 1)
     upper = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    made = layout.DecodedGaussians(
+    decoded_gaussians = layout.DecodedGaussians(
         position=rng.normal(size=(n, 3)) * 5,
         opacity=rng.uniform(0, 1, n),
         covariance=upper,
         sh=rng.normal(size=(n, 16, 3)) * 0.3,
     )
-    return Reference(Probe(label="here", inputs={}), made, n)
+    return Reference(Probe(label="here", inputs={}), decoded_gaussians, n)
 
 
 def against(
@@ -54,7 +54,7 @@ def test_an_error_in_one_row_is_found_and_placed(reference: Reference, field: st
     value = getattr(reference.gaussians, field).copy()
     value[123] += {"position": 0.01, "opacity": 0.01, "covariance": 0.01, "sh": 0.05}[field]
     parity = against(reference, replace(reference.gaussians, **{field: value}))
-    worst = max(parity.fields, key=lambda one: one.excess)
+    worst = max(parity.fields, key=lambda entry: entry.excess)
     assert not parity.holds
     assert worst.field == {"sh": "appearance"}.get(field, field)
     assert worst.row == 123
@@ -73,7 +73,7 @@ def test_a_wrong_order_of_sh_shows_as_a_wrong_colour(reference: Reference) -> No
     assert sh is not None
     swapped = sh.reshape(300, 3, 16).transpose(0, 2, 1)
     parity = against(reference, replace(reference.gaussians, sh=swapped))
-    appearance = next(one for one in parity.fields if one.field == "appearance")
+    appearance = next(field for field in parity.fields if field.field == "appearance")
     assert appearance.error > 0.1
 
 
@@ -82,7 +82,7 @@ def test_position_is_measured_in_standard_deviations(reference: Reference) -> No
     trace = gaussians.covariance[:, [0, 3, 5]].sum(axis=1)
     moved = gaussians.position + 0.5 * np.sqrt(trace / 3)[:, None]
     parity = against(reference, replace(gaussians, position=moved))
-    position = next(one for one in parity.fields if one.field == "position")
+    position = next(field for field in parity.fields if field.field == "position")
     assert position.error == pytest.approx(0.5, rel=1e-3)
 
 
@@ -93,13 +93,13 @@ def test_another_count_is_a_failure(reference: Reference) -> None:
 
 def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
     def reference(position: np.ndarray, count: int = 3) -> Reference:
-        made = layout.DecodedGaussians(
+        decoded_gaussians = layout.DecodedGaussians(
             position=position,
             opacity=np.ones(len(position)),
             covariance=np.ones((len(position), 6)),
             rgb=np.full((len(position), 3), 0.5),
         )
-        return Reference(Probe(label="p", inputs={}), made, count)
+        return Reference(Probe(label="p", inputs={}), decoded_gaussians, count)
 
     points = np.arange(9.0).reshape(3, 3)
     points[0, 0] = np.nan
@@ -121,10 +121,10 @@ def culled(n: int, gone: list[int]) -> Reference:
     opacity = np.full(n, 0.8)
     opacity[gone] = 0
     upper = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (n, 1))
-    made = layout.DecodedGaussians(
+    decoded_gaussians = layout.DecodedGaussians(
         position=rng.normal(size=(n, 3)), opacity=opacity, covariance=upper, rgb=rng.random((n, 3))
     )
-    return Reference(Probe(label="p", inputs={"time": np.float32([0.5])}), made, n)
+    return Reference(Probe(label="p", inputs={"time": np.float32([0.5])}), decoded_gaussians, n)
 
 
 def compared_nearby(known: Reference, outputs: list[ModelOutput], near: list[Reference]) -> Parity:
@@ -162,14 +162,14 @@ def test_inputs_are_perturbed_slightly_to_both_sides() -> None:
     probe = Probe(label="p", inputs={"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])})
     moved = list(_nudged(probe))
     assert len(moved) == 6
-    for one, other in zip(moved[::2], moved[1::2], strict=True):
-        for side in (one, other):
+    for first, other in zip(moved[::2], moved[1::2], strict=True):
+        for side in (first, other):
             assert side.inputs["view"].dtype == np.float32
             off = np.abs(side.inputs["view"] - np.eye(4))
             assert (off[~np.eye(4, dtype=bool)] == 0).all()
             np.testing.assert_allclose(np.diag(off), 1e-5, rtol=0.02)
             assert side.inputs["frame"].tolist() == [3]
-        middle = (one.inputs["view"] + other.inputs["view"]) / 2
+        middle = (first.inputs["view"] + other.inputs["view"]) / 2
         np.testing.assert_allclose(middle, np.eye(4), atol=1e-7)
 
 
@@ -177,10 +177,12 @@ class Threshold(Drift):
     """Rows whose centre has passed a plane are gone; one stands on it at the first probe."""
 
     def forward(self, time: torch.Tensor) -> Gaussians:
-        made = super().forward(time)
+        outputs = super().forward(time)
         edge = self.rest[7, :1] + 0.2 * self.velocity[7, :1]
-        mask = (made.position[:, :1] <= edge).float()
-        return Gaussians(made.position, made.opacity * mask, made.scale, made.rotation, sh=made.sh)
+        mask = (outputs.position[:, :1] <= edge).float()
+        return Gaussians(
+            outputs.position, outputs.opacity * mask, outputs.scale, outputs.rotation, sh=outputs.sh
+        )
 
 
 def test_discontinuity_shifted_by_rounding_agrees_with_torch(monkeypatch) -> None:
@@ -189,9 +191,9 @@ def test_discontinuity_shifted_by_rounding_agrees_with_torch(monkeypatch) -> Non
         module, [Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9)]
     )
     outputs = [
-        {"gaussians": rows, "color_sh": color, "num_points": np.array([one.count])}
-        for one in references
-        for rows, color in [layout.encode(one.gaussians)]
+        {"gaussians": rows, "color_sh": color, "num_points": np.array([reference.count])}
+        for reference in references
+        for rows, color in [layout.encode(reference.gaussians)]
     ]
     rows = outputs[0]["gaussians"]
     rows[7, 3] = 0 if rows[7, 3] else module.opacity[7].item()
@@ -266,7 +268,7 @@ def test_sampled_cells_are_kept_complete(step: int, count: int) -> None:
 # ---- Cells -------------------------------------------------------------------------------------
 
 
-def with_cells(seen: np.ndarray) -> Reference:
+def with_cells(actual: np.ndarray) -> Reference:
     """300 Gaussians in 100 cells, the first three of each in one."""
     rng = np.random.default_rng(11)
     n = 300
@@ -275,7 +277,7 @@ def with_cells(seen: np.ndarray) -> Reference:
     rows = layout.DecodedGaussians(
         position=rng.normal(size=(n, 3)), opacity=opacity, covariance=upper, rgb=rng.random((n, 3))
     )
-    cells = layout.Cells(rng.normal(size=(100, 3)), seen, upper[::3])
+    cells = layout.Cells(rng.normal(size=(100, 3)), actual, upper[::3])
     return Reference(Probe(label="p", inputs={}), rows, n, cells)
 
 
@@ -292,31 +294,31 @@ def test_an_error_in_one_cell_is_found_and_placed(column: int, field: str, dtype
     known = with_cells(np.full(100, 0.5))
     assert known.cells is not None
     cells = packed_cells(known.cells, dtype)
-    made = ModelOutput(*layout.encode(known.gaussians), known.count, cells)
-    assert compare([known], [made], Tolerances()).holds
+    model_output = ModelOutput(*layout.encode(known.gaussians), known.count, cells)
+    assert compare([known], [model_output], Tolerances()).holds
     cells[42, column] += 0.02
-    parity = compare([known], [made], Tolerances())
-    (worst,) = [one for one in parity.fields if not one.excess <= 1]
+    parity = compare([known], [model_output], Tolerances())
+    (worst,) = [field for field in parity.fields if not field.excess <= 1]
     assert (worst.field, worst.row) == (field, 42)
     cells[42, column] = np.nan
-    assert not compare([known], [made], Tolerances()).holds
+    assert not compare([known], [model_output], Tolerances()).holds
 
 
 def test_where_an_unseen_cell_lies_does_not_matter() -> None:
     known = with_cells(np.where(np.arange(100) == 7, 0.0, 0.5))
     assert known.cells is not None
     cells = packed_cells(known.cells)
-    made = ModelOutput(*layout.encode(known.gaussians), known.count, cells)
+    model_output = ModelOutput(*layout.encode(known.gaussians), known.count, cells)
     cells[7, :3] += 1.0
-    assert compare([known], [made], Tolerances()).holds
+    assert compare([known], [model_output], Tolerances()).holds
     cells[8, :3] += 1.0
-    assert not compare([known], [made], Tolerances()).holds
+    assert not compare([known], [model_output], Tolerances()).holds
 
 
 def test_cells_that_are_missing_are_a_failure() -> None:
     known = with_cells(np.full(100, 0.5))
-    made = ModelOutput(*layout.encode(known.gaussians), known.count)
-    assert not compare([known], [made], Tolerances()).holds
+    model_output = ModelOutput(*layout.encode(known.gaussians), known.count)
+    assert not compare([known], [model_output], Tolerances()).holds
     assert references_equal(known, with_cells(np.full(100, 0.5)))
     assert not references_equal(known, with_cells(np.full(100, 0.6)))
     assert not references_equal(known, replace(known, cells=None))
@@ -328,7 +330,7 @@ def test_cells_without_a_live_row_are_not_compared() -> None:
     assert known.cells is not None
     cells = packed_cells(known.cells)
     cells[11:, 3] = 0
-    made = ModelOutput(*layout.encode(known.gaussians), 31, cells)
-    assert compare([known], [made], Tolerances()).holds
+    model_output = ModelOutput(*layout.encode(known.gaussians), 31, cells)
+    assert compare([known], [model_output], Tolerances()).holds
     cells[10, 3] = 0
-    assert not compare([known], [made], Tolerances()).holds
+    assert not compare([known], [model_output], Tolerances()).holds

@@ -75,8 +75,8 @@ class Handler(SimpleHTTPRequestHandler):
         super().__init__(*words)  # type: ignore[arg-type]
 
     def translate_path(self, path: str) -> str:
-        first, _, rest = unquote(urlsplit(path).path).lstrip("/").partition("/")
-        return str(self._folders.get(first, Path("/nowhere")) / rest)
+        first, _, remaining = unquote(urlsplit(path).path).lstrip("/").partition("/")
+        return str(self._folders.get(first, Path("/nowhere")) / remaining)
 
     def do_GET(self) -> None:
         path = unquote(urlsplit(self.path).path)

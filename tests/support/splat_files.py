@@ -34,8 +34,8 @@ def scene(count: int, degree: int, seed: int = 0, **flags: object) -> Splats:
 
 
 def unit(rotation: np.ndarray) -> np.ndarray:
-    wide = rotation.astype(np.float64)
-    return wide / np.linalg.norm(wide, axis=1, keepdims=True)
+    double_precision = rotation.astype(np.float64)
+    return double_precision / np.linalg.norm(double_precision, axis=1, keepdims=True)
 
 
 def opacity(splats: Splats) -> np.ndarray:
@@ -43,15 +43,15 @@ def opacity(splats: Splats) -> np.ndarray:
         return 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
 
 
-def turn_between(one: np.ndarray, other: np.ndarray) -> float:
+def turn_between(array: np.ndarray, other: np.ndarray) -> float:
     """The largest difference of unit quaternions, of which q and −q are one rotation."""
-    a, b = unit(one), unit(other)
+    a, b = unit(array), unit(other)
     apart = np.minimum(np.abs(a - b).max(axis=1), np.abs(a + b).max(axis=1))
     return float(apart.max())
 
 
 def assert_near(
-    one: Splats,
+    splats: Splats,
     other: Splats,
     *,
     position: float = 0.0,
@@ -61,17 +61,17 @@ def assert_near(
     sh: float = 0.0,
 ) -> None:
     """Compare splats row by row; each number is the largest difference that there may be."""
-    assert len(one) == len(other)
-    assert one.degree == other.degree
-    close(one.position, other.position, position)
-    assert turn_between(one.rotation, other.rotation) <= rotation
-    close(one.log_scale, other.log_scale, log_scale)
-    close(opacity(one), opacity(other), opacities)
-    close(one.sh, other.sh, sh)
+    assert len(splats) == len(other)
+    assert splats.degree == other.degree
+    close(splats.position, other.position, position)
+    assert turn_between(splats.rotation, other.rotation) <= rotation
+    close(splats.log_scale, other.log_scale, log_scale)
+    close(opacity(splats), opacity(other), opacities)
+    close(splats.sh, other.sh, sh)
 
 
-def close(one: np.ndarray, other: np.ndarray, most: float) -> None:
-    assert float(np.abs(one.astype(np.float64) - other).max(initial=0)) <= most
+def close(array: np.ndarray, other: np.ndarray, most: float) -> None:
+    assert float(np.abs(array.astype(np.float64) - other).max(initial=0)) <= most
 
 
 KSPLAT_RECORDS = ("<f4", "<f2", "<f2"), ("<f4", "<f2", "u1")
@@ -90,7 +90,8 @@ def ksplat(splats: Splats, level: int, *, bucket_size: int = 8, block: float = 5
     sizes = [bucket_size] * full + lengths
     starts = np.cumsum([0, *sizes])[:-1]
     middles = [
-        splats.position[at : at + size].mean(axis=0) for at, size in zip(starts, sizes, strict=True)
+        splats.position[offset : offset + size].mean(axis=0)
+        for offset, size in zip(starts, sizes, strict=True)
     ]
     body = b"".join(struct.pack("<I", length) for length in lengths)
     body += b"".join(struct.pack("<3f", *middle) for middle in middles)
@@ -163,7 +164,7 @@ def sog_files(count: int = 10, bands: int = 1, seed: int = 0, width: int = 4) ->
     def book() -> list[float]:
         return np.sort(rng.standard_normal(256)).tolist()
 
-    rest = (bands + 1) ** 2 - 1
+    sh_count = (bands + 1) ** 2 - 1
     meta = {
         "version": 2,
         "count": count,
@@ -180,7 +181,7 @@ def sog_files(count: int = 10, bands: int = 1, seed: int = 0, width: int = 4) ->
             "codebook": book(),
             "files": ["centroids.webp", "labels.webp"],
         }
-        files["centroids.webp"] = image("centroids", 64 * rest * 2, 64 * rest)
+        files["centroids.webp"] = image("centroids", 64 * sh_count * 2, 64 * sh_count)
         files["labels.webp"] = image("labels")
     return {"meta.json": json.dumps(meta).encode(), **files}
 
@@ -195,7 +196,7 @@ def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
 
 def samples(folder: Path) -> dict[str, list[bytes]]:
     """A few whole files of every format, for what mutates them."""
-    splats, plain = scene(12, 1, antialiased=True), scene(5, 0, seed=1)
+    splats, original = scene(12, 1, antialiased=True), scene(5, 0, seed=1)
     file = folder / "sample"
 
     def written(write: object, *args: object, **options: object) -> bytes:
@@ -203,13 +204,15 @@ def samples(folder: Path) -> dict[str, list[bytes]]:
         return file.read_bytes()
 
     encodings = ("ascii", "binary_little_endian", "binary_big_endian")
-    made = {
+    result = {
         "ply": [written(write_ply, splats, format=name) for name in encodings],
-        "compressed-ply": [written(write_compressed_ply, one) for one in (splats, plain)],
+        "compressed-ply": [
+            written(write_compressed_ply, scene_splats) for scene_splats in (splats, original)
+        ],
         "splat": [written(write_splat_file, splats)],
         "spz": [
             *(written(write_spz, splats, version=version) for version in (1, 2, 3, 4)),
-            written(write_spz, plain, version=4),
+            written(write_spz, original, version=4),
         ],
         "glb": [written(write_glb, splats)],
         "ksplat": [ksplat(splats, level) for level in (0, 1, 2)],
@@ -218,11 +221,11 @@ def samples(folder: Path) -> dict[str, list[bytes]]:
             zipped(sog_files(bands=0), zipfile.ZIP_DEFLATED),
             written(write_sog, splats),
         ],
-        "checkpoint": [*checkpoints(plain).values(), *checkpoints(splats).values()],
+        "checkpoint": [*checkpoints(original).values(), *checkpoints(splats).values()],
         "npz": [_npz()],
     }
     file.unlink()
-    return made
+    return result
 
 
 def checkpoints(splats: Splats) -> dict[str, bytes]:
@@ -250,9 +253,9 @@ def checkpoints(splats: Splats) -> dict[str, bytes]:
     means.sum().backward()
     optimizer.step()
     means.data[:] = torch.from_numpy(splats.position)  # the step has moved them
-    dc, rest = tensor(splats.sh[:, :1]), tensor(splats.sh[:, 1:])
+    dc, sh_rest = tensor(splats.sh[:, :1]), tensor(splats.sh[:, 1:])
     statistics = (torch.zeros(len(splats)), torch.zeros(len(splats), 1), torch.ones(len(splats), 1))
-    capture = (splats.degree, means, dc, rest, scales, quats, column)
+    capture = (splats.degree, means, dc, sh_rest, scales, quats, column)
     nerfstudio = {"step": 29_999, "pipeline": pipeline.state_dict(), "scalers": {}}
     saved = {
         "gsplat": {"step": 29_999, "splats": gsplat.state_dict()},

@@ -108,7 +108,7 @@ def transform_seconds(
     # It turns PLY files half a turn around z.
     eye, target = ((-x, -y, z) for x, y, z in (EYE, TARGET))
     frame = {"position": eye, "target": target, "fov": FOV, "up": [0, 1, 0]}
-    taken = {}
+    durations = {}
     for frames in (1, 1, FURTHER + 1):  # the first process compiles shaders, which Mesa stores
         track = folder / f"track_{frames}.json"
         track.write_text(json.dumps({"frameRate": 1, "frames": [frame] * frames}), "utf-8")
@@ -121,9 +121,9 @@ def transform_seconds(
             env=on_driver(description, ROOT),
         )  # fmt: skip
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        taken[frames] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        durations[frames] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     picture = Image.open(next(iter(sorted(folder.glob("st1.*webp"))))).convert("RGB")
-    return (taken[FURTHER + 1] - taken[1]) / FURTHER, np.asarray(picture) / 255
+    return (durations[FURTHER + 1] - durations[1]) / FURTHER, np.asarray(picture) / 255
 
 
 def compare(words: argparse.Namespace, folder: Path) -> None:
@@ -142,28 +142,30 @@ def compare(words: argparse.Namespace, folder: Path) -> None:
     if words.against:
         checkouts["before"] = words.against.resolve()
     for driver in words.drivers.split(","):
-        found = description(driver)
-        if found is None or driver not in DRIVERS:
+        driver_info = description(driver)
+        if driver_info is None or driver not in DRIVERS:
             sys.exit(f"{driver} is not installed; `make drivers` installs it")
         for size in words.sizes.split(","):
             seconds: dict[str, list[float]] = {name: [] for name in checkouts}
             for _ in range(words.rounds):
                 for name, checkout in checkouts.items():
-                    told = child(
-                        on_driver(found, checkout), str(parts_path), size, str(words.frames),
+                    message = child(
+                        on_driver(driver_info, checkout), str(parts_path), size, str(words.frames),
                         str(picture) if name == "now" else "-",
                     )  # fmt: skip
-                    seconds[name].append(min(told["seconds"]))  # type: ignore[type-var]
+                    seconds[name].append(min(message["seconds"]))  # type: ignore[type-var]
             least = {name: min(values) for name, values in seconds.items()}
-            text = f"{told['device']}, {words.gaussians:,} Gaussians, {size}: "
+            text = f"{message['device']}, {words.gaussians:,} Gaussians, {size}: "
             text += ", ".join(f"{name} {value:.3f} CPU-s" for name, value in least.items())
             if "before" in least:
                 each = [a / b for a, b in zip(seconds["now"], seconds["before"], strict=True)]
                 text += f"; ratio {least['now'] / least['before']:.3f}"
                 text += f" (median of rounds {statistics.median(each):.3f})"
             if words.splat_transform:
-                other, seen = transform_seconds(words.splat_transform, found, ply, size, folder)
-                error = np.square(seen - np.load(picture)).mean()
+                other, computed = transform_seconds(
+                    words.splat_transform, driver_info, ply, size, folder
+                )
+                error = np.square(computed - np.load(picture)).mean()
                 text += f"; splat-transform {other:.2f} CPU-s, {other / least['now']:.1f} times"
                 text += f" ({-10 * np.log10(error):.0f} dB from it)"
             print_line(text)

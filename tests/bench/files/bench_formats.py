@@ -107,5 +107,5 @@ def bench_all_codecs(tmp_path: Path) -> None:
         file = tmp_path / "read"
         file.write_bytes(content)
         reading = seconds(lambda: open_splats(file), 3)  # noqa: B023
-        held = _IN_MEMORY * count / 1e6
-        print_figure(f"{name:<15} reads {held / reading:6.0f} MB/s ({count:,} splats)")
+        size_in_millions = _IN_MEMORY * count / 1e6
+        print_figure(f"{name:<15} reads {size_in_millions / reading:6.0f} MB/s ({count:,} splats)")

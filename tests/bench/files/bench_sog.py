@@ -96,14 +96,16 @@ def bench_bytes_and_errors(tmp_path: Path) -> None:
         assert ratio <= BYTES_BAR
         decoded_there = tmp_path / "decoded.ply"
         transform(files["ours"], decoded_there)
-        here, there = read_sog(files["ours"]), read_ply(decoded_there)
-        for entry in differences(here, there):
+        here, reference = read_sog(files["ours"]), read_ply(decoded_there)
+        for entry in differences(here, reference):
             assert entry.largest <= (0.1 if entry.name == "rotation" else 1e-3), (name, entry)
-        print_figure(f"  splat-transform reads gsgen's file alike, to {_worst(here, there):.1e}")
+        print_figure(
+            f"  splat-transform reads gsgen's file alike, to {_worst(here, reference):.1e}"
+        )
 
 
-def _worst(here: Splats, there: Splats) -> float:
+def _worst(here: Splats, decoded: Splats) -> float:
     pairs = (
-        (getattr(here, name), getattr(there, name)) for name in ("position", "log_scale", "sh")
+        (getattr(here, name), getattr(decoded, name)) for name in ("position", "log_scale", "sh")
     )
     return max((float(np.abs(a - b).max()) for a, b in pairs), default=math.nan)

@@ -32,14 +32,14 @@ SMPL, SMPLX = 6_890, 10_475
 
 def feeds(generator: GaussianGenerator) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(0)
-    made: dict[str, np.ndarray] = {}
-    for one in generator.inputs:
-        assert one.shape is not None
-        value = rng.normal(0, 0.3, one.shape).astype(np.float32)
-        if one.role == "root_rotation":
+    results: dict[str, np.ndarray] = {}
+    for declared in generator.inputs:
+        assert declared.shape is not None
+        value = rng.normal(0, 0.3, declared.shape).astype(np.float32)
+        if declared.role == "root_rotation":
             value = np.eye(3, dtype=np.float32)
-        made[one.name] = np.zeros(1, np.int32) if one.role == "frame_index" else value
-    return made
+        results[declared.name] = np.zeros(1, np.int32) if declared.role == "frame_index" else value
+    return results
 
 
 def measure(
@@ -56,32 +56,32 @@ def measure(
         needed: Bytes of the tensors that it cannot do without.
         eager_form: The module in torch's fastest form, all constants computed beforehand.
     """
-    plain = eager_form or generator
+    original = eager_form or generator
     path = folder / "model.onnx"
     export(generator, path, settings=Settings(level=Level.STATIC))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(path, options)
-    given = feeds(generator)
-    tensors = [torch.from_numpy(value) for value in given.values()]
+    inputs = feeds(generator)
+    tensors = [torch.from_numpy(value) for value in inputs.values()]
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         with torch.no_grad():
-            rows = plain(*tensors).position.shape[0]
-            packed = PackedGenerator(plain, Packed(torch.float32, rows))
+            rows = original(*tensors).position.shape[0]
+            packed = PackedGenerator(original, Packed(torch.float32, rows))
             packed(*tensors)
-            session.run(None, given)
+            session.run(None, inputs)
             eager, graph = [], []
             for _ in range(ROUNDS):  # by turns, so that both meet the same machine
                 eager.append(process_seconds(lambda: packed(*tensors)))
-                graph.append(process_seconds(lambda: session.run(None, given)))
+                graph.append(process_seconds(lambda: session.run(None, inputs)))
     finally:
         torch.set_num_threads(threads)
-    outputs = session.run(None, given)
-    target = np.empty(sum(one.nbytes for one in outputs) // 4, np.float32)
+    outputs = session.run(None, inputs)
+    target = np.empty(sum(output.nbytes for output in outputs) // 4, np.float32)
     floor = min(process_seconds(lambda: target.fill(1)) for _ in range(ROUNDS))
-    weights = sum(len(one.raw_data) for one in onnx.load(path).graph.initializer)
+    weights = sum(len(weight.raw_data) for weight in onnx.load(path).graph.initializer)
     ratio, size = min(graph) / min(eager), path.stat().st_size
     print_figure(
         f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, "
@@ -101,10 +101,10 @@ def bench_gauhuman(tmp_path: Path) -> None:
     read = read_gauhuman(write_gauhuman(tmp_path / "run", options))
     parts = (read.canonical, read.body, read.nets)
     needed = needed_tensors.of_gauhuman(*parts)
-    one = measure(GauHuman(*parts), tmp_path, needed, GauHuman(*parts, bake="always"))
+    measurement = measure(GauHuman(*parts), tmp_path, needed, GauHuman(*parts, bake="always"))
     baked = GauHuman(*parts, bodies=5, bake="always")
     few = measure(GauHuman(*parts, bodies=5), tmp_path, needed, baked)
-    print_figure(f"5 instances cost {few / one:.2f} × one")
+    print_figure(f"5 instances cost {few / measurement:.2f} × one")
 
 
 def bench_lhm(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def _measure(
     generator: GaussianGenerator,
     feeds: dict[str, np.ndarray],
     folder: Path,
-    plain: GaussianGenerator,
+    original: GaussianGenerator,
 ) -> None:
     path = folder / "model.onnx"
     export(generator, path, settings=Settings(level=Level.STATIC))
@@ -97,8 +97,8 @@ def _measure(
     session = onnxruntime.InferenceSession(path, options)
     tensors = [torch.from_numpy(value) for value in feeds.values()]
     with torch.no_grad():
-        rows = plain(*tensors).position.shape[0]
-        packed = PackedGenerator(plain, Packed(torch.float32, rows))
+        rows = original(*tensors).position.shape[0]
+        packed = PackedGenerator(original, Packed(torch.float32, rows))
         packed(*tensors)
         session.run(None, feeds)
         eager, graph = [], []
@@ -247,8 +247,8 @@ def sized(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
         needed_tensors.of_anchors(scaffold),
     )
     octree = read_anchors(write_octree(folder / "octree", anchors, mode="progressive"), octree=True)
-    made = OctreeGS(octree.cloud, octree.nets, Levels.of(octree))
-    yield "octree-gs", made, needed_tensors.of_anchors(octree)
+    generator = OctreeGS(octree.cloud, octree.nets, Levels.of(octree))
+    yield "octree-gs", generator, needed_tensors.of_anchors(octree)
     cells = read_cells(write_duplex(folder / "duplex", anchors))
     duplex = DuplexGS(cells, Levels.of(cells.anchors))
     yield "duplex-gs", duplex, needed_tensors.of_cells(cells, visibility=False)

@@ -33,7 +33,7 @@ _GOOD = 0.9
 
 
 def utility(
-    tree: TileTree, ladder: QualityLadder, cut: Cut, held: np.ndarray, drawn: np.ndarray, eye
+    tree: TileTree, ladder: QualityLadder, cut: Cut, held_levels: np.ndarray, drawn: np.ndarray, eye
 ) -> float:
     """The worth of the drawn tiles, as a share of that of all wanted tiles at the finest file."""
     reach = np.linalg.norm(tree.half_axes, axis=(1, 2))
@@ -43,7 +43,7 @@ def utility(
     for row in range(len(tree) - 1, 0, -1):  # a coarse tile covers what the tiles below it cover
         area[tree.parent[row]] += area[row]
     density = 1 / (1 + np.where(tree.is_leaf, 0, cut.error) / _HALF_WORTH)
-    shown = (area * density * ladder.worth[held])[drawn].sum()
+    shown = (area * density * ladder.worth[held_levels])[drawn].sum()
     return float(shown / (ideal_area * density)[cut.wanted].sum() / ladder.worth[0])
 
 
@@ -56,19 +56,21 @@ def stream(
     size = tree.size.astype(float)
     link = SimulatedLink(clock, trace, size, rtt=0.05, connections=6)
     view = ViewSettings(width=640, height=360)
-    held, in_flight = np.full(len(tree), -1), {}
+    held_levels, in_flight = np.full(len(tree), -1), {}
     utilities, holes = [], 0
     first_quality = 0 if order == "finest files" else len(ladder.worth) - 1
 
     def request(cut: Cut, drawn: np.ndarray, eye: np.ndarray) -> None:
-        loaded = held >= 0
-        seen = request_order(tree, cut)
-        missing = seen[~loaded[seen]]
+        loaded = held_levels >= 0
+        actual = request_order(tree, cut)
+        missing = actual[~loaded[actual]]
         if order == ORDERS[2]:
-            missing = missing_tiles(seen, loaded)
+            missing = missing_tiles(actual, loaded)
         pairs = [(int(tile), first_quality) for tile in missing]
         if not len(missing):
-            pairs = [(int(tile), 0) for tile in finer_file_order(tree, ladder, held, drawn, eye)]
+            pairs = [
+                (int(tile), 0) for tile in finer_file_order(tree, ladder, held_levels, drawn, eye)
+            ]
         for tile, quality in pairs:
             if link.free and tile not in in_flight:
                 size[tile] = ladder.size[tile, quality]
@@ -78,13 +80,13 @@ def stream(
     cut = drawn = pose = None
     for pose in path:
         while (delivery := link.advance(pose.time)) is not None:
-            held[delivery.tile] = in_flight.pop(delivery.tile)
+            held_levels[delivery.tile] = in_flight.pop(delivery.tile)
             if cut is not None:
                 request(cut, drawn, pose.position)
         cut = cut_tree(tree, view.frustum(pose.position, pose.quaternion), 8.0)
         if not cut.wanted.any():
             continue
-        drawn = drawable_tiles(tree, cut, held >= 0)
+        drawn = drawable_tiles(tree, cut, held_levels >= 0)
         covered = drawn.copy()
         for rows in tree.rows_of_level[1:]:
             covered[rows] |= covered[tree.parent[rows]]
@@ -92,7 +94,7 @@ def stream(
         for row in range(len(tree) - 1, 0, -1):
             below[tree.parent[row]] |= below[row]
         holes += bool((cut.wanted & ~covered & ~below).any())
-        utilities.append(utility(tree, ladder, cut, held, drawn, pose.position))
+        utilities.append(utility(tree, ladder, cut, held_levels, drawn, pose.position))
         request(cut, drawn, pose.position)
     return utilities, holes
 

@@ -155,8 +155,8 @@ def printed(
         environment["PYTHONIOENCODING"] = encoding
     command = [sys.executable, "-m", _MODULE, str(own / "calls.json")]
     raw = collect(command, folder, environment | surroundings, sink, own / "printed")
-    *records, rest = raw.decode(encoding, "strict").split("\x1f")
-    assert not rest.strip(), rest
+    *records, remaining = raw.decode(encoding, "strict").split("\x1f")
+    assert not remaining.strip(), remaining
     outputs = [record.rpartition("\x1e") for record in records]
     assert len(outputs) == len(calls)
     return [(int(code), text) for text, _, code in outputs]

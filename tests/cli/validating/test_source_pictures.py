@@ -69,8 +69,8 @@ def recorded(folder: Path, *options: object):
 
 def judged(path: Path) -> tuple[str, int]:
     report = validate(path, Settings(level=Level.RENDER))
-    found = sum(finding.rule == "GB021" for finding in report.findings)
-    return report.outcome("GB021").status, found
+    actual = sum(finding.rule == "GB021" for finding in report.findings)
+    return report.outcome("GB021").status, actual
 
 
 def test_pictures_of_the_training_code_are_declared_and_compared(trained: Path) -> None:

@@ -45,13 +45,13 @@ def cell_model(
     spread = np.einsum("cki,ckj->cij", grouped - centre[:, None], grouped - centre[:, None])
     sigma = spread / PER_CELL + 0.01 * np.eye(3)
     upper = covariance_factor * sigma.reshape(n, 9)[:, [0, 1, 2, 4, 5, 8]]
-    seen = np.broadcast_to(visibility, (n,)).astype(float)
-    cells = np.concatenate([centre, seen[:, None], upper], axis=1)
+    visible_mask = np.broadcast_to(visibility, (n,)).astype(float)
+    cells = np.concatenate([centre, visible_mask[:, None], upper], axis=1)
     color = sh_columns(source, 1)
     live = source.count if count is None else count
     packed[live:], color[live:] = 0, 0
     if hide_rows:
-        packed[np.repeat(seen == 0, PER_CELL), 3] = 0
+        packed[np.repeat(visible_mask == 0, PER_CELL), 3] = 0
     low, high = packed[:live, :3].min(0), packed[:live, :3].max(0)
     manifest = declare(source.count, low, high, degree=1, semantics="upper-bound")
     manifest["outputs"]["cells"] = {"name": "cells", "per_cell": per_cell, "dtype": cells_dtype}
@@ -166,12 +166,12 @@ def trajectory(
     ahead = graph.constant(np.arange(1, steps + 1)[:, None])
     future = graph.op("Add", last, graph.op("Mul", speed, ahead))
     if state == 7 and normalise:
-        place = graph.gather(future, [0, 1, 2], 1)
+        future_position = graph.gather(future, [0, 1, 2], 1)
         turn = graph.gather(future, [3, 4, 5, 6], 1)
         square = graph.op("Mul", turn, turn)
         total = graph.op("ReduceSum", square, graph.constant([1], "int64"), keepdims=1)
         length = graph.op("Sqrt", graph.op("Add", total, graph.constant(1e-12)))
-        future = graph.op("Concat", place, graph.op("Div", turn, length), axis=1)
+        future = graph.op("Concat", future_position, graph.op("Div", turn, length), axis=1)
     columns = sigma_columns or state
     growth = sigma * np.arange(1, steps + 1)[:, None] * np.ones((1, columns))
     zero = graph.op("Mul", graph.gather(last, [0], 1), graph.constant(0.0))

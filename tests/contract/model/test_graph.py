@@ -142,12 +142,12 @@ def test_a_wrong_declaration_in_the_middle_is_a_conflict_too(graph_of):
     proto = model("m (float[3] x) => (float[3] y) { a = Neg (x) y = Neg (a) }")
     proto.graph.value_info.add(name="a").type.CopyFrom(proto.graph.input[0].type)
     proto.graph.value_info[0].type.tensor_type.shape.dim[0].dim_value = 7
-    assert [one.name for one in graph_of(proto).conflicts] == ["a"]
+    assert [conflict.name for conflict in graph_of(proto).conflicts] == ["a"]
 
 
 def test_a_wrong_dtype_is_a_conflict(graph_of):
     graph = graph_of(model("m (float[3] x) => (float16[3] y) { y = Neg (x) }"))
-    assert [str(one.inferred) for one in graph.conflicts] == ["float32 [3]"]
+    assert [str(conflict.inferred) for conflict in graph.conflicts] == ["float32 [3]"]
 
 
 def test_operators_whose_shapes_do_not_fit_are_an_inference_fault(graph_of):

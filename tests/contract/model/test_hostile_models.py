@@ -22,7 +22,7 @@ STATIC = Settings(level=Level.STATIC)
 def with_colors_at(path, **entries):
     """Write a model whose colours lie in another file, as ``entries`` say."""
     proto = find("external_data_missing").draw().build()
-    (colors,) = (one for one in proto.graph.initializer if one.name == "colors")
+    (colors,) = (weight for weight in proto.graph.initializer if weight.name == "colors")
     del colors.external_data[:]
     for key, value in entries.items():
         colors.external_data.add(key=key, value=value)
@@ -30,7 +30,7 @@ def with_colors_at(path, **entries):
 
 
 def finding_of(path, rule):
-    (finding,) = (one for one in validate(path, STATIC).findings if one.rule == rule)
+    (finding,) = (finding for finding in validate(path, STATIC).findings if finding.rule == rule)
     return finding
 
 
@@ -58,7 +58,7 @@ def test_colours_without_channels_are_no_crash(tmp_path):
     sketch = find("nan_row").draw()
     none = np.zeros((len(sketch.weights["colors"]), 0), np.float32)
     proto = sketch.weighing(colors=none).build()
-    (color,) = (one for one in proto.graph.output if one.name == "color")
+    (color,) = (tensor for tensor in proto.graph.output if tensor.name == "color")
     color.type.tensor_type.shape.dim[1].dim_value = 0
     report = validate(save(tmp_path / "a.onnx", proto), Settings(level=Level.VALUES))
     assert report.verdict == "invalid"
@@ -141,11 +141,13 @@ def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, act
     sizes = kind.shape if dims is not None else None
     for dim in dims or ():
         sizes.dim.add(**{"dim_value" if isinstance(dim, int) else "dim_param": dim})
-    (entry,) = (one for one in proto.metadata_props if one.key == "gsgen.manifest")
+    (entry,) = (prop for prop in proto.metadata_props if prop.key == "gsgen.manifest")
     document = json.loads(entry.value)
     if shape:
         document["inputs"][0]["shape"] = shape
     entry.value = json.dumps(document)
     report = validate(save(tmp_path / "a.onnx", proto), Settings(level=Level.VALUES))
-    assert any(f"{one.where}: {one.message}".startswith(actual) for one in report.findings)
+    assert any(
+        f"{finding.where}: {finding.message}".startswith(actual) for finding in report.findings
+    )
     assert report.verdict == "invalid"

@@ -97,8 +97,8 @@ def rows(name, *dims):
         ([rows("a")], None),
     ],
 )
-def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(outputs, found):
-    assert infer_manifest(graph_with(outputs), "a").manifest.outputs.gaussians == found
+def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(outputs, actual):
+    assert infer_manifest(graph_with(outputs), "a").manifest.outputs.gaussians == actual
 
 
 @pytest.mark.parametrize(
@@ -111,9 +111,9 @@ def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(
         ((7, "C"), AppearanceOutput("color", "rgb")),
     ],
 )
-def test_appearance_is_inferred_from_its_channels(dims, found):
+def test_appearance_is_inferred_from_its_channels(dims, actual):
     outputs = [Tensor("color", "float32", dims)]
-    assert infer_manifest(graph_with(outputs), "a").manifest.outputs.appearance == found
+    assert infer_manifest(graph_with(outputs), "a").manifest.outputs.appearance == actual
 
 
 @pytest.mark.parametrize(

@@ -150,8 +150,8 @@ def test_every_point_of_truncation_gives_a_model_or_an_error(tmp_path):
 )
 def test_flipped_bytes_give_a_model_or_an_error(tmp_path_factory, edits):
     content = bytearray(SMALL.SerializeToString())
-    for at, value in edits:
-        content[at % len(content)] = value
+    for offset, value in edits:
+        content[offset % len(content)] = value
     opens(tmp_path_factory.getbasetemp() / "flipped.onnx", bytes(content))
 
 
@@ -164,11 +164,11 @@ def test_a_name_that_is_no_text_is_refused(tmp_path):
 
 def external(name, location="weights.bin", **entries):
     """A float [3] whose values lie in another file."""
-    made = TensorProto(name=name, data_type=TensorProto.FLOAT, dims=[3])
-    made.data_location = TensorProto.EXTERNAL
+    tensor_proto = TensorProto(name=name, data_type=TensorProto.FLOAT, dims=[3])
+    tensor_proto.data_location = TensorProto.EXTERNAL
     for key, value in {"location": location, **entries}.items():
-        made.external_data.add(key=key, value=value)
-    return made
+        tensor_proto.external_data.add(key=key, value=value)
+    return tensor_proto
 
 
 def attribute(**value):
@@ -209,7 +209,7 @@ def hidden(name):
 
 
 @pytest.mark.parametrize(
-    "place",
+    "owner",
     [
         "initializer",
         "sparse_initializer",
@@ -224,8 +224,8 @@ def hidden(name):
         "sparse_tensors",
     ],
 )
-def test_external_data_is_found_in_every_kind_of_attribute(tmp_path, place):
-    opened = open_model(save(tmp_path / "a.onnx", hidden(place)))
+def test_external_data_is_found_in_every_kind_of_attribute(tmp_path, owner):
+    opened = open_model(save(tmp_path / "a.onnx", hidden(owner)))
     assert opened.external == (ExternalRef("w", "weights.bin", 0, None),)
     assert b"weights.bin" not in opened.proto.SerializeToString()
 
@@ -251,11 +251,11 @@ def files(folder):
 
 
 def with_metadata(proto, **entries):
-    made = ModelProto()
-    made.CopyFrom(proto)
+    model_proto = ModelProto()
+    model_proto.CopyFrom(proto)
     for key, value in entries.items():
-        made.metadata_props.add(key=key.replace("_", "."), value=value)
-    return made
+        model_proto.metadata_props.add(key=key.replace("_", "."), value=value)
+    return model_proto
 
 
 def test_only_the_manifest_changes_when_one_is_written(tmp_path):

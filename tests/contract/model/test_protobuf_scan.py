@@ -31,25 +31,25 @@ SIZES = st.sampled_from([0, 1, 3, 500, 900, 3000])
 @st.composite
 def tensors(draw):
     storage, size = draw(st.sampled_from([*PAYLOAD, "raw_data"])), draw(SIZES)
-    made = TensorProto(name=draw(st.text(max_size=3)), dims=[size], doc_string="kept")
+    tensor_proto = TensorProto(name=draw(st.text(max_size=3)), dims=[size], doc_string="kept")
     if storage == "raw_data":
-        made.data_type = draw(st.sampled_from([1, 7, 10]))
-        made.raw_data = bytes(range(250)) * (size // 50)
+        tensor_proto.data_type = draw(st.sampled_from([1, 7, 10]))
+        tensor_proto.raw_data = bytes(range(250)) * (size // 50)
     else:
-        made.data_type, value = PAYLOAD[storage]
-        getattr(made, storage).extend([value] * size)
+        tensor_proto.data_type, value = PAYLOAD[storage]
+        getattr(tensor_proto, storage).extend([value] * size)
     if draw(st.booleans()):
-        made.data_location = TensorProto.EXTERNAL
-        made.external_data.add(key="location", value="weights.bin")
-    return made
+        tensor_proto.data_location = TensorProto.EXTERNAL
+        tensor_proto.external_data.add(key="location", value="weights.bin")
+    return tensor_proto
 
 
 sparse = st.builds(SparseTensorProto, values=tensors(), indices=tensors(), dims=st.just([9]))
 
 
 def attributes(graphs):
-    def few(one):
-        return st.lists(one, max_size=2)
+    def few(entry):
+        return st.lists(entry, max_size=2)
 
     return st.builds(
         AttributeProto,
@@ -105,8 +105,8 @@ def without_payload(message: Message) -> Message:
             message.ClearField(field)
     for field, value in message.ListFields():
         if field.type == field.TYPE_MESSAGE:
-            for one in [value] if isinstance(value, Message) else value:
-                without_payload(one)
+            for entry in [value] if isinstance(value, Message) else value:
+                without_payload(entry)
     return message
 
 
@@ -117,8 +117,8 @@ def test_a_skeleton_is_the_model_but_for_payload(model):
     bones = skeleton(data)
     assert len(bones.data) <= len(data)
     assert (bones.stripped == 0) == (bones.data == data)
-    made = ModelProto.FromString(bones.data)
-    assert without_payload(made) == without_payload(model)
+    proto = ModelProto.FromString(bones.data)
+    assert without_payload(proto) == without_payload(model)
 
 
 def with_weights(*weights: TensorProto) -> bytes:
@@ -145,17 +145,17 @@ def test_a_payload_in_several_pieces_is_left_out_whole():
     assert head == b"\x3a\x00"
     tensor = protobuf_scan._header(5, 2 * len(half)) + half + half
     bones = skeleton(protobuf_scan._header(7, len(tensor)) + tensor)
-    made = ModelProto.FromString(bones.data).graph.initializer[0]
-    assert not made.float_data
-    assert made.raw_data == STUB
+    result = ModelProto.FromString(bones.data).graph.initializer[0]
+    assert not result.float_data
+    assert result.raw_data == STUB
 
 
 @pytest.mark.parametrize(("count", "kept"), [(300, True), (100_000, True), (200_000, False)])
-def test_integers_are_kept_up_to_a_mebibyte_for_shape_inference(count, kept):
+def test_integers_are_kept_up_to_a_mebibyte_for_shape_inference(count, retained):
     values = np.arange(count, dtype=np.int64).tobytes()
     weight = TensorProto(name="w", data_type=TensorProto.INT64, dims=[count], raw_data=values)
-    made = ModelProto.FromString(skeleton(with_weights(weight)).data).graph.initializer[0]
-    assert (made == weight) is kept
+    result = ModelProto.FromString(skeleton(with_weights(weight)).data).graph.initializer[0]
+    assert (result == weight) is retained
 
 
 def test_a_small_tensor_is_kept_whole():

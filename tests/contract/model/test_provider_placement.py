@@ -53,13 +53,15 @@ CAUSES = {
 @pytest.mark.parametrize("body", CAUSES)
 def test_a_node_that_is_not_captured_has_one_cause(opened, body):
     text = f"m (float[1] x) => (float[1] y) <int64[1] one = {{1}}> {{ {body} }}"
-    causes = {one.cause for one in placements(*opened(text), (NATIVE,))} - {""}
+    causes = {placement.cause for placement in placements(*opened(text), (NATIVE,))} - {""}
     assert causes == ({CAUSES[body]} if CAUSES[body] else set())
 
 
 def test_finding_names_the_affected_releases(opened):
-    found = placements(*opened("m (float[2] x) => (float[2] y) { y = Max (x, x) }"), (NATIVE, JSEP))
-    assert [(one.cause, one.outcomes) for one in found] == [
+    actual = placements(
+        *opened("m (float[2] x) => (float[2] y) { y = Max (x, x) }"), (NATIVE, JSEP)
+    )
+    assert [(entry.cause, entry.outcomes) for entry in actual] == [
         ("operator", {"onnxruntime-web 1.22.0 (JSEP)": "cpu"})
     ]
 
@@ -69,5 +71,5 @@ def test_a_step_backwards_is_seen_in_the_weight(opened, step, cause):
     text = "m (float[4] x) => (float[N] y) { y = Slice (x, from, to, axis, step) }"
     numbers = {"from": 0, "to": 4, "axis": 0, "step": step}
     weights = [weight(name, np.asarray([n])) for name, n in numbers.items()]
-    (found,) = placements(*opened(text, *weights), (JSEP,))
-    assert found.cause == cause
+    (placement,) = placements(*opened(text, *weights), (JSEP,))
+    assert placement.cause == cause

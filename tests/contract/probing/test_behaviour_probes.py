@@ -15,7 +15,7 @@ SHAPES = {"view": (4, 4), "lens": (4, 4), "time": (1,), "frame": (1,), "pose": (
 
 def trials(*inputs, order="column"):
     manifest = replace(manifest_of(1), inputs=inputs, space=Space(matrix_order=order))
-    dtypes = {one.name: "int32" if one.role == "frame_index" else "float32" for one in inputs}
+    dtypes = {entry.name: "int32" if entry.role == "frame_index" else "float32" for entry in inputs}
     first = default_probes(manifest, SHAPES, dtypes)
     return first[1], dict(trial_probes(manifest, first[1], first))
 
@@ -26,8 +26,8 @@ def values(probes: tuple[Probe, ...], name: str) -> list[float]:
 
 @pytest.mark.parametrize("order", ["column", "row"])
 def test_a_camera_is_moved_in_the_declared_order_and_in_the_other(order):
-    base, made = trials(VIEW, order=order)
-    still, moved, transposed = (probe.inputs["view"] for probe in made["moved"])
+    base, result = trials(VIEW, order=order)
+    still, moved, transposed = (probe.inputs["view"] for probe in result["moved"])
     np.testing.assert_array_equal(still, base.inputs["view"])
     step = as_tensor(moved - still, order)
     assert (step[:3, 3] > 0).all()
@@ -37,36 +37,36 @@ def test_a_camera_is_moved_in_the_declared_order_and_in_the_other(order):
 
 @pytest.mark.parametrize("order", ["column", "row"])
 def test_a_flipped_projection_differs_in_row_1_alone(order):
-    _, made = trials(LENS, order=order)
-    plain, turned = (as_tensor(probe.inputs["lens"], order) for probe in made["flipped"])
-    np.testing.assert_array_equal(turned[1], -plain[1])
-    np.testing.assert_array_equal(turned[[0, 2, 3]], plain[[0, 2, 3]])
+    _, result = trials(LENS, order=order)
+    original, turned = (as_tensor(probe.inputs["lens"], order) for probe in result["flipped"])
+    np.testing.assert_array_equal(turned[1], -original[1])
+    np.testing.assert_array_equal(turned[[0, 2, 3]], original[[0, 2, 3]])
 
 
 def test_edges_are_zeros_of_each_role_and_the_ends_of_all_ranges():
     time = Input(name="time", role="time", range=(2.0, 4.0))
     pose = Input(name="pose", role="pose", shape=(2, 3))
-    _, made = trials(time, pose)
-    assert values(made["edges"], "time")[0] == 0
-    assert values(made["edges"], "pose")[1] == 0
-    assert values(made["edges"], "time")[2:] == [2, 4]
-    assert values(made["edges"], "pose")[2:] == [-3.141593, 3.141593]
-    assert values(made["outside"], "time") == [1.98, 4.02]
+    _, result = trials(time, pose)
+    assert values(result["edges"], "time")[0] == 0
+    assert values(result["edges"], "pose")[1] == 0
+    assert values(result["edges"], "time")[2:] == [2, 4]
+    assert values(result["edges"], "pose")[2:] == [-3.141593, 3.141593]
+    assert values(result["outside"], "time") == [1.98, 4.02]
 
 
 def test_a_frame_number_never_leaves_its_range():
-    _, made = trials(Input(name="frame", role="frame_index", range=(0.0, 7.0)))
-    assert made["outside"] == ()
+    _, result = trials(Input(name="frame", role="frame_index", range=(0.0, 7.0)))
+    assert result["outside"] == ()
 
 
 def test_a_loop_is_seen_at_its_seam():
-    _, made = trials(Input(name="time", role="time", range=(0.0, 2.0), loop=True, frames=20))
-    assert values(made["loop"], "time") == [0, 0.1, 1.9, 2]
+    _, result = trials(Input(name="time", role="time", range=(0.0, 2.0), loop=True, frames=20))
+    assert values(result["loop"], "time") == [0, 0.1, 1.9, 2]
 
 
 def test_consecutive_times_differ_by_a_sixtieth_of_a_second():
-    _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=30, fps=30.0))
-    times = values(made["paces"], "time")
+    _, result = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=30, fps=30.0))
+    times = values(result["paces"], "time")
     steps = np.subtract(times[1::2], times[::2])
     np.testing.assert_allclose(steps, 1 / 60, atol=1e-5)
 
@@ -75,9 +75,9 @@ def test_consecutive_times_differ_by_a_sixtieth_of_a_second():
     ("frames", "visited"), [(1, 0), (2, 2), (12, 12), (64, 64), (65, 32), (500, 32)]
 )
 def test_times_within_frames_are_probed(frames, visited):
-    _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
-    assert len(made["frames"]) == visited
-    for probe in made["frames"]:
+    _, result = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
+    assert len(result["frames"]) == visited
+    for probe in result["frames"]:
         number = int(probe.label.split()[1])
         assert int(probe.inputs["time"][0] * frames) == number
 
@@ -85,15 +85,15 @@ def test_times_within_frames_are_probed(frames, visited):
 @pytest.mark.parametrize(("frames", "visited"), [(2, 2), (64, 64), (65, 8)])
 def test_frame_numbers_are_probed_from_first_to_last(frames, visited):
     entry = Input(name="frame", role="frame_index", range=(10.0, 9.0 + frames), frames=frames)
-    _, made = trials(entry)
-    numbers = values(made["frames"], "frame")
+    _, result = trials(entry)
+    numbers = values(result["frames"], "frame")
     assert len(numbers) == len(set(numbers)) == visited
     assert 10 <= min(numbers) <= max(numbers) <= 9 + frames
 
 
 def test_every_behaviour_run_is_extra_and_one_is_unoptimised():
-    _, made = trials(VIEW, Input(name="time", role="time", range=(0.0, 1.0), loop=True))
-    probes = [probe for group in made.values() for probe in group]
+    _, result = trials(VIEW, Input(name="time", role="time", range=(0.0, 1.0), loop=True))
+    probes = [probe for group in result.values() for probe in group]
     assert all(probe.extra for probe in probes)
     assert [probe.optimise for probe in probes].count(False) == 1
     assert not probes[-1].optimise  # a session of its own comes last

@@ -15,16 +15,16 @@ ORDERS = {
 
 
 def rows_in(order, count=200):
-    made = cloud(count)
-    upper = made.covariance[:, ORDERS[order]]
-    return np.concatenate([made.position, made.opacity[:, None], upper], axis=1)
+    result = cloud(count)
+    upper = result.covariance[:, ORDERS[order]]
+    return np.concatenate([result.position, result.opacity[:, None], upper], axis=1)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_field_order_is_recognised_from_values(order):
-    found = suspect_order(rows_in(order))
-    assert (found.name if found else "") == order
-    assert found is None or (found.declared > 0.2 and found.fraction == 0)
+    actual = suspect_order(rows_in(order))
+    assert (actual.name if actual else "") == order
+    assert actual is None or (actual.declared > 0.2 and actual.fraction == 0)
 
 
 def test_too_few_rows_prove_nothing():

@@ -26,11 +26,11 @@ def emission(subject, rows=4, **outputs):
 
 
 def test_outputs_are_sorted_by_what_the_manifest_says(subject):
-    made = emission(subject)
-    assert made.gaussians.shape == (4, 10)
-    assert made.appearance.shape == (4, 3)
-    assert (made.count, made.probe, made.zeros) == (4, "test", False)
-    assert made.declared.space == "rgb"
+    result = emission(subject)
+    assert result.gaussians.shape == (4, 10)
+    assert result.appearance.shape == (4, 3)
+    assert (result.count, result.probe, result.zeros) == (4, "test", False)
+    assert result.declared.space == "rgb"
 
 
 @pytest.mark.parametrize(
@@ -62,9 +62,9 @@ def test_the_count_is_a_whole_number_clipped_to_the_capacity(subject, count, liv
     ],
 )
 def test_rows_of_another_shape_are_skipped(subject, rows):
-    made = emission(subject, gaussians=rows)
-    assert made.gaussians is None
-    assert list(chunks(made)) == []
+    result = emission(subject, gaussians=rows)
+    assert result.gaussians is None
+    assert list(chunks(result)) == []
 
 
 def test_an_appearance_of_another_length_is_left_to_another_rule(subject):
@@ -72,20 +72,20 @@ def test_an_appearance_of_another_length_is_left_to_another_rule(subject):
 
 
 def test_rows_come_in_chunks_that_cover_all(subject):
-    made = emission(subject, rows=2 * CHUNK + 5)
-    parts = list(chunks(made))
+    result = emission(subject, rows=2 * CHUNK + 5)
+    parts = list(chunks(result))
     assert [(part.start, len(part)) for part in parts] == [
         (0, CHUNK),
         (CHUNK, CHUNK),
         (2 * CHUNK, 5),
     ]
     together = np.concatenate([part.packed for part in parts])
-    np.testing.assert_array_equal(together, made.gaussians)
+    np.testing.assert_array_equal(together, result.gaussians)
 
 
 def test_rows_before_the_count_are_live_across_chunks(subject):
-    made = emission(subject, rows=2 * CHUNK, num_points=np.array([CHUNK + 3], np.int32))
-    first, second = chunks(made)
+    result = emission(subject, rows=2 * CHUNK, num_points=np.array([CHUNK + 3], np.int32))
+    first, second = chunks(result)
     assert (first.live_rows, second.live_rows) == (CHUNK, 3)
     assert first.counted.all()
     assert second.counted.nonzero()[0].tolist() == [0, 1, 2]

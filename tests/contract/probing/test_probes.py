@@ -106,20 +106,20 @@ def test_indices_are_whole_and_reach_both_ends():
     [("shape", -2, 2), ("control", 5, 6), ("pose", -0.6, 0.6), ("root_translation", -0.5, 0.5)],
 )
 def test_other_inputs_are_spread_over_their_range(role, low, high):
-    seen = values(role)
-    assert ((seen >= low) & (seen <= high)).all()
-    assert seen.max() - seen.min() > 0.5 * (high - low)
+    actual = values(role)
+    assert ((actual >= low) & (actual <= high)).all()
+    assert actual.max() - actual.min() > 0.5 * (high - low)
 
 
 def test_quaternions_are_unit():
-    seen = values("pose", shapes={"pose": (24, 4)})
-    np.testing.assert_allclose(np.linalg.norm(seen, axis=-1), 1, rtol=1e-6)
+    actual = values("pose", shapes={"pose": (24, 4)})
+    np.testing.assert_allclose(np.linalg.norm(actual, axis=-1), 1, rtol=1e-6)
 
 
 def test_rotation_matrices_are_proper():
-    seen = values("root_rotation")
-    np.testing.assert_allclose(seen @ seen.transpose(0, 2, 1), [np.eye(3)] * 8, atol=1e-6)
-    np.testing.assert_allclose(np.linalg.det(seen), 1, rtol=1e-5)
+    actual = values("root_rotation")
+    np.testing.assert_allclose(actual @ actual.transpose(0, 2, 1), [np.eye(3)] * 8, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(actual), 1, rtol=1e-5)
 
 
 BOUNDS = Bounds((1.0, 2.0, 3.0), (5.0, 6.0, 7.0))
@@ -160,10 +160,10 @@ def test_matrices_are_laid_out_in_the_declared_order():
 def test_column_order_holds_the_transpose(order, bottom):
     matrix = look_at(np.zeros(3), np.array([0.0, 0, 1]), np.array([0.0, -1, 0]))
     matrix[:3, 3] = [1, 2, 3]
-    made = as_tensor(matrix, order)
-    assert made[3].tolist() == bottom
-    assert made.dtype == np.float32
-    assert made.flags.c_contiguous
+    result = as_tensor(matrix, order)
+    assert result[3].tolist() == bottom
+    assert result.dtype == np.float32
+    assert result.flags.c_contiguous
 
 
 def test_images_and_lenses_differ_between_probes_and_fit_each_other():
@@ -188,9 +188,9 @@ def test_ranges_without_measure_give_finite_inputs(role, extent):
     manifest = replace(
         manifest_of(4), inputs=(Input(name=role, role=role, range=(-extent, extent)),)
     )
-    seen = values(role, manifest)
-    assert np.isfinite(seen).all()
-    assert seen.min() < 0 < seen.max()
+    actual = values(role, manifest)
+    assert np.isfinite(actual).all()
+    assert actual.min() < 0 < actual.max()
 
 
 def test_bounds_that_are_a_point_give_a_camera():
@@ -225,10 +225,10 @@ def test_dependency_probes_change_the_inputs_of_one_role_alone():
     shapes = {"view": (4, 4), "a": (1,), "b": (1,)}
     probes = default_probes(manifest, shapes, dict.fromkeys(shapes, "float32"))
     base, others = probes[1], probes[2:4]
-    made = dict(dependency_probes(manifest, base, others))
-    assert list(made) == ["control", "view"]
+    result = dict(dependency_probes(manifest, base, others))
+    assert list(result) == ["control", "view"]
     for role, changed in {"control": {"a", "b"}, "view": {"view"}}.items():
-        for variant, other in zip(made[role], others, strict=True):
+        for variant, other in zip(result[role], others, strict=True):
             assert variant.label == f"{base.label} with the {role} of {other.label}"
             for name in shapes:
                 source = other if name in changed else base

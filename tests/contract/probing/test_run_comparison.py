@@ -16,13 +16,13 @@ def compared(*outputs, samples=None, variants=None, revisited=None):
     runs = tuple(
         Run(probe=index, sample=sample, seconds=0.1) for index, sample in enumerate(numbers)
     )
-    kept = tuple(Sample(index=index, outputs=output) for index, output in enumerate(outputs))
+    retained = tuple(Sample(index=index, outputs=output) for index, output in enumerate(outputs))
     plan = Plan(
         probes=probes, values=1, repeated=(0, 1), revisited=revisited, variants=variants or {}
     )
     return read_behaviour(
         ProbeRuns(
-            None, Execution(runs=runs, samples=kept, fault=None, seconds=0.0, version=""), plan
+            None, Execution(runs=runs, samples=retained, fault=None, seconds=0.0, version=""), plan
         )
     )
 
@@ -32,10 +32,10 @@ def array(*values, dtype=np.float32):
 
 
 def test_runs_that_share_a_sample_do_not_differ():
-    made = compared(array(1), array(2), samples=[0, 0])
-    assert made.repeated == Comparison("probe 0", "probe 1", {})
-    assert made.revisited is None
-    assert made.varied == {}
+    comparison = compared(array(1), array(2), samples=[0, 0])
+    assert comparison.repeated == Comparison("probe 0", "probe 1", {})
+    assert comparison.revisited is None
+    assert comparison.varied == {}
 
 
 @pytest.mark.parametrize(
@@ -66,14 +66,16 @@ def test_outputs_are_compared_one_by_one():
 
 
 def test_every_role_is_compared_with_its_base():
-    made = compared(
+    comparison = compared(
         *(array(value) for value in (1, 1, 2, 4)),
         variants={"time": (0, (2, 3)), "view": (1, (2,))},
         revisited=(0, 3),
     )
-    assert made.revisited == Comparison("probe 0", "probe 3", {"y": 3.0})
-    assert [one.changed for one in made.varied["time"]] == [{"y": 1.0}, {"y": 3.0}]
-    assert [(one.first, one.second) for one in made.varied["view"]] == [("probe 1", "probe 2")]
+    assert comparison.revisited == Comparison("probe 0", "probe 3", {"y": 3.0})
+    assert [entry.changed for entry in comparison.varied["time"]] == [{"y": 1.0}, {"y": 3.0}]
+    assert [(entry.first, entry.second) for entry in comparison.varied["view"]] == [
+        ("probe 1", "probe 2")
+    ]
 
 
 def test_reading_an_unfinished_extra_run_notes_it():

@@ -231,18 +231,18 @@ def test_a_half_written_event_is_the_end_and_no_error(folder, monkeypatch):
 
 
 def test_an_interrupt_leaves_no_child_and_no_files(folder, monkeypatch):
-    seen = []
+    recorded = []
 
     def interrupt(child, where):
         until_it_runs(where)
-        seen.append(child)
+        recorded.append(child)
         raise KeyboardInterrupt
 
     acting(monkeypatch, interrupt)
     path = save(folder / "a.onnx", ENDLESS)
     with pytest.raises(KeyboardInterrupt):
         fault_of(path, ["y"], [probe(turns=np.int64(2**62))])
-    assert seen[0].poll() == -signal.SIGKILL
+    assert recorded[0].poll() == -signal.SIGKILL
 
 
 _ENDLESSLY = """
@@ -283,15 +283,15 @@ def test_a_child_ends_soon_after_a_parent_that_was_killed(folder):
 
 def running(folder):
     """Return the processes that have ``folder`` as an argument."""
-    found = []
+    results = []
     for entry in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = entry.read_bytes().split(b"\0")
         except OSError:  # it ended in the meantime
             continue
         if str(folder).encode() in words:
-            found.append(entry.parent.name)
-    return found
+            results.append(entry.parent.name)
+    return results
 
 
 def test_unnamed_signal_is_reported_by_number():
@@ -425,9 +425,9 @@ def test_extra_probe_keeps_a_sample_of_rows_and_nonfinite_ones(folder):
 
 def test_time_within_onnx_runtime_is_part_of_the_time_of_its_process(folder):
     path = save(folder / "a.onnx", DOUBLE)
-    plain = Probe(label="plain", inputs=pair(1, 2).inputs, extra=True, optimise=False)
-    with execute(path, ["y"], [pair(1, 2), plain], Limits()) as execution:
-        loads = [one for one in execution.events if one["event"] == "loaded"]
+    probe = Probe(label="plain", inputs=pair(1, 2).inputs, extra=True, optimise=False)
+    with execute(path, ["y"], [pair(1, 2), probe], Limits()) as execution:
+        loads = [event for event in execution.events if event["event"] == "loaded"]
         assert len(loads) == 2  # another session for the run without optimisations
         runs = sum(run.seconds for run in execution.runs)
         assert 0 < runs < execution.inside < execution.seconds

@@ -136,9 +136,9 @@ def test_the_sandbox_moves_a_camera_to_the_first_gaussian_that_is_drawn(order, t
     run, _, outputs, view = echoed(table, tmp_path, order, placement=placement)
     np.testing.assert_array_equal(run.center, table[3, :3])
     np.testing.assert_array_equal(outputs["stood"], table[3, :3])
-    seen = as_tensor(outputs["seen"], order)
-    np.testing.assert_allclose(seen[:3, :3], view[:3, :3], atol=1e-6)
-    np.testing.assert_allclose(eye_of(seen), table[3, :3], atol=1e-5)
+    actual = as_tensor(outputs["seen"], order)
+    np.testing.assert_allclose(actual[:3, :3], view[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(eye_of(actual), table[3, :3], atol=1e-5)
 
 
 def test_a_camera_stays_where_no_gaussian_is_drawn(tmp_path):
@@ -172,8 +172,8 @@ def test_extremes_are_found_in_blocks_of_rows(dtype, monkeypatch):
     rows = np.random.default_rng(3).normal(size=(10, 4)).astype(dtype)
     monkeypatch.setattr(sandbox_worker, "_BLOCK_ROWS", 3)
     for count in (0, 1, 3, 7, 10):
-        found = sandbox_worker._extremes(rows, np.array(count))
-        assert found["low"] == [float(min(column)) for column in rows[:count].T if count]
-        assert found["high"] == [float(max(column)) for column in rows[:count].T if count]
+        actual = sandbox_worker._extremes(rows, np.array(count))
+        assert actual["low"] == [float(min(column)) for column in rows[:count].T if count]
+        assert actual["high"] == [float(max(column)) for column in rows[:count].T if count]
     rows[5, 2] = np.nan
     assert np.isnan(sandbox_worker._extremes(rows, None)["low"][2])

@@ -38,8 +38,8 @@ def test_sarif_log_matches_the_golden_file(reports, name):
 
 def test_rules_are_described_by_their_declarations(reports):
     rules = run_of(reports["broken"])["tool"]["driver"]["rules"]
-    found = {finding.rule for finding in reports["broken"].findings}
-    declared = [o.rule for o in reports["broken"].outcomes if o.rule.id in found]
+    actual = {finding.rule for finding in reports["broken"].findings}
+    declared = [o.rule for o in reports["broken"].outcomes if o.rule.id in actual]
     assert [rule["id"] for rule in rules] == [rule.id for rule in declared]  # and no others
     assert run_of(reports["good"])["tool"]["driver"]["rules"] == []
     opacity = next(rule for rule in rules if rule["id"] == "GV003")

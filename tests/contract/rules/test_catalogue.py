@@ -135,7 +135,7 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
         ),
     ],
 )
-def test_a_fault_in_a_plugin_s_module_names_its_line(plugin, tmp_path, monkeypatch, text, place):
+def test_a_fault_in_a_plugin_s_module_names_its_line(plugin, tmp_path, monkeypatch, text, location):
     (tmp_path / "faulty_acme.py").write_text(text, "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "faulty_acme", raising=False)
@@ -143,7 +143,7 @@ def test_a_fault_in_a_plugin_s_module_names_its_line(plugin, tmp_path, monkeypat
     (rule,) = foreign()
     with pytest.raises(ImportError) as raised:
         list(rule.check(None))
-    assert place in str(raised.value)
+    assert location in str(raised.value)
     assert "faulty_acme.py:" in str(raised.value)
     with pytest.raises(UnknownName, match="rules of 'acme' do not load"):
         installed_rules().find("acme/AC001")

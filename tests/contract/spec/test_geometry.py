@@ -31,19 +31,19 @@ def random_symmetric(n):
 
 
 def test_rotations_are_orthonormal_and_keep_handedness():
-    made = rotation_matrix(QUATERNIONS)
-    identity = np.broadcast_to(np.eye(3), made.shape)
-    np.testing.assert_allclose(made @ made.transpose(0, 2, 1), identity, atol=1e-14)
-    np.testing.assert_allclose(np.linalg.det(made), 1)
+    result = rotation_matrix(QUATERNIONS)
+    identity = np.broadcast_to(np.eye(3), result.shape)
+    np.testing.assert_allclose(result @ result.transpose(0, 2, 1), identity, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(result), 1)
 
 
 def test_a_rotation_turns_vectors_as_its_quaternion_does():
-    for quaternion, made in zip(QUATERNIONS, rotation_matrix(QUATERNIONS), strict=True):
+    for quaternion, result in zip(QUATERNIONS, rotation_matrix(QUATERNIONS), strict=True):
         unit = quaternion / np.linalg.norm(quaternion)
         back = unit * [1, -1, -1, -1]
         for vector in np.eye(3):
             expected = product(product(unit, np.array([0, *vector])), back)[1:]
-            np.testing.assert_allclose(made @ vector, expected, atol=1e-14)
+            np.testing.assert_allclose(result @ vector, expected, atol=1e-14)
 
 
 def test_a_quaternion_has_its_real_part_first():
@@ -53,15 +53,15 @@ def test_a_quaternion_has_its_real_part_first():
 
 
 def test_a_zero_quaternion_is_the_identity_and_nan_stays_nan():
-    made = rotation_matrix(np.array([[0, 0, 0, 0], [1, np.nan, 0, 0], [5, 0, 0, 0]]))
-    np.testing.assert_array_equal(made[[0, 2]], [np.eye(3)] * 2)
-    assert np.isnan(made[1]).all()
+    result = rotation_matrix(np.array([[0, 0, 0, 0], [1, np.nan, 0, 0], [5, 0, 0, 0]]))
+    np.testing.assert_array_equal(result[[0, 2]], [np.eye(3)] * 2)
+    assert np.isnan(result[1]).all()
 
 
 def test_a_covariance_is_r_s_s_transposed_r_transposed():
     scales = RNG.uniform(0, 3, (50, 3))
-    made = covariance_upper(scales, QUATERNIONS)
-    for row, scale, quaternion in zip(made, scales, QUATERNIONS, strict=True):
+    result = covariance_upper(scales, QUATERNIONS)
+    for row, scale, quaternion in zip(result, scales, QUATERNIONS, strict=True):
         r, s = rotation_matrix(quaternion[None])[0], np.diag(scale)
         full = r @ s @ s.T @ r.T
         expected = [full[0, 0], full[0, 1], full[0, 2], full[1, 1], full[1, 2], full[2, 2]]
@@ -96,8 +96,8 @@ def test_the_smallest_eigenvalue_is_that_of_lapack():
     ],
 )
 def test_the_smallest_eigenvalue_of_degenerate_matrices_is_right(matrix, expected, scale):
-    made = smallest_eigenvalue(upper(scale * matrix[None]))[0]
-    assert made == pytest.approx(scale * expected, abs=1e-7 * scale * np.abs(matrix).sum())
+    result = smallest_eigenvalue(upper(scale * matrix[None]))[0]
+    assert result == pytest.approx(scale * expected, abs=1e-7 * scale * np.abs(matrix).sum())
 
 
 def test_the_smallest_eigenvalue_of_nan_is_nan():

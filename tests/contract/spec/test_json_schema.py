@@ -45,10 +45,10 @@ def objects(schema):
 
 @pytest.mark.parametrize("document", schemas().values(), ids=schemas())
 def test_every_object_is_closed_but_for_extensions_and_says_what_it_is(document):
-    for one in objects(document):
-        assert one["additionalProperties"] is False
-        assert one["patternProperties"] == {"^x-": True}
-        assert one["description"]
+    for entry in objects(document):
+        assert entry["additionalProperties"] is False
+        assert entry["patternProperties"] == {"^x-": True}
+        assert entry["description"]
 
 
 @settings(max_examples=60)
@@ -179,8 +179,8 @@ def test_a_schema_is_made_from_types_and_hints():
 
 @pytest.mark.parametrize("either", [None, 2.5, "zeros", (), (1.0, 2.0)])
 def test_a_union_is_read_by_the_form_of_its_value(either):
-    made = Outer("ab", Inner(), either=either)
-    assert from_json(Outer, json.loads(json.dumps(to_json(made)))) == made
+    outer = Outer("ab", Inner(), either=either)
+    assert from_json(Outer, json.loads(json.dumps(to_json(outer)))) == outer
 
 
 def test_absent_fields_are_not_written_but_empty_ones_that_mean_something_are():
@@ -194,7 +194,7 @@ def test_absent_fields_are_not_written_but_empty_ones_that_mean_something_are():
 
 def test_numbers_take_the_type_of_their_field():
     document = {"name": "ab", "inner": {"count": 4.0, "x-note": []}, "pair": [1, 2]}
-    made = from_json(Outer, document)
-    assert (made.inner.count, made.pair) == (4, (1.0, 2.0))
-    assert isinstance(made.inner.count, int)
-    assert isinstance(made.pair[0], float)
+    result = from_json(Outer, document)
+    assert (result.inner.count, result.pair) == (4, (1.0, 2.0))
+    assert isinstance(result.inner.count, int)
+    assert isinstance(result.pair[0], float)

@@ -53,8 +53,8 @@ def test_float32_survives_a_round_trip_bit_by_bit(made):
     assert rows.dtype == appearance.dtype == np.float32
     assert same_layout(made, again)
     for name, array in arrays_of(made).items():
-        seen = np.ascontiguousarray(arrays_of(again)[name])
-        np.testing.assert_array_equal(seen.view(np.uint32), array.view(np.uint32), name)
+        actual = np.ascontiguousarray(arrays_of(again)[name])
+        np.testing.assert_array_equal(actual.view(np.uint32), array.view(np.uint32), name)
 
 
 @given(gaussians(min_value=-65504, max_value=65504))
@@ -64,41 +64,41 @@ def test_float16_survives_a_round_trip_within_half_a_unit_in_the_last_place(made
     assert rows.dtype == appearance.dtype == np.float16
     assert same_layout(made, again)
     for name, array in arrays_of(made).items():
-        seen = arrays_of(again)[name]
-        exponent = np.maximum(np.frexp(seen)[1] - 1, -14)  # below that float16 is subnormal
+        actual = arrays_of(again)[name]
+        exponent = np.maximum(np.frexp(actual)[1] - 1, -14)  # below that float16 is subnormal
         unit = 2.0 ** (exponent - 10)
-        assert (np.abs(seen.astype(np.float64) - array) <= unit / 2).all(), name
+        assert (np.abs(actual.astype(np.float64) - array) <= unit / 2).all(), name
 
 
 def test_row_order_is_position_opacity_upper_triangle():
-    made = DecodedGaussians(
+    decoded_gaussians = DecodedGaussians(
         position=np.array([[1.0, 2, 3]]),
         opacity=np.array([4.0]),
         covariance=np.array([[5.0, 6, 7, 8, 9, 10]]),
         rgb=np.zeros((1, 3)),
     )
-    assert encode(made)[0].tolist() == [[1, 2, 3, 4, 5, 6, 7, 8, 9, 10]]
+    assert encode(decoded_gaussians)[0].tolist() == [[1, 2, 3, 4, 5, 6, 7, 8, 9, 10]]
     assert ROW == len(FIELDS) == 10
     assert FIELDS[4:] == ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def test_sh_is_coefficient_major_with_rgb_innermost():
     sh = np.arange(12.0).reshape(1, 4, 3)  # coefficient k, channel c holds 3k + c
-    made = DecodedGaussians(
+    decoded_gaussians = DecodedGaussians(
         position=np.zeros((1, 3)), opacity=np.zeros(1), covariance=np.zeros((1, 6)), sh=sh
     )
-    assert encode(made)[1].tolist() == [list(range(12))]
-    assert made.degree == 1
-    assert len(made) == 1
+    assert encode(decoded_gaussians)[1].tolist() == [list(range(12))]
+    assert decoded_gaussians.degree == 1
+    assert len(decoded_gaussians) == 1
 
 
 @pytest.mark.parametrize(("dtype", "row"), [("f4", [1, 2, 3]), ("f2", [1, 2, 3, 1])])
 def test_rgb_is_padded_with_one_where_it_does_not_fill_words(dtype, row):
     rgb = np.array([[1.0, 2, 3]])
-    made = DecodedGaussians(
+    decoded_gaussians = DecodedGaussians(
         position=np.zeros((1, 3)), opacity=np.zeros(1), covariance=np.zeros((1, 6)), rgb=rgb
     )
-    rows, appearance = encode(made, np.dtype(dtype).type)
+    rows, appearance = encode(decoded_gaussians, np.dtype(dtype).type)
     assert appearance.tolist() == [row]
     again = decode(rows, appearance, "rgb")
     assert again.rgb is not None

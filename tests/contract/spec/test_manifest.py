@@ -45,16 +45,16 @@ def test_a_manifest_survives_a_round_trip_through_text(manifest):
 @given(st.text() | st.tuples(st.integers(0, 150), st.integers(0, 9), st.text(max_size=3)))
 def test_no_text_makes_the_reader_raise(document):
     if isinstance(document, tuple):  # a good one with something else in one place
-        at, gone, put = document
+        offset, gone, put = document
         good = text(bounds={"min": [0, 0, 0], "max": [1, 1, 1]}, blend="alpha")
-        document = good[:at] + put + good[at + gone :]
+        document = good[:offset] + put + good[offset + gone :]
     parsed = parse(document)
     assert (parsed.manifest is None) == bool(parsed.complaints)
 
 
 def test_text_starts_with_kind_and_version():
-    made = dumps(GeneratorManifest(name="ä", outputs=GeneratorOutputs()), indent=None)
-    assert made.startswith(
+    text = dumps(GeneratorManifest(name="ä", outputs=GeneratorOutputs()), indent=None)
+    assert text.startswith(
         '{"contract": "1.0", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
     )
 
@@ -65,8 +65,8 @@ def test_a_manifest_without_outputs_can_be_written_for_people_to_fill_in():
 
 def test_an_input_without_axes_keeps_its_shape():
     scalar = Input(name="gain", role="control", shape=(), range=(0.0, 1.0), default=())
-    made = GeneratorManifest(name="a", inputs=(scalar,), outputs=GeneratorOutputs())
-    assert loads(dumps(made)).inputs == (scalar,)
+    generator_manifest = GeneratorManifest(name="a", inputs=(scalar,), outputs=GeneratorOutputs())
+    assert loads(dumps(generator_manifest)).inputs == (scalar,)
 
 
 @pytest.mark.parametrize(
@@ -105,17 +105,17 @@ def test_an_input_without_axes_keeps_its_shape():
     ],
 )
 def test_complaint_states_location_actual_and_expected(changes, expected):
-    found = complaint(text(**changes))
+    actual = complaint(text(**changes))
     if isinstance(expected, str):
-        assert (found.cause, found.where) == ("schema", expected)
+        assert (actual.cause, actual.where) == ("schema", expected)
     else:
-        assert found == expected
+        assert actual == expected
 
 
 def test_complaints_come_in_order_of_their_place():
     inputs = [{"name": "t", "role": "time", "fps": -1}] * 11
     parsed = parse(text(inputs=inputs, blend="add"))
-    assert [one.where for one in parsed.complaints] == [
+    assert [complaint.where for complaint in parsed.complaints] == [
         "blend",
         *(f"inputs.{index}.fps" for index in range(11)),
     ]
@@ -137,10 +137,10 @@ def test_complaints_come_in_order_of_their_place():
     ],
 )
 def test_invalid_json_is_one_complaint_about_the_document(document, expected):
-    found = complaint(document)
-    assert (found.cause, found.where) == ("syntax", "")
-    assert found.actual
-    assert found.expected.startswith(expected)
+    actual = complaint(document)
+    assert (actual.cause, actual.where) == ("syntax", "")
+    assert actual.actual
+    assert actual.expected.startswith(expected)
 
 
 @pytest.mark.parametrize("depth", range(900, 1000, 3))
@@ -149,8 +149,8 @@ def test_no_depth_of_brackets_stops_the_reader(depth):
 
 
 def test_a_text_of_many_megabytes_is_not_parsed():
-    found = complaint(" " * (1 + (4 << 20)))
-    assert (found.actual, found.expected) == ("4194305 characters", "at most 4194304")
+    actual = complaint(" " * (1 + (4 << 20)))
+    assert (actual.actual, actual.expected) == ("4194305 characters", "at most 4194304")
 
 
 @pytest.mark.parametrize("document", ["[]", "3", '"text"', "null"])
@@ -162,9 +162,9 @@ def test_non_object_document_is_refused(document):
     "version", ["1", "1.0.0", "a.b", "", 1.0, None, "1.0\n", "١.٠", "1.123456"]
 )
 def test_invalid_version_is_refused(version):
-    found = complaint(text(contract=version))
-    assert (found.cause, found.where) == ("version", "contract")
-    assert found.expected == 'a version such as "1.0"'
+    actual = complaint(text(contract=version))
+    assert (actual.cause, actual.where) == ("version", "contract")
+    assert actual.expected == 'a version such as "1.0"'
 
 
 def test_a_manifest_without_a_version_is_refused():
@@ -190,7 +190,7 @@ def test_a_newer_minor_version_is_read_with_fields_that_are_not_known():
 
 def test_a_newer_minor_version_must_still_get_the_known_fields_right():
     parsed = parse(text(contract="1.7", blend="add", mood="good"))
-    assert [one.where for one in parsed.complaints] == ["blend"]
+    assert [complaint.where for complaint in parsed.complaints] == ["blend"]
 
 
 def test_extension_fields_are_accepted_everywhere():
@@ -202,9 +202,11 @@ def test_extension_fields_are_accepted_everywhere():
 
 
 def test_writing_an_invalid_value_names_the_field():
-    made = GeneratorManifest(name="a", outputs=GeneratorOutputs(GaussiansOutput("g", 0)))
+    generator_manifest = GeneratorManifest(
+        name="a", outputs=GeneratorOutputs(GaussiansOutput("g", 0))
+    )
     with pytest.raises(ManifestInvalid) as caught:
-        dumps(made)
+        dumps(generator_manifest)
     assert str(caught.value) == (
         "manifest: outputs.gaussians.capacity: 0, expected "
         "Rows of the tensor, padding included. (minimum 1)"
@@ -214,9 +216,9 @@ def test_writing_an_invalid_value_names_the_field():
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_nonfinite_numbers_cannot_be_written(value):
     clock = Input(name="t", role="time", range=(0.0, value))
-    made = GeneratorManifest(name="a", inputs=(clock,), outputs=GeneratorOutputs())
+    generator_manifest = GeneratorManifest(name="a", inputs=(clock,), outputs=GeneratorOutputs())
     with pytest.raises(ManifestInvalid, match="is not a finite number"):
-        dumps(made)
+        dumps(generator_manifest)
 
 
 def test_reading_a_wrong_text_lists_every_complaint():
@@ -255,10 +257,10 @@ SUMMED = {
 
 
 def test_cells_and_their_weights_are_read():
-    made = loads(text(**SUMMED))
-    assert made.outputs.cells == CellsOutput("cells", 5, "float32")
-    assert made.weighted_sum == WeightedSum(0.1, 12.5, 1.0)
-    assert loads(dumps(made)) == made
+    document = loads(text(**SUMMED))
+    assert document.outputs.cells == CellsOutput("cells", 5, "float32")
+    assert document.weighted_sum == WeightedSum(0.1, 12.5, 1.0)
+    assert loads(dumps(document)) == document
     endless = loads(text(weighted_sum={"background": 0}))
     assert endless.weighted_sum.depth_range is None
 
@@ -280,5 +282,5 @@ def test_cells_and_their_weights_are_read():
     ],
 )
 def test_invalid_cells_and_weights_are_refused(changes, where):
-    found = complaint(text(**changes))
-    assert (found.cause, found.where) == ("schema", where)
+    actual = complaint(text(**changes))
+    assert (actual.cause, actual.where) == ("schema", where)

@@ -13,8 +13,8 @@ NAMES = ("ep-webgpu-0.4.0", "onnxruntime-web-1.30.0", "onnxruntime-web-1.22.0")
 def test_every_outcome_of_a_table_has_words(name):
     table = operator_table(name)
     assert re.search(r"\d+\.\d+", table.runtime)
-    found = {outcome for steps in table.outcomes.values() for outcome in steps.values()}
-    assert found <= {CAPTURE, *FAILURES}
+    actual = {outcome for steps in table.outcomes.values() for outcome in steps.values()}
+    assert actual <= {CAPTURE, *FAILURES}
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def test_a_generator_role_has_the_dtype_and_shapes_of_the_contract(name):
 
 
 def test_a_generator_takes_the_roles_of_the_contract_and_no_others():
-    generators = {one.name for one in ROLES.values() if "gaussian-generator" in one.kinds}
+    generators = {role.name for role in ROLES.values() if "gaussian-generator" in role.kinds}
     assert generators == set(SPECIFIED)
 
 

@@ -46,14 +46,14 @@ def harmonic(degree, order, points):
 
 def test_the_basis_is_orthonormal_on_the_sphere():
     points, weights = quadrature()
-    made = basis(points)
-    np.testing.assert_allclose(made.T * weights @ made, np.eye(16), atol=1e-12)
+    result = basis(points)
+    np.testing.assert_allclose(result.T * weights @ result, np.eye(16), atol=1e-12)
 
 
 def test_the_basis_is_that_of_the_textbooks_with_the_condon_shortley_phase():
     points = directions(200)
     orders = [(degree, order) for degree in range(4) for order in range(-degree, degree + 1)]
-    expected = np.stack([harmonic(*which, points) for which in orders], axis=1)
+    expected = np.stack([harmonic(*order, points) for order in orders], axis=1)
     np.testing.assert_allclose(basis(points), expected, atol=1e-12)
 
 
@@ -67,10 +67,10 @@ def test_degree_one_is_minus_y_plus_z_minus_x():
 @pytest.mark.parametrize("degree", range(4))
 def test_a_lower_degree_is_a_prefix_of_the_basis(degree):
     points = directions(5)
-    made = basis(points, degree)
-    assert made.shape == (5, coefficients(degree))
-    assert made.dtype == np.float64
-    np.testing.assert_array_equal(made, basis(points)[:, : coefficients(degree)])
+    result = basis(points, degree)
+    assert result.shape == (5, coefficients(degree))
+    assert result.dtype == np.float64
+    np.testing.assert_array_equal(result, basis(points)[:, : coefficients(degree)])
 
 
 def test_the_constant_term_is_the_same_colour_from_everywhere():
@@ -89,7 +89,7 @@ def test_colour_is_clamped_below_at_zero_and_not_above():
 def test_colour_is_the_sum_of_basis_functions_plus_one_half():
     rng = np.random.default_rng(1)
     sh, points = rng.normal(size=(3, 16, 3)), directions(4)
-    expected = [[[0.5 + basis(d) @ one[:, c] for c in range(3)] for d in points] for one in sh]
+    expected = [[[0.5 + basis(d) @ entry[:, c] for c in range(3)] for d in points] for entry in sh]
     np.testing.assert_allclose(evaluate(sh, points), np.maximum(expected, 0))
 
 
@@ -112,8 +112,8 @@ def test_the_largest_sum_is_that_of_every_direction_and_channel(count, degree):
     directions = rng.normal(size=(9, 3))
     weights = basis(directions / np.linalg.norm(directions, axis=1)[:, None], degree)
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3))
-    wanted = np.abs(np.einsum("dk,nkc->ndc", weights, sh)).max(axis=(1, 2), initial=0)
-    np.testing.assert_allclose(largest_sum(weights, sh), wanted, rtol=1e-12)
+    expected = np.abs(np.einsum("dk,nkc->ndc", weights, sh)).max(axis=(1, 2), initial=0)
+    np.testing.assert_allclose(largest_sum(weights, sh), expected, rtol=1e-12)
 
 
 def test_a_sum_without_a_number_has_no_size():

@@ -120,9 +120,9 @@ def test_the_worst_row_is_the_oracle_s(
     assert error.error == pytest.approx(pairs[row][0], rel=1e-9)
     assert error.excess == pytest.approx(excess[row], rel=1e-9)
     # A tolerance a little above or below what rounding leaves of the errors decides.
-    rest = max(error - allowed for error, allowed in pairs)
-    assert not list(field_errors(first, second, tolerances(rest * (1 + 1e-9))))
-    assert list(field_errors(first, second, tolerances(rest * (1 - 1e-9))))
+    remaining = max(error - allowed for error, allowed in pairs)
+    assert not list(field_errors(first, second, tolerances(remaining * (1 + 1e-9))))
+    assert list(field_errors(first, second, tolerances(remaining * (1 - 1e-9))))
 
 
 def test_every_coefficient_of_a_colour_is_seen() -> None:
@@ -133,9 +133,9 @@ def test_every_coefficient_of_a_colour_is_seen() -> None:
     (error,) = field_errors(emission(a, c, 3), emission(a, d, 3), tolerances(0.002))
     assert error.field == "appearance"
     for row in range(16):
-        one = emission(a[row : row + 1], c[row : row + 1], 3)
+        entry = emission(a[row : row + 1], c[row : row + 1], 3)
         other = emission(a[row : row + 1], d[row : row + 1], 3)
-        assert list(field_errors(one, other, tolerances(0.002))), row
+        assert list(field_errors(entry, other, tolerances(0.002))), row
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])

@@ -31,13 +31,13 @@ def naive_read(content: bytes) -> Splats:
         for line in head.decode().splitlines()
         if line.startswith("element")
     }
-    rest = head.count(b"f_rest_")
+    sh_rest = head.count(b"f_rest_")
     boxes = [struct.unpack_from("<18f", body, 72 * k) for k in range(counts["chunk"])]
     start = 72 * counts["chunk"]
     rows = []
     for row in range(counts["vertex"]):
         box = boxes[row // 256]
-        place, turn, size, color = struct.unpack_from("<4I", body, start + 16 * row)
+        location, turn, size, color = struct.unpack_from("<4I", body, start + 16 * row)
 
         def inside(word: int, low: tuple, high: tuple) -> list[float]:
             shares = [(word >> 21) / 2047, (word >> 11 & 1023) / 1023, (word & 2047) / 2047]
@@ -54,7 +54,7 @@ def naive_read(content: bytes) -> Splats:
         logit = {0: -math.inf, 1: math.inf}.get(alpha) or math.log(alpha / (1 - alpha))
         rows.append(
             (
-                inside(place, box[0:3], box[3:6]),
+                inside(location, box[0:3], box[3:6]),
                 quaternion,
                 inside(size, box[6:9], box[9:12]),
                 logit,
@@ -67,11 +67,11 @@ def naive_read(content: bytes) -> Splats:
         share = {0: 0.0, 255: 1.0}.get(byte, (byte + 0.5) / 256)
         return (share - 0.5) * 8
 
-    sh = np.zeros((len(rows), rest // 3 + 1, 3), np.float32)
+    sh = np.zeros((len(rows), sh_rest // 3 + 1, 3), np.float32)
     for row, parts in enumerate(rows):
         sh[row, 0] = parts[4]
-        stored = [harmonic(b) for b in body[start + rest * row : start + rest * (row + 1)]]
-        sh[row, 1:] = np.array(stored).reshape(3, rest // 3).T
+        stored = [harmonic(b) for b in body[start + sh_rest * row : start + sh_rest * (row + 1)]]
+        sh[row, 1:] = np.array(stored).reshape(3, sh_rest // 3).T
     names = ("position", "rotation", "log_scale", "logit_opacity")
     columns = zip(names, list(zip(*rows, strict=True))[:4], strict=True)
     return Splats(**{name: np.array(column, np.float32) for name, column in columns}, sh=sh)
@@ -81,15 +81,15 @@ def naive_read(content: bytes) -> Splats:
 def test_compressed_ply_agrees_with_a_slow_decoder(tmp_path, count, degree):
     file = tmp_path / "a.ply"
     write_compressed_ply(file, scene(count, degree))
-    here, there = read_ply(file), naive_read(file.read_bytes())
+    here, reference = read_ply(file), naive_read(file.read_bytes())
     assert isinstance(here, Splats)
-    assert_near(here, there, position=1e-5, log_scale=1e-5, rotation=1e-6, sh=1e-5)
+    assert_near(here, reference, position=1e-5, log_scale=1e-5, rotation=1e-6, sh=1e-5)
 
 
 def test_splat_transform_reads_its_file_alike():
     name = "scene.compressed.ply"
-    here, there = read_ply(GOLDENS / name), read_ply(GOLDENS / f"{name}.decoded.ply")
-    assert_near(here, there)
+    here, reference = read_ply(GOLDENS / name), read_ply(GOLDENS / f"{name}.decoded.ply")
+    assert_near(here, reference)
 
 
 def test_splat_transform_packs_alike(tmp_path):
@@ -98,7 +98,7 @@ def test_splat_transform_packs_alike(tmp_path):
     ours, theirs = read_ply(tmp_path / "a.ply"), read_ply(GOLDENS / "scene.compressed.ply")
     assert isinstance(ours, Splats)
     assert isinstance(theirs, Splats)
-    a, b = (np.lexsort(one.sh[:, 1].T) for one in (ours, theirs))
+    a, b = (np.lexsort(array.sh[:, 1].T) for array in (ours, theirs))
     np.testing.assert_array_equal(ours.rotation[a], theirs.rotation[b])
     np.testing.assert_array_equal(ours.sh[a, 1:], theirs.sh[b, 1:])
     np.testing.assert_allclose(ours.sh[a, 0], theirs.sh[b, 0], atol=1e-6)
@@ -122,28 +122,28 @@ def test_round_trip_error_is_within_half_a_step(tmp_path_factory, seed, degree, 
     steps = np.array([2047, 1023, 2047])
     for name in ("position", "log_scale"):
         before, after = getattr(splats, name)[order].astype(float), getattr(back, name)
-        for at in range(0, count, 256):
-            part = slice(at, at + 256)
+        for index in range(0, count, 256):
+            part = slice(index, index + 256)
             half = np.ptp(before[part], axis=0) / steps / 2
             assert (np.abs(before[part] - after[part]) <= half + 2e-6).all()
     assert np.abs(opacity(splats)[order] - opacity(back)).max() <= 1 / 509
     assert turn_between(splats.rotation[order], back.rotation) <= 2 * math.sqrt(2) / 1023
     color = splats.sh[order, 0]
-    for at in range(0, count, 256):
-        part = slice(at, at + 256)
+    for index in range(0, count, 256):
+        part = slice(index, index + 256)
         half = np.ptp(color[part], axis=0) / 255 / 2
         assert (np.abs(color[part] - back.sh[part, 0]) <= half + 2e-6).all()
     assert np.abs(splats.sh[order, 1:] - back.sh[:, 1:]).max(initial=0) <= 1 / 64 + 1e-6
 
 
 def test_a_point_and_a_plane_have_boxes_without_size(tmp_path):
-    plain = scene(3, 0)
+    original = scene(3, 0)
     flat = Splats(
         position=np.float32([[1, 2, 3]] * 3),
-        rotation=plain.rotation,
+        rotation=original.rotation,
         log_scale=np.float32([[-np.inf, -30, 30]] * 3),
         logit_opacity=np.float32([np.inf, -np.inf, 0]),
-        sh=plain.sh,
+        sh=original.sh,
     )
     write_compressed_ply(tmp_path / "a.ply", flat)
     back = read_ply(tmp_path / "a.ply")

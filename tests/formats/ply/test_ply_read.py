@@ -65,26 +65,26 @@ def naive_ply(
 
 
 def splat_properties(degree: int) -> list[str]:
-    rest = 3 * ((degree + 1) ** 2 - 1)
+    sh_count = 3 * ((degree + 1) ** 2 - 1)
     return [
         *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"),
-        *(f"f_rest_{i}" for i in range(rest)),
+        *(f"f_rest_{i}" for i in range(sh_count)),
         *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
     ]
 
 
 def check_splat(splats: Splats, row: int, value: dict[str, float]) -> None:
     """Compare one splat with its properties by name, one number at a time."""
-    wanted = {name: np.float32(number) for name, number in value.items()}
-    assert [*splats.position[row]] == [wanted[n] for n in "xyz"]
-    assert [*splats.rotation[row]] == [wanted[f"rot_{i}"] for i in range(4)]
-    assert [*splats.log_scale[row]] == [wanted[f"scale_{i}"] for i in range(3)]
-    assert splats.logit_opacity[row] == wanted["opacity"]
-    rest = splats.sh.shape[1] - 1
+    expected = {name: np.float32(number) for name, number in value.items()}
+    assert [*splats.position[row]] == [expected[n] for n in "xyz"]
+    assert [*splats.rotation[row]] == [expected[f"rot_{i}"] for i in range(4)]
+    assert [*splats.log_scale[row]] == [expected[f"scale_{i}"] for i in range(3)]
+    assert splats.logit_opacity[row] == expected["opacity"]
+    remaining = splats.sh.shape[1] - 1
     for channel in range(3):
-        assert splats.sh[row, 0, channel] == wanted[f"f_dc_{channel}"]
-        for k in range(rest):
-            assert splats.sh[row, k + 1, channel] == wanted[f"f_rest_{channel * rest + k}"]
+        assert splats.sh[row, 0, channel] == expected[f"f_dc_{channel}"]
+        for k in range(remaining):
+            assert splats.sh[row, k + 1, channel] == expected[f"f_rest_{channel * remaining + k}"]
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -262,7 +262,7 @@ def test_meaningful_infinities_are_kept(tmp_path, encoding):
 )
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_undrawable_values_are_refused_by_name_row_and_count(
-    tmp_path, name, value, wanted, encoding
+    tmp_path, name, value, expected, encoding
 ):
     names = splat_properties(1)
     rows = [dict.fromkeys(names, 0.5) for _ in range(5)]
@@ -273,7 +273,7 @@ def test_undrawable_values_are_refused_by_name_row_and_count(
     with pytest.raises(FormatError) as caught:
         read_ply(file)
     assert str(caught.value) == (
-        f"{file}: property {name}: 2 of 5 rows are invalid: row 2 is {value}\nexpected {wanted}\n"
+        f"{file}: property {name}: 2 of 5 rows are invalid: row 2 is {value}\nexpected {expected}\n"
         "`gsgen convert --drop-invalid` writes a file without such rows"
     )
     text = (
@@ -281,14 +281,14 @@ def test_undrawable_values_are_refused_by_name_row_and_count(
         f"where {name} is {value}"
     )
     with pytest.warns(FormatWarning, match=re.escape(text)):
-        kept = read_ply(file, drop_invalid=True)
-    rest = tmp_path / "rest.ply"
-    rest.write_bytes(
+        splats = read_ply(file, drop_invalid=True)
+    remaining = tmp_path / "rest.ply"
+    remaining.write_bytes(
         naive_ply(dict.fromkeys(names, "float"), [table[n] for n in (0, 1, 3)], encoding)
     )
-    wanted = read_ply(rest, drop_invalid=True)  # which has nothing to be warned of
+    expected = read_ply(remaining, drop_invalid=True)  # which has nothing to be warned of
     for array in ("position", "rotation", "log_scale", "logit_opacity", "sh"):
-        np.testing.assert_array_equal(getattr(kept, array), getattr(wanted, array))
+        np.testing.assert_array_equal(getattr(splats, array), getattr(expected, array))
 
 
 @pytest.mark.parametrize("names", [splat_properties(0), ["x", "y", "z", "red", "green", "blue"]])

@@ -60,12 +60,12 @@ def refusal(tmp_path: Path, content: bytes, kind: type[FormatError]) -> str:
         ("vertices 3", "'vertices 3'", "format, element, property, comment or obj_info"),
     ],
 )
-def test_a_header_line_that_breaks_the_rules_is_named(tmp_path, line, seen, wanted):
+def test_a_header_line_that_breaks_the_rules_is_named(tmp_path, line, actual, expected):
     content = f"ply\nformat ascii 1.0\ncomment -\n{line}\nend_header\n".encode()
     text = refusal(tmp_path, content, HeaderMalformed)
     assert text.startswith("header line 4: ")
-    assert seen in text.splitlines()[0]
-    assert wanted in text.splitlines()[1]
+    assert actual in text.splitlines()[0]
+    assert expected in text.splitlines()[1]
 
 
 @pytest.mark.parametrize(
@@ -144,8 +144,8 @@ def test_a_file_that_does_not_begin_with_ply_is_not_recognised(tmp_path, content
     "gone", [["opacity"], ["f_dc_1", "rot_3"], ["x", "z"], ["scale_1", "scale_2"]]
 )
 def test_missing_properties_of_splats_are_named_and_no_others(tmp_path, gone):
-    kept = [name for name in CORE.split() if name not in gone]
-    text = refusal(tmp_path, ply(floats(" ".join(kept))), PropertyMissing)
+    retained = [name for name in CORE.split() if name not in gone]
+    text = refusal(tmp_path, ply(floats(" ".join(retained))), PropertyMissing)
     first, second = text.splitlines()
     assert first.startswith(
         f"element 'vertex': the properties {', '.join(gone)} are missing; found "
@@ -171,15 +171,15 @@ def test_two_scales_look_like_2dgs(tmp_path):
 
 @pytest.mark.parametrize("count", [1, 3, 8, 10, 44, 46, 75])
 def test_a_number_of_coefficients_of_no_degree_is_refused(tmp_path, count):
-    rest = [f"float f_rest_{index}" for index in range(count)]
-    text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
+    sh_rest = [f"float f_rest_{index}" for index in range(count)]
+    text = refusal(tmp_path, ply(floats(CORE) + sh_rest), PropertyMissing)
     assert text.startswith(f"element 'vertex': the file has {count} properties f_rest: f_rest_0")
     assert text.endswith("\nexpected 0, 9, 24, 45 or 72, for SH degree 0 to 4")
 
 
 def test_a_gap_between_coefficients_is_named(tmp_path):
-    rest = [f"float f_rest_{index}" for index in [0, 1, 2, 3, 4, 5, 6, 7, 9]]
-    text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
+    sh_rest = [f"float f_rest_{index}" for index in [0, 1, 2, 3, 4, 5, 6, 7, 9]]
+    text = refusal(tmp_path, ply(floats(CORE) + sh_rest), PropertyMissing)
     assert text.startswith("element 'vertex': the properties f_rest_8 are missing")
 
 
@@ -365,8 +365,8 @@ def test_every_truncated_file_is_refused(tmp_path, encoding):
 )
 def test_a_mutated_file_is_read_or_refused_but_never_crashes(tmp_path_factory, encoding, edits):
     content = VALID[encoding]
-    for at, gone, put in edits:
-        content = content[:at] + put + content[at + gone :]
+    for offset, gone, put in edits:
+        content = content[:offset] + put + content[offset + gone :]
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.ply", content or b"-")
 
 

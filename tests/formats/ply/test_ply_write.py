@@ -62,15 +62,17 @@ def test_splats_are_written_under_the_names_of_the_training_code(tmp_path, coeff
     write_ply(file, splats, format=encoding)
     columns = naive_read(file.read_bytes())
 
-    rest = coefficients - 1
-    wanted = dict(zip("xyz", splats.position.T, strict=True))
-    wanted |= {f"f_dc_{c}": splats.sh[:, 0, c] for c in range(3)}
-    wanted |= {f"f_rest_{i}": splats.sh[:, 1 + i % rest, i // rest] for i in range(3 * rest)}
-    wanted |= {"opacity": splats.logit_opacity}
-    wanted |= {f"scale_{i}": splats.log_scale[:, i] for i in range(3)}
-    wanted |= {f"rot_{i}": splats.rotation[:, i] for i in range(4)}
-    assert list(columns) == list(wanted)
-    for name, values in wanted.items():
+    remaining = coefficients - 1
+    expected = dict(zip("xyz", splats.position.T, strict=True))
+    expected |= {f"f_dc_{c}": splats.sh[:, 0, c] for c in range(3)}
+    expected |= {
+        f"f_rest_{i}": splats.sh[:, 1 + i % remaining, i // remaining] for i in range(3 * remaining)
+    }
+    expected |= {"opacity": splats.logit_opacity}
+    expected |= {f"scale_{i}": splats.log_scale[:, i] for i in range(3)}
+    expected |= {f"rot_{i}": splats.rotation[:, i] for i in range(4)}
+    assert list(columns) == list(expected)
+    for name, values in expected.items():
         assert np.float32(columns[name]).tolist() == values.tolist()
 
 
@@ -92,8 +94,8 @@ def test_splats_come_back_bit_for_bit(tmp_path_factory, encoding, **fields):
     file = tmp_path_factory.getbasetemp() / "round_trip.ply"
     write_ply(file, Splats(**fields), format=encoding)
     splats = read_ply(file)
-    for name, wanted in fields.items():
-        assert getattr(splats, name).tobytes() == wanted.tobytes()
+    for name, field in fields.items():
+        assert getattr(splats, name).tobytes() == field.tobytes()
 
 
 def test_frames_are_written_as_files_alone(tmp_path, monkeypatch):
@@ -214,9 +216,9 @@ def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("place", "reason"), [("no/a.ply", "No such file or directory"), (".", "Is a directory")]
 )
-def test_unwritable_path_is_named(tmp_path: Path, place, reason):
+def test_unwritable_path_is_named(tmp_path: Path, location, reason):
     with pytest.raises(FileUnwritable) as caught:
-        write_ply(tmp_path / place, some_points(1))
-    assert caught.value.path == str(tmp_path / place)
+        write_ply(tmp_path / location, some_points(1))
+    assert caught.value.path == str(tmp_path / location)
     assert reason in str(caught.value)
     assert not list(tmp_path.iterdir())

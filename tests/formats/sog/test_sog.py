@@ -39,36 +39,36 @@ def naive_read(files: dict[str, bytes]) -> Splats:
     colors = pixels("sh0.webp")
     ends = zip(meta["means"]["mins"], meta["means"]["maxs"], strict=True)
     ends = list(ends)
-    made = {"position": [], "rotation": [], "log_scale": [], "logit_opacity": [], "sh": []}
+    result = {"position": [], "rotation": [], "log_scale": [], "logit_opacity": [], "sh": []}
     for row in range(meta["count"]):
-        place = []
+        recorded = []
         for axis, (a, b) in enumerate(ends):
             share = (low[row][axis] | high[row][axis] << 8) / 65535
             value = a + (b - a) * share
-            place.append(math.copysign(math.exp(abs(value)) - 1, value))
-        made["position"].append(place)
+            recorded.append(math.copysign(math.exp(abs(value)) - 1, value))
+        result["position"].append(recorded)
         quaternion, largest = [0.0] * 4, turns[row][3] - 252
         others = [k for k in range(4) if k != largest]
         for k, byte in zip(others, turns[row], strict=False):
             quaternion[k] = (byte / 255 * 2 - 1) / math.sqrt(2)
         quaternion[largest] = math.sqrt(max(0, 1 - sum(v * v for v in quaternion)))
-        made["rotation"].append(quaternion)
-        made["log_scale"].append([meta["scales"]["codebook"][b] for b in sizes[row][:3]])
+        result["rotation"].append(quaternion)
+        result["log_scale"].append([meta["scales"]["codebook"][b] for b in sizes[row][:3]])
         alpha = colors[row][3] / 255
         logit = {0: -math.inf, 1: math.inf}.get(alpha) or math.log(alpha / (1 - alpha))
-        made["logit_opacity"].append(logit)
-        made["sh"].append([[meta["sh0"]["codebook"][b] for b in colors[row][:3]]])
+        result["logit_opacity"].append(logit)
+        result["sh"].append([[meta["sh0"]["codebook"][b] for b in colors[row][:3]]])
     if "shN" in meta:
-        rest = (meta["shN"]["bands"] + 1) ** 2 - 1
+        sh_count = (meta["shN"]["bands"] + 1) ** 2 - 1
         centroids, label_image = meta["shN"]["files"]
         palette = Image.open(BytesIO(files[centroids])).convert("RGBA")
         labels = pixels(label_image)
         for row in range(meta["count"]):
             label = labels[row][0] | labels[row][1] << 8
-            for j in range(rest):
-                texel = palette.getpixel(((label % 64) * rest + j, label // 64))
-                made["sh"][row].append([meta["shN"]["codebook"][b] for b in texel[:3]])
-    return Splats(**{name: np.array(values, np.float32) for name, values in made.items()})
+            for j in range(sh_count):
+                texel = palette.getpixel(((label % 64) * sh_count + j, label // 64))
+                result["sh"][row].append([meta["shN"]["codebook"][b] for b in texel[:3]])
+    return Splats(**{name: np.array(values, np.float32) for name, values in result.items()})
 
 
 @pytest.mark.parametrize(("bands", "count"), [(0, 1), (1, 10), (2, 17), (3, 5)])
@@ -81,8 +81,8 @@ def test_sog_agrees_with_a_slow_decoder(tmp_path, bands, count):
 
 def test_splat_transform_reads_its_file_alike():
     here = read_sog(GOLDENS / "scene.sog")
-    there = read_ply(GOLDENS / "scene.sog.decoded.ply")
-    assert_near(here, there, position=1e-6, opacities=1e-5)
+    splats = read_ply(GOLDENS / "scene.sog.decoded.ply")
+    assert_near(here, splats, position=1e-6, opacities=1e-5)
 
 
 def test_an_unpacked_sog_is_read_through_its_meta(tmp_path):
@@ -90,10 +90,10 @@ def test_an_unpacked_sog_is_read_through_its_meta(tmp_path):
         (tmp_path / name).write_bytes(content)
     file = tmp_path / "a.sog"
     file.write_bytes(zipped(sog_files(), zipfile.ZIP_DEFLATED))
-    one, other = open_splats(tmp_path / "meta.json"), open_splats(file)
-    assert isinstance(one, Splats)
+    first, other = open_splats(tmp_path / "meta.json"), open_splats(file)
+    assert isinstance(first, Splats)
     assert isinstance(other, Splats)
-    assert_near(one, other)
+    assert_near(first, other)
 
 
 def test_invalid_rotation_tag_means_identity(tmp_path):

@@ -99,9 +99,9 @@ def test_antialiased_splats_stay_so(tmp_path):
 
 
 def test_ends_of_the_ranges_are_kept(tmp_path):
-    plain = scene(4, 0)
+    original = scene(4, 0)
     splats = replace(
-        plain,
+        original,
         position=np.float32([[1, 2, -1e30], [1, -2, 0], [1, 0, 1e30], [1, 0, 3]]),
         log_scale=np.float32([[-np.inf, -3, -4], [-5, -np.inf, -30], [1, 2, 3], [0, 0, 0]]),
         logit_opacity=np.float32([np.inf, -np.inf, 0, 1]),
@@ -114,7 +114,9 @@ def test_ends_of_the_ranges_are_kept(tmp_path):
     is_flat = np.isneginf(expected.log_scale)
     assert (back.log_scale[is_flat] == -30).all()
     np.testing.assert_allclose(back.log_scale[~is_flat], expected.log_scale[~is_flat], rtol=1e-6)
-    write_sog(tmp_path / "flat.sog", replace(plain, log_scale=np.full((4, 3), -np.inf, np.float32)))
+    write_sog(
+        tmp_path / "flat.sog", replace(original, log_scale=np.full((4, 3), -np.inf, np.float32))
+    )
     assert (read_sog(tmp_path / "flat.sog").log_scale == -20).all()
 
 
@@ -127,8 +129,8 @@ def test_harmonics_of_degree_4_are_refused(tmp_path):
 
 
 def test_splat_transform_reads_our_file_alike():
-    here, there = (read_sog(GOLDENS / "ours.sog"), read_ply(GOLDENS / "ours.sog.decoded.ply"))
-    assert_near(here, there, position=1e-6, opacities=1e-5)
+    here, reference = (read_sog(GOLDENS / "ours.sog"), read_ply(GOLDENS / "ours.sog.decoded.ply"))
+    assert_near(here, reference, position=1e-6, opacities=1e-5)
 
 
 def test_the_file_that_splat_transform_read_is_still_written(tmp_path):

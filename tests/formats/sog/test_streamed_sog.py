@@ -147,7 +147,7 @@ def test_a_streamed_sog_has_every_splat_once_in_the_box_of_its_leaf(tmp_path: Pa
     assert document["count"] == sum(document["counts"])
     files = [read_sog(tmp_path / name) for name in document["filenames"]]
     assert max(map(len, files)) <= CHUNKS.file_rows
-    taken = [np.zeros(len(file), int) for file in files]
+    selected = [np.zeros(len(file), int) for file in files]
     for leaf in leaves:
         assert sorted(leaf["lods"]) == ["0", "1", "2"]
         sizes = []
@@ -155,7 +155,7 @@ def test_a_streamed_sog_has_every_splat_once_in_the_box_of_its_leaf(tmp_path: Pa
             entry = leaf["lods"][level]
             assert document["filenames"][entry["file"]].startswith(f"{level}_")
             range_ = slice(entry["offset"], entry["offset"] + entry["count"])
-            taken[entry["file"]][range_] += 1
+            selected[entry["file"]][range_] += 1
             sizes.append(entry["count"])
             position = files[entry["file"]].position[range_]
             low, high = (np.array(leaf["bound"][end]) for end in ("min", "max"))
@@ -163,7 +163,7 @@ def test_a_streamed_sog_has_every_splat_once_in_the_box_of_its_leaf(tmp_path: Pa
             assert (position <= high + 1e-2).all()
         assert sizes[1] <= max(1, sizes[0] // 4)
         assert sizes[2] <= max(1, sizes[1] // 4)
-    assert all((counts == 1).all() for counts in taken)
+    assert all((counts == 1).all() for counts in selected)
 
 
 def test_a_written_streamed_sog_reads_as_one_file_does(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ _DEPTH = 6
 def _fields(data: bytes, rng: random.Random) -> list[Field]:
     """Return the fields of a message somewhere in the file: of the model, or deeper."""
     start, end = 0, len(data)
-    found: list[Field] = []
+    results: list[Field] = []
     for _ in range(rng.randint(1, _DEPTH)):
         try:
             inside = list(scan(data, start, end))
@@ -28,28 +28,30 @@ def _fields(data: bytes, rng: random.Random) -> list[Field]:
             break
         if not inside:
             break
-        found = inside
-        deeper = [one for one in inside if one.wire == BYTES and one.end > one.value]
+        results = inside
+        deeper = [entry for entry in inside if entry.wire == BYTES and entry.end > entry.value]
         if not deeper:
             break
-        one = rng.choice(deeper)
-        start, end = one.value, one.end
-    return found
+        field = rng.choice(deeper)
+        start, end = field.value, field.end
+    return results
 
 
 def flip(data: bytes, rng: random.Random) -> bytes:
     """Change single bytes, near the start of the file more often than not."""
-    made = bytearray(data)
-    reach = len(made) if rng.random() < 0.4 else min(len(made), 400)
+    result = bytearray(data)
+    reach = len(result) if rng.random() < 0.4 else min(len(result), 400)
     for _ in range(rng.choice((1, 1, 2, 8))):
-        made[rng.randrange(reach)] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
-    return bytes(made)
+        result[rng.randrange(reach)] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
+    return bytes(result)
 
 
 def cut(data: bytes, rng: random.Random) -> bytes:
     """End the file early, or let its middle be missing."""
-    at = rng.randrange(len(data))
-    return data[:at] if rng.random() < 0.5 else data[:at] + data[at + rng.randint(1, 64) :]
+    offset = rng.randrange(len(data))
+    return (
+        data[:offset] if rng.random() < 0.5 else data[:offset] + data[offset + rng.randint(1, 64) :]
+    )
 
 
 def drop_a_field(data: bytes, rng: random.Random) -> bytes:
@@ -57,8 +59,8 @@ def drop_a_field(data: bytes, rng: random.Random) -> bytes:
     fields = _fields(data, rng)
     if not fields:
         return data
-    one = rng.choice(fields)
-    return data[: one.start] + data[one.end :]
+    field = rng.choice(fields)
+    return data[: field.start] + data[field.end :]
 
 
 def repeat_a_field(data: bytes, rng: random.Random) -> bytes:
@@ -69,18 +71,18 @@ def repeat_a_field(data: bytes, rng: random.Random) -> bytes:
         return data
     if not fields:
         return data
-    one = rng.choice(fields)
-    part = data[one.start : one.end]
+    field = rng.choice(fields)
+    part = data[field.start : field.end]
     if rng.random() < 0.5:
         return data + part * rng.choice((1, 1, 30))
-    return part + data[: one.start] + data[one.end :]
+    return part + data[: field.start] + data[field.end :]
 
 
 def insert(data: bytes, rng: random.Random) -> bytes:
     """Put odd bytes before a field."""
     fields = _fields(data, rng)
-    at = rng.choice(fields).start if fields else rng.randrange(len(data))
-    return data[:at] + rng.choice(_ODD) + data[at:]
+    offset = rng.choice(fields).start if fields else rng.randrange(len(data))
+    return data[:offset] + rng.choice(_ODD) + data[offset:]
 
 
 def retag(data: bytes, rng: random.Random) -> bytes:
@@ -88,8 +90,8 @@ def retag(data: bytes, rng: random.Random) -> bytes:
     fields = _fields(data, rng)
     if not fields:
         return data
-    at = rng.choice(fields).start
-    return data[:at] + bytes([rng.randrange(256)]) + data[at + 1 :]
+    offset = rng.choice(fields).start
+    return data[:offset] + bytes([rng.randrange(256)]) + data[offset + 1 :]
 
 
 def bury(data: bytes, rng: random.Random) -> bytes:

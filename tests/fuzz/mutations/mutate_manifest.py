@@ -26,11 +26,11 @@ def _places(value: Any) -> Iterator[Place]:
     """Yield every place in a document that holds something."""
     queue = [value]
     while queue:
-        one = queue.pop()
-        for key in one if isinstance(one, dict) else range(len(one)):
-            yield one, key
-            if isinstance(one[key], dict | list):
-                queue.append(one[key])
+        node = queue.pop()
+        for key in node if isinstance(node, dict) else range(len(node)):
+            yield node, key
+            if isinstance(node[key], dict | list):
+                queue.append(node[key])
 
 
 def _edited(text: str, edit: Callable[[Any, list[Place]], None]) -> str:
@@ -71,7 +71,7 @@ def add_a_key(text: str, rng: random.Random) -> str:
 
     def edit(document: Any, places: list[Place]) -> None:
         objects = [document, *(h[k] for h, k in places if isinstance(h[k], dict))]
-        holder = rng.choice([one for one in objects if isinstance(one, dict)] or [{}])
+        holder = rng.choice([entry for entry in objects if isinstance(entry, dict)] or [{}])
         holder[rng.choice((*_KEYS, *TEXTS))] = rng.choice((*_ODD, *TEXTS))
 
     return _edited(text, edit)
@@ -93,8 +93,8 @@ def repeat_an_entry(text: str, rng: random.Random) -> str:
     def edit(_: Any, places: list[Place]) -> None:
         lists = [h for h, _ in places if isinstance(h, list)]
         if lists:
-            one = rng.choice(lists)
-            one.extend([rng.choice(one)] * rng.choice((1, 1, 1000)))
+            array = rng.choice(lists)
+            array.extend([rng.choice(array)] * rng.choice((1, 1, 1000)))
 
     return _edited(text, edit)
 
@@ -104,28 +104,28 @@ def bury(text: str, rng: random.Random) -> str:
     depth = rng.choice((10, 300, 900, 3000, 200_000))
     opening, closing = rng.choice((("[", "]"), ('{"a":', "}")))
     deep = opening * depth + "1" + closing * depth
-    at = text.find(":")
-    if at < 0 or rng.random() < 0.3:
+    offset = text.find(":")
+    if offset < 0 or rng.random() < 0.3:
         return deep
-    end = text.find(",", at)
-    return f"{text[: at + 1]}{deep}{text[end:]}"
+    end = text.find(",", offset)
+    return f"{text[: offset + 1]}{deep}{text[end:]}"
 
 
 def damage(text: str, rng: random.Random) -> str:
     """Make a text that is no JSON, or JSON in an odd spelling."""
-    at = rng.randint(0, len(text))
+    offset = rng.randint(0, len(text))
     inserted = (
         *("NaN", "-Infinity", "1e999", "9" * 5000, "\ufeff", "//", "'", ",", "\0", "}", "["),
         *('"', "\\ud800", '{"a":1,"a":2}', "-0", "0x10", "\u2028"),
     )
     how = rng.randrange(4)
     if how == 0:
-        return text[:at]
+        return text[:offset]
     if how == 1:
-        return text[:at] + rng.choice(inserted) + text[at:]
+        return text[:offset] + rng.choice(inserted) + text[offset:]
     if how == 2:
         return rng.choice((*inserted, "", "null", "true", "3", '"text"', "[]", "{}"))
-    return text[:at] + text[at + rng.randint(1, 20) :]
+    return text[:offset] + text[offset + rng.randint(1, 20) :]
 
 
 MUTATIONS: tuple[Mutation, ...] = (

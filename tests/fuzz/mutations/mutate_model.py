@@ -65,9 +65,9 @@ def _messages(message: Message) -> Iterator[Message]:
     """Yield ``message`` and every message inside, to any depth."""
     queue = [message]
     while queue:
-        one = queue.pop()
-        yield one
-        for field, value in one.ListFields():
+        node = queue.pop()
+        yield node
+        for field, value in node.ListFields():
             if field.type == FieldDescriptor.TYPE_MESSAGE:
                 queue.extend(value if field.is_repeated else [value])
 
@@ -75,8 +75,8 @@ def _messages(message: Message) -> Iterator[Message]:
 def _some(model: ModelProto, rng: random.Random) -> Message:
     """Choose a kind of message first, so that rare kinds have their turn, too."""
     kinds: dict[str, list[Message]] = {}
-    for one in _messages(model):
-        kinds.setdefault(one.DESCRIPTOR.name, []).append(one)
+    for message in _messages(model):
+        kinds.setdefault(message.DESCRIPTOR.name, []).append(message)
     return rng.choice(kinds[rng.choice(sorted(kinds))])
 
 
@@ -86,7 +86,7 @@ def _value(field: FieldDescriptor, rng: random.Random) -> Any:
     if kind in (FieldDescriptor.CPPTYPE_FLOAT, FieldDescriptor.CPPTYPE_DOUBLE):
         return rng.choice(_FLOATS)
     if kind == FieldDescriptor.CPPTYPE_ENUM:
-        return rng.choice([*(one.number for one in field.enum_type.values), 77, -5])
+        return rng.choice([*(value.number for value in field.enum_type.values), 77, -5])
     if kind == FieldDescriptor.CPPTYPE_STRING:
         return rng.choice(TEXTS if field.type == FieldDescriptor.TYPE_STRING else _BYTES)
     number = rng.choice(NUMBERS)
@@ -130,14 +130,14 @@ def shuffle_a_list(model: ModelProto, rng: random.Random) -> None:
         return
     values = rng.choice(lists)
     entries = [_copied(entry) for entry in values]
-    at = rng.randrange(len(entries))
+    offset = rng.randrange(len(entries))
     how = rng.choice(("drop", "repeat", "move", "many"))
     if how in ("drop", "move"):
-        entry = entries.pop(at)
+        entry = entries.pop(offset)
         if how == "move":
             entries.insert(rng.randint(0, len(entries)), entry)
     else:
-        entries[at:at] = [entries[at]] * (1 if how == "repeat" else 40)
+        entries[offset:offset] = [entries[offset]] * (1 if how == "repeat" else 40)
     del values[:]
     values.extend(entries)
 
@@ -153,7 +153,7 @@ def _copied(entry: Any) -> Any:
 def graft(model: ModelProto, rng: random.Random) -> None:
     """Put a copy of one message in the place of another of its kind."""
     first = _some(model, rng)
-    same = [one for one in _messages(model) if one.DESCRIPTOR is first.DESCRIPTOR]
+    same = [message for message in _messages(model) if message.DESCRIPTOR is first.DESCRIPTOR]
     second = _copied(rng.choice(same))
     first.CopyFrom(second)
 
@@ -166,7 +166,7 @@ def _values(model: ModelProto) -> list[Any]:
 def resize(model: ModelProto, rng: random.Random) -> None:
     """Change a size of an input, an output, a value or a weight."""
     dims = [d for value in _values(model) for d in value.type.tensor_type.shape.dim]
-    weights = [one for one in model.graph.initializer if one.dims]
+    weights = [weight for weight in model.graph.initializer if weight.dims]
     if weights and (not dims or rng.random() < 0.4):
         weight = rng.choice(weights)
         weight.dims[rng.randrange(len(weight.dims))] = rng.choice(NUMBERS)
@@ -217,8 +217,8 @@ def rename(model: ModelProto, rng: random.Random) -> None:
     graph = model.graph
     named = [*_values(model), *graph.initializer, *graph.node]
     if named:
-        taken = [one.name for one in named]
-        rng.choice(named).name = rng.choice(taken if rng.random() < 0.5 else TEXTS)
+        used_names = [entry.name for entry in named]
+        rng.choice(named).name = rng.choice(used_names if rng.random() < 0.5 else TEXTS)
 
 
 def rewire(model: ModelProto, rng: random.Random) -> None:
@@ -227,7 +227,7 @@ def rewire(model: ModelProto, rng: random.Random) -> None:
     if not nodes:
         return
     node = rng.choice(nodes)
-    known = [name for one in nodes for name in (*one.input, *one.output)]
+    known = [name for node in nodes for name in (*node.input, *node.output)]
     name = rng.choice(known) if known and rng.random() < 0.7 else rng.choice(TEXTS)
     ends = rng.choice((node.input, node.output))
     if ends and rng.random() < 0.8:
@@ -249,7 +249,7 @@ def reoperate(model: ModelProto, rng: random.Random) -> None:
 
 def starve(model: ModelProto, rng: random.Random) -> None:
     """Store more, less or other payload than a weight's shape asks for."""
-    tensors = [one for one in _messages(model) if isinstance(one, TensorProto)]
+    tensors = [message for message in _messages(model) if isinstance(message, TensorProto)]
     if not tensors:
         return
     tensor = rng.choice(tensors)
@@ -267,17 +267,21 @@ def starve(model: ModelProto, rng: random.Random) -> None:
     elif how == 4:
         tensor.string_data.extend([b"a", b"\xff"])
     elif raw:
-        at = rng.randrange(len(raw))
-        tensor.raw_data = raw[:at] + rng.randbytes(min(4, len(raw) - at)) + raw[at + 4 :]
+        offset = rng.randrange(len(raw))
+        tensor.raw_data = (
+            raw[:offset] + rng.randbytes(min(4, len(raw) - offset)) + raw[offset + 4 :]
+        )
 
 
 def unsettle(model: ModelProto, rng: random.Random) -> None:
     """Put strange numbers into a weight; its size stays right, so that the model runs."""
     floats = (TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.DOUBLE)
     weights = [
-        one
-        for one in model.graph.initializer
-        if one.data_type in floats and one.raw_data and one.data_location != TensorProto.EXTERNAL
+        weight
+        for weight in model.graph.initializer
+        if weight.data_type in floats
+        and weight.raw_data
+        and weight.data_location != TensorProto.EXTERNAL
     ]
     if not weights:
         return
@@ -322,7 +326,7 @@ def swap_inputs(model: ModelProto, rng: random.Random) -> None:
 
 def externalise(model: ModelProto, rng: random.Random) -> None:
     """Say that a weight lies in another file, at any place and of any length."""
-    tensors = [one for one in _messages(model) if isinstance(one, TensorProto)]
+    tensors = [message for message in _messages(model) if isinstance(message, TensorProto)]
     if not tensors:
         return
     tensor = rng.choice(tensors)
@@ -398,12 +402,12 @@ def decorate(model: ModelProto, rng: random.Random) -> None:
     nodes = list(model.graph.node)
     if how == 0 and nodes:
         kinds = AttributeProto.AttributeType.values()
-        one = rng.choice(nodes).attribute.add(
+        first = rng.choice(nodes).attribute.add(
             name=rng.choice(("axis", "to", "value", "body", "perm", "shape", *TEXTS)),
             type=rng.choice(kinds),
         )
-        one.i, one.f = rng.choice(NUMBERS), rng.choice(_FLOATS)
-        one.ints.extend(rng.choices(NUMBERS, k=rng.choice((0, 1, 3))))
+        first.i, first.f = rng.choice(NUMBERS), rng.choice(_FLOATS)
+        first.ints.extend(rng.choices(NUMBERS, k=rng.choice((0, 1, 3))))
     elif how == 1:
         key = rng.choice(("gsgen.manifest", "gsgen.contract", *TEXTS))
         entry = StringStringEntryProto(key=key, value=rng.choice(TEXTS))
@@ -412,7 +416,7 @@ def decorate(model: ModelProto, rng: random.Random) -> None:
         model.training_info.add().algorithm.CopyFrom(model.graph)
     else:
         sparse = model.graph.sparse_initializer.add(dims=[rng.choice(NUMBERS)])
-        names = [one.name for one in model.graph.initializer]
+        names = [weight.name for weight in model.graph.initializer]
         sparse.values.name = rng.choice([*names, "", "sparse"])
         sparse.values.data_type = rng.choice(TensorProto.DataType.values())
 

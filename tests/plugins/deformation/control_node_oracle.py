@@ -110,8 +110,8 @@ def control_nodes(folder: Path, time: float, options: dict[str, Any]) -> Expecte
         opacity = 1 / (1 + np.exp(-columns["opacity"][row]))
         if options.get("pred_opacity"):
             opacity += mask * blend("opacity")[0]
-        rest = table("f_rest")[row].reshape(3, -1).T
-        sh = np.concatenate([table("f_dc")[row][None], rest])
+        sh_rest = table("f_rest")[row].reshape(3, -1).T
+        sh = np.concatenate([table("f_dc")[row][None], sh_rest])
         if options.get("pred_color"):
             sh[0] += mask * blend("color")
         rows["position"].append(x + mask * shift)

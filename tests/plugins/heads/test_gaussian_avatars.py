@@ -71,14 +71,14 @@ def test_the_face_model_is_found_or_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = write_gaussian_avatar(tmp_path / "run")
-    found = plugin.build(run)
+    detected = plugin.build(run)
     assert "licence forbids redistribution" in capsys.readouterr().err
     shutil.move(run / "assets", tmp_path / "assets")
     with pytest.raises(CheckpointInvalid, match="the body model FLAME is missing") as caught:
         plugin.build(run)
     assert "--body FLAME" in caught.value.hint
-    given = plugin.build(run, tmp_path / "assets/flame2023.pkl")
-    np.testing.assert_array_equal(given.rest, found.rest)
+    inputs = plugin.build(run, tmp_path / "assets/flame2023.pkl")
+    np.testing.assert_array_equal(inputs.rest, detected.rest)
 
 
 def test_mismatched_files_are_named(tmp_path: Path) -> None:

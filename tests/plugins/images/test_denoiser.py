@@ -81,9 +81,9 @@ def predicted_by_diffusers(
     """Return what the U-Net of a folder predicts, read and called as users of diffusers do."""
     kind = json.loads((folder / "unet" / "config.json").read_text())["_class_name"]
     network = getattr(diffusers, kind).from_pretrained(folder / "unet", low_cpu_mem_usage=False)
-    given = {name: value for name, value in conditioning.items() if value is not None}
+    inputs = {name: value for name, value in conditioning.items() if value is not None}
     with torch.no_grad():
-        return network(image, t, **given).sample
+        return network(image, t, **inputs).sample
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -55,10 +55,12 @@ def expected_gaussians(run: Path, camera: np.ndarray, uid: int | None = None) ->
         drawn = (opacity > 0) & np.repeat(visible, k)
     else:
         opacity = fade / (1 + np.exp(-columns["opacity"]))
-        rest = _table(columns, "f_rest_") if "f_rest_0" in columns else np.zeros((len(anchor), 0))
+        sh_rest = (
+            _table(columns, "f_rest_") if "f_rest_0" in columns else np.zeros((len(anchor), 0))
+        )
         dc = np.stack([columns[f"f_dc_{channel}"] for channel in range(3)], axis=1)
-        rest = rest.reshape(len(anchor), 3, -1).transpose(0, 2, 1)
-        color = np.concatenate([dc[:, None], rest], axis=1).reshape(len(anchor), -1)
+        sh_rest = sh_rest.reshape(len(anchor), 3, -1).transpose(0, 2, 1)
+        color = np.concatenate([dc[:, None], sh_rest], axis=1).reshape(len(anchor), -1)
         drawn = visible
         if config["base"] == "2dgs":
             base = base * [1.0, 1.0, 0.0]  # a disc

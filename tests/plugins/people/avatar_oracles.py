@@ -275,11 +275,11 @@ def r3_novel(read: R3Checkpoint, pose_inputs: PoseInputs, pose_ids: list[int]) -
     weights = corrected(read.nets, read.body.weights[vid], canonical)
     legs = ([1, 4, 7, 10], [2, 5, 8, 11])
     if read.body.joints == 24:
-        rest = ([0, 3, 6, 9, 12, 15], [13, 16, 18, 20, 22], [14, 17, 19, 21, 23])
+        remaining = ([0, 3, 6, 9, 12, 15], [13, 16, 18, 20, 22], [14, 17, 19, 21, 23])
     else:
         left, right = [13, 16, 18, 20, *range(25, 40)], [14, 17, 19, 21, *range(40, 55)]
-        rest = ([0, 3, 6, 9, 12, 15, 22, 23, 24], left, right)
-    shares = np.stack([weights[:, part].sum(axis=1) for part in (*legs, *rest)], axis=1)
+        remaining = ([0, 3, 6, 9, 12, 15, 22, 23, 24], left, right)
+    shares = np.stack([weights[:, part].sum(axis=1) for part in (*legs, *remaining)], axis=1)
     mixed = {
         name: np.einsum("np,pnc->nc", shares, np.stack([look[name] for look in looks]))
         for name in looks[0]

@@ -82,16 +82,16 @@ def test_the_head_follows_the_chain_of_joints(folder: Path, seed: int) -> None:
     pose = rng.uniform(-1, 1, (3, 3)) * (seed > 0)
     time = rng.uniform(0, 1)
     path = folder / "sunflower.onnx"
-    rest, _ = outputs(path, time=[0.0], pose=np.zeros((3, 3)))
+    rest_rows, _ = outputs(path, time=[0.0], pose=np.zeros((3, 3)))
     moved, _ = outputs(path, time=[time], pose=pose)
     # The head is rigid: undo its motion at rest, and apply that of the pose, in float64.
     head = slice(-1000, None)
     matrix_rest, shift_rest = chain(0.0, np.zeros((3, 3)))
     matrix, shift = chain(time, pose)
-    local = (rest[head, :3] - shift_rest) @ matrix_rest
+    local = (rest_rows[head, :3] - shift_rest) @ matrix_rest
     np.testing.assert_allclose(moved[head, :3], local @ matrix.T + shift, atol=2e-5)
     turn = matrix @ matrix_rest.T
-    expected = turn @ full(rest[head, 4:]) @ turn.T
+    expected = turn @ full(rest_rows[head, 4:]) @ turn.T
     np.testing.assert_allclose(full(moved[head, 4:]), expected, atol=2e-7)
 
 
@@ -101,9 +101,9 @@ def chain(time: float, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vectors = pose + sway * np.sin(2 * np.pi * time - 0.6 * np.arange(3))[:, None]
     stem, neck, head = map(rodrigues, vectors)
     bones = np.array([joint.rest for joint in JOINTS])
-    place = stem @ (bones[1] - bones[0]) + stem @ neck @ (bones[2] - bones[1])
+    joint_position = stem @ (bones[1] - bones[0]) + stem @ neck @ (bones[2] - bones[1])
     matrix = stem @ neck @ head
-    return matrix, place - matrix @ bones[2]
+    return matrix, joint_position - matrix @ bones[2]
 
 
 def full(upper: np.ndarray) -> np.ndarray:

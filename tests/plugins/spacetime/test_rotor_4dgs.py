@@ -109,9 +109,9 @@ def test_the_duration_is_asked_for_once(tmp_path: Path) -> None:
         plugin.build(run, config, (0, 1))
     with pytest.raises(GsgenError, match="the time goes from 1 to 1"):
         plugin.build(run, time_duration=(1, 1))
-    one, two = plugin.build(run, config), plugin.build(run, time_duration=(0, 4))
-    assert torch.equal(one.velocity, two.velocity)
-    assert torch.equal(one.half_rate, two.half_rate)
+    first, two = plugin.build(run, config), plugin.build(run, time_duration=(0, 4))
+    assert torch.equal(first.velocity, two.velocity)
+    assert torch.equal(first.half_rate, two.half_rate)
 
 
 def change(run: Path, index: int, value: Any) -> None:

@@ -80,10 +80,10 @@ def test_a_ply_of_any_name_is_read(tmp_path: Path) -> None:
     (cloud,) = write_spacetime(tmp_path / "run", count=7).rglob("*.ply")
     shutil.copy(cloud, tmp_path / "flames.ply")
     shutil.copy(cloud, tmp_path / "other.ply")
-    one, two = (plugin.build(path) for path in (tmp_path / "flames.ply", cloud))
-    assert one.producer == two.producer
-    assert torch.equal(one.motion, two.motion)
-    assert (one.inputs[0].frames, two.inputs[0].frames) == (None, 50)  # cfg_args has the duration
+    first, two = (plugin.build(path) for path in (tmp_path / "flames.ply", cloud))
+    assert first.producer == two.producer
+    assert torch.equal(first.motion, two.motion)
+    assert (first.inputs[0].frames, two.inputs[0].frames) == (None, 50)  # cfg_args has the duration
 
 
 def test_full_model_is_refused_unless_approximation_is_requested(

@@ -27,14 +27,14 @@ def emitted(path: Path) -> dict[str, np.ndarray]:
 def test_neighbour_scale_is_that_of_brute_force() -> None:
     points = np.random.default_rng(0).normal(size=(400, 3))
     squares = np.square(points[:, None] - points[None]).sum(axis=2)
-    wanted = np.sqrt(np.sort(squares, axis=1)[:, 1:4].mean(axis=1))
-    np.testing.assert_allclose(neighbour_scale(points), wanted)
+    expected = np.sqrt(np.sort(squares, axis=1)[:, 1:4].mean(axis=1))
+    np.testing.assert_allclose(neighbour_scale(points), expected)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_and_equal_points_have_a_size(count: int) -> None:
-    made = neighbour_scale(np.zeros((count, 3)))
-    np.testing.assert_allclose(made, np.sqrt(1e-7))
+    result = neighbour_scale(np.zeros((count, 3)))
+    np.testing.assert_allclose(result, np.sqrt(1e-7))
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float16"])
@@ -46,18 +46,18 @@ def test_splats_are_activated_as_the_paper_says(
     splats = torus_knot(64, degree=degree)
     write_ply(tmp_path / "knot.ply", splats, format=encoding)
     scene = from_content(open_splats(tmp_path / "knot.ply"), dtype=dtype)
-    made = decode(scene.rows, scene.appearance, "sh")
+    gaussians = decode(scene.rows, scene.appearance, "sh")
     exact = 2e-6 if dtype == "float32" else 2e-3
-    np.testing.assert_allclose(made.position, splats.position, rtol=exact, atol=exact)
-    wanted = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
-    np.testing.assert_allclose(made.opacity, wanted, atol=exact)
-    assert made.sh is not None
-    kept = splats.sh.shape[1]
-    np.testing.assert_allclose(made.sh[:, :kept], splats.sh, rtol=exact, atol=exact)
-    assert (made.sh[:, kept:] == 0).all()
+    np.testing.assert_allclose(gaussians.position, splats.position, rtol=exact, atol=exact)
+    expected = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
+    np.testing.assert_allclose(gaussians.opacity, expected, atol=exact)
+    assert gaussians.sh is not None
+    retained = splats.sh.shape[1]
+    np.testing.assert_allclose(gaussians.sh[:, :retained], splats.sh, rtol=exact, atol=exact)
+    assert (gaussians.sh[:, retained:] == 0).all()
     scales = np.sort(np.exp(splats.log_scale.astype(np.float64)), axis=1)
-    seen = np.sqrt(np.maximum(np.linalg.eigvalsh(symmetric(made.covariance)), 0))
-    np.testing.assert_allclose(seen, scales, rtol=0.002 if dtype == "float32" else 0.2)
+    actual = np.sqrt(np.maximum(np.linalg.eigvalsh(symmetric(gaussians.covariance)), 0))
+    np.testing.assert_allclose(actual, scales, rtol=0.002 if dtype == "float32" else 0.2)
 
 
 def test_exported_splats_conform_to_every_target(tmp_path: Path) -> None:
@@ -79,11 +79,11 @@ def test_harmonics_are_of_a_degree_that_is_taken(degree: int, words: str, tmp_pa
     )
     assert ran.code == 0, ran.err
     _, color, _ = onnxruntime.InferenceSession(tmp_path / "knot.onnx").run(None, {})
-    wide = 48 if "visionary" in words else (12, 12, 48, 48)[degree]
-    assert color.shape == (7, wide)
-    kept = knot.sh.reshape(7, -1)
-    np.testing.assert_allclose(color[:, : kept.shape[1]], kept, atol=1e-3)
-    assert (color[:, kept.shape[1] :] == 0).all()
+    expected_width = 48 if "visionary" in words else (12, 12, 48, 48)[degree]
+    assert color.shape == (7, expected_width)
+    retained = knot.sh.reshape(7, -1)
+    np.testing.assert_allclose(color[:, : retained.shape[1]], retained, atol=1e-3)
+    assert (color[:, retained.shape[1] :] == 0).all()
     assert ("are written as degree" in ran.err) == (degree in (0, 2) and "float16" in words)
 
 
@@ -121,8 +121,8 @@ def test_packed_rows_pass_through_bit_for_bit(tmp_path: Path, channels: int) -> 
     write_scene(scene, tmp_path / "m.onnx")
     outputs = emitted(tmp_path / "m.onnx")
     np.testing.assert_array_equal(outputs["gaussians"].view(np.uint16), rows.view(np.uint16))
-    seen = outputs["color_rgb" if channels < 5 else "color_sh"]
-    np.testing.assert_array_equal(seen.view(np.uint32), color.view(np.uint32))
+    output = outputs["color_rgb" if channels < 5 else "color_sh"]
+    np.testing.assert_array_equal(output.view(np.uint32), color.view(np.uint32))
 
 
 def test_invalid_channel_counts_are_refused() -> None:

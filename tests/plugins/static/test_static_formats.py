@@ -12,15 +12,15 @@ from support.splat_files import GOLDENS, scene
 
 
 def manifest_of(path: Path) -> dict:
-    found = {one.key: one.value for one in onnx.load(path).metadata_props}
-    (text,) = [value for key, value in found.items() if "manifest" in key.lower()]
+    actual = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
+    (text,) = [value for key, value in actual.items() if "manifest" in key.lower()]
     return dict(json.loads(text))
 
 
 @pytest.mark.parametrize(
     ("options", "kept"), [((), "mip"), (("--antialias", "classic"), "classic")]
 )
-def test_spz_training_flags_are_kept(tmp_path, options, kept):
+def test_spz_training_flags_are_kept(tmp_path, options, retained):
     model = tmp_path / "m.onnx"
     ran = gsgen_here(
         *("export", "static", GOLDENS / "degree-4.v4.spz", "-o", model, "--level", "static"),
@@ -28,7 +28,7 @@ def test_spz_training_flags_are_kept(tmp_path, options, kept):
     )
     assert ran.code == 0, ran.err
     assert "note: SH degree 4 is cut to 3" in ran.err
-    assert manifest_of(model).get("antialias", "classic") == kept
+    assert manifest_of(model).get("antialias", "classic") == retained
 
 
 def test_glb_color_space_is_kept(tmp_path):

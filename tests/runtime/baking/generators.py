@@ -62,13 +62,13 @@ class HalfSeen(GaussianGenerator):
         self.register_buffer("rgb", torch.rand(ROWS, 3, generator=seeded))
 
     def forward(self, eye: torch.Tensor) -> Gaussians:
-        seen = (self.centre * eye).sum(dim=1) >= 0
-        order = torch.argsort((~seen).to(torch.float32) * ROWS + torch.arange(ROWS))
+        visible_mask = (self.centre * eye).sum(dim=1) >= 0
+        order = torch.argsort((~visible_mask).to(torch.float32) * ROWS + torch.arange(ROWS))
         return Gaussians(
             position=self.centre[order],
-            opacity=(0.9 * seen.to(torch.float32))[order],
+            opacity=(0.9 * visible_mask.to(torch.float32))[order],
             scale=torch.full((ROWS, 3), 0.1),
             rotation=torch.tensor([[1.0, 0, 0, 0]]).repeat(ROWS, 1),
             rgb=self.rgb[order],
-            count=seen.sum().to(torch.int64),
+            count=visible_mask.sum().to(torch.int64),
         )

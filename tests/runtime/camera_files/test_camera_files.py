@@ -28,7 +28,7 @@ OPENGL = np.diag([1.0, -1, -1, 1])
 def some_cameras(n: int = 5, seed: int = 0, *, centred: bool = False) -> list[Camera]:
     """Cameras all over the place, with any principal point."""
     rng = np.random.default_rng(seed)
-    made = []
+    results = []
     for _ in range(n):
         axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         axes *= np.sign(np.linalg.det(axes))
@@ -39,8 +39,8 @@ def some_cameras(n: int = 5, seed: int = 0, *, centred: bool = False) -> list[Ca
         cx, cy = (rng.uniform(0.3, 0.7, 2) * [width, height]).tolist()
         if centred:
             cx, cy = width / 2, height / 2
-        made.append(Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height))
-    return made
+        results.append(Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height))
+    return results
 
 
 def quaternion(matrix: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ def quaternion(matrix: np.ndarray) -> np.ndarray:
 
 def write_own(cameras: list[Camera], folder: Path) -> Path:
     path = folder / "own"
-    path.write_text(f"[{','.join(one.to_json() for one in cameras)}]")
+    path.write_text(f"[{','.join(camera.to_json() for camera in cameras)}]")
     return path
 
 
@@ -66,15 +66,15 @@ def write_transforms(cameras: list[Camera], folder: Path) -> Path:
     frames = [
         {
             "file_path": f"images/frame_{number:03}.jpg",
-            "transform_matrix": (np.linalg.inv(one.view) @ OPENGL).tolist(),
-            "fl_x": one.fx,
-            "fl_y": one.fy,
-            "cx": one.cx,
-            "cy": one.cy,
-            "w": float(one.width),
-            "h": one.height,
+            "transform_matrix": (np.linalg.inv(camera.view) @ OPENGL).tolist(),
+            "fl_x": camera.fx,
+            "fl_y": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "w": float(camera.width),
+            "h": camera.height,
         }
-        for number, one in enumerate(cameras)
+        for number, camera in enumerate(cameras)
     ]
     path = folder / "anything.txt"
     path.write_text("\ufeff" + json.dumps({"k1": 0.0, "aabb_scale": 4, "frames": frames}))
@@ -83,23 +83,23 @@ def write_transforms(cameras: list[Camera], folder: Path) -> Path:
 
 def write_training(cameras: list[Camera], folder: Path) -> Path:
     """As Kerbl et al.'s camera_to_JSON does."""
-    made = []
-    for number, one in enumerate(cameras):
-        to_world = np.linalg.inv(one.view)
-        made.append(
+    results = []
+    for number, camera in enumerate(cameras):
+        to_world = np.linalg.inv(camera.view)
+        results.append(
             {
                 "id": number,
                 "img_name": f"{number:05}",
-                "width": one.width,
-                "height": one.height,
+                "width": camera.width,
+                "height": camera.height,
                 "position": to_world[:3, 3].tolist(),
                 "rotation": to_world[:3, :3].tolist(),
-                "fy": one.fy,
-                "fx": one.fx,
+                "fy": camera.fy,
+                "fx": camera.fx,
             }
         )
     path = folder / "cameras.json"
-    path.write_text(json.dumps(made))
+    path.write_text(json.dumps(results))
     return path
 
 
@@ -107,11 +107,11 @@ def write_colmap_binary(cameras: list[Camera], folder: Path) -> Path:
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
     lenses, images = struct.pack("<Q", len(cameras)), struct.pack("<Q", len(cameras))
-    for number, one in enumerate(cameras):
-        intrinsics = (one.fx, one.fy, one.cx, one.cy)
-        lenses += struct.pack("<iiQQ4d", 7 + number, 1, one.width, one.height, *intrinsics)
-        turn = 3.0 * quaternion(one.view[:3, :3])  # of any length
-        images += struct.pack("<i7di", number, *turn, *one.view[:3, 3], 7 + number)
+    for number, camera in enumerate(cameras):
+        intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+        lenses += struct.pack("<iiQQ4d", 7 + number, 1, camera.width, camera.height, *intrinsics)
+        turn = 3.0 * quaternion(camera.view[:3, :3])  # of any length
+        images += struct.pack("<i7di", number, *turn, *camera.view[:3, 3], 7 + number)
         images += f"sub/{number}.png".encode() + b"\0" + struct.pack("<Q", number)
         images += number * struct.pack("<ddq", 1.5, 2.5, -1)
     (model / "cameras.bin").write_bytes(lenses)
@@ -121,10 +121,19 @@ def write_colmap_binary(cameras: list[Camera], folder: Path) -> Path:
 
 def write_colmap_text(cameras: list[Camera], folder: Path) -> Path:
     lenses, images = ["# Camera list", ""], ["# Image list"]
-    for number, one in enumerate(cameras):
-        words = (number, "PINHOLE", one.width, one.height, one.fx, one.fy, one.cx, one.cy)
+    for number, camera in enumerate(cameras):
+        words = (
+            number,
+            "PINHOLE",
+            camera.width,
+            camera.height,
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+        )
         lenses.append(" ".join(map(str, words)))
-        pose = (*quaternion(one.view[:3, :3]), *one.view[:3, 3])
+        pose = (*quaternion(camera.view[:3, :3]), *camera.view[:3, 3])
         images.append(" ".join(map(str, (9, *map(float, pose), number, f"a b {number}.png"))))
         images.append("" if number % 2 else "1.0 2.0 -1 3.0 4.0 17")
     (folder / "cameras.txt").write_text("\n".join(lenses))
@@ -136,11 +145,11 @@ def write_path(cameras: list[Camera], folder: Path) -> Path:
     """Nerfstudio's viewer: one size, square pixels, and a vertical angle for each frame."""
     frames = [
         {
-            "camera_to_world": (np.linalg.inv(one.view) @ OPENGL).ravel().tolist(),
-            "fov": float(np.degrees(2 * np.arctan(one.height / 2 / one.fy))),
-            "aspect": one.width / one.height,
+            "camera_to_world": (np.linalg.inv(camera.view) @ OPENGL).ravel().tolist(),
+            "fov": float(np.degrees(2 * np.arctan(camera.height / 2 / camera.fy))),
+            "aspect": camera.width / camera.height,
         }
-        for one in cameras
+        for camera in cameras
     ]
     size = {"render_width": float(cameras[0].width), "render_height": cameras[0].height}
     path = folder / "path.json"
@@ -164,28 +173,28 @@ def test_written_cameras_are_read_back(name: str, seed: int, tmp_path: Path) -> 
     cameras = some_cameras(seed=seed, centred=name in ("training", "path"))
     if name == "path":
         size = {"width": 640, "height": 480, "cx": 320, "cy": 240}
-        cameras = [replace(one, fx=one.fy, **size) for one in cameras]
+        cameras = [replace(camera, fx=camera.fy, **size) for camera in cameras]
     file = open_cameras(WRITERS[name](cameras, tmp_path))
     assert len(file.cameras) == len(cameras)
     assert file.notes == ()
-    for read, wanted in zip(file.cameras, cameras, strict=True):
-        np.testing.assert_allclose(read.camera.view, wanted.view, atol=1e-9)
+    for read, expected in zip(file.cameras, cameras, strict=True):
+        np.testing.assert_allclose(read.camera.view, expected.view, atol=1e-9)
         for field in ("fx", "fy", "cx", "cy"):
-            assert getattr(read.camera, field) == pytest.approx(getattr(wanted, field))
-        assert (read.camera.width, read.camera.height) == (wanted.width, wanted.height)
+            assert getattr(read.camera, field) == pytest.approx(getattr(expected, field))
+        assert (read.camera.width, read.camera.height) == (expected.width, expected.height)
         assert read.camera.kind == "pinhole"
 
 
 def transforms(folder: Path, frame: dict[str, object] | None = None, **shared: object) -> Path:
-    one = {"file_path": "./train/r_0", "transform_matrix": np.eye(4).tolist()}
+    entry = {"file_path": "./train/r_0", "transform_matrix": np.eye(4).tolist()}
     path = folder / "transforms.json"
-    path.write_text(json.dumps(shared | {"frames": [one | (frame or {})]}))
+    path.write_text(json.dumps(shared | {"frames": [entry | (frame or {})]}))
     return path
 
 
 def only(path: Path) -> Camera:
-    (one,) = open_cameras(path).cameras
-    return one.camera
+    (camera,) = open_cameras(path).cameras
+    return camera.camera
 
 
 def test_an_opengl_camera_looks_along_minus_z(tmp_path: Path) -> None:
@@ -230,9 +239,9 @@ def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
 def test_a_path_may_be_of_panoramas(tmp_path: Path) -> None:
     path = write_path(some_cameras(2, centred=True), tmp_path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_type": "equirectangular"}))
-    for one in open_cameras(path).cameras:
-        assert one.camera.kind == "panorama"
-        assert one.camera.period == pytest.approx(one.camera.width)
+    for camera in open_cameras(path).cameras:
+        assert camera.camera.kind == "panorama"
+        assert camera.camera.period == pytest.approx(camera.camera.width)
 
 
 def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Path) -> None:
@@ -247,8 +256,8 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
         ray = np.array(
             [-np.sin(theta) * np.sin(polar), np.cos(polar), -np.cos(theta) * np.sin(polar)]
         )
-        at = to_world[:3, :3] @ ray * rng.uniform(0.5, 9) + to_world[:3, 3]
-        x, y, z, _ = camera.view @ [*at, 1]
+        point = to_world[:3, :3] @ ray * rng.uniform(0.5, 9) + to_world[:3, 3]
+        x, y, z, _ = camera.view @ [*point, 1]
         seen_u = camera.fx * np.arctan2(x, z) + camera.cx
         seen_v = camera.fy * np.arcsin(y / np.linalg.norm([x, y, z])) + camera.cy
         assert (seen_u, seen_v) == pytest.approx((u, v), abs=1e-6)
@@ -287,7 +296,7 @@ def named(*names: str) -> CameraFile:
 
 def test_picking_by_name_number_and_slice() -> None:
     file = named("a/one.png", "a/two.png", "b/one.png", "3")
-    for which, wanted in {
+    for index, expected in {
         "a/one.png": [0],
         "two.png": [1],
         "two": [1],
@@ -298,9 +307,9 @@ def test_picking_by_name_number_and_slice() -> None:
         "::2": [0, 2],
         "-2:": [2, 3],
     }.items():
-        assert file.pick(which) == tuple(file.cameras[at] for at in wanted), which
+        assert file.pick(index) == tuple(file.cameras[offset] for offset in expected), index
     assert file.pick(None) == file.cameras
-    for which, words in {
+    for index, words in {
         "one": r"2 cameras are called 'one': a/one.png, b/one.png",
         "4": "has no camera 4, expected 0 to 3",
         "-5": "has no camera -5, expected 0 to 3",
@@ -310,7 +319,7 @@ def test_picking_by_name_number_and_slice() -> None:
         "": "unknown camera ''",
     }.items():
         with pytest.raises(ConfigInvalid, match=words):
-            file.pick(which)
+            file.pick(index)
     with pytest.raises(ConfigInvalid, match="and 12 more; a number"):
         named(*(f"image_{n}" for n in range(20))).pick("none")
 
@@ -392,21 +401,23 @@ def test_damaged_files_are_refused_or_read_without_crash(name: str, tmp_path: Pa
     """Cut, flipped and stuffed files: an error of ours, or cameras."""
     rng = np.random.default_rng(5)
     path = WRITERS[name](some_cameras(3, centred=True), tmp_path)
-    files = [path] if path.is_file() else [one for one in path.rglob("*.*") if one.is_file()]
+    files = [path] if path.is_file() else [entry for entry in path.rglob("*.*") if entry.is_file()]
     refused = 0
     for file in files:
         whole = file.read_bytes()
         for trial in range(120):
-            made = bytearray(whole)
+            result = bytearray(whole)
             if trial % 3 == 0:
-                made = made[: rng.integers(len(made))]
+                result = result[: rng.integers(len(result))]
             elif trial % 3 == 1:
-                for at in rng.integers(len(made), size=3):
-                    made[at] = rng.integers(256)
+                for offset in rng.integers(len(result), size=3):
+                    result[offset] = rng.integers(256)
             else:
-                at = rng.integers(len(made))
-                made[at:at] = rng.choice([b"\xff" * 8, b"-1", b"1e999", b"nan", b"\0", b"[["])
-            file.write_bytes(made)
+                offset = rng.integers(len(result))
+                result[offset:offset] = rng.choice(
+                    [b"\xff" * 8, b"-1", b"1e999", b"nan", b"\0", b"[["]
+                )
+            file.write_bytes(result)
             said = trouble(path)
             assert said is None or str(tmp_path) in said
             refused += said is not None

@@ -44,13 +44,15 @@ def quads(renderer: Renderer) -> Renderer:
 
 def ran(report: Report) -> Report:
     """Return the report; that the level cannot run here is a fault of this machine."""
-    level = next(one for one in report.levels if one.level is Level.RENDER)
+    level = next(level for level in report.levels if level.level is Level.RENDER)
     assert level.ran, level.reason
     return report
 
 
 def status(report: Report) -> dict[str, str]:
-    return {one.rule.id: one.status for one in report.outcomes if one.rule.id in RULES}
+    return {
+        outcome.rule.id: outcome.status for outcome in report.outcomes if outcome.rule.id in RULES
+    }
 
 
 @pytest.mark.parametrize("fixture", render_fixtures(), ids=lambda fixture: fixture.name)
@@ -77,10 +79,10 @@ def test_a_device_without_quads_judges_no_agreement(
     renderer: Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(renderer.device, "blends_floats", False)
-    fixture = next(one for one in render_fixtures() if one.rule == "GB020")
+    fixture = next(fixture for fixture in render_fixtures() if fixture.rule == "GB020")
     report = ran(validate(fixture.write(tmp_path), RENDER))
     assert not report.findings
-    outcome = next(one for one in report.outcomes if one.rule.id == "GB020")
+    outcome = next(outcome for outcome in report.outcomes if outcome.rule.id == "GB020")
     assert outcome.status == "skipped"
     assert "cannot blend 32-bit floats" in outcome.reason
 
@@ -114,9 +116,9 @@ def compared(sketch: ModelSpec, folder: Path, **changes: object) -> showing.Comp
 
 def test_a_picture_that_the_model_draws_is_the_same(renderer: Renderer, tmp_path: Path) -> None:
     png = drawn_reference(renderer)
-    seen = compared(with_reference(still(), png), tmp_path, renderer=renderer)
-    assert seen.psnr is not None
-    assert seen.psnr > 55  # bytes of the file round by half a 255th
+    comparison = compared(with_reference(still(), png), tmp_path, renderer=renderer)
+    assert comparison.psnr is not None
+    assert comparison.psnr > 55  # bytes of the file round by half a 255th
     other = with_reference(still(), png, center=(34.0, 18.0))
     moved = compared(other, tmp_path, renderer=renderer)
     assert moved.psnr is not None
@@ -141,9 +143,9 @@ def test_a_picture_that_cannot_be_compared_says_why(
     renderer: Renderer, tmp_path: Path, changes: dict[str, object], problem: str
 ) -> None:
     sketch = with_reference(still(), png_of(np.zeros((36, 64, 3), np.uint8)), **changes)
-    seen = compared(sketch, tmp_path, renderer=renderer)
-    assert seen.psnr is None
-    assert problem in seen.problem
+    comparison = compared(sketch, tmp_path, renderer=renderer)
+    assert comparison.psnr is None
+    assert problem in comparison.problem
 
 
 def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
@@ -168,25 +170,25 @@ def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
 
 
 def test_decibels_are_those_of_colours() -> None:
-    made = np.zeros((2, 3, 4), np.float32)
-    frames = [Mock(rgba=made), Mock(rgba=made + np.float32([0.1, 0.1, 0.1, 7]))]
+    image = np.zeros((2, 3, 4), np.float32)
+    frames = [Mock(rgba=image), Mock(rgba=image + np.float32([0.1, 0.1, 0.1, 7]))]
     assert showing.decibels(*frames) == pytest.approx(20)
     assert showing.decibels(frames[0], frames[0]) == 200
 
 
 def test_cells_are_drawn_as_sums(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[object] = []
+    recorded: list[object] = []
     render = Renderer.render
 
     def watched(self: Renderer, scene: Scene, *args: object) -> Frame:
-        seen.append(scene.sets[0].weighted)
+        recorded.append(scene.sets[0].weighted)
         return render(self, scene, *args)
 
     monkeypatch.setattr(Renderer, "render", watched)
     for name in ("weighted_sum", "still_sh0"):
         ran(validate(find(name).write(tmp_path), RENDER))
-    assert {type(one) for one in seen[:-2]} == {WeightedSum}
-    assert seen[-2:] == [None, None]  # by tiles, and by quads
+    assert {type(entry) for entry in recorded[:-2]} == {WeightedSum}
+    assert recorded[-2:] == [None, None]  # by tiles, and by quads
 
 
 def test_without_an_adapter_the_level_is_skipped(
@@ -197,6 +199,6 @@ def test_without_an_adapter_the_level_is_skipped(
 
     monkeypatch.setattr(showing, "Renderer", none)
     report = validate(find("still_sh0").write(tmp_path), RENDER)
-    level = next(one for one in report.levels if one.level is Level.RENDER)
+    level = next(level for level in report.levels if level.level is Level.RENDER)
     assert (level.ran, level.reason) == (False, "no graphics adapter: Install one.")
     assert status(report) == dict.fromkeys(RULES, "skipped")

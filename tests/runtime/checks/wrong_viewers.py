@@ -302,8 +302,8 @@ class _EditsSplats(Viewer):
     def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
         project = projection.drawn_splats
 
-        def edited(splat_set: SplatSet, camera: Camera, *rest: Any) -> projection.Splats:
-            splats = project(splat_set, camera, *rest)
+        def edited(splat_set: SplatSet, camera: Camera, *kwargs: Any) -> projection.Splats:
+            splats = project(splat_set, camera, *kwargs)
             return replace(splats, **self._edit(splats, splat_set, camera))
 
         def drawn(scene: Scene, camera: Camera) -> np.ndarray:

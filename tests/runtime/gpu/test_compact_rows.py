@@ -31,9 +31,9 @@ def test_a_covariance_keeps_its_shape(unit: float) -> None:
     rows = rows_of(unit * np.exp(rng.uniform(-7, 0, (500, 3))))
     packed = pack_rows(rows)
     assert packed.nbytes == PACKED_BYTES * len(rows)
-    seen = unpack_rows(packed)
-    np.testing.assert_array_equal(seen[:, :4], rows[:, :4])
-    before, after = symmetric(rows[:, 4:].astype(np.float64)), symmetric(seen[:, 4:])
+    actual = unpack_rows(packed)
+    np.testing.assert_array_equal(actual[:, :4], rows[:, :4])
+    before, after = symmetric(rows[:, 4:].astype(np.float64)), symmetric(actual[:, 4:])
     largest = np.abs(before).max(axis=(1, 2))
     assert (np.abs(after - before).max(axis=(1, 2)) <= 6.1 * LEAST * largest).all()
     assert (np.linalg.eigvalsh(after)[:, 0] >= -1e-6 * largest).all()
@@ -67,39 +67,42 @@ def test_invalid_covariance_is_not_drawn(device: Device, wrong: tuple[float, ...
 def test_packed_rows_are_read_as_they_were_packed(device: Device, renderer: Renderer) -> None:
     """The picture of packed rows is that of what they unpack to, in several pages."""
     small = Renderer(device, rasteriser="tiles", compact=True, page_rows=64)
-    place = turned(0.6, (0.3, 1, 0), (1.2, 0.8, 1.0))
+    transform = turned(0.6, (0.3, 1, 0), (1.2, 0.8, 1.0))
     for degree in (None, 0, 1, 3):
         data = cloud(150, 5, degree=degree)
         half = data.appearance.astype(np.float16)
-        plain = SplatData(unpack_rows(pack_rows(data.rows)), half, data.space)
-        one, two = (
-            each.render(Scene([SplatSet(held, place)]), camera(), outputs=ALL)
-            for each, held in ((small, data), (renderer, plain))
+        splat_data = SplatData(unpack_rows(pack_rows(data.rows)), half, data.space)
+        first, two = (
+            entry.render(Scene([SplatSet(stored, transform)]), camera(), outputs=ALL)
+            for entry, stored in ((small, data), (renderer, splat_data))
         )
-        assert one.visible == two.visible > 50
+        assert first.visible == two.visible > 50
         for name in ("rgba", "depth", "normal"):
-            here, there = getattr(one, name), getattr(two, name)
-            close = np.isclose(here, there, atol=2e-5, rtol=1e-5)
+            here, reference = getattr(first, name), getattr(two, name)
+            close = np.isclose(here, reference, atol=2e-5, rtol=1e-5)
             assert close.mean() > 0.995  # the rest is at thresholds
-        assert (one.ids == two.ids).mean() > 0.995
+        assert (first.ids == two.ids).mean() > 0.995
 
 
 def test_a_packed_row_has_forty_bytes_and_harmonics_two_each(device: Device) -> None:
     for degree, size in ((None, 40), (0, 40), (1, 64), (2, 96), (3, 128)):
-        held = Residency(device, compact=True)
-        pages = held.pages(cloud(1000, degree=degree))
+        residency = Residency(device, compact=True)
+        pages = residency.pages(cloud(1000, degree=degree))
         assert sum(page.rows.size + page.appearance.size for page in pages) == 1000 * size
 
 
 def test_rows_that_change_are_no_longer_packed(device: Device, renderer: Renderer) -> None:
     """Packing takes longer than a frame. Harmonics stay in float16."""
     data, other = cloud(150, 6, degree=1), cloud(150, 7, degree=1)
-    one, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
-    assert one.render(scene, camera()).visible
-    assert all(page.packed for _, page in one.placed(scene))
+    own_renderer, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
+    assert own_renderer.render(scene, camera()).visible
+    assert all(page.packed for _, page in own_renderer.placed(scene))
     data.update(rows=other.rows)
-    plain = SplatData(other.rows, data.appearance.astype(np.float16), "sh")
-    shown, wanted = one.render(scene, camera()), renderer.render(Scene([plain]), camera())
-    np.testing.assert_array_equal(shown.rgba, wanted.rgba)
-    assert not any(page.packed for _, page in one.placed(scene))
-    assert all(page.half for _, page in one.placed(scene))
+    splat_data = SplatData(other.rows, data.appearance.astype(np.float16), "sh")
+    shown, expected = (
+        own_renderer.render(scene, camera()),
+        renderer.render(Scene([splat_data]), camera()),
+    )
+    np.testing.assert_array_equal(shown.rgba, expected.rgba)
+    assert not any(page.packed for _, page in own_renderer.placed(scene))
+    assert all(page.half for _, page in own_renderer.placed(scene))

@@ -15,13 +15,13 @@ BAR = 2e-6
 def test_driver_renders_golden_meshes_and_sorts(driver: str) -> None:
     golden = shared("data/goldens/tiny_case.safetensors")
     sizes = ("0", "4097", "20000")
-    told = on_driver(driver, "support.rendering.driver_report", str(golden), *sizes)
-    assert driver in told["driver"]
-    assert told["software"]
-    assert set(told["pictures"]) == {"tiles", "tiles, cut as for a GPU", "quads"}
-    assert max(told["pictures"].values()) <= BAR, told["pictures"]
-    assert told["disordered"] == []
-    assert told["unmet"] == []
-    assert told["miscounted"] == []
-    assert told["unscanned"] == []
-    assert told["unsorted"] == []
+    message = on_driver(driver, "support.rendering.driver_report", str(golden), *sizes)
+    assert driver in message["driver"]
+    assert message["software"]
+    assert set(message["pictures"]) == {"tiles", "tiles, cut as for a GPU", "quads"}
+    assert max(message["pictures"].values()) <= BAR, message["pictures"]
+    assert message["disordered"] == []
+    assert message["unmet"] == []
+    assert message["miscounted"] == []
+    assert message["unscanned"] == []
+    assert message["unsorted"] == []

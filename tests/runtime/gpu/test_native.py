@@ -197,11 +197,11 @@ def test_types_that_are_parsed_together_are_those_that_cffi_parses() -> None:
 
     parse_native_types()
     for text in (*native._PLAIN, *native._ARRAYS, *native._CALLBACKS):
-        kept, is_function = ffi._parsed_types.pop(text)
+        retained, is_function = ffi._parsed_types.pop(text)
         if is_function:
-            assert ffi._typeof(text, consider_function_as_funcptr=True) is kept
+            assert ffi._typeof(text, consider_function_as_funcptr=True) is retained
         else:
-            assert ffi.typeof(text) is kept
+            assert ffi.typeof(text) is retained
 
 
 def test_types_are_parsed_singly_where_cffi_keeps_them_elsewhere(

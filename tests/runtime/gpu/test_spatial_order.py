@@ -29,9 +29,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
 
 
-def same(one: object, two: object) -> bool:
+def same(value: object, two: object) -> bool:
     fields = ("rgba", "depth", "median_depth", "ids", "normal", "visible", "pairs")
-    return all(np.array_equal(getattr(one, f), getattr(two, f)) for f in fields)
+    return all(np.array_equal(getattr(value, f), getattr(two, f)) for f in fields)
 
 
 def test_the_curve_goes_through_the_smallest_cubes_first() -> None:
@@ -66,11 +66,11 @@ def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> 
     scene = Scene(
         [first, SplatSet(second, turned(0.2, (0, 1, 0))), SplatSet(first, turned(0.5, (0, 0, 1)))]
     )
-    one = Renderer(device, rasteriser="tiles", page_rows=64)
-    before = one.render(scene, camera(), outputs=ALL)
-    assert all(page.rows_of is None for _, page in one.placed(Scene([cloud(5)])))
-    after = one.render(scene, camera(), outputs=ALL)
-    assert all(page.rows_of is not None for _, page in one.placed(scene))
+    own_renderer = Renderer(device, rasteriser="tiles", page_rows=64)
+    before = own_renderer.render(scene, camera(), outputs=ALL)
+    assert all(page.rows_of is None for _, page in own_renderer.placed(Scene([cloud(5)])))
+    after = own_renderer.render(scene, camera(), outputs=ALL)
+    assert all(page.rows_of is not None for _, page in own_renderer.placed(scene))
     assert same(before, after)
     assert (before.ids >= 0).any()
 
@@ -94,20 +94,20 @@ def test_changing_rows_keep_an_order_that_costs_nothing(
     device: Device, renderer: Renderer, small: None, maps: bool
 ) -> None:
     data, other = cloud(100, 3), cloud(100, 4)
-    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
+    own_renderer, scene = Renderer(device, rasteriser="tiles"), Scene([data])
 
     def arranged() -> bool:
-        frame = one.render(scene, camera(), outputs=ALL)
+        frame = own_renderer.render(scene, camera(), outputs=ALL)
         assert same(frame, renderer.render(anew(data), camera(), outputs=ALL))
-        return one._residency.pages(data)[0].rows_of is not None
+        return own_renderer._residency.pages(data)[0].rows_of is not None
 
     assert [arranged(), arranged(), arranged()] == [False, True, True]
-    plan = one._plan
+    plan = own_renderer._plan
     data.update(appearance=other.appearance)
     assert [arranged(), arranged()] == [maps, maps]
     data.update(rows=other.rows)
     assert [arranged(), arranged()] == [maps, maps]
-    assert (one._plan is plan) is maps  # no buffer was made
+    assert (own_renderer._plan is plan) is maps  # no buffer was made
     data.update(data.rows, data.appearance, count=80)  # these rows are no longer those before
     assert [arranged(), arranged()] == [False, False]
     data.update(data.rows, data.appearance)
@@ -121,11 +121,11 @@ def test_order_is_recomputed_when_neighbours_separate(
         pytest.skip("rows that change have their own order on a card")
     monkeypatch.setattr(spatial_order, "_SERVES", 3)
     data = cloud(200, 8)
-    began, held = data.rows, Residency(device)
+    began, residency = data.rows, Residency(device)
 
     def order() -> np.ndarray:
-        held.begin(data)
-        return held.pages(data)[0].rows_of
+        residency.begin(data)
+        return residency.pages(data)[0].rows_of
 
     assert order() is None
     data.update(rows=1.5 * began)
@@ -158,13 +158,14 @@ def test_values_may_change_once_rows_are_arranged(
 ) -> None:
     data, other = cloud(100, 5), cloud(100, 6)
     data.update(count=60)
-    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
+    own_renderer, scene = Renderer(device, rasteriser="tiles"), Scene([data])
     for _ in range(2):
-        one.render(scene, camera())
-    kept = {"count": 60} if change != "count" else {"count": 80}
-    data.update(**kept, **({} if change == "count" else {change: getattr(other, change)}))
+        own_renderer.render(scene, camera())
+    retained = {"count": 60} if change != "count" else {"count": 80}
+    data.update(**retained, **({} if change == "count" else {change: getattr(other, change)}))
     assert same(
-        one.render(scene, camera(), outputs=ALL), renderer.render(anew(data), camera(), outputs=ALL)
+        own_renderer.render(scene, camera(), outputs=ALL),
+        renderer.render(anew(data), camera(), outputs=ALL),
     )
 
 
@@ -172,15 +173,15 @@ def test_a_frame_without_memory_forgets_no_count(
     device: Device, renderer: Renderer, small: None, maps: bool
 ) -> None:
     data, other = cloud(200, 10), cloud(200, 11)
-    one, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
+    own_renderer, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
     for _ in range(2):
-        one.render(scene, camera())
+        own_renderer.render(scene, camera())
     data.update(rows=other.rows, count=100)  # rows are unpacked, for which there is no room
     with memory_of(100), pytest.raises(MemoryFull):
-        one.render(scene, camera())
+        own_renderer.render(scene, camera())
     shapes = ("depth", "normal")
     assert same(
-        one.render(scene, camera(), outputs=shapes),
+        own_renderer.render(scene, camera(), outputs=shapes),
         renderer.render(anew(data), camera(), outputs=shapes),
     )
 
@@ -189,11 +190,11 @@ def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -
     """All its depths are one, and the earlier row is in front."""
     data = cloud(400, 7, opacity=(0.5, 0.9))
     data.rows[:, 2] = 4.0
-    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
-    before = one.render(scene, camera(), outputs=ALL)
+    own_renderer, scene = Renderer(device, rasteriser="tiles"), Scene([data])
+    before = own_renderer.render(scene, camera(), outputs=ALL)
     for _ in range(2):
-        assert same(one.render(scene, camera(), outputs=ALL), before)
-    assert one.placed(scene)[0][1].rows_of is None
+        assert same(own_renderer.render(scene, camera(), outputs=ALL), before)
+    assert own_renderer.placed(scene)[0][1].rows_of is None
 
 
 def pages_of(count: int, sizes: list[int], order: np.ndarray | None) -> list[Placed]:

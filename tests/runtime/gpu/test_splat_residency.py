@@ -20,30 +20,30 @@ ROW, COLOR = 40, 16  # bytes; RGB in float32 is filled up to a word
 @pytest.fixture
 def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int, int]]:
     """Whatever is written to a buffer: its label, from which byte on, how many bytes."""
-    seen: list[tuple[str, int, int]] = []
+    recorded: list[tuple[str, int, int]] = []
     write_mapped, write = Device.write_mapped, Device.write
 
     def filled(self: Device, buffer: object, blocks: Iterable[np.ndarray], offset: int) -> None:
         copied = list(blocks)
-        seen.append((buffer.label, offset, sum(block.nbytes for block in copied)))
+        recorded.append((buffer.label, offset, sum(block.nbytes for block in copied)))
         write_mapped(self, buffer, copied, offset)
 
     def written(self: Device, buffer: object, data: np.ndarray, offset: int = 0) -> None:
-        seen.append((buffer.label, offset, data.nbytes))
+        recorded.append((buffer.label, offset, data.nbytes))
         write(self, buffer, data, offset)
 
     monkeypatch.setattr(Device, "write_mapped", filled)  # of large buffers, if the device maps them
     monkeypatch.setattr(Device, "write", written)
-    return seen
+    return recorded
 
 
 def test_unchanged_rows_are_not_written(device: Device, written: list) -> None:
     data, other = cloud(100, 1), cloud(100, 2)
-    held = Residency(device)
+    residency = Residency(device)
 
     def uploaded() -> list:
         written.clear()
-        held.pages(data)
+        residency.pages(data)
         return list(written)
 
     everything = [("rows", 0, 100 * ROW), ("appearance", 0, 100 * COLOR)]
@@ -70,16 +70,16 @@ def test_unchanged_rows_are_not_written(device: Device, written: list) -> None:
 def test_rows_that_become_live_are_written_page_by_page(device: Device, written: list) -> None:
     data = cloud(300, 3, degree=1)
     data.update(count=70)
-    held = Residency(device, page_rows=64)
-    held.pages(data)
-    assert [one for one in written if one[0] == "rows"] == [
+    residency = Residency(device, page_rows=64)
+    residency.pages(data)
+    assert [entry for entry in written if entry[0] == "rows"] == [
         ("rows", 0, 64 * ROW),
         ("rows", 0, 6 * ROW),
     ]
     written.clear()
     data.update(count=200)
-    held.pages(data)
-    assert [one for one in written if one[0] == "rows"] == [
+    residency.pages(data)
+    assert [entry for entry in written if entry[0] == "rows"] == [
         ("rows", 6 * ROW, 58 * ROW),
         ("rows", 0, 64 * ROW),
         ("rows", 0, 8 * ROW),
@@ -98,8 +98,8 @@ def test_a_count_that_grows_shows_the_same_as_at_once(device: Device, renderer: 
 
 
 def test_memory_is_released_with_its_splats(device: Device) -> None:
-    held, data, pool = Residency(device), cloud(100, 1), SplatPool(100, 3)
-    buffers = [ref(pages[0].rows) for pages in (held.pages(data), held.pool_pages(pool))]
+    residency, data, pool = Residency(device), cloud(100, 1), SplatPool(100, 3)
+    buffers = [ref(pages[0].rows) for pages in (residency.pages(data), residency.pool_pages(pool))]
     assert None not in [buffer() for buffer in buffers]
     del data, pool
     assert [buffer() for buffer in buffers] == [None, None]

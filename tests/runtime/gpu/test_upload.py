@@ -12,21 +12,21 @@ ROOM = 80_000  # rows: more than are made at a time, and enough to be mapped
 
 @pytest.mark.parametrize("maps", [True, False])
 @pytest.mark.parametrize("ordered", [True, False])
-@pytest.mark.parametrize("made", [True, False])
+@pytest.mark.parametrize("result", [True, False])
 def test_uploaded_rows_are_at_their_offsets(
-    device: Device, monkeypatch: pytest.MonkeyPatch, maps: bool, ordered: bool, made: bool
+    device: Device, monkeypatch: pytest.MonkeyPatch, maps: bool, ordered: bool, result: bool
 ) -> None:
     if maps and not device.maps:
         pytest.skip("a card, whose memory is its own")
     monkeypatch.setattr(device, "maps", maps)
     rng = np.random.default_rng(0)
-    array = rng.normal(size=(15_000, 4)).astype(np.float16 if made else np.float32)
+    array = rng.normal(size=(15_000, 4)).astype(np.float16 if result else np.float32)
     buffer = device.dynamic_storage("rows", 16 * ROOM)
     before = np.full((ROOM, 4), 7, np.float32)
     upload(device, Target(buffer, 0, 16), before)
     order = rng.permutation(15_000)[:12_345].astype(np.uint32) if ordered else None
     assert device.can_map(buffer) is maps
-    target = Target(buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if made else None)
+    target = Target(buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if result else None)
     upload(device, target, array, order)
     some = array if order is None else array[order]
     before[1234 : 1234 + len(some)] = some

@@ -18,20 +18,20 @@ def large_tiles(device: Device) -> Renderer:
 
 @pytest.mark.parametrize("name", CASES)
 def test_digit_counts_agree_with_numpy(large_tiles: Renderer, name: str) -> None:
-    for made, wanted in counted(large_tiles, CASES[name]()).values():
-        np.testing.assert_array_equal(made, wanted)
-        assert wanted.any() == (name != "nothing")
+    for result, expected in counted(large_tiles, CASES[name]()).values():
+        np.testing.assert_array_equal(result, expected)
+        assert expected.any() == (name != "nothing")
 
 
 def test_cases_cover_block_and_capacity_limits(large_tiles: Renderer) -> None:
     """A workgroup's pairs are in many blocks; digits are one, or all; the capacity is too small."""
-    found = {name: counted(large_tiles, CASES[name]()) for name in CASES}
-    assert found["over many blocks"]["tiles"][1].shape[1] > 20
-    assert found["beyond the capacity"]["tiles"][1].sum() == 5001
-    assert np.count_nonzero(found["at one depth and place"]["depths"][1].any(axis=1)) == 1
-    assert found["crowd"]["depths"][1].any(axis=1).all()
-    assert found["in slots"]["depths"][1].shape[1] > 4
-    assert found["in one tile"]["tiles"][1].shape[0] == 2
+    actual = {name: counted(large_tiles, CASES[name]()) for name in CASES}
+    assert actual["over many blocks"]["tiles"][1].shape[1] > 20
+    assert actual["beyond the capacity"]["tiles"][1].sum() == 5001
+    assert np.count_nonzero(actual["at one depth and place"]["depths"][1].any(axis=1)) == 1
+    assert actual["crowd"]["depths"][1].any(axis=1).all()
+    assert actual["in slots"]["depths"][1].shape[1] > 4
+    assert actual["in one tile"]["tiles"][1].shape[0] == 2
 
 
 def test_the_twin_counts_present_keys_by_block() -> None:

@@ -58,6 +58,8 @@ def test_a_layer_is_a_picture_with_depths(
     np.testing.assert_allclose(colors[layer], expected_colors, atol=2e-4)
     np.testing.assert_allclose(depths[layer], expected_depths, rtol=1e-5)
     assert not colors[0].any()
-    seen = (halves[:, :width, 3] > 0) & (values[:, :width] != empty)
-    np.testing.assert_allclose(depths[layer][seen], depth[:, :width][seen], rtol=2e-3)
+    visible_mask = (halves[:, :width, 3] > 0) & (values[:, :width] != empty)
+    np.testing.assert_allclose(
+        depths[layer][visible_mask], depth[:, :width][visible_mask], rtol=2e-3
+    )
     assert (depths[layer][halves[:, :width, 3] == 0] == np.float32(NOWHERE)).all()

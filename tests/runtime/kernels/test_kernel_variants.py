@@ -22,12 +22,12 @@ def test_kernel_variants_draw_equal_pictures(device: Device, variant: str) -> No
     renderer = Renderer(other, rasteriser="tiles")
     for name in ("many", "placed", "huge", "nothing", "panorama_seam"):
         scene, camera = SCENES[name]()
-        seen = renderer.render(scene, camera, outputs=("color", "depth"))
-        wanted = oracle.render(scene, camera)
-        error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
-        assert np.where(wanted.fragile, 0, error).max() <= 2e-5
-        firm = ~wanted.fragile_median
-        np.testing.assert_array_equal(seen.ids[firm], wanted.ids[firm])
+        frame = renderer.render(scene, camera, outputs=("color", "depth"))
+        expected = oracle.render(scene, camera)
+        error = np.abs(frame.rgba - expected.rgba).max(axis=-1)
+        assert np.where(expected.fragile, 0, error).max() <= 2e-5
+        firm = ~expected.fragile_median
+        np.testing.assert_array_equal(frame.ids[firm], expected.ids[firm])
 
 
 def gpu_like(device: Device) -> Device:
@@ -60,7 +60,7 @@ def test_a_gpus_picture_is_the_same_twice_and_without_records(device: Device) ->
 
 def test_quads_read_records(device: Device) -> None:
     scene, camera = SCENES["many"]()
-    records, arrays = (Renderer(one, rasteriser="quads") for one in (gpu_like(device), device))
+    records, arrays = (Renderer(array, rasteriser="quads") for array in (gpu_like(device), device))
     drawn = [renderer.render(scene, camera).rgba for renderer in (records, arrays)]
     np.testing.assert_array_equal(drawn[0], drawn[1])
 
@@ -73,7 +73,7 @@ def test_narrow_cells_draw_the_same_picture(
     monkeypatch.setattr(blend_tiles, "lanes", lambda device: 4)
     narrow = Renderer(device, rasteriser="tiles")
     scene, camera = SCENES[name]()
-    seen = narrow.render(scene, camera, outputs=("color", "depth"))
+    frame = narrow.render(scene, camera, outputs=("color", "depth"))
     assert (
         narrow._kernels.blend(
             "color",
@@ -85,11 +85,11 @@ def test_narrow_cells_draw_the_same_picture(
         ).shader
         == "blend_staged"
     )
-    wanted = oracle.render(scene, camera)
-    error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
-    assert np.where(wanted.fragile, 0, error).max() <= 2e-5
+    expected = oracle.render(scene, camera)
+    error = np.abs(frame.rgba - expected.rgba).max(axis=-1)
+    assert np.where(expected.fragile, 0, error).max() <= 2e-5
     np.testing.assert_array_equal(
-        seen.ids[~wanted.fragile_median], wanted.ids[~wanted.fragile_median]
+        frame.ids[~expected.fragile_median], expected.ids[~expected.fragile_median]
     )
 
 
@@ -99,11 +99,11 @@ def test_thin_splats_do_not_underflow_between_rows(device: Device, dilation: flo
     for name in ("needles", "many"):
         scene, camera = SCENES[name]()
         camera = replace(camera, dilation=dilation)
-        seen = Renderer(device, rasteriser="tiles").render(scene, camera)
-        wanted = oracle.render(scene, camera)
-        error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
-        assert np.where(wanted.fragile, 0, error).max() <= 2e-5
-        assert wanted.visible > 0
+        frame = Renderer(device, rasteriser="tiles").render(scene, camera)
+        expected = oracle.render(scene, camera)
+        error = np.abs(frame.rgba - expected.rgba).max(axis=-1)
+        assert np.where(expected.fragile, 0, error).max() <= 2e-5
+        assert expected.visible > 0
 
 
 def test_subgroups_are_measured_where_there_are_any(device: Device) -> None:

@@ -36,11 +36,11 @@ def floats(renderer: Renderer, plan: Plan, name: str, count: int) -> np.ndarray:
     return words(renderer, plan, name, 4 * count).view(np.float32).reshape(count, 4)
 
 
-def reference(one: SplatSet, camera: Camera) -> Projected:
+def reference(splat_set: SplatSet, camera: Camera) -> Projected:
     frame = project.frame_uniform(camera, NOTHING_BEHIND)
-    n = len(one.data)
-    page = project.page_uniform(one, camera, 0, n, one.data.count)
-    return project_reference(one.data, frame, page)
+    n = len(splat_set.data)
+    page = project.page_uniform(splat_set, camera, 0, n, splat_set.data.count)
+    return project_reference(splat_set.data, frame, page)
 
 
 ONE_SET = [
@@ -73,25 +73,25 @@ def test_projected_splats_agree_with_the_reference(renderer: Renderer, name: str
     shapes, weights, colors = (
         floats(renderer, plan, part, n) for part in ("shapes", "weights", "colors")
     )
-    wanted = reference(scene.sets[0], seen_by)
+    expected = reference(scene.sets[0], seen_by)
     drawn = keys != ABSENT
     assert drawn.any()
-    assert not (drawn & ~wanted.drawn).any()
+    assert not (drawn & ~expected.drawn).any()
     # What the kernel leaves out beyond that is beside the image.
     origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
-    for i in np.flatnonzero(wanted.drawn & ~drawn):
-        around = (wanted.mean[i] + origin, wanted.conic[i], wanted.strength[i] - 1e-4)
+    for i in np.flatnonzero(expected.drawn & ~drawn):
+        around = (expected.mean[i] + origin, expected.conic[i], expected.strength[i] - 1e-4)
         size = (seen_by.width, seen_by.height)
         assert not touched_reference(*around, size, seen_by.period).any()
-    np.testing.assert_allclose(keys[drawn].view(np.float32), wanted.depth[drawn], rtol=1e-5)
+    np.testing.assert_allclose(keys[drawn].view(np.float32), expected.depth[drawn], rtol=1e-5)
     np.testing.assert_array_equal(weights[drawn, 2], keys[drawn].view(np.float32))
-    size = np.abs(wanted.mean[drawn]).max() + 1
-    np.testing.assert_allclose(shapes[drawn, :2], wanted.mean[drawn], atol=2e-6 * size)
+    size = np.abs(expected.mean[drawn]).max() + 1
+    np.testing.assert_allclose(shapes[drawn, :2], expected.mean[drawn], atol=2e-6 * size)
     conic = np.column_stack([shapes[drawn, 2:], weights[drawn, 0]])
-    largest = np.abs(wanted.conic[drawn]).max(axis=1, keepdims=True)
-    assert (np.abs(conic - wanted.conic[drawn]) <= 1e-4 * largest).all()
-    np.testing.assert_allclose(weights[drawn, 1], wanted.strength[drawn], atol=1e-5)
-    np.testing.assert_allclose(colors[drawn, :3], wanted.color[drawn], atol=1e-5)
+    largest = np.abs(expected.conic[drawn]).max(axis=1, keepdims=True)
+    assert (np.abs(conic - expected.conic[drawn]) <= 1e-4 * largest).all()
+    np.testing.assert_allclose(weights[drawn, 1], expected.strength[drawn], atol=1e-5)
+    np.testing.assert_allclose(colors[drawn, :3], expected.color[drawn], atol=1e-5)
 
 
 def tile_renderer(device: Device, lists: bool) -> Renderer:
@@ -162,7 +162,7 @@ def test_lists_are_those_of_sorted_pairs(device: Device, name: str) -> None:
     narrow = Device(device.raw)
     narrow.wide = False
     variants = [tile_renderer(device, True), tile_renderer(device, False), Renderer(narrow)]
-    frames = [each.render(scene, seen_by, outputs=("color", "depth")) for each in variants]
+    frames = [variant.render(scene, seen_by, outputs=("color", "depth")) for variant in variants]
     assert (frames[0].visible > 0) == (name != "nothing")
     for other in frames[1:]:
         np.testing.assert_array_equal(frames[0].rgba, other.rgba)
@@ -180,8 +180,8 @@ def test_blended_image_agrees_with_the_reference(renderer: Renderer, name: str) 
     fields = Projected.__slots__
     splats = Projected(**{field: getattr(all_of_them, field)[order] for field in fields})
     origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
-    wanted = blend_reference(splats, origin, (seen_by.width, seen_by.height))
-    error = np.abs(image - wanted)
+    expected = blend_reference(splats, origin, (seen_by.width, seen_by.height))
+    error = np.abs(image - expected)
     assert np.quantile(error, 0.999) <= 1e-5  # the rest is at thresholds
     assert error.max() <= 5e-3
 
@@ -194,19 +194,19 @@ def test_projected_normals_agree_with_the_reference(renderer: Renderer) -> None:
     plan = renderer.plan(placed, seen_by, frozenset(["normal"]))
     plan.submit(placed, seen_by, NOTHING_BEHIND, only=["project"])
     plan.collect()
-    found = floats(renderer, plan, "normals", n)[:, :3]
+    actual = floats(renderer, plan, "normals", n)[:, :3]
     drawn = words(renderer, plan, "keys of Gaussians a", n) != ABSENT
     turn = seen_by.view[:3, :3]
     upper = data.rows[:, 4:].astype(np.float64)
     sigma = turn @ upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) @ turn.T
-    at = data.rows[:, :3] @ turn.T + seen_by.view[:3, 3]
+    view_positions = data.rows[:, :3] @ turn.T + seen_by.view[:3, 3]
     values = np.linalg.eigvalsh(sigma)
     clear = drawn & (values[:, 1] > 1.3 * values[:, 0])
-    wanted = normals_reference(sigma, at)
-    cosine = np.abs((found * wanted).sum(axis=1))  # edge-on, the side is a matter of rounding
+    expected = normals_reference(sigma, view_positions)
+    cosine = np.abs((actual * expected).sum(axis=1))  # edge-on, the side is a matter of rounding
     assert clear.sum() > 100
     assert cosine[clear].min() > 0.9999
-    np.testing.assert_allclose(np.linalg.norm(found[drawn], axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(actual[drawn], axis=1), 1, atol=1e-5)
 
 
 def test_a_shader_is_its_file_with_includes_and_constants() -> None:
@@ -225,13 +225,13 @@ def test_shader_harmonics_agree_with_the_contract(renderer: Renderer) -> None:
     """Each of the sixteen functions by itself, in many directions."""
     data = cloud(16 * 12, 3, degree=3, depth=(3, 6), size=0.01)
     data.appearance[:] = 0
-    which = np.arange(len(data)) % 16
-    data.appearance[np.arange(len(data)), 3 * which + 1] = 0.25
+    basis_index = np.arange(len(data)) % 16
+    data.appearance[np.arange(len(data)), 3 * basis_index + 1] = 0.25
     plan = run(renderer, Scene([data]), camera(), "project")
     drawn = words(renderer, plan, "keys of Gaussians a", len(data)) != ABSENT
     colors = floats(renderer, plan, "colors", len(data))
     toward = data.rows[:, :3] / np.linalg.norm(data.rows[:, :3], axis=1, keepdims=True)
-    wanted = 0.5 + 0.25 * basis(toward)[np.arange(len(data)), which]
-    assert (np.bincount(which[drawn]) >= 8).all()
-    np.testing.assert_allclose(colors[drawn, 1], wanted[drawn], atol=1e-6)
+    expected = 0.5 + 0.25 * basis(toward)[np.arange(len(data)), basis_index]
+    assert (np.bincount(basis_index[drawn]) >= 8).all()
+    np.testing.assert_allclose(colors[drawn, 1], expected[drawn], atol=1e-6)
     np.testing.assert_allclose(colors[drawn, 0], 0.5, atol=1e-6)

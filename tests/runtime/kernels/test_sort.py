@@ -38,17 +38,17 @@ def test_compacting_sort_agrees_with_numpy(compacting: Bench, n: int, kind: str)
     keys = np.full(ROOM, ABSENT, np.uint32)
     keys[:n] = keys_of(n, kind)
     keys_out, places = compacting(keys)
-    wanted = sort_reference(keys, 32)
-    np.testing.assert_array_equal(places, wanted)
-    np.testing.assert_array_equal(keys_out, keys[wanted])
+    expected = sort_reference(keys, 32)
+    np.testing.assert_array_equal(places, expected)
+    np.testing.assert_array_equal(keys_out, keys[expected])
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.sampled_from([0, 1, 2, 255, 256, 1 << 31, ABSENT - 1, ABSENT])))
 def test_arbitrary_keys_are_sorted(compacting_here: Bench, keys: list[int]) -> None:
-    held = np.full(ROOM, ABSENT, np.uint32)
-    held[: len(keys)] = keys
-    np.testing.assert_array_equal(compacting_here(held)[1], sort_reference(held, 32))
+    padded_keys = np.full(ROOM, ABSENT, np.uint32)
+    padded_keys[: len(keys)] = keys
+    np.testing.assert_array_equal(compacting_here(padded_keys)[1], sort_reference(padded_keys, 32))
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +63,9 @@ def test_precounted_low_bits_are_sorted_with_values(device: Device, bits: int) -
     sort = Bench(device, GPU, bits, 6000, compact=False, counted=True)
     assert "count" not in [step.kernel.label for step in sort.steps]
     keys_out, places = sort(keys)
-    wanted = np.argsort(keys, kind="stable")
-    np.testing.assert_array_equal(places, wanted)
-    np.testing.assert_array_equal(keys_out, keys[wanted])
+    order = np.argsort(keys, kind="stable")
+    np.testing.assert_array_equal(places, order)
+    np.testing.assert_array_equal(keys_out, keys[order])
 
 
 @pytest.mark.parametrize("bits", [1, 5, 12, 13, 17])
@@ -75,9 +75,9 @@ def test_low_bits_are_sorted_with_values(
 ) -> None:
     keys = keys_of(n, "random", seed=bits) & np.uint32((1 << bits) - 1)
     keys_out, places = Bench(device, cut, bits, 6000, compact=False)(keys)
-    wanted = np.argsort(keys, kind="stable")
-    np.testing.assert_array_equal(places, wanted)
-    np.testing.assert_array_equal(keys_out, keys[wanted])
+    order = np.argsort(keys, kind="stable")
+    np.testing.assert_array_equal(places, order)
+    np.testing.assert_array_equal(keys_out, keys[order])
 
 
 def test_few_keys_take_few_workgroups(device: Device) -> None:
@@ -93,9 +93,9 @@ def test_many_keys_are_sorted(many: Bench, kind: str) -> None:
     """As many as let the scan of a GPU go by blocks; `make fuzz-sort` has four million."""
     keys = keys_of(MANY, kind, seed=4)
     keys_out, places = many(keys)
-    wanted = sort_reference(keys, 32)
-    np.testing.assert_array_equal(places, wanted)
-    np.testing.assert_array_equal(keys_out, keys[wanted])
+    expected = sort_reference(keys, 32)
+    np.testing.assert_array_equal(places, expected)
+    np.testing.assert_array_equal(keys_out, keys[expected])
 
 
 @pytest.fixture(scope="module", params=["this device", "small blocks"])
@@ -117,9 +117,9 @@ def test_scan_agrees_with_cumulative_sum(device: Device, scan: Scan, n: int, mos
     numbers = np.random.default_rng(n).integers(0, most, n, np.uint32) // np.uint32(2)
     counts, room = device.storage("counts", counting.BYTES), n + 5000
     buffer = device.storage("numbers", 4 * room)
-    made = counting.initial(n, 77)
+    result = counting.initial(n, 77)
     behind = np.full(room - n, 7, np.uint32)  # is neither added nor touched
-    device.write(counts, made)
+    device.write(counts, result)
     device.write(buffer, np.append(numbers, behind))
     steps = scan.steps(counts, buffer, source=Counts.GAUSSIANS, block=1, total=Counts.PAIRS)
     if room > 100_000:  # many blocks, which one workgroup would take long for
@@ -161,8 +161,8 @@ def test_scan_of_arbitrary_numbers_agrees_with_cumulative_sum(
     encoder = device.raw.create_command_encoder()
     run(encoder, steps, "scan")
     device.raw.queue.submit([encoder.finish()])
-    made = device.read(buffer, np.uint32, length)
-    np.testing.assert_array_equal(made, scan_reference(numbers))
+    result = device.read(buffer, np.uint32, length)
+    np.testing.assert_array_equal(result, scan_reference(numbers))
 
 
 @pytest.fixture(scope="module")

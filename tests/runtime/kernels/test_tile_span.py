@@ -52,6 +52,8 @@ def test_tile_of_a_pixel_agrees_with_float_rounding(tile: int, limit: int) -> No
     compute.end()
     device.submit(encoder)
     tiles = device.read(numbers, np.uint32, len(pixels))
-    at = np.floor(np.nan_to_num(pixels.astype(np.float64), posinf=np.inf, neginf=-np.inf) / tile)
-    expected = np.clip(at, 0, limit)
+    tile_index = np.floor(
+        np.nan_to_num(pixels.astype(np.float64), posinf=np.inf, neginf=-np.inf) / tile
+    )
+    expected = np.clip(tile_index, 0, limit)
     np.testing.assert_array_equal(tiles, expected)

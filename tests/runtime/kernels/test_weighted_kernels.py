@@ -61,112 +61,120 @@ def run(renderer: Renderer, name: str, *stages: str) -> Run:
     return Run(renderer, plan, scene.sets[0], seen_by)
 
 
-def splats(made: Run) -> Projected:
-    one, n = made.one, len(made.one.data)
-    page = project.page_uniform(one, made.seen_by, 0, n, one.data.count)
-    page["per_cell"] = one.data.per_cell
-    page["inverse_range"] = 0 if one.depth_range is None else 1 / one.depth_range
-    frame = project.frame_uniform(made.seen_by, NOTHING_BEHIND)
-    return project_reference(one.data, frame, page)
+def splats(result: Run) -> Projected:
+    splat_set, n = result.one, len(result.one.data)
+    page = project.page_uniform(splat_set, result.seen_by, 0, n, splat_set.data.count)
+    page["per_cell"] = splat_set.data.per_cell
+    page["inverse_range"] = 0 if splat_set.depth_range is None else 1 / splat_set.depth_range
+    frame = project.frame_uniform(result.seen_by, NOTHING_BEHIND)
+    return project_reference(splat_set.data, frame, page)
 
 
-def cells(made: Run) -> Projected:
+def cells(result: Run) -> Projected:
     """Cells as if they were Gaussians: opaque, where they are visible."""
-    one, own = made.one, made.one.data.cells.copy()
+    splat_set, own = result.one, result.one.data.cells.copy()
     with np.errstate(invalid="ignore"):
         own[:, 3] = np.where(np.isfinite(own[:, 3]), own[:, 3] > 0, np.nan)
     bare = np.zeros((len(own), 3), np.float32)
-    page = project.page_uniform(one, made.seen_by, 0, len(own), len(own))
-    frame = project.frame_uniform(made.seen_by, NOTHING_BEHIND)
+    page = project.page_uniform(splat_set, result.seen_by, 0, len(own), len(own))
+    frame = project.frame_uniform(result.seen_by, NOTHING_BEHIND)
     return project_reference(SplatData(own, bare, "rgb"), frame, page)
 
 
-def dilated(found: Projected) -> np.ndarray:
+def dilated(actual: Projected) -> np.ndarray:
     """The 2D covariances behind conics; a ball where nothing is drawn."""
-    conic = np.where(found.drawn[:, None], found.conic, [1.0, 0.0, 1.0])
+    conic = np.where(actual.drawn[:, None], actual.conic, [1.0, 0.0, 1.0])
     return np.linalg.inv(conic[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
 
 
-def whole(radius: np.ndarray, wanted: np.ndarray, covariance: np.ndarray, reach: float) -> None:
+def whole(radius: np.ndarray, expected: np.ndarray, covariance: np.ndarray, reach: float) -> None:
     """Radii are the same, or one apart where what is rounded up is nearly whole."""
     middle = np.trace(covariance, axis1=1, axis2=2) / 2
     apart = np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     bare = reach * np.sqrt(middle + apart)
     sure = np.abs(bare - np.round(bare)) > 1e-4 * bare
-    np.testing.assert_array_equal(radius[sure], wanted[sure])
-    assert np.abs(radius - wanted).max() <= 1
+    np.testing.assert_array_equal(radius[sure], expected[sure])
+    assert np.abs(radius - expected).max() <= 1
     assert sure.mean() > 0.9
 
 
 @pytest.mark.parametrize("name", ONE_SET)
 def test_weighted_projection_agrees_with_the_reference(renderer: Renderer, name: str) -> None:
-    made = run(renderer, name, "project weighted")
-    wanted, n = splats(made), len(made.one.data)
-    keys = made.words("keys of weighted", n)
-    shapes, weights = made.floats("weighted shapes", n), made.floats("weighted weights", n)
+    kernel_run = run(renderer, name, "project weighted")
+    expected, n = splats(kernel_run), len(kernel_run.one.data)
+    keys = kernel_run.words("keys of weighted", n)
+    shapes, weights = (
+        kernel_run.floats("weighted shapes", n),
+        kernel_run.floats("weighted weights", n),
+    )
     drawn = keys != ABSENT
     assert drawn.sum() > 20
-    assert not (drawn & ~wanted.drawn).any()
+    assert not (drawn & ~expected.drawn).any()
     np.testing.assert_array_equal(weights[:, 1] >= 0, drawn)  # what blending goes by
-    np.testing.assert_allclose(weights[drawn, 1], wanted.strength[drawn], atol=2e-5)
-    np.testing.assert_allclose(weights[drawn, 2], wanted.depth[drawn], rtol=1e-5)
-    size = np.abs(wanted.mean[drawn]).max() + 1
-    np.testing.assert_allclose(shapes[drawn, :2], wanted.mean[drawn], atol=2e-6 * size)
-    covariance = dilated(wanted)[drawn]
+    np.testing.assert_allclose(weights[drawn, 1], expected.strength[drawn], atol=2e-5)
+    np.testing.assert_allclose(weights[drawn, 2], expected.depth[drawn], rtol=1e-5)
+    size = np.abs(expected.mean[drawn]).max() + 1
+    np.testing.assert_allclose(shapes[drawn, :2], expected.mean[drawn], atol=2e-6 * size)
+    covariance = dilated(expected)[drawn]
     circle = circle_reference(covariance, SPLAT_REACH)
     whole(np.sqrt(weights[drawn, 3]), circle, covariance, SPLAT_REACH)
 
 
 @pytest.mark.parametrize("name", ONE_SET)
 def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str) -> None:
-    made = run(renderer, name, "project weighted", "project cells")
-    wanted, count = cells(made), len(made.one.data.cells)
-    keys, circles = (made.words("keys of cells a", count), made.floats("circles of cells", count))
+    kernel_run = run(renderer, name, "project weighted", "project cells")
+    expected, count = cells(kernel_run), len(kernel_run.one.data.cells)
+    keys, circles = (
+        kernel_run.words("keys of cells a", count),
+        kernel_run.floats("circles of cells", count),
+    )
     drawn = keys != ABSENT
     assert drawn.sum() > 10
-    assert not (drawn & ~wanted.drawn).any()
-    for i in np.flatnonzero(wanted.drawn & ~drawn):  # beside the image
-        radius = circle_reference(dilated(wanted)[i : i + 1], CELL_REACH)[0]
-        middle = wanted.mean[i] + made.origin
+    assert not (drawn & ~expected.drawn).any()
+    for i in np.flatnonzero(expected.drawn & ~drawn):  # beside the image
+        radius = circle_reference(dilated(expected)[i : i + 1], CELL_REACH)[0]
+        middle = expected.mean[i] + kernel_run.origin
         assert not box_reference(middle, radius, (61, 47)).any()
-    wanted_keys, wanted_lows = depth_reference(wanted.depth[drawn])
+    wanted_keys, wanted_lows = depth_reference(expected.depth[drawn])
     np.testing.assert_array_equal(keys[drawn], wanted_keys)
-    lows = made.words("lows of cells", count)
+    lows = kernel_run.words("lows of cells", count)
     np.testing.assert_array_equal(lows == ABSENT, ~drawn)
-    rest = [decoded(each).astype(np.float64) for each in (lows[drawn], wanted_lows)]
-    assert (np.abs(rest[0] - rest[1]) <= DEPTH_LEFT * wanted.depth[drawn]).all()
-    covariance = dilated(wanted)[drawn]
+    remaining = [decoded(array).astype(np.float64) for array in (lows[drawn], wanted_lows)]
+    assert (np.abs(remaining[0] - remaining[1]) <= DEPTH_LEFT * expected.depth[drawn]).all()
+    covariance = dilated(expected)[drawn]
     circle = circle_reference(covariance, CELL_REACH)
     whole(circles[drawn, 2], circle, covariance, CELL_REACH)
     for x, y, radius, tiles in circles[drawn].astype(np.float64):
-        box = box_reference(np.array([x, y]) + made.origin, radius, (61, 47))
+        box = box_reference(np.array([x, y]) + kernel_run.origin, radius, (61, 47))
         assert box.sum() == tiles
-    spans = made.words("spans of cells", 4 * count).reshape(count, 4)[drawn]
-    per_cell = made.one.data.per_cell
+    spans = kernel_run.words("spans of cells", 4 * count).reshape(count, 4)[drawn]
+    per_cell = kernel_run.one.data.per_cell
     np.testing.assert_array_equal(spans[:, 0], per_cell * np.flatnonzero(drawn))
     np.testing.assert_array_equal(spans[:, 1], per_cell)
     factors = spans[:, 2:].copy().view(np.float32)
-    np.testing.assert_allclose(factors[:, 0], 1 / made.one.weighted.opacity_divisor)
-    np.testing.assert_allclose(factors[:, 1], made.one.weighted.background)
-    keys_of_splats = made.words("keys of weighted", len(made.one.data)).reshape(count, -1)
-    seen = int((keys_of_splats[drawn] != ABSENT).sum())
-    assert made.words("counts of cells", 6)[Counts.DRAWN] == seen
+    np.testing.assert_allclose(factors[:, 0], 1 / kernel_run.one.weighted.opacity_divisor)
+    np.testing.assert_allclose(factors[:, 1], kernel_run.one.weighted.background)
+    keys_of_splats = kernel_run.words("keys of weighted", len(kernel_run.one.data)).reshape(
+        count, -1
+    )
+    actual = int((keys_of_splats[drawn] != ABSENT).sum())
+    assert kernel_run.words("counts of cells", 6)[Counts.DRAWN] == actual
 
 
 @pytest.mark.parametrize("name", ["many_cells", "far_beside"])
 def test_cells_are_listed_for_their_tiles(renderer: Renderer, name: str) -> None:
     stages = ("project weighted", "project cells", "sort cells", "bin cells")
-    made = run(renderer, name, *stages)
-    count = len(made.one.data.cells)
-    pairs = int(made.words("counts of cells", 3)[Counts.PAIRS])
-    tiles = made.words("keys of pairs of cells a", pairs)
-    members = made.words("values of pairs of cells a", pairs)
-    circles = made.floats("circles of cells", count).astype(np.float64)
-    depth = cells(made).depth.astype(np.float32)
+    kernel_run = run(renderer, name, *stages)
+    count = len(kernel_run.one.data.cells)
+    pairs = int(kernel_run.words("counts of cells", 3)[Counts.PAIRS])
+    tiles = kernel_run.words("keys of pairs of cells a", pairs)
+    members = kernel_run.words("values of pairs of cells a", pairs)
+    circles = kernel_run.floats("circles of cells", count).astype(np.float64)
+    depth = cells(kernel_run).depth.astype(np.float32)
     assert (np.diff(depth[members]) >= 0).all()
-    assert len(np.unique(members)) == made.words("counts of cells", 2)[Counts.VISIBLE]
+    assert len(np.unique(members)) == kernel_run.words("counts of cells", 2)[Counts.VISIBLE]
     for i in np.unique(members):
-        box = box_reference(circles[i, :2] + made.origin, circles[i, 2], (61, 47))
+        box = box_reference(circles[i, :2] + kernel_run.origin, circles[i, 2], (61, 47))
         np.testing.assert_array_equal(tiles[members == i], np.flatnonzero(box))
     assert pairs > 50
 
@@ -175,28 +183,28 @@ def test_cells_are_listed_for_their_tiles(renderer: Renderer, name: str) -> None
 def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
     image = renderer.render(scene, seen_by).rgba
-    made = Run(renderer, renderer._plan, scene.sets[0], seen_by)
-    found, sums = cells(made), splats(made)
-    radii = circle_reference(dilated(found), CELL_REACH)
-    per_cell = made.one.data.per_cell
-    order = np.argsort(found.depth.astype(np.float32), kind="stable")
+    run = Run(renderer, renderer._plan, scene.sets[0], seen_by)
+    actual, sums = cells(run), splats(run)
+    radii = circle_reference(dilated(actual), CELL_REACH)
+    per_cell = run.one.data.per_cell
+    order = np.argsort(actual.depth.astype(np.float32), kind="stable")
     nearest_first = [
         (
             slice(per_cell * i, per_cell * (i + 1)),
-            box_reference(found.mean[i] + made.origin, radii[i], (61, 47)),
+            box_reference(actual.mean[i] + run.origin, radii[i], (61, 47)),
         )
         for i in order
-        if found.drawn[i]
+        if actual.drawn[i]
     ]
-    weighted = made.one.weighted
-    wanted = blend_wsr_reference(
+    weighted = run.one.weighted
+    expected = blend_wsr_reference(
         sums,
         circle_reference(dilated(sums), SPLAT_REACH),
         nearest_first,
         (weighted.opacity_divisor, weighted.background),
-        made.origin,
+        run.origin,
         (61, 47),
     )
-    error = np.abs(image - wanted)
+    error = np.abs(image - expected)
     assert np.quantile(error, 0.995) <= 1e-5  # the rest is at thresholds
     assert error.max() <= 2e-2

@@ -15,8 +15,8 @@ def pixels(camera: Camera) -> dict[str, int]:
     packet = gpano(camera)
     assert packet is not None
     assert b'GPano:ProjectionType="equirectangular"' in packet
-    found = re.findall(rb'GPano:(\w+)Pixels="(-?\d+)"', packet)
-    return {name.decode(): int(value) for name, value in found}
+    matches = re.findall(rb'GPano:(\w+)Pixels="(-?\d+)"', packet)
+    return {name.decode(): int(value) for name, value in matches}
 
 
 def test_full_panorama_covers_the_sphere() -> None:

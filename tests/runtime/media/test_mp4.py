@@ -36,16 +36,16 @@ def test_every_frame_comes_back_in_its_order(count: int) -> None:
     assert (read.size, getattr(read, "n_frames", None)) == ((37, 22), count)
     for number in {0, count // 2, count - 1}:
         read.seek(number)
-        seen = np.asarray(read.convert("RGB"), np.float64)
-        error = np.abs(seen - np.asarray(frames[number])).mean()
+        actual = np.asarray(read.convert("RGB"), np.float64)
+        error = np.abs(actual - np.asarray(frames[number])).mean()
         assert error < 6, number  # a bar elsewhere: 25 and more
 
 
 def test_film_of_one_frame_is_written() -> None:
     film = encode(_moving(1), 25)
-    at = film.index(b"stsz")
-    assert int.from_bytes(film[at + 12 : at + 16], "big") == 1
-    size = int.from_bytes(film[at + 16 : at + 20], "big")
+    offset = film.index(b"stsz")
+    assert int.from_bytes(film[offset + 12 : offset + 16], "big") == 1
+    size = int.from_bytes(film[offset + 16 : offset + 20], "big")
     assert film[-size - 8 :].startswith((size + 8).to_bytes(4, "big") + b"mdat")
 
 
@@ -60,9 +60,9 @@ def test_frame_rate_is_the_requested_one(fps: float) -> None:
 
 def test_key_frames_allow_seeking() -> None:
     film = encode(_moving(100, (16, 16)), 25)
-    at = film.index(b"stss") + 8
-    count = int.from_bytes(film[at : at + 4], "big")
-    firsts = np.frombuffer(film[at + 4 : at + 4 + 4 * count], ">u4").tolist()
+    offset = film.index(b"stss") + 8
+    count = int.from_bytes(film[offset : offset + 4], "big")
+    firsts = np.frombuffer(film[offset + 4 : offset + 4 + 4 * count], ">u4").tolist()
     assert firsts[0] == 1
     assert all(1 < after - before <= 50 for before, after in pairwise(firsts))
 

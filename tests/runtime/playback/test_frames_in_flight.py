@@ -126,9 +126,9 @@ def little_room(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
 
 
-def assert_same(one: Frame, other: Frame) -> None:
-    assert_same_images(one, other)
-    assert (one.visible, one.pairs) == (other.visible, other.pairs)
+def assert_same(frame: Frame, other: Frame) -> None:
+    assert_same_images(frame, other)
+    assert (frame.visible, frame.pairs) == (other.visible, other.pairs)
 
 
 @pytest.mark.usefixtures("little_room")
@@ -166,8 +166,8 @@ def test_sizes_and_bands_may_change_in_flight(
     cameras = [camera(61, 47), camera(61, 47), camera(80, 64), camera(80, 64), camera(40, 300)]
     cameras += [camera(40, 300), camera(61, 47), camera(61, 47)]
     shots = [FrameRequest(seen_by, number=number) for number, seen_by in enumerate(cameras)]
-    plain = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
-    expected = [plain.render(shot) for shot in shots]
+    player = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    expected = [player.render(shot) for shot in shots]
     film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
     banded: list[int] = []
 
@@ -190,10 +190,13 @@ def test_a_frame_is_submitted_before_the_one_before_it_is_read(
     for owner, name in ((Plan, "submit"), (FrameReadback, "collect")):
 
         def noted(
-            *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
+            *args: object,
+            original: object = getattr(owner, name),
+            name: str = name,
+            **kwargs: object,
         ) -> object:
             events.append(name)
-            return plain(*args, **rest)
+            return original(*args, **kwargs)
 
         monkeypatch.setattr(owner, name, noted)
     list(film.play(requests(5)))
@@ -232,9 +235,9 @@ def test_no_buffer_is_made_once_frames_are_in_flight(
     frames = film.play(requests(9) + requests(9))
     for _ in range(9):
         next(frames)
-    made = watched(device, monkeypatch)
+    result = watched(device, monkeypatch)
     assert len(list(frames)) == 9
-    assert "create_buffer" not in made
+    assert "create_buffer" not in result
 
 
 def test_a_source_that_cannot_hold_its_arrays_is_waited_for(device: Device) -> None:
@@ -274,10 +277,10 @@ def test_frames_before_one_that_cannot_be_drawn_come_first(
     expected = [film.render(shot) for shot in requests(2)]
     submit = Renderer.submit
 
-    def refusing(renderer: Renderer, *args: object, **rest: object) -> object:
+    def refusing(renderer: Renderer, *args: object, **kwargs: object) -> object:
         if film.statistics.frames + 1 == len(expected):
             raise CapacityExceeded("too many splats")
-        return submit(renderer, *args, **rest)
+        return submit(renderer, *args, **kwargs)
 
     monkeypatch.setattr(Renderer, "submit", refusing)
     frames = film.play(requests(6))
@@ -294,11 +297,11 @@ def test_without_memory_a_frame_waits_for_those_in_flight(
     expected = [film.render(shot).rgba for shot in requests(6)]
     submit, calls = Renderer.submit, list[int]()
 
-    def refusing(renderer: Renderer, *args: object, **rest: object) -> object:
+    def refusing(renderer: Renderer, *args: object, **kwargs: object) -> object:
         calls.append(0)
         if len(calls) == 3:
             raise MemoryFull("the memory is full")
-        return submit(renderer, *args, **rest)
+        return submit(renderer, *args, **kwargs)
 
     monkeypatch.setattr(Renderer, "submit", refusing)
     played = [frame.rgba for frame in film.play(requests(6))]

@@ -18,11 +18,14 @@ def test_weights_sum_to_one_at_every_pixel(
     image: tuple[int, int], tile: tuple[int, int], overlap: int
 ) -> None:
     total, covered = np.zeros(image), np.zeros(image, int)
-    for one, weight in tile_weights(image, tile, overlap):
-        assert (one.top >= 0) & (one.left >= 0)
+    for tile_weight, weight in tile_weights(image, tile, overlap):
+        assert (tile_weight.top >= 0) & (tile_weight.left >= 0)
         assert weight.shape == tile
         assert (weight > 0).all()
-        part = np.s_[one.top : one.top + tile[0], one.left : one.left + tile[1]]
+        part = np.s_[
+            tile_weight.top : tile_weight.top + tile[0],
+            tile_weight.left : tile_weight.left + tile[1],
+        ]
         assert total[part].shape == tile, "a tile reaches beyond the image"
         total[part] += weight
         covered[part] += 1
@@ -36,7 +39,7 @@ def test_neighbours_share_at_least_the_overlap(
 ) -> None:
     tiles = list(lay_tiles(image, tile, overlap))
     for axis, name in enumerate(("top", "left")):
-        starts = sorted({getattr(one, name) for one in tiles})
+        starts = sorted({getattr(tile, name) for tile in tiles})
         assert starts[0] == 0
         assert starts[-1] == image[axis] - tile[axis]
         assert all(b - a <= tile[axis] - overlap for a, b in pairwise(starts))
@@ -55,28 +58,28 @@ def test_a_network_that_changes_nothing_gives_the_identical_image(seed: int) -> 
         sizes.add(part.shape)
         return part
 
-    made = run_tiled(image, same, tile, overlap)
-    assert made.dtype == image.dtype
+    result = run_tiled(image, same, tile, overlap)
+    assert result.dtype == image.dtype
     assert sizes == {(1, 3, *tile)}
-    np.testing.assert_array_equal(made, image)
+    np.testing.assert_array_equal(result, image)
 
 
 def test_constant_output_stays_constant_for_any_image() -> None:
     image = np.random.default_rng(0).random((1, 3, 37, 53)).astype(np.float32)
-    made = run_tiled(image, lambda part: np.full_like(part[:, :1], 0.3), (16, 16), 5)
-    assert made.shape == (1, 1, 37, 53)
-    np.testing.assert_array_equal(made, np.float32(0.3))
+    result = run_tiled(image, lambda part: np.full_like(part[:, :1], 0.3), (16, 16), 5)
+    assert result.shape == (1, 1, 37, 53)
+    np.testing.assert_array_equal(result, np.float32(0.3))
 
 
 def test_a_step_between_tiles_becomes_a_ramp() -> None:
     values = iter((0.0, 1.0))
-    made = run_tiled(
+    result = run_tiled(
         np.zeros((1, 1, 8, 24), np.float32),
         lambda part: np.full_like(part, next(values)),
         (8, 16),
         3,
     )
-    row = made[0, 0, 4]
+    row = result[0, 0, 4]
     assert (np.diff(row) >= 0).all()
     assert np.diff(row).max() < 0.3, "a seam shows"
     assert row[0] == 0
@@ -84,8 +87,8 @@ def test_a_step_between_tiles_becomes_a_ramp() -> None:
 
 
 def test_nan_in_one_tile_is_not_hidden() -> None:
-    made = run_tiled(np.full((1, 1, 4, 4), np.nan, np.float32), lambda part: part, (4, 4), 0)
-    assert np.isnan(made).all()
+    result = run_tiled(np.full((1, 1, 4, 4), np.nan, np.float32), lambda part: part, (4, 4), 0)
+    assert np.isnan(result).all()
 
 
 @pytest.mark.parametrize("overlap", [-1, 8, 100])
@@ -120,9 +123,9 @@ def test_models_of_fixed_size_run_in_tiles_and_others_at_once() -> None:
     opened = Session([1, 3, "h", "w"])
     np.testing.assert_array_equal(post_process(fixed, image), 2 * image)
     np.testing.assert_array_equal(post_process(opened, image), 2 * image)
-    made = post_process(half, image)
-    assert made.dtype == np.float16
-    np.testing.assert_allclose(made, 2 * image, rtol=1e-3)
+    result = post_process(half, image)
+    assert result.dtype == np.float16
+    np.testing.assert_allclose(result, 2 * image, rtol=1e-3)
     assert fixed.calls > 4
     assert opened.calls == 1
     with pytest.raises(ConfigInvalid, match="has 4 channels"):

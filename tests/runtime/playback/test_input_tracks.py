@@ -37,8 +37,8 @@ class AnimatedInputs:
 
 
 def fed(score: Timeline, name: str, frames: int) -> list[object]:
-    made = [score.values(number, frames)[0].get(name) for number in range(frames)]
-    return [one.tolist() if isinstance(one, np.ndarray) else one for one in made]
+    result = [score.values(number, frames)[0].get(name) for number in range(frames)]
+    return [entry.tolist() if isinstance(entry, np.ndarray) else entry for entry in result]
 
 
 @pytest.mark.parametrize(
@@ -60,16 +60,16 @@ def test_typed_values_become_a_track(text: str, shape: tuple[int, ...], values: 
 
 
 def test_array_files_become_tracks(tmp_path: Path) -> None:
-    given = np.random.default_rng(0).normal(size=(2, 4, 3))
-    np.save(tmp_path / "a.npy", given)
-    np.savez(tmp_path / "a.npz", only=given)
-    (tmp_path / "a.json").write_text(json.dumps(given.tolist()))
+    inputs = np.random.default_rng(0).normal(size=(2, 4, 3))
+    np.save(tmp_path / "a.npy", inputs)
+    np.savez(tmp_path / "a.npz", only=inputs)
+    (tmp_path / "a.json").write_text(json.dumps(inputs.tolist()))
     for suffix in ("npy", "npz", "json"):
         track = input_track(f"pose={tmp_path / 'a'}.{suffix}")
         assert track.frames((4, 3)) == 2
-        np.testing.assert_array_equal(track.at((4, 3), 3, 9), given[1])
+        np.testing.assert_array_equal(track.at((4, 3), 3, 9), inputs[1])
         assert track.frames((2, 4, 3)) == 1
-    np.savez(tmp_path / "two.npz", a=given, b=given)
+    np.savez(tmp_path / "two.npz", a=inputs, b=inputs)
     with pytest.raises(ConfigInvalid, match="has 2 arrays, expected one"):
         input_track(f"pose={tmp_path / 'two.npz'}")
 
@@ -135,7 +135,7 @@ def test_a_role_reaches_every_input_that_has_it_and_a_name_its_own() -> None:
     assert list(first) == ["time"]  # a tensor of that name comes before the role
     assert list(second) == ["time"]
     score = Timeline(takers, [Track("control", np.asarray(3), "x")])
-    assert [list(one) for one in score.values(0, 1)] == [[], ["amount"]]
+    assert [list(entry) for entry in score.values(0, 1)] == [[], ["amount"]]
     with pytest.raises(UnknownName, match="unknown input 'amont'") as raised:
         Timeline(takers, [Track("amont", np.asarray(3), "--input amont")])
     assert "Did you mean 'amount'?" in str(raised.value)

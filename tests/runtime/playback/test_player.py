@@ -46,8 +46,10 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def drift(models: Path, renderer: Renderer) -> Iterator[GeneratorPlayer]:
-    with GeneratorPlayer(models / "drift.onnx", provider="cpu", renderer=renderer) as made:
-        yield made
+    with GeneratorPlayer(
+        models / "drift.onnx", provider="cpu", renderer=renderer
+    ) as generator_player:
+        yield generator_player
 
 
 def test_played_frames_equal_single_runs(drift: GeneratorPlayer) -> None:
@@ -55,8 +57,8 @@ def test_played_frames_equal_single_runs(drift: GeneratorPlayer) -> None:
     played = [frame.rgba for frame in drift.play(CAMERA, times=TIMES)]
     assert len(played) == len(TIMES)
     assert not np.array_equal(alone[0], alone[1])
-    for one, other in zip(alone, played, strict=True):
-        assert np.array_equal(one, other)
+    for first, other in zip(alone, played, strict=True):
+        assert np.array_equal(first, other)
 
 
 def test_the_next_frame_is_computed_while_one_is_drawn(
@@ -71,24 +73,24 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
         events.append(name)
         return events.count(name) - 1
 
-    def watched_run(self: FrameSession, *args: object, **rest: object) -> object:
+    def watched_run(self: FrameSession, *args: object, **kwargs: object) -> object:
         frame = began("run")
         inferring[frame].set()
         if frame > 0:
             assert drawing[frame - 1].wait(LONG), "nobody draws the frame before"
-        return run(self, *args, **rest)
+        return run(self, *args, **kwargs)
 
-    def watched_submit(self: Plan, *args: object, **rest: object) -> None:
+    def watched_submit(self: Plan, *args: object, **kwargs: object) -> None:
         drawing[began("submit")].set()
-        submit(self, *args, **rest)
+        submit(self, *args, **kwargs)
 
-    def watched_collect(self: FrameReadback, *args: object, **rest: object) -> object:
+    def watched_collect(self: FrameReadback, *args: object, **kwargs: object) -> object:
         frame = began("collect")
         if frame + 1 < len(TIMES):
             assert drawing[frame + 1].is_set(), "the next frame is not in flight"
         if frame + 2 < len(TIMES):
             assert inferring[frame + 2].wait(LONG), "nobody computes the frame after the next"
-        return collect(self, *args, **rest)
+        return collect(self, *args, **kwargs)
 
     list(drift.play(CAMERA, times=[0.75]))  # so that no frame below is as the one before
     monkeypatch.setattr(FrameSession, "run", watched_run)
@@ -106,10 +108,13 @@ def test_sequential_playback_has_no_overlap(
     for owner, name in ((FrameSession, "run"), (Plan, "submit"), (Plan, "collect")):
 
         def noted(
-            *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
+            *args: object,
+            original: object = getattr(owner, name),
+            name: str = name,
+            **kwargs: object,
         ) -> object:
             events.append(name)
-            return plain(*args, **rest)
+            return original(*args, **kwargs)
 
         monkeypatch.setattr(owner, name, noted)
     for time in TIMES:
@@ -125,14 +130,14 @@ class Uploads:
         self.runs = 0
         write, run = Device.write, FrameSession.run
 
-        def watched_write(device: Device, buffer: object, data: object, *rest: int) -> None:
+        def watched_write(device: Device, buffer: object, data: object, *kwargs: int) -> None:
             if buffer.label in self.bytes:
                 self.bytes[buffer.label] += data.nbytes
-            write(device, buffer, data, *rest)
+            write(device, buffer, data, *kwargs)
 
-        def watched_run(session: FrameSession, *args: object, **rest: object) -> object:
+        def watched_run(session: FrameSession, *args: object, **kwargs: object) -> object:
             self.runs += 1
-            return run(session, *args, **rest)
+            return run(session, *args, **kwargs)
 
         monkeypatch.setattr(Device, "write", watched_write)
         monkeypatch.setattr(FrameSession, "run", watched_run)
@@ -167,13 +172,13 @@ def test_unchanged_outputs_are_neither_computed_nor_uploaded(
     path = models / f"{model}.onnx"
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
         list(player.play(cameras[:1] * 3))  # buffers for all frames in flight are made
-        seen = Uploads(monkeypatch)
-        made = watched(renderer.device, monkeypatch)
+        uploads = Uploads(monkeypatch)
+        result = watched(renderer.device, monkeypatch)
         frames = list(player.play(cameras[1:], values=values))
     assert len(frames) == 3
-    assert seen.runs == runs
-    assert seen.bytes == {"rows": rows * ROW, "appearance": appearance * COLOR}
-    assert made == []
+    assert uploads.runs == runs
+    assert uploads.bytes == {"rows": rows * ROW, "appearance": appearance * COLOR}
+    assert result == []
 
 
 def test_a_count_that_changes_alone_uploads_nothing(
@@ -190,12 +195,12 @@ def test_a_count_that_changes_alone_uploads_nothing(
     counted.write(path)
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
         everything = player.render(CAMERA, time=1.0)
-        seen = Uploads(monkeypatch)
+        uploads = Uploads(monkeypatch)
         fewer = [frame.visible for frame in player.play(CAMERA, times=(0.5, 0.9, 0.65, 1.0))]
         again = player.render(CAMERA, time=1.0)
     assert fewer == [2, 4, 3, 5]
-    assert seen.runs == 4
-    assert seen.bytes == {"rows": 0, "appearance": 0}
+    assert uploads.runs == 4
+    assert uploads.bytes == {"rows": 0, "appearance": 0}
     assert np.array_equal(everything.rgba, again.rgba)
 
 
@@ -225,14 +230,14 @@ def test_errors_name_model_input_and_frame(drift: GeneratorPlayer, models: Path)
 
 
 def test_a_film_that_is_left_early_leaves_no_trace(drift: GeneratorPlayer) -> None:
-    wanted = drift.render(CAMERA, time=0.5).rgba
+    expected = drift.render(CAMERA, time=0.5).rgba
     frames = drift.play(CAMERA, times=(0.1, 7.0, 0.2))
     next(frames)
     frames.close()  # what is wrong with the second frame concerns nobody
     frames = drift.play(CAMERA, times=(0.3, 0.9))
     next(frames)
     frames.close()
-    assert np.array_equal(drift.render(CAMERA, time=0.5).rgba, wanted)
+    assert np.array_equal(drift.render(CAMERA, time=0.5).rgba, expected)
 
 
 def test_several_sources_play_together(models: Path, renderer: Renderer) -> None:
@@ -297,64 +302,64 @@ def test_cells_of_a_generator_are_summed_by_weights(
             cells=frame[outputs.cells.name],
             per_cell=outputs.cells.per_cell,
         )
-    wanted = renderer.render(Scene([SplatSet(data, weighted=weighted)]), CAMERA)
+    expected = renderer.render(Scene([SplatSet(data, weighted=weighted)]), CAMERA)
     sorted_ = renderer.render(Scene([data]), CAMERA)
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
-        assert np.array_equal(player.render(CAMERA).rgba, wanted.rgba)
-        assert not np.array_equal(wanted.rgba, sorted_.rgba)
-        seen = Uploads(monkeypatch)
-        seen.bytes["cells"] = 0
+        assert np.array_equal(player.render(CAMERA).rgba, expected.rgba)
+        assert not np.array_equal(expected.rgba, sorted_.rgba)
+        uploads = Uploads(monkeypatch)
+        uploads.bytes["cells"] = 0
         player.render(CAMERA)
-    assert set(seen.bytes.values()) == {0}
+    assert set(uploads.bytes.values()) == {0}
 
 
 def test_held_outputs_stay_for_as_many_more_frames() -> None:
-    kept, rows = _OutputBuffer(), np.zeros((4, 10), np.float32)
-    taken = []
+    retained, rows = _OutputBuffer(), np.zeros((4, 10), np.float32)
+    results = []
     for number in range(7):
-        taken.append(kept.take(rows + number, None, retained=1))
+        results.append(retained.take(rows + number, None, retained=1))
         for back in range(min(number, 2) + 1):
-            assert np.all(taken[number - back] == number - back)
-    assert len(set(map(id, taken))) == 3
+            assert np.all(results[number - back] == number - back)
+    assert len(set(map(id, results))) == 3
 
 
 def test_live_rows_of_outputs_are_compared_bit_by_bit() -> None:
     rows = np.arange(40, dtype=np.float32).reshape(4, 10)
-    kept = _OutputBuffer()
-    first = kept.take(rows, 3)
+    output_buffer = _OutputBuffer()
+    first = output_buffer.take(rows, 3)
     assert first is not None
-    assert kept.take(rows.copy(), 3) is None
+    assert output_buffer.take(rows.copy(), 3) is None
     other = rows.copy()
     other[3] = 7  # behind the count
-    assert kept.take(other, 3) is None
-    assert kept.take(other, 2) is None
-    assert np.array_equal(kept.take(other, 4), other)  # more than were there
+    assert output_buffer.take(other, 3) is None
+    assert output_buffer.take(other, 2) is None
+    assert np.array_equal(output_buffer.take(other, 4), other)  # more than were there
     zero = other.copy()
     zero[0, 0] = -0.0  # equal, and not the same
-    second = kept.take(zero, 4)
+    second = output_buffer.take(zero, 4)
     assert second is not None
     assert np.signbit(second[0, 0])
     zero[1, 1] = np.nan
-    third = kept.take(zero, 4)
+    third = output_buffer.take(zero, 4)
     assert third is not None
-    assert kept.take(zero.copy(), 4) is None  # NaN is itself
-    assert kept.take(zero, 0) is None
+    assert output_buffer.take(zero.copy(), 4) is None  # NaN is itself
+    assert output_buffer.take(zero, 0) is None
     assert np.signbit(second[0, 0])  # what is drawn stays while the next is written
 
 
 def test_a_constant_output_is_copied_once() -> None:
     rows = np.ones((4, 10), np.float32)
-    kept = _OutputBuffer()
-    assert np.array_equal(kept.take(rows, 3, is_constant=True)[:3], rows[:3])
-    assert kept.take(rows, 3, is_constant=True) is None
-    assert np.array_equal(kept.take(rows, 4, is_constant=True), rows)  # more rows are live
+    output_buffer = _OutputBuffer()
+    assert np.array_equal(output_buffer.take(rows, 3, is_constant=True)[:3], rows[:3])
+    assert output_buffer.take(rows, 3, is_constant=True) is None
+    assert np.array_equal(output_buffer.take(rows, 4, is_constant=True), rows)  # more rows are live
 
 
 def test_a_long_output_is_compared_to_its_end() -> None:
     for dtype in (np.float32, np.float16):
         rows = np.ones((30_000, 10), dtype)
-        kept = _OutputBuffer()
-        kept.take(rows, None)
+        output_buffer = _OutputBuffer()
+        output_buffer.take(rows, None)
         rows[-1, -1] = 2
-        assert np.array_equal(kept.take(rows, None), rows)
-        assert kept.take(rows, None) is None
+        assert np.array_equal(output_buffer.take(rows, None), rows)
+        assert output_buffer.take(rows, None) is None

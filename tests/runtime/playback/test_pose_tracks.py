@@ -19,10 +19,10 @@ POSE = np.random.default_rng(0).uniform(-0.4, 0.4, (5, 24, 3))
 class Body(Source):
     """Enough of a source: the inputs of an avatar."""
 
-    def __init__(self, joints: int = 24, turn: tuple[int, ...] = (3, 3), **rest: str) -> None:
+    def __init__(self, joints: int = 24, turn: tuple[int, ...] = (3, 3), **kwargs: str) -> None:
         self.shapes = {"pose": (joints, 3), "turn": turn, "shift": (3,), "face": (10,)}
         self.inputs = (
-            Input(name="pose", role="pose", convention=rest.get("convention", "smpl-axis-angle")),
+            Input(name="pose", role="pose", convention=kwargs.get("convention", "smpl-axis-angle")),
             Input(name="turn", role="root_rotation"),
             Input(name="shift", role="root_translation"),
             Input(name="face", role="expression"),
@@ -72,9 +72,9 @@ def plain(path: Path) -> Path:
 def test_every_kind_of_file_gives_the_same_poses(
     tmp_path: Path, make: Callable[[Path], Path]
 ) -> None:
-    found = read(make(tmp_path))
-    assert list(found) == ["pose"]
-    np.testing.assert_array_equal(found["pose"], POSE)
+    actual = read(make(tmp_path))
+    assert list(actual) == ["pose"]
+    np.testing.assert_array_equal(actual["pose"], POSE)
 
 
 def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path: Path) -> None:
@@ -97,9 +97,9 @@ def test_root_rotation_and_shift_are_read(tmp_path: Path) -> None:
     turns = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(5, 3)))
     shift = np.random.default_rng(2).normal(size=(5, 3))
     path = write(tmp_path / "a.npz", poses=POSE, Th=shift, R=turns.as_matrix())
-    found = read(path)
-    np.testing.assert_array_equal(found["shift"], shift)
-    np.testing.assert_array_equal(found["turn"].reshape(5, 3, 3), turns.as_matrix())
+    actual = read(path)
+    np.testing.assert_array_equal(actual["shift"], shift)
+    np.testing.assert_array_equal(actual["turn"].reshape(5, 3, 3), turns.as_matrix())
     as_vectors = read(path, Body(turn=(3,)))["turn"]
     np.testing.assert_allclose(as_vectors, turns.as_rotvec(), atol=1e-12)
     path = write(tmp_path / "b.npz", poses=POSE, trans=shift, Rh=turns.as_rotvec())
@@ -117,16 +117,16 @@ def test_frame_rate_is_read_from_the_file(tmp_path: Path) -> None:
      (55, 52, [*range(22), *range(-30, 0)]), (24, 22, range(22))],
 )  # fmt: skip
 def test_poses_of_one_body_move_another(
-    tmp_path: Path, given: int, joints: int, shared: list[int]
+    tmp_path: Path, axis_count: int, joints: int, shared: list[int]
 ) -> None:
-    poses = np.random.default_rng(0).normal(size=(3, given, 3))
+    poses = np.random.default_rng(0).normal(size=(3, axis_count, 3))
     path = write(tmp_path / "a.npz", poses=poses.reshape(3, -1))
-    made = read(path, Body(joints))["pose"]
-    wanted = np.zeros((3, joints, 3))
-    wanted[:, list(shared)] = poses[:, list(shared)]
-    np.testing.assert_array_equal(made, wanted)
+    result = read(path, Body(joints))["pose"]
+    array = np.zeros((3, joints, 3))
+    array[:, list(shared)] = poses[:, list(shared)]
+    np.testing.assert_array_equal(result, array)
     with pytest.raises(
-        ConfigInvalid, match=rf"holds poses of \[{3 * given}\], expected \[{joints}, 3\]"
+        ConfigInvalid, match=rf"holds poses of \[{3 * axis_count}\], expected \[{joints}, 3\]"
     ):
         read(path, Body(joints, convention="axis-angle"))
 
@@ -143,12 +143,12 @@ def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
     together.parent.mkdir()
     together.write_text(json.dumps(frames))
     for path in (tmp_path, together):
-        found = read(path, Body(55))
-        assert found["pose"].shape == (2, 55, 3)
+        actual = read(path, Body(55))
+        assert actual["pose"].shape == (2, 55, 3)
         flat = np.concatenate([frames[1][name] for name in sizes])
-        np.testing.assert_array_equal(found["pose"][1].ravel(), flat)
-        np.testing.assert_array_equal(found["shift"], [[0, 2.5, 3], [1, 2.5, 3]])
-        np.testing.assert_array_equal(found["face"], [frame["expr"] for frame in frames])
+        np.testing.assert_array_equal(actual["pose"][1].ravel(), flat)
+        np.testing.assert_array_equal(actual["shift"], [[0, 2.5, 3], [1, 2.5, 3]])
+        np.testing.assert_array_equal(actual["face"], [frame["expr"] for frame in frames])
     frames[0]["body_pose"] = [0.0]
     together.write_text(json.dumps(frames))
     with pytest.raises(ConfigInvalid, match="frame 0, body_pose: has 1 numbers, expected 63"):

@@ -58,9 +58,13 @@ def write(folder: Path, sketch: ModelSpec, name: str = "model") -> Path:
     return path
 
 
-def declared(sketch: ModelSpec, *, taken: tuple, given: tuple, space: str = "srgb") -> ModelSpec:
-    outputs = PostProcessOutputs(ImageOutput("out", range=given, color_space=space))
-    return replace(sketch, manifest=replace(sketch.manifest, image_range=taken, outputs=outputs))
+def declared(
+    sketch: ModelSpec, *, input_range: tuple, output_range: tuple, space: str = "srgb"
+) -> ModelSpec:
+    outputs = PostProcessOutputs(ImageOutput("out", range=output_range, color_space=space))
+    return replace(
+        sketch, manifest=replace(sketch.manifest, image_range=input_range, outputs=outputs)
+    )
 
 
 @pytest.mark.parametrize("size", ["8,12", "height,width", "8,width", "40,50"])
@@ -70,14 +74,14 @@ def test_straight_colours_are_fed_and_alpha_is_reapplied(
 ) -> None:
     shown = frame(space=space)
     with PostProcessor(write(tmp_path, darken(size))) as model:
-        made = model(shown)
+        result = model(shown)
     alpha = shown.rgba[..., 3:]
-    np.testing.assert_allclose(made.rgba[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
-    np.testing.assert_array_equal(made.rgba[..., 3:], alpha)
-    assert made.color_space == "srgb"
-    assert made.rgba.dtype == np.float32
-    assert (made.visible, made.pairs) == (5, 9)
-    assert made.alpha is shown.alpha
+    np.testing.assert_allclose(result.rgba[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
+    np.testing.assert_array_equal(result.rgba[..., 3:], alpha)
+    assert result.color_space == "srgb"
+    assert result.rgba.dtype == np.float32
+    assert (result.visible, result.pairs) == (5, 9)
+    assert result.alpha is shown.alpha
 
 
 def test_ranges_and_the_colour_space_are_those_of_the_manifest(tmp_path: Path) -> None:
@@ -85,37 +89,37 @@ def test_ranges_and_the_colour_space_are_those_of_the_manifest(tmp_path: Path) -
         "out = Mul (image, amount)", "half = Mul (image, amount) out = Add (half, more)"
     )
     sketch = sketch.weighing(amount=f32(40.0), more=f32(60.0))
-    sketch = declared(sketch, taken=(-1, 1), given=(10, 110), space="linear")
+    sketch = declared(sketch, input_range=(-1, 1), output_range=(10, 110), space="linear")
     shown = frame(1)
     with PostProcessor(write(tmp_path, sketch)) as model:
-        made = model(shown)
-    wanted = (40 * (2 * straight(shown) - 1) + 60 - 10) / 100
+        result = model(shown)
+    expected = (40 * (2 * straight(shown) - 1) + 60 - 10) / 100
     alpha = shown.rgba[..., 3:]
-    np.testing.assert_allclose(made.rgba[..., :3], wanted * alpha, atol=2e-6)
-    assert made.color_space == "linear"
+    np.testing.assert_allclose(result.rgba[..., :3], expected * alpha, atol=2e-6)
+    assert result.color_space == "linear"
 
 
 def test_a_model_of_four_channels_decides_on_alpha(tmp_path: Path) -> None:
     with PostProcessor(find("post_process_half").write(tmp_path)) as model:
-        made = model(shown := frame(2))
+        result = model(shown := frame(2))
     alpha = 0.5 * shown.rgba[..., 3:]
-    np.testing.assert_allclose(made.rgba[..., 3:], alpha, atol=1e-3)
-    np.testing.assert_allclose(made.rgba[..., :3], 0.5 * straight(shown) * alpha, atol=1e-3)
+    np.testing.assert_allclose(result.rgba[..., 3:], alpha, atol=1e-3)
+    np.testing.assert_allclose(result.rgba[..., :3], 0.5 * straight(shown) * alpha, atol=1e-3)
 
 
 def test_other_inputs_have_their_defaults_and_can_be_given(tmp_path: Path) -> None:
     shown = frame(3)
     with PostProcessor(find("one_step_enhancer").write(tmp_path)) as model:
-        plain, weak = model(shown).rgba, model(shown, {"strength": 0.0}).rgba
-        kept = model(shown).rgba
-        assert {one.role for one in model.inputs} == {"timestep", "conditioning", "control"}
+        original, weak = model(shown).rgba, model(shown, {"strength": 0.0}).rgba
+        retained = model(shown).rgba
+        assert {entry.role for entry in model.inputs} == {"timestep", "conditioning", "control"}
         assert model.shape("words") == (1, 4)
         with pytest.raises(InputInvalid, match="strength"):
             model(shown, {"strength": 2.0})
     alpha = shown.rgba[..., 3:]
     np.testing.assert_allclose(weak[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
-    np.testing.assert_array_equal(weak, kept)
-    assert not np.array_equal(plain, weak)
+    np.testing.assert_array_equal(weak, retained)
+    assert not np.array_equal(original, weak)
 
 
 def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
@@ -169,9 +173,9 @@ def test_player_runs_post_process_models_in_order(tmp_path: Path) -> None:
         ) as player:
             return player.render(camera, time=0.5).rgba[..., :3]
 
-    plain = np.clip(shown(), 0, 1)
-    assert plain.min() < 0.9
-    np.testing.assert_allclose(shown(*paths), np.full_like(plain, 0.5), atol=1e-6)
-    np.testing.assert_allclose(shown(*paths[::-1]), 0.5 * np.maximum(plain, 0.5), atol=1e-6)
+    original = np.clip(shown(), 0, 1)
+    assert original.min() < 0.9
+    np.testing.assert_allclose(shown(*paths), np.full_like(original, 0.5), atol=1e-6)
+    np.testing.assert_allclose(shown(*paths[::-1]), 0.5 * np.maximum(original, 0.5), atol=1e-6)
     with pytest.raises(ConfigInvalid, match="works on colours, but the output is depth"):
         GeneratorPlayer(scene, post=paths, provider="cpu", renderer=renderer, outputs=("depth",))

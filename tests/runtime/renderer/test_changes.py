@@ -108,7 +108,7 @@ class Changing:
 
     def drop(self) -> None:
         for data in self._some():
-            self.sets = [one for one in self.sets if one.data is not data]
+            self.sets = [splat_set for splat_set in self.sets if splat_set.data is not data]
 
     def share(self) -> None:
         for data in self._some():
@@ -116,7 +116,7 @@ class Changing:
                 self._place(data)
 
     def mix(self) -> None:
-        self.sets = [self.sets[place] for place in self.rng.permutation(len(self.sets))]
+        self.sets = [self.sets[location] for location in self.rng.permutation(len(self.sets))]
 
     def move(self) -> None:
         for data in self._some():
@@ -164,7 +164,7 @@ def anew(changing: Changing, renderer: Renderer, kind: dict[str, object]) -> Fra
     """Draw copies of what ``renderer`` drew, by a new one of its kind."""
     fresh = Renderer(renderer.device, **kind)  # type: ignore[arg-type]
     copies = {}
-    for data in dict.fromkeys(one.data for one in changing.sets):
+    for data in dict.fromkeys(splat_set.data for splat_set in changing.sets):
         copies[data] = SplatData(
             data.rows.copy(),
             data.appearance.copy(),
@@ -173,7 +173,7 @@ def anew(changing: Changing, renderer: Renderer, kind: dict[str, object]) -> Fra
             cells=data.cells,
             per_cell=data.per_cell,
         )
-    sets = [replace(one, data=copies[one.data]) for one in changing.sets]
+    sets = [replace(splat_set, data=copies[splat_set.data]) for splat_set in changing.sets]
     scene = Scene(sets, meshes=changing.meshes)
     if kind.get("compact"):  # rows that changed once are not packed any more
         fresh.render(scene, changing.camera)
@@ -183,10 +183,10 @@ def anew(changing: Changing, renderer: Renderer, kind: dict[str, object]) -> Fra
     return fresh.render(scene, changing.camera, outputs=changing.outputs)
 
 
-def differing(one: Frame, two: Frame) -> list[str]:
+def differing(frame: Frame, two: Frame) -> list[str]:
     """Return what of two frames is not the same, bit for bit."""
     fields = ("rgba", "alpha", "depth", "median_depth", "ids", "normal", "visible", "pairs")
-    pairs = {name: (getattr(one, name), getattr(two, name)) for name in fields}
+    pairs = {name: (getattr(frame, name), getattr(two, name)) for name in fields}
     return [name for name, values in pairs.items() if not np.array_equal(*values)]
 
 
@@ -203,13 +203,13 @@ def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
             if changing.rng.random() < 0.3:
                 other.draw(changing.scene, changing.camera, output=changing.outputs[0])
         number = changing.rng.integers(len(KINDS))
-        one, kind = lived[number], KINDS[number]
+        entry, kind = lived[number], KINDS[number]
         if changing.rng.random() < 0.1:
             with memory_of(100), pytest.raises(MemoryFull):
-                one.render(changing.scene, camera(9 + step, 7))
-        frame = one.render(changing.scene, changing.camera, outputs=changing.outputs)
-        deep += one._deep
-        arranged += any(page.rows_of is not None for _, page in one._pages(changing.scene))
-        assert differing(frame, anew(changing, one, kind)) == [], (step, kind)
+                entry.render(changing.scene, camera(9 + step, 7))
+        frame = entry.render(changing.scene, changing.camera, outputs=changing.outputs)
+        deep += entry._deep
+        arranged += any(page.rows_of is not None for _, page in entry._pages(changing.scene))
+        assert differing(frame, anew(changing, entry, kind)) == [], (step, kind)
     assert arranged > 0
     assert deep > 0 or seed == 5

@@ -38,24 +38,24 @@ DEEP = {"tilted_less", "plane_of_rounded_rows", "several_models", "orthographic"
 ALL = ("color", "depth", "normal")
 
 
-def exact_depths(one: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray]:
+def exact_depths(splat_set: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return depths, as rational numbers, and distances."""
     turn, linear = (
         [[Fraction(x) for x in row] for row in matrix[:3, :3].tolist()]
-        for matrix in (seen_by.view, one.transform)
+        for matrix in (seen_by.view, splat_set.transform)
     )
-    eye, place = seen_by.eye.tolist(), one.transform[:3, 3].tolist()
+    eye, location = seen_by.eye.tolist(), splat_set.transform[:3, 3].tolist()
     depths, distances = [], []
-    for row in np.nan_to_num(one.data.rows[:, :3]).tolist():
-        there = [
+    for row in np.nan_to_num(splat_set.data.rows[:, :3]).tolist():
+        reference = [
             sum(
                 (a * Fraction(x) for a, x in zip(line, row, strict=True)), Fraction(p) - Fraction(e)
             )
-            for line, p, e in zip(linear, place, eye, strict=True)
+            for line, p, e in zip(linear, location, eye, strict=True)
         ]
-        at = [sum(a * x for a, x in zip(line, there, strict=True)) for line in turn]
-        distances.append(math.hypot(*map(float, at)))
-        depths.append(Fraction(distances[-1]) if seen_by.period else Fraction(at[2]))
+        offset = [sum(a * x for a, x in zip(line, reference, strict=True)) for line in turn]
+        distances.append(math.hypot(*map(float, offset)))
+        depths.append(Fraction(distances[-1]) if seen_by.period else Fraction(offset[2]))
     return np.array(depths), np.array(distances)
 
 
@@ -68,9 +68,9 @@ def test_a_depth_is_two_floats(renderer: Renderer, name: str) -> None:
     assert_two_floats(renderer, scene.sets[0], seen_by)
 
 
-def assert_two_floats(renderer: Renderer, one: SplatSet, seen_by: Camera) -> None:
+def assert_two_floats(renderer: Renderer, splat_set: SplatSet, seen_by: Camera) -> None:
     """Assert that keys and what they leave are depths by rational numbers."""
-    n, placed = len(one.data), renderer.placed(Scene([one]))
+    n, placed = len(splat_set.data), renderer.placed(Scene([splat_set]))
     plan = renderer.plan(placed, seen_by, frozenset(["color"]))
     plan.submit(placed, seen_by, np.zeros(3), only=["project"])
     plan.collect()
@@ -82,10 +82,10 @@ def assert_two_floats(renderer: Renderer, one: SplatSet, seen_by: Camera) -> Non
     assert drawn.any()
     np.testing.assert_array_equal(lows == ABSENT, ~drawn)
     high, low = keys.view(np.float32), decoded(lows)
-    depths, distances = exact_depths(one, seen_by)
+    depths, distances = exact_depths(splat_set, seen_by)
     for i in np.flatnonzero(drawn):
-        made = Fraction(float(high[i])) + Fraction(float(low[i]))
-        assert abs(made - depths[i]) <= DEPTH_LEFT * distances[i]
+        result = Fraction(float(high[i])) + Fraction(float(low[i]))
+        assert abs(result - depths[i]) <= DEPTH_LEFT * distances[i]
     # The first is the nearest float, so the two sort as their sum does.
     assert (np.abs(low) <= np.spacing(high) / 2)[drawn].all()
 
@@ -93,13 +93,13 @@ def assert_two_floats(renderer: Renderer, one: SplatSet, seen_by: Camera) -> Non
 @pytest.mark.parametrize("size", [1e-22, 1e36])
 @pytest.mark.parametrize("kind", ["pinhole", "panorama"])
 def test_depths_may_be_enormous_or_vanishing(renderer: Renderer, size: float, kind: str) -> None:
-    place, data = turned(0.5, (3, 1, 2)), plane(100)
+    transform, data = turned(0.5, (3, 1, 2)), plane(100)
     data.rows[:, 4:] = 0
     data.rows[:, :3] = size * data.rows[:, :3]
-    seen_by = seen_through(place, near=size / 10)
+    seen_by = seen_through(transform, near=size / 10)
     if kind == "panorama":
         seen_by = Camera.panorama((0, 0, 0), (1, 0, 1), width=96, near=size / 10)
-    assert_two_floats(renderer, SplatSet(data, place), seen_by)
+    assert_two_floats(renderer, SplatSet(data, transform), seen_by)
 
 
 def test_bits_sort_as_depths_do() -> None:
@@ -138,8 +138,8 @@ def ordered(
     buffers = [filled(device, words) for words in (counts, keys, lows, order, *origins)]
     ties = OrderTies(device, walk, arranged=bool(origins))
     submit(device, [ties.step(len(keys), *buffers)])
-    told = device.read(buffers[0], np.uint32, 8)
-    flags = bool(told[Counts.UNSORTED]), bool(told[Counts.TIED])
+    message = device.read(buffers[0], np.uint32, 8)
+    flags = bool(message[Counts.UNSORTED]), bool(message[Counts.TIED])
     return flags, device.read(buffers[3], np.uint32, len(keys))
 
 
@@ -153,10 +153,10 @@ def test_ties_are_put_in_order(device: Device, walk: int, arranged: bool) -> Non
     n = len(keys)
     lows, order = rng.integers(0, 7, n, np.uint32), rng.permutation(n).astype(np.uint32)
     origins = rng.permutation(n).astype(np.uint32) if arranged else np.arange(n, dtype=np.uint32)
-    flags, made = ordered(device, walk, keys, lows, order, *([origins] if arranged else []))
+    flags, result = ordered(device, walk, keys, lows, order, *([origins] if arranged else []))
     assert flags == (False, False)
-    np.testing.assert_array_equal(made, order_ties_reference(keys, lows, origins, order))
-    assert not np.array_equal(made, order)
+    np.testing.assert_array_equal(result, order_ties_reference(keys, lows, origins, order))
+    assert not np.array_equal(result, order)
 
 
 def test_ties_among_millions_are_put_in_order(device: Device) -> None:
@@ -164,35 +164,35 @@ def test_ties_among_millions_are_put_in_order(device: Device) -> None:
     n = (MOST_GROUPS + 2) * WALK_THREADS
     keys = origins = order = np.arange(n, dtype=np.uint32)
     keys, order = keys.copy(), order.copy()
-    for place in (5, n // 2, MOST_GROUPS * WALK_THREADS - 1, n - 2):
-        keys[place] = keys[place + 1]
-        order[place : place + 2] = order[place : place + 2][::-1]
-    flags, made = ordered(device, 1, keys, np.full(n, 9, np.uint32), order)
+    for array in (5, n // 2, MOST_GROUPS * WALK_THREADS - 1, n - 2):
+        keys[array] = keys[array + 1]
+        order[array : array + 2] = order[array : array + 2][::-1]
+    flags, result = ordered(device, 1, keys, np.full(n, 9, np.uint32), order)
     assert flags == (False, False)
-    np.testing.assert_array_equal(made, origins)
+    np.testing.assert_array_equal(result, origins)
 
 
-@pytest.mark.parametrize("place", [0, 1, MOST_TIED - 1, MOST_TIED, 2 * MOST_TIED, 299])
+@pytest.mark.parametrize("location", [0, 1, MOST_TIED - 1, MOST_TIED, 2 * MOST_TIED, 299])
 @pytest.mark.parametrize("walk", [4, 64])
-def test_long_ties_out_of_order_are_announced(device: Device, walk: int, place: int) -> None:
+def test_long_ties_out_of_order_are_announced(device: Device, walk: int, location: int) -> None:
     """Wherever in the tie two are the wrong way around; one that is in order is no trouble."""
     before, n = 37, 301
     keys = np.append(np.arange(before), np.full(n, 50)).astype(np.uint32)
     order = origins = np.arange(len(keys), dtype=np.uint32)
     same, rising = np.full(len(keys), 9, np.uint32), order + 5
     for lows in (same, rising):
-        flags, made = ordered(device, walk, keys, lows, order, origins)
+        flags, result = ordered(device, walk, keys, lows, order, origins)
         assert flags == (False, False)
-        np.testing.assert_array_equal(made, order)
+        np.testing.assert_array_equal(result, order)
     swapped = order.copy()
-    swapped[before + place : before + place + 2] = swapped[before + place : before + place + 2][
-        ::-1
-    ]
+    swapped[before + location : before + location + 2] = swapped[
+        before + location : before + location + 2
+    ][::-1]
     assert ordered(device, walk, keys, swapped, order)[0] == (True, False)
     assert ordered(device, walk, keys, swapped, order, origins)[0] == (True, False)
-    flags, made = ordered(device, walk, keys, same, order, swapped)
+    flags, result = ordered(device, walk, keys, same, order, swapped)
     assert flags == (False, True)
-    np.testing.assert_array_equal(made, order)  # it is left as it is
+    np.testing.assert_array_equal(result, order)  # it is left as it is
 
 
 @pytest.mark.parametrize("deep", [False, True])
@@ -213,16 +213,16 @@ def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
     columns = tuple(Columns(*(filled(device, np.zeros(n)) for _ in "kv")) for _ in "ab")
     device.write(columns[0].keys, keys)
     spare = filled(device, np.zeros(n)) if deep else None
-    steps, at = DepthOrder(device, chosen, sort).steps(
+    steps, offset = DepthOrder(device, chosen, sort).steps(
         n, counts, columns, filled(device, lows), None, spare
     )
     submit(device, steps)
-    told = device.read(counts, np.uint32, 8)
-    kept = np.flatnonzero(~absent)
-    assert told[Counts.VISIBLE] == len(kept)
-    assert not told[[Counts.UNSORTED, Counts.TIED]].any()
-    made = device.read(at, np.uint32, len(kept))
-    np.testing.assert_array_equal(made, kept[np.lexsort((lows[kept], keys[kept]))])
+    message = device.read(counts, np.uint32, 8)
+    indices = np.flatnonzero(~absent)
+    assert message[Counts.VISIBLE] == len(indices)
+    assert not message[[Counts.UNSORTED, Counts.TIED]].any()
+    result = device.read(offset, np.uint32, len(indices))
+    np.testing.assert_array_equal(result, indices[np.lexsort((lows[indices], keys[indices]))])
 
 
 def test_keys_are_gathered(device: Device) -> None:
@@ -234,11 +234,11 @@ def test_keys_are_gathered(device: Device) -> None:
     counts = counting.initial(900, 0)
     counts[Counts.VISIBLE], counts[Counts.SORT_VISIBLE_GROUPS] = 700, 6
     out = filled(device, np.zeros(900))
-    words = [filled(device, one) for one in (counts, keys, order)]
+    words = [filled(device, array) for array in (counts, keys, order)]
     submit(device, [GatherKeys(device, 128).step(*words, out)])
-    made = device.read(out, np.uint32, 900)
-    np.testing.assert_array_equal(made[:700], gather_reference(keys, order))
-    assert not made[700:].any()
+    result = device.read(out, np.uint32, 900)
+    np.testing.assert_array_equal(result[:700], gather_reference(keys, order))
+    assert not result[700:].any()
 
 
 @pytest.fixture(scope="module")
@@ -248,8 +248,8 @@ def quads(device: Device) -> Renderer:
 
 def confused(scene: Scene, seen_by: Camera) -> bool:
     """Say whether depths as floats, even rounded but once, have another order."""
-    rows = [(one, one.data.rows.astype(np.float64)) for one in scene.sets]
-    depth = np.concatenate([ellipses(values, one, seen_by).depth for one, values in rows])
+    rows = [(splat_set, splat_set.data.rows.astype(np.float64)) for splat_set in scene.sets]
+    depth = np.concatenate([ellipses(values, row, seen_by).depth for row, values in rows])
     rounded = np.argsort(depth.astype(np.float32), kind="stable")
     return not np.array_equal(rounded, np.argsort(depth, kind="stable"))
 
@@ -258,17 +258,17 @@ def confused(scene: Scene, seen_by: Camera) -> bool:
 def test_near_ties_are_as_in_float64(renderer: Renderer, quads: Renderer, name: str) -> None:
     scene, seen_by = NEAR_TIES[name]()
     assert confused(scene, seen_by)
-    wanted = oracle.render(scene, seen_by)
-    assert wanted.fragile.mean() < 0.1  # or little was compared
-    seen = renderer.render(scene, seen_by, outputs=ALL)
-    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
-    firm = ~wanted.fragile_median
-    np.testing.assert_array_equal(seen.ids[firm], wanted.ids[firm])
+    expected = oracle.render(scene, seen_by)
+    assert expected.fragile.mean() < 0.1  # or little was compared
+    frame = renderer.render(scene, seen_by, outputs=ALL)
+    assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
+    firm = ~expected.fragile_median
+    np.testing.assert_array_equal(frame.ids[firm], expected.ids[firm])
     assert renderer._deep == (name in DEEP)
     by_quads = quads.render(scene, seen_by).rgba
-    open_still = ~wanted.fragile & (wanted.rgba[..., 3] < 0.99)
+    open_still = ~expected.fragile & (expected.rgba[..., 3] < 0.99)
     assert open_still.any()
-    assert np.abs(by_quads - wanted.rgba)[open_still].max() <= 2e-5
+    assert np.abs(by_quads - expected.rgba)[open_still].max() <= 2e-5
 
 
 @pytest.mark.parametrize("tilt", [2e-5, 1e-7])
@@ -279,9 +279,9 @@ def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -
     depth = ellipses(data.cells.astype(np.float64), scene.sets[0], camera()).depth
     rounded = np.argsort(depth.astype(np.float32), kind="stable")
     assert not np.array_equal(rounded, np.argsort(depth, kind="stable"))
-    seen, wanted = renderer.render(scene, camera()), oracle.render(scene, camera())
-    assert wanted.fragile.mean() < 0.1
-    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+    actual, expected = renderer.render(scene, camera()), oracle.render(scene, camera())
+    assert expected.fragile.mean() < 0.1
+    assert np.abs(actual.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
     assert renderer._deep == (tilt < 1e-6)
 
 
@@ -289,30 +289,30 @@ def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -
 def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
     """That a sort must be deep is noticed once, and not in every frame."""
     scene, seen_by = NEAR_TIES[name]()
-    one, data = Renderer(device, rasteriser="tiles"), scene.sets[0].data
+    own_renderer, data = Renderer(device, rasteriser="tiles"), scene.sets[0].data
     plans = []
     for _ in range(3):
         data.update(rows=data.rows[::-1].copy())
-        wanted = oracle.render(scene, seen_by)
-        seen = one.render(scene, seen_by).rgba
-        assert np.abs(seen - wanted.rgba)[~wanted.fragile].max() <= 2e-5
-        plans.append(one._plan)
+        frame = oracle.render(scene, seen_by)
+        actual = own_renderer.render(scene, seen_by).rgba
+        assert np.abs(actual - frame.rgba)[~frame.fragile].max() <= 2e-5
+        plans.append(own_renderer._plan)
     assert plans[0] is plans[1] is plans[2]
-    assert one._deep == (name in DEEP)
+    assert own_renderer._deep == (name in DEEP)
 
 
-def same(one: Frame, two: Frame) -> bool:
-    return np.array_equal(one.rgba, two.rgba) and np.array_equal(one.depth, two.depth)
+def same(frame: Frame, two: Frame) -> bool:
+    return np.array_equal(frame.rgba, two.rgba) and np.array_equal(frame.depth, two.depth)
 
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less", "sphere"])
 def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
     scene, seen_by = NEAR_TIES[name]()
-    one = scene.sets[0]
-    order = np.random.default_rng(3).permutation(len(one.data))
-    other = SplatData(one.data.rows[order], one.data.appearance[order], "rgb")
-    mixed = Scene([SplatSet(other, one.transform)])
-    frames = [renderer.render(each, seen_by, outputs=ALL) for each in (scene, mixed)]
+    first = scene.sets[0]
+    order = np.random.default_rng(3).permutation(len(first.data))
+    other = SplatData(first.data.rows[order], first.data.appearance[order], "rgb")
+    mixed = Scene([SplatSet(other, first.transform)])
+    frames = [renderer.render(entry, seen_by, outputs=ALL) for entry in (scene, mixed)]
     assert same(*frames)
     known = frames[1].ids >= 0
     np.testing.assert_array_equal(order[frames[1].ids[known]], frames[0].ids[known])
@@ -321,9 +321,11 @@ def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
 def test_split_models_sort_as_one(renderer: Renderer, name: str) -> None:
     scene, seen_by = NEAR_TIES[name]()
-    one = scene.sets[0]
+    entry = scene.sets[0]
     parts = [
-        SplatSet(SplatData(one.data.rows[part], one.data.appearance[part], "rgb"), one.transform)
+        SplatSet(
+            SplatData(entry.data.rows[part], entry.data.appearance[part], "rgb"), entry.transform
+        )
         for part in (slice(0, 110), slice(110, None))
     ]
     apart = renderer.render(Scene(parts), seen_by, outputs=ALL)
@@ -336,20 +338,20 @@ def test_arranged_rows_are_in_order(
 ) -> None:
     monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
     scene, seen_by = NEAR_TIES[name]()
-    one = Renderer(device, rasteriser="tiles")
-    before = one.render(scene, seen_by, outputs=ALL)
-    after = one.render(scene, seen_by, outputs=ALL)
-    assert one.placed(scene)[0][1].rows_of is not None
+    own_renderer = Renderer(device, rasteriser="tiles")
+    before = own_renderer.render(scene, seen_by, outputs=ALL)
+    after = own_renderer.render(scene, seen_by, outputs=ALL)
+    assert own_renderer.placed(scene)[0][1].rows_of is not None
     assert same(before, after)
 
 
 def test_thousands_at_one_depth_are_sorted(renderer: Renderer) -> None:
     """They stand as they came, and nothing is sorted for them."""
     data = plane(3000, 4, opacity=(0.02, 0.1))
-    wanted = oracle.render(Scene([data]), camera())
-    seen = renderer.render(Scene([data]), camera())
+    expected = oracle.render(Scene([data]), camera())
+    frame = renderer.render(Scene([data]), camera())
     assert not renderer._deep
-    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 1e-4
+    assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 1e-4
 
 
 def test_other_scenes_are_not_sorted_deeply(renderer: Renderer) -> None:

@@ -55,7 +55,7 @@ def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
         begin(staging)
 
     def noted_read(staging: Staging) -> dict[str, np.ndarray]:
-        read.append(max(i for i, each in enumerate(begun) if each is staging))
+        read.append(max(i for i, entry in enumerate(begun) if entry is staging))
         return read_words(staging)
 
     monkeypatch.setattr(Staging, "begin", noted_begin)
@@ -70,9 +70,9 @@ def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
 def test_pictures_are_those_of_frames_that_wait(own: Renderer, scene: Scene) -> None:
     for number in range(5):
         drawn = own.draw(scene, moved(number), wait=False)
-        seen = pixels(own, drawn)
+        actual = pixels(own, drawn)
         frame = own.render(scene, moved(number))
-        np.testing.assert_array_equal(seen, frame.rgba)
+        np.testing.assert_array_equal(actual, frame.rgba)
     assert not own.settle()
     assert not own.late
 

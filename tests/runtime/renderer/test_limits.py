@@ -45,8 +45,8 @@ def test_a_cell_of_more_tiles_than_a_binding_holds_pairs_is_an_error(
     monkeypatch.setattr(renderers, "MOST_GROUPS", 1)
     monkeypatch.setattr(renderer, "_pairs", 2048)
     image = renderer.draw(scene, view).image
-    seen = renderer.device.read(image, np.float32, expected.rgba.size)
-    assert np.array_equal(seen, expected.rgba.ravel())
+    actual = renderer.device.read(image, np.float32, expected.rgba.size)
+    assert np.array_equal(actual, expected.rgba.ravel())
     assert "tally cells" in renderer._plan.stages
     with pytest.raises(CapacityExceeded, match=r"needs 2,200 pairs .* holds at most 2,048"):
         renderer.draw(Scene([summed(celled(1, 5, size=90, depth=(2, 2.1)))]), view)
@@ -103,9 +103,9 @@ def test_an_image_that_is_too_large_for_one_buffer_is_drawn_in_bands_alone(
     monkeypatch.setattr(renderer.device, "largest_binding", 1 << 20)
     with pytest.raises(CapacityExceeded, match="color image: would take 4,194,304 bytes"):
         renderer.draw(Scene([single()]), camera(width=512, height=512))
-    seen = renderer.render(Scene([single()]), camera(width=512, height=512))
-    assert np.array_equal(seen.rgba, expected.rgba)
-    assert seen.visible == expected.visible == 1
+    frame = renderer.render(Scene([single()]), camera(width=512, height=512))
+    assert np.array_equal(frame.rgba, expected.rgba)
+    assert frame.visible == expected.visible == 1
 
 
 def test_impossible_requests_fail_before_reaching_the_device(device: Device) -> None:
@@ -124,8 +124,8 @@ def test_memory_of_gaussians_is_known_in_advance(device: Device, half: bool, com
     data = SplatData(np.zeros((64, 10), dtype), colors, "sh")
     residency = Residency(device, 32, compact=compact)
     pages = residency.pages(data)
-    held = sum(page.rows.size + page.appearance.size for page in pages)
-    assert held == bytes_of(data, compact=compact)
+    stored = sum(page.rows.size + page.appearance.size for page in pages)
+    assert stored == bytes_of(data, compact=compact)
 
 
 def test_lost_device_is_reported_for_every_call() -> None:

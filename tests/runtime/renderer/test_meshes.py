@@ -38,19 +38,19 @@ def decibels(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def compare(scene: Scene, seen_by: Camera, renderer: Renderer) -> None:
-    seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    wanted = oracle.render(scene, seen_by, background=BEHIND)
-    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
+    frame = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, seen_by, background=BEHIND)
+    firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert firm.mean() > 0.7
-    assert decibels(seen.rgba[firm], wanted.rgba[firm]) >= 100
-    np.testing.assert_allclose(seen.rgba[firm], wanted.rgba[firm], atol=1e-4)
-    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
-    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    assert decibels(frame.rgba[firm], expected.rgba[firm]) >= 100
+    np.testing.assert_allclose(frame.rgba[firm], expected.rgba[firm], atol=1e-4)
+    np.testing.assert_allclose(frame.depth[firm], expected.depth[firm], rtol=2e-4)
+    np.testing.assert_array_equal(frame.ids[firm_median], expected.ids[firm_median])
     np.testing.assert_allclose(
-        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-4
+        frame.median_depth[firm_median], expected.median_depth[firm_median], rtol=1e-4
     )
-    covered = firm & (wanted.rgba[..., 3] > BEHIND[3])
-    cosine = (seen.normal * wanted.normal).sum(axis=-1)[covered]
+    covered = firm & (expected.rgba[..., 3] > BEHIND[3])
+    cosine = (frame.normal * expected.normal).sum(axis=-1)[covered]
     assert np.median(cosine) > 0.999999
     assert np.quantile(cosine, 0.05) > 0.9999
 
@@ -79,13 +79,13 @@ def quads(device: Device) -> Renderer:
 )
 def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
-    seen = quads.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    wanted = oracle.render(scene, seen_by, background=BEHIND)
-    error = np.where(wanted.fragile, 0, np.abs(seen.rgba - wanted.rgba).max(axis=-1))
+    frame = quads.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, seen_by, background=BEHIND)
+    error = np.where(expected.fragile, 0, np.abs(frame.rgba - expected.rgba).max(axis=-1))
     assert np.quantile(error, 0.9) <= 2e-5
     assert error.max() <= 1e-2  # what finished pixels leave out
-    firm = ~wanted.fragile
-    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
+    firm = ~expected.fragile
+    np.testing.assert_allclose(frame.depth[firm], expected.depth[firm], rtol=2e-4)
 
 
 def test_splat_is_occluded_only_by_nearer_meshes(renderer: Renderer) -> None:
@@ -110,15 +110,15 @@ def test_splat_is_occluded_only_by_nearer_meshes(renderer: Renderer) -> None:
 def test_of_equally_near_meshes_the_first_is_seen(renderer: Renderer) -> None:
     first, second = wall(3, seed=1), wall(3, seed=2)
     both = renderer.render(Scene([], meshes=[first, second]), camera())
-    one = renderer.render(Scene([], meshes=[first]), camera())
-    assert np.array_equal(both.rgba, one.rgba)
+    frame = renderer.render(Scene([], meshes=[first]), camera())
+    assert np.array_equal(both.rgba, frame.rgba)
 
 
 def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     """More than 65,535 triangles of a plane show what two of it show."""
     side = 200
-    place = np.linspace(-1, 1, side)
-    x, y = (axis.ravel() for axis in np.meshgrid(place, place))
+    location = np.linspace(-1, 1, side)
+    x, y = (axis.ravel() for axis in np.meshgrid(location, location))
     points = np.stack([x, y, 3 + 0.4 * x - 0.2 * y], 1)
     colors = np.stack([0.5 + 0.3 * x, 0.5 - 0.4 * y, 0.5 + 0.2 * x + 0.2 * y], 1)
     a = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
@@ -131,7 +131,9 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     coarse = MeshData(points[ends], np.array([[0, 1, 2], [0, 2, 3]]), colors[ends])
     splats = cloud(100, 12)
     compare(Scene([splats], meshes=[coarse]), camera(), renderer)
-    many, two = (renderer.render(Scene([splats], meshes=[one]), camera()) for one in (fine, coarse))
+    many, two = (
+        renderer.render(Scene([splats], meshes=[array]), camera()) for array in (fine, coarse)
+    )
     edge = oracle.render(Scene([splats], meshes=[coarse]), camera()).fragile
     assert np.abs(many.rgba - two.rgba)[~edge].max() <= 1e-4
 
@@ -143,22 +145,24 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
 def test_mesh_kernel_agrees_with_its_reference(renderer: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
     scene = Scene([], color_space=scene.color_space, meshes=scene.meshes)
-    seen = renderer.render(scene, seen_by, outputs=EVERYTHING)
+    frame = renderer.render(scene, seen_by, outputs=EVERYTHING)
     size = (seen_by.width, seen_by.height)
     best = np.full((*size[::-1], 8), NOWHERE)
     for placed in renderer.placed_meshes(scene):
-        place = mesh_uniform(placed, seen_by)
-        made = mesh_reference(placed.mesh.data, place, mesh_rays(seen_by))
-        best = np.where(made[..., 7:] < best[..., 7:], made, best)
-    there = best[..., 7] < NOWHERE
+        location = mesh_uniform(placed, seen_by)
+        result = mesh_reference(placed.mesh.data, location, mesh_rays(seen_by))
+        best = np.where(result[..., 7:] < best[..., 7:], result, best)
+    reference = best[..., 7] < NOWHERE
     edge = oracle.render(scene, seen_by).fragile
-    assert (there == (seen.alpha == 1))[~edge].all()
+    assert (reference == (frame.alpha == 1))[~edge].all()
     np.testing.assert_allclose(
-        seen.rgba[there & ~edge][:, :3], best[there & ~edge][:, :3], atol=2e-5
+        frame.rgba[reference & ~edge][:, :3], best[reference & ~edge][:, :3], atol=2e-5
     )
-    np.testing.assert_allclose(seen.depth[there & ~edge], best[there & ~edge][:, 7], rtol=1e-4)
-    normal = best[there & ~edge][:, 4:7] @ seen_by.view[:3, :3]
-    np.testing.assert_allclose(seen.normal[there & ~edge], normal, atol=2e-3)
+    np.testing.assert_allclose(
+        frame.depth[reference & ~edge], best[reference & ~edge][:, 7], rtol=1e-4
+    )
+    normal = best[reference & ~edge][:, 4:7] @ seen_by.view[:3, :3]
+    np.testing.assert_allclose(frame.normal[reference & ~edge], normal, atol=2e-3)
 
 
 @pytest.mark.parametrize("variant", ["as it is", "without subgroups", "as on a GPU"])
@@ -191,20 +195,20 @@ def test_two_mesh_layers_agree_with_the_reference(device: Device, variant: str) 
     encoder = other.raw.create_command_encoder()
     run(encoder, [step], "layers")
     other.raw.queue.submit([encoder.finish()])
-    seen = other.read(plan.images["color"], np.float32, image.size).reshape(image.shape)
+    actual = other.read(plan.images["color"], np.float32, image.size).reshape(image.shape)
     frame = frame_uniform(seen_by, np.zeros(3))
     page = page_uniform(scene.sets[0], seen_by, 0, 250, 250)
     splats = project_reference(scene.sets[0].data, frame, page)
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     order = order[splats.drawn[order]]
     splats = Projected(**{field: getattr(splats, field)[order] for field in Projected.__slots__})
-    wanted = blend_reference(
+    expected = blend_reference(
         splats, frame["origin"], (61, 47), list(zip(shown, depths, strict=True))
     )
-    error = np.abs(seen - wanted)
+    error = np.abs(actual - expected)
     assert np.quantile(error, 0.998) <= 1e-5  # the rest is at thresholds
     assert error.max() <= 2e-2
-    assert np.abs(wanted - image).max() > 0.5
+    assert np.abs(expected - image).max() > 0.5
 
 
 @pytest.mark.parametrize("subgroups", [False, True])
@@ -230,12 +234,12 @@ def test_a_moving_mesh_makes_no_buffer_and_no_bind_group(
 ) -> None:
     splats, shape = cloud(50, 13), ball()
     renderer.render(Scene([splats], meshes=[shape]), camera())
-    made = watched(renderer.device, monkeypatch)
+    result = watched(renderer.device, monkeypatch)
     for step in range(3):
         mesh = Mesh(shape, moved(0.1 * step, 0, 4))
         shape.update(shape.vertices * np.float32(0.9))
         renderer.render(Scene([splats], meshes=[mesh]), camera())
-    assert made == []
+    assert result == []
 
 
 def test_vertices_may_move(renderer: Renderer) -> None:
@@ -246,8 +250,8 @@ def test_vertices_may_move(renderer: Renderer) -> None:
     after = renderer.render(scene, camera())
     assert not np.array_equal(before.rgba, after.rgba)
     fresh = MeshData(other.vertices, shape.faces, shape.colors)
-    wanted = renderer.render(Scene([scene.sets[0]], meshes=[fresh]), camera())
-    assert np.array_equal(after.rgba, wanted.rgba)
+    frame = renderer.render(Scene([scene.sets[0]], meshes=[fresh]), camera())
+    assert np.array_equal(after.rgba, frame.rgba)
     with pytest.raises(SceneInvalid, match=r"vertices: is float32 \[3, 3\], expected .* \[4, 3\]"):
         shape.update(other.vertices[:3])
 
@@ -267,11 +271,11 @@ def test_nothing_shows_through_a_panorama_s_joints(renderer: Renderer) -> None:
     sides = [[x, y, z] for x in (0, 3) for y in (1, 4) for z in (2, 5)]
     for shape in (MeshData(ends, np.array(sides)), ball(30, 45), ball(16, 33)):
         room = Mesh(shape, np.diag([1.7, 1.9, 1.8, 1]))
-        for place in places:
+        for path in places:
             for width, height in ((33, 17), (128, 64)):
-                seen_by = Camera.panorama(place, width=width, height=height)
+                seen_by = Camera.panorama(path, width=width, height=height)
                 frame = renderer.render(Scene([], meshes=[room]), seen_by)
-                assert (frame.alpha == 1).all(), (len(shape), place, width)
+                assert (frame.alpha == 1).all(), (len(shape), path, width)
 
 
 def test_a_panorama_s_mesh_is_where_a_splat_of_the_same_place_is(renderer: Renderer) -> None:
@@ -317,12 +321,12 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
     colors = rng.uniform(size=(120, 3))
     shape = MeshData(points.reshape(-1, 3), np.arange(120).reshape(40, 3), colors)
     for kind in (seen_by, seen_by.all_around(96, 48)):
-        wanted = meshes.cast([Mesh(shape)], kind, "srgb")
-        seen = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
-        firm = ~wanted.fragile & np.isfinite(wanted.depth)
+        expected = meshes.cast([Mesh(shape)], kind, "srgb")
+        frame = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
+        firm = ~expected.fragile & np.isfinite(expected.depth)
         assert firm.sum() > 40
-        assert np.abs(seen.rgba[firm][:, :3] - wanted.color[firm]).max() <= 3e-5
-        np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=3e-4)
+        assert np.abs(frame.rgba[firm][:, :3] - expected.color[firm]).max() <= 3e-5
+        np.testing.assert_allclose(frame.depth[firm], expected.depth[firm], rtol=3e-4)
 
 
 def test_triangles_from_near_plane_to_horizon_are_drawn(renderer: Renderer) -> None:
@@ -336,14 +340,14 @@ def test_triangles_from_near_plane_to_horizon_are_drawn(renderer: Renderer) -> N
         points = rng.normal(size=(3, 3)) * np.exp(rng.uniform(-3, 7, (3, 1)))
         shape = MeshData(np.array(close) if seed == 0 else points, FACE, np.eye(3))
         for seen_by in (ahead, around):
-            wanted = meshes.cast([Mesh(shape)], seen_by, "srgb")
-            seen = renderer.render(Scene([], meshes=[shape]), seen_by, outputs=EVERYTHING)
-            there, firm = np.isfinite(wanted.depth), ~wanted.fragile
-            assert ((seen.alpha == 1) == there)[firm].all(), seed
-            met = there & firm
+            expected = meshes.cast([Mesh(shape)], seen_by, "srgb")
+            frame = renderer.render(Scene([], meshes=[shape]), seen_by, outputs=EVERYTHING)
+            reference, firm = np.isfinite(expected.depth), ~expected.fragile
+            assert ((frame.alpha == 1) == reference)[firm].all(), seed
+            met = reference & firm
             seen_at_all += met.any()
-            np.testing.assert_allclose(seen.depth[met], wanted.depth[met], rtol=1e-4)
-            np.testing.assert_allclose(seen.rgba[met][:, :3], wanted.color[met], atol=1e-4)
+            np.testing.assert_allclose(frame.depth[met], expected.depth[met], rtol=1e-4)
+            np.testing.assert_allclose(frame.rgba[met][:, :3], expected.color[met], atol=1e-4)
     assert seen_at_all > 10
 
 
@@ -359,20 +363,20 @@ def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(renderer: Renderer, ar
     )
     rays = mesh_rays(seen_by).astype(float)[seen_by.width :]
     down = rays[:, 0]  # of the direction; the floor is one unit below
-    there = down > 0.03
-    wanted = np.broadcast_to(1 / down[there, None], frame.depth[there].shape)
-    np.testing.assert_allclose(frame.depth[there], wanted, rtol=2e-5)
+    reference = down > 0.03
+    expected = np.broadcast_to(1 / down[reference, None], frame.depth[reference].shape)
+    np.testing.assert_allclose(frame.depth[reference], expected, rtol=2e-5)
 
 
 def test_oversized_texture_is_refused(renderer: Renderer) -> None:
     most = int(renderer.device.raw.limits["max-texture-dimension-2d"])
     shape = wall(3)
     uv = np.zeros((4, 2), np.float32)
-    wide = MeshData(
+    mesh_data = MeshData(
         shape.vertices, shape.faces, uv=uv, texture=np.zeros((1, most + 1, 3), np.uint8)
     )
     with pytest.raises(CapacityExceeded, match=f"mesh texture: is {most + 1}×1"):
-        renderer.render(Scene([], meshes=[wide]), camera())
+        renderer.render(Scene([], meshes=[mesh_data]), camera())
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -402,9 +406,9 @@ FACE = np.array([[0, 1, 2]])
 
 
 def _with_nan() -> np.ndarray:
-    made = POINTS.copy()
-    made[1, 2] = np.nan
-    return made
+    copy = POINTS.copy()
+    copy[1, 2] = np.nan
+    return copy
 
 
 @pytest.mark.parametrize(

@@ -17,24 +17,24 @@ EVERYTHING = ("color", "depth", "normal")
 @pytest.mark.parametrize("name", ["many", "placed", "flat_cameras", "not_finite", "panorama"])
 def test_all_outputs_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
-    seen = renderer.render(scene, camera, outputs=EVERYTHING)
-    wanted = oracle.render(scene, camera)
-    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
-    np.testing.assert_allclose(seen.rgba[firm], wanted.rgba[firm], atol=2e-5)
-    np.testing.assert_allclose(seen.alpha[firm], wanted.rgba[..., 3][firm], atol=2e-5)
-    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=1e-4)
-    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    frame = renderer.render(scene, camera, outputs=EVERYTHING)
+    expected = oracle.render(scene, camera)
+    firm, firm_median = ~expected.fragile, ~expected.fragile_median
+    np.testing.assert_allclose(frame.rgba[firm], expected.rgba[firm], atol=2e-5)
+    np.testing.assert_allclose(frame.alpha[firm], expected.rgba[..., 3][firm], atol=2e-5)
+    np.testing.assert_allclose(frame.depth[firm], expected.depth[firm], rtol=1e-4)
+    np.testing.assert_array_equal(frame.ids[firm_median], expected.ids[firm_median])
     np.testing.assert_allclose(
-        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-5
+        frame.median_depth[firm_median], expected.median_depth[firm_median], rtol=1e-5
     )
     # A Gaussian whose two short axes are nearly as long has no certain normal.
-    cosine = (seen.normal * wanted.normal).sum(axis=-1)
-    covered = firm & (wanted.rgba[..., 3] > 0)
+    cosine = (frame.normal * expected.normal).sum(axis=-1)
+    covered = firm & (expected.rgba[..., 3] > 0)
     assert covered.any()
-    assert (wanted.ids[firm_median] != NOTHING).any()
+    assert (expected.ids[firm_median] != NOTHING).any()
     assert np.median(cosine[covered]) > 0.999999
     assert np.quantile(cosine[covered], 0.05) > 0.9999
-    assert not seen.normal[~covered & firm].any()
+    assert not frame.normal[~covered & firm].any()
 
 
 def test_empty_scene_has_neutral_outputs(renderer: Renderer) -> None:

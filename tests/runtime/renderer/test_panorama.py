@@ -55,10 +55,12 @@ def test_directions_map_to_expected_pixels(
     renderer: Renderer, direction: object, x: float, y: float
 ) -> None:
     camera = Camera.panorama((0, 0, 0), width=WIDTH)
-    seen = center_of(renderer.render(Scene([ball(direction)]), camera).alpha)
-    away = abs(seen[0] - x)
+    actual = center_of(renderer.render(Scene([ball(direction)]), camera).alpha)
+    away = abs(actual[0] - x)
     assert min(away, WIDTH - away) < 0.05
-    assert seen[1] == pytest.approx(y, abs=0.15)  # away from the equator, shapes are not symmetric
+    assert actual[1] == pytest.approx(
+        y, abs=0.15
+    )  # away from the equator, shapes are not symmetric
 
 
 def test_a_camera_is_placed_and_level() -> None:
@@ -118,7 +120,7 @@ def test_covariances_are_those_of_the_projection_s_derivative(renderer: Renderer
     data.rows[:, :3] = toward * rng.uniform(0.5, 3, (200, 1))
     camera = Camera.panorama((0.1, 0.2, 0.3), (1, 0, 2), up=(0.2, -1, 0.3), width=400, height=180)
     page = page_uniform(SplatSet(data), camera, 0, 200, 200)
-    made = project_reference(data, frame_uniform(camera, np.zeros(3)), page)
+    result = project_reference(data, frame_uniform(camera, np.zeros(3)), page)
     focal = np.array([camera.fx, camera.fy])
 
     def seen(point: np.ndarray) -> np.ndarray:
@@ -126,17 +128,17 @@ def test_covariances_are_those_of_the_projection_s_derivative(renderer: Renderer
         return focal * [np.arctan2(x, z), np.arcsin(y / np.sqrt(x * x + y * y + z * z))]
 
     sigma, checked = symmetric(data.rows[:, 4:]), 0
-    for number in np.flatnonzero(made.drawn):
+    for number in np.flatnonzero(result.drawn):
         center = data.rows[number, :3].astype(float)
         step = 1e-5 * np.linalg.norm(center - camera.eye)
-        ends = [(seen(center + step * one), seen(center - step * one)) for one in np.eye(3)]
+        ends = [(seen(center + step * entry), seen(center - step * entry)) for entry in np.eye(3)]
         across = np.stack([high - low for high, low in ends], 1)
         across[0] -= camera.period * np.round(across[0] / camera.period)  # over the seam
         jacobian = across / (2 * step)
-        wanted = jacobian @ sigma[number] @ jacobian.T
-        xx, xy, yy = made.conic[number]
-        found = np.linalg.inv([[xx, xy], [xy, yy]]) - 0.3 * np.eye(2)
-        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+        expected = jacobian @ sigma[number] @ jacobian.T
+        xx, xy, yy = result.conic[number]
+        actual = np.linalg.inv([[xx, xy], [xy, yy]]) - 0.3 * np.eye(2)
+        np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
         checked += 1
     assert checked > 150
 
@@ -180,9 +182,9 @@ def test_near_and_depth_are_distances(renderer: Renderer) -> None:
     scene = Scene([ball((1, 1, -1), distance=2.0)])
     camera = Camera.panorama((0, 0, 0), width=WIDTH)
     frame = renderer.render(scene, camera, outputs=("depth",))
-    seen = np.isfinite(frame.median_depth)
-    assert seen.any()
-    np.testing.assert_allclose(frame.median_depth[seen], 2, rtol=1e-6)
+    actual = np.isfinite(frame.median_depth)
+    assert actual.any()
+    np.testing.assert_allclose(frame.median_depth[actual], 2, rtol=1e-6)
     far = Camera.panorama((0, 0, 0), width=WIDTH, near=2.01)
     assert renderer.render(scene, far).visible == 0
 
@@ -214,9 +216,9 @@ def test_small_gaussians_are_where_perspective_cameras_see_them(renderer: Render
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         up = (0, 0, 1) if axis[1] else (0, -1, 0)
         side = Camera.look_at((0, 0, 0), axis, up=up, width=128, height=128, fov_y=90)
-        seen = renderer.render(Scene([data]), side).rgba
+        actual = renderer.render(Scene([data]), side).rgba
         rays = plane @ side.view[:3, :3]
-        error = np.abs(looked_up(around, rays) - seen)
+        error = np.abs(looked_up(around, rays) - actual)
         # Within a few sizes of a Gaussian from a pole the two approximations part.
         level = np.hypot(rays[..., 0], rays[..., 2]) / np.linalg.norm(rays, axis=-1)
         assert np.median(error[level > 0.2]) < 0.01, axis
@@ -230,11 +232,11 @@ def test_a_panorama_is_large_and_precise(renderer: Renderer) -> None:
     strip = {"latitudes": (-0.4, 0.4), "longitudes": (90.0, 270.0)}
     camera = Camera.panorama((0, 0, 0), width=8192, height=36, **strip)
     scene = Scene([data])
-    seen, wanted = renderer.render(scene, camera), oracle.render(scene, camera)
-    assert wanted.visible > 0
-    error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
-    assert np.where(wanted.fragile, 0, error).max() <= 2e-3
-    assert -10 * np.log10(np.square(seen.rgba - wanted.rgba).mean()) >= 80
+    actual, expected = renderer.render(scene, camera), oracle.render(scene, camera)
+    assert expected.visible > 0
+    error = np.abs(actual.rgba - expected.rgba).max(axis=-1)
+    assert np.where(expected.fragile, 0, error).max() <= 2e-3
+    assert -10 * np.log10(np.square(actual.rgba - expected.rgba).mean()) >= 80
 
 
 def test_plans_know_a_panorama_from_a_picture(renderer: Renderer) -> None:
@@ -276,8 +278,8 @@ def test_camera_options_create_panoramas(tmp_path: Path) -> None:
     above = viewpoint("orbit:0,90,7", panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(above.eye, [1, 2, 10], atol=1e-9)
     np.testing.assert_allclose(above.view[1, :3], [0, 0, -1], atol=1e-9)  # still level
-    there = viewpoint("look-at:1,1,1,5,1,4", width=64, panorama=True).camera(source, 0, 0)
-    np.testing.assert_allclose(there.view[2, :3], [1, 0, 0], atol=1e-9)
+    camera = viewpoint("look-at:1,1,1,5,1,4", width=64, panorama=True).camera(source, 0, 0)
+    np.testing.assert_allclose(camera.view[2, :3], [1, 0, 0], atol=1e-9)
     file = tmp_path / "camera.json"
     file.write_text(Camera.look_at((1, 2, 3), (4, 5, 9)).to_json())
     as_it_is = viewpoint(str(file), panorama=True).camera(source, 0, 0)

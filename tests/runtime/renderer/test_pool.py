@@ -114,7 +114,7 @@ def test_dilated_splats_beside_the_image_are_those_of_a_set(
     """A point beside the image reaches into it by its dilation alone."""
     view = replace(camera(width=width), dilation=dilation)
     reach = np.sqrt(2 * np.log(255) * dilation)
-    seen = 0
+    actual = 0
     for beside in np.linspace(0.1, 1.1, 8) * reach:
         rows = single(depth=4.0, opacity=1.0, variance=1e-8).rows.copy()
         rows[:, 0] = 4 * (width + beside - view.cx) / view.fx
@@ -122,8 +122,8 @@ def test_dilated_splats_beside_the_image_are_those_of_a_set(
         pooled = renderer.render(Scene([], pools=[filled(data, count=1)]), view).rgba
         expected = renderer.render(Scene([data]), view).rgba
         np.testing.assert_array_equal(pooled, expected)
-        seen += bool(expected.any())
-    assert seen > 3
+        actual += bool(expected.any())
+    assert actual > 3
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.3, 1.0])
@@ -152,8 +152,8 @@ def test_tiles_far_from_the_origin_of_the_scene_keep_their_precision(renderer: R
     here = camera()
     view = here.view.copy()
     view[:3, 3] = here.view[:3, 3] - here.view[:3, :3] @ globe
-    there = Camera(view, width=61, height=47, fx=here.fx, fy=here.fy, cx=here.cx, cy=here.cy)
-    pooled = renderer.render(Scene([], pools=[pool]), there).rgba
+    other_view = Camera(view, width=61, height=47, fx=here.fx, fy=here.fy, cx=here.cx, cy=here.cy)
+    pooled = renderer.render(Scene([], pools=[pool]), other_view).rgba
     expected = renderer.render(Scene([data]), here).rgba
     assert pooled is not None
     assert expected is not None
@@ -349,11 +349,13 @@ def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -
         assert groups[1:].tolist() == [1, 1]
         listed = renderer.device.read(slots.seen, np.uint32, slots.count)[: groups[0]]
         assert len(set(listed)) == len(listed)
-        seen = np.zeros(slots.count, bool)
-        seen[listed] = True
-        differences += int(np.count_nonzero(seen != visible_slots_reference(table, frame, uniform)))
+        array = np.zeros(slots.count, bool)
+        array[listed] = True
+        differences += int(
+            np.count_nonzero(array != visible_slots_reference(table, frame, uniform))
+        )
         total += len(listed)
-        assert absent[slots.first : slots.first + slots.count][~seen].all()
+        assert absent[slots.first : slots.first + slots.count][~array].all()
     assert differences <= 1
     assert 20 < total < 300
 

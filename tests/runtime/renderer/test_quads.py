@@ -37,11 +37,11 @@ def quads(device: Device) -> Renderer:
 )
 def test_quads_agree_with_the_oracle(quads: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
-    seen = quads.render(scene, camera, background=BEHIND)
-    wanted = oracle.render(scene, camera, background=BEHIND)
-    error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
+    frame = quads.render(scene, camera, background=BEHIND)
+    expected = oracle.render(scene, camera, background=BEHIND)
+    error = np.abs(frame.rgba - expected.rgba).max(axis=-1)
     # Where the oracle's pixels are finished, up to a hundredth of the light is still on its way.
-    open_still = ~wanted.fragile & (wanted.rgba[..., 3] < 0.5 + 0.5 * 0.98)
+    open_still = ~expected.fragile & (expected.rgba[..., 3] < 0.5 + 0.5 * 0.98)
     assert open_still.any() or name == "huge"
     assert np.where(open_still, error, 0).max() <= 2e-5
     assert error.max() <= 1e-2

@@ -75,8 +75,8 @@ def test_the_faster_tiles_are_used(
     small = Renderer(gpu)
     assert small._kernels.cut.tile == 16
     assert Renderer(gpu, rasteriser="tiles")._kernels.cut.tile == 32
-    seen, expected = small.render(scene, camera), renderer.render(scene, camera)
-    assert np.abs(seen.rgba - expected.rgba).max() <= 1e-6
+    actual, expected = small.render(scene, camera), renderer.render(scene, camera)
+    assert np.abs(actual.rgba - expected.rgba).max() <= 1e-6
     gpu.software = True
     assert chosen_cut(gpu) == cut_for(gpu)
 
@@ -86,9 +86,9 @@ def test_the_faster_tiles_are_used(
     [(2.0, 1.0, "quads"), (1.0, 2.0, "tiles"), (1.0, 0.79, "quads"), (1.0, 0.81, "tiles")],
 )
 def test_quads_must_be_clearly_faster(
-    gpu: Device, kernels: Kernels, kept: Path, tiles: float, quads: float, wanted: str
+    gpu: Device, kernels: Kernels, kept: Path, tiles: float, quads: float, expected: str
 ) -> None:
-    assert choose(gpu, kernels, Stopwatch(tiles, quads)) == wanted
+    assert choose(gpu, kernels, Stopwatch(tiles, quads)) == expected
 
 
 def test_software_and_devices_that_cannot_blend_are_not_measured(
@@ -112,9 +112,9 @@ def test_a_device_is_measured_once(
     forget(monkeypatch)  # as another process
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
-    held = json.loads(kept.read_text(encoding="utf-8"))
-    assert list(held.values()) == [{"tiles": 2.0, "quads": 1.0, "small_tiles": 5.0}]
-    assert gpu.name in next(iter(held))
+    document = json.loads(kept.read_text(encoding="utf-8"))
+    assert list(document.values()) == [{"tiles": 2.0, "quads": 1.0, "small_tiles": 5.0}]
+    assert gpu.name in next(iter(document))
     assert [path.name for path in kept.parent.iterdir()] == [kept.name]
 
 

@@ -29,79 +29,79 @@ def published(device: Device) -> Renderer:
 @pytest.mark.parametrize("name", WEIGHTED)
 def test_weighted_sums_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
-    seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    wanted = oracle.render(scene, seen_by, background=BEHIND)
-    assert np.isfinite(seen.rgba).all()
-    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
-    assert decibels(seen.rgba[firm], wanted.rgba[firm]) >= 110
-    assert np.abs(seen.rgba - wanted.rgba)[firm].max() <= 2e-5
-    assert wanted.fragile.mean() < 0.1  # or little was compared
-    assert seen.visible >= wanted.visible
-    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=1e-4)
-    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    frame = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, seen_by, background=BEHIND)
+    assert np.isfinite(frame.rgba).all()
+    firm, firm_median = ~expected.fragile, ~expected.fragile_median
+    assert decibels(frame.rgba[firm], expected.rgba[firm]) >= 110
+    assert np.abs(frame.rgba - expected.rgba)[firm].max() <= 2e-5
+    assert expected.fragile.mean() < 0.1  # or little was compared
+    assert frame.visible >= expected.visible
+    np.testing.assert_allclose(frame.depth[firm], expected.depth[firm], rtol=1e-4)
+    np.testing.assert_array_equal(frame.ids[firm_median], expected.ids[firm_median])
     np.testing.assert_allclose(
-        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-5
+        frame.median_depth[firm_median], expected.median_depth[firm_median], rtol=1e-5
     )
-    covered = firm & np.isfinite(wanted.depth)
-    cosine = (seen.normal * wanted.normal).sum(axis=-1)
+    covered = firm & np.isfinite(expected.depth)
+    cosine = (frame.normal * expected.normal).sum(axis=-1)
     if name == "no_cells":
         assert not covered.any()
     else:
         assert covered.any()
         assert np.median(cosine[covered]) > 0.99999
-    assert not seen.normal[~covered & firm].any()
+    assert not frame.normal[~covered & firm].any()
 
 
 @pytest.mark.parametrize("name", ["many_cells", "placed_cells", "finished_early"])
 def test_published_backgrounds_agree_with_the_oracle(published: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
-    seen = published.render(scene, seen_by, background=BEHIND)
-    wanted = oracle.render(scene, seen_by, background=BEHIND, published=True)
-    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+    frame = published.render(scene, seen_by, background=BEHIND)
+    expected = oracle.render(scene, seen_by, background=BEHIND, published=True)
+    assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
 
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_golden_images_of_the_method_are_reproduced(published: Renderer, number: int) -> None:
     """They are float32 themselves: the oracle in float64 is as far from them as we are."""
     scene, (seen_by, image) = golden_scene(number), golden_view(number)
-    seen = published.render(scene, seen_by, background=BACKDROP)
-    wanted = oracle.render(scene, seen_by, background=BACKDROP, published=True)
-    assert np.abs(wanted.rgba[..., :3] - image).max() <= 5e-6
-    assert np.abs(seen.rgba[..., :3] - image).max() <= 5e-6
+    frame = published.render(scene, seen_by, background=BACKDROP)
+    expected = oracle.render(scene, seen_by, background=BACKDROP, published=True)
+    assert np.abs(expected.rgba[..., :3] - image).max() <= 5e-6
+    assert np.abs(frame.rgba[..., :3] - image).max() <= 5e-6
     assert np.ptp(image, axis=(0, 1)).min() > 0.5  # there is something to see
 
 
 def test_the_goldens_need_cells_and_their_tiles() -> None:
     """Larger cells, or a cell for each Gaussian, are other pictures."""
     scene, (seen_by, image) = golden_scene(0), golden_view(0)
-    one = scene.sets[0]
-    data = one.data
-    wide = data.cells.copy()
-    wide[:, 4:] *= 100
-    larger = SplatData(data.rows, data.appearance, "rgb", cells=wide, per_cell=5)
+    entry = scene.sets[0]
+    data = entry.data
+    copy = data.cells.copy()
+    copy[:, 4:] *= 100
+    larger = SplatData(data.rows, data.appearance, "rgb", cells=copy, per_cell=5)
     alone = SplatData(
         data.rows, data.appearance, "rgb", cells=np.repeat(data.cells, 5, 0), per_cell=1
     )
     for other in (larger, alone):
-        changed = Scene([SplatSet(other, weighted=one.weighted)])
-        made = oracle.render(changed, seen_by, background=BACKDROP, published=True)
-        assert np.abs(made.rgba[..., :3] - image).max() > 1e-3
+        changed = Scene([SplatSet(other, weighted=entry.weighted)])
+        frame = oracle.render(changed, seen_by, background=BACKDROP, published=True)
+        assert np.abs(frame.rgba[..., :3] - image).max() > 1e-3
 
 
 def test_the_order_within_cells_does_not_count(renderer: Renderer) -> None:
     data = celled(120, 7, 3, size=0.5, share=0.7)
     order = np.random.default_rng(0).permuted(np.arange(840).reshape(120, 7), axis=1).reshape(-1)
     other = SplatData(data.rows[order], data.appearance[order], "rgb", cells=data.cells, per_cell=7)
-    one, two = (
-        renderer.render(Scene([summed(each)]), camera(), outputs=EVERYTHING)
-        for each in (data, other)
+    first, two = (
+        renderer.render(Scene([summed(array)]), camera(), outputs=EVERYTHING)
+        for array in (data, other)
     )
-    np.testing.assert_allclose(one.rgba, two.rgba, atol=3e-6)
-    np.testing.assert_allclose(one.depth, two.depth, rtol=1e-5)
-    np.testing.assert_allclose(one.normal, two.normal, atol=1e-4)
-    same = one.median_depth == two.median_depth  # but where half of the light is in doubt
+    np.testing.assert_allclose(first.rgba, two.rgba, atol=3e-6)
+    np.testing.assert_allclose(first.depth, two.depth, rtol=1e-5)
+    np.testing.assert_allclose(first.normal, two.normal, atol=1e-4)
+    same = first.median_depth == two.median_depth  # but where half of the light is in doubt
     assert same.mean() > 0.99
-    assert np.array_equal(np.where(one.ids < 0, -1, order[two.ids])[same], one.ids[same])
+    assert np.array_equal(np.where(first.ids < 0, -1, order[two.ids])[same], first.ids[same])
 
 
 def test_the_order_of_cells_counts_only_where_they_tie(renderer: Renderer) -> None:
@@ -111,8 +111,8 @@ def test_the_order_of_cells_counts_only_where_they_tie(renderer: Renderer) -> No
     other = SplatData(
         data.rows[rows], data.appearance[rows], "rgb", cells=data.cells[order], per_cell=3
     )
-    one, two = (renderer.render(Scene([summed(each)]), camera()) for each in (data, other))
-    assert np.array_equal(one.rgba, two.rgba)
+    first, two = (renderer.render(Scene([summed(array)]), camera()) for array in (data, other))
+    assert np.array_equal(first.rgba, two.rgba)
 
 
 def test_paging_does_not_change_the_picture(device: Device) -> None:
@@ -124,11 +124,13 @@ def test_paging_does_not_change_the_picture(device: Device) -> None:
         Renderer(device, rasteriser="tiles", page_rows=64),
     )
     whole._pairs = paged._pairs = 512
-    one, two = (each.render(scene, seen_by, outputs=("color", "depth")) for each in (whole, paged))
-    assert one.pairs > 512
-    assert np.array_equal(one.rgba, two.rgba)
-    assert np.array_equal(one.ids, two.ids)
-    assert {scene.locate(int(each))[0] for each in np.unique(one.ids[one.ids >= 0])} == {0, 1}
+    first, two = (
+        entry.render(scene, seen_by, outputs=("color", "depth")) for entry in (whole, paged)
+    )
+    assert first.pairs > 512
+    assert np.array_equal(first.rgba, two.rgba)
+    assert np.array_equal(first.ids, two.ids)
+    assert {scene.locate(int(entry))[0] for entry in np.unique(first.ids[first.ids >= 0])} == {0, 1}
 
 
 def test_values_change_without_new_buffers(device: Device) -> None:
@@ -147,16 +149,16 @@ def test_values_change_without_new_buffers(device: Device) -> None:
 def test_a_depth_range_follows_the_size_of_its_set(renderer: Renderer) -> None:
     """A model twice as large, seen from twice as far, is the same picture."""
     data = celled(80, seed=42)
-    plain = renderer.render(Scene([summed(data, depth_range=9.0)]), camera())
+    frame = renderer.render(Scene([summed(data, depth_range=9.0)]), camera())
     doubled = summed(data, depth_range=9.0, transform=turned(0, (0, 0, 1), 2.0))
     assert doubled.depth_range == pytest.approx(18)
     large = renderer.render(Scene([doubled]), camera(near=0.02))
-    np.testing.assert_allclose(plain.rgba, large.rgba, atol=1e-5)
+    np.testing.assert_allclose(frame.rgba, large.rgba, atol=1e-5)
 
 
 def test_the_same_data_is_sorted_or_summed(renderer: Renderer) -> None:
     data = celled(60, seed=43)
-    sums, blended = (renderer.render(Scene([each]), camera()) for each in (summed(data), data))
+    sums, blended = (renderer.render(Scene([array]), camera()) for array in (summed(data), data))
     again = renderer.render(Scene([summed(data)]), camera())
     assert not np.allclose(sums.rgba, blended.rgba, atol=0.05)
     assert np.array_equal(sums.rgba, again.rgba)

@@ -19,20 +19,20 @@ EVERYTHING = ("color", "depth", "normal")
 
 def compare(name: str, renderer: Renderer) -> None:
     scene, seen_by = MIXED[name]()
-    seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    wanted = oracle.render(scene, seen_by, background=BEHIND)
-    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
+    frame = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, seen_by, background=BEHIND)
+    firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert firm.mean() > 0.6
-    error = np.square(seen.rgba - wanted.rgba)[firm].mean()
+    error = np.square(frame.rgba - expected.rgba)[firm].mean()
     assert -10 * np.log10(error) >= 100
-    np.testing.assert_allclose(seen.rgba[firm], wanted.rgba[firm], atol=1e-4)
-    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
-    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    np.testing.assert_allclose(frame.rgba[firm], expected.rgba[firm], atol=1e-4)
+    np.testing.assert_allclose(frame.depth[firm], expected.depth[firm], rtol=2e-4)
+    np.testing.assert_array_equal(frame.ids[firm_median], expected.ids[firm_median])
     np.testing.assert_allclose(
-        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-4
+        frame.median_depth[firm_median], expected.median_depth[firm_median], rtol=1e-4
     )
-    covered = firm & np.isfinite(wanted.depth)
-    cosine = (seen.normal * wanted.normal).sum(axis=-1)[covered]
+    covered = firm & np.isfinite(expected.depth)
+    cosine = (frame.normal * expected.normal).sum(axis=-1)[covered]
     assert np.median(cosine) > 0.99999
 
 
@@ -50,9 +50,11 @@ def test_every_kernel_variant_sums_weights(
     other.software = variant == "without subgroups"
     cut = Renderer(other, rasteriser="tiles")
     scene, seen_by = WEIGHTED["many_cells"]()
-    one, two = (each.render(scene, seen_by, outputs=("color", "depth")) for each in (renderer, cut))
-    np.testing.assert_allclose(one.rgba, two.rgba, atol=1e-6)
-    assert np.array_equal(one.ids, two.ids)
+    first, two = (
+        entry.render(scene, seen_by, outputs=("color", "depth")) for entry in (renderer, cut)
+    )
+    np.testing.assert_allclose(first.rgba, two.rgba, atol=1e-6)
+    assert np.array_equal(first.ids, two.ids)
     if not other.software:  # the other takes long to compile with layers
         compare("among_everything", cut)
 
@@ -76,9 +78,9 @@ def test_mesh_occludes_weighted_sums_behind_it(renderer: Renderer) -> None:
     sums = summed(celled(80, seed=61, depth=(4, 8)))
     near = wall(2)
     hidden, bare = (renderer.render(Scene(sets, meshes=[near]), camera()) for sets in ([sums], []))
-    there = bare.alpha > 0
-    assert there.any()
-    assert np.array_equal(hidden.rgba[there], bare.rgba[there])
+    reference = bare.alpha > 0
+    assert reference.any()
+    assert np.array_equal(hidden.rgba[reference], bare.rgba[reference])
 
 
 def test_an_opaque_splat_hides_sums_behind_it_and_is_hidden_by_those_before(
@@ -105,8 +107,8 @@ def test_quads_leave_sums_to_compute_shaders(device: Device, renderer: Renderer)
         WEIGHTED["cells_all_around"](),
     )
     for scene, seen_by in scenes:
-        one, two = (each.render(scene, seen_by) for each in (quads, renderer))
-        assert np.array_equal(one.rgba, two.rgba)
+        first, two = (entry.render(scene, seen_by) for entry in (quads, renderer))
+        assert np.array_equal(first.rgba, two.rgba)
 
 
 def test_published_backgrounds_compose_with_nothing(device: Device) -> None:

@@ -43,9 +43,9 @@ def test_an_orbit_keeps_its_distance_and_rises(up: tuple[int, int, int]) -> None
         assert np.linalg.norm(away) == pytest.approx(5)
         assert away @ up == pytest.approx(5 * np.sin(np.radians(elevation)))
         np.testing.assert_allclose(pixel(camera, center)[:2], [640, 360], atol=1e-6)
-    one, two = (Camera.orbit(center, 5, azimuth=a, up=up).eye - center for a in (0, 90))
-    assert one @ two == pytest.approx(0, abs=1e-9)
-    assert np.cross(one, two) @ up != 0
+    first, two = (Camera.orbit(center, 5, azimuth=a, up=up).eye - center for a in (0, 90))
+    assert first @ two == pytest.approx(0, abs=1e-9)
+    assert np.cross(first, two) @ up != 0
 
 
 def test_json_gives_the_same_camera_back() -> None:
@@ -59,11 +59,11 @@ def test_json_gives_the_same_camera_back() -> None:
 def test_a_flat_camera_shows_the_same_at_its_distance() -> None:
     camera = Camera.look_at((0, 0, -4), (0, 0, 0), width=80, height=60)
     flat = camera.flattened(4)
-    for kind, made in (("pinhole", camera), ("orthographic", flat)):
-        x, y, z, w = made.projection @ [1, 0.5, 4, 1]
-        wanted = [camera.fx / 4 + 40, camera.fy * 0.5 / 4 + 30]
-        seen = [(x / w + 1) / 2 * 80, (1 - y / w) / 2 * 60]
-        np.testing.assert_allclose(seen, wanted, err_msg=kind)
+    for kind, array in (("pinhole", camera), ("orthographic", flat)):
+        x, y, z, w = array.projection @ [1, 0.5, 4, 1]
+        expected = [camera.fx / 4 + 40, camera.fy * 0.5 / 4 + 30]
+        actual = [(x / w + 1) / 2 * 80, (1 - y / w) / 2 * 60]
+        np.testing.assert_allclose(actual, expected, err_msg=kind)
         assert 0 < z / w < 1
     assert Camera.from_json(flat.to_json()).kind == "orthographic"
     assert flat.flattened(9).fx == flat.fx
@@ -163,8 +163,8 @@ def test_bare_points_are_as_large_as_their_neighbours_are_far() -> None:
 
 
 def test_packed_rows_stay_as_they_are() -> None:
-    held = cloud(3, degree=1)
-    assert SplatData.from_packed(PackedRows(held.rows, held.appearance)).degree == 1
-    three = PackedRows(held.rows, held.appearance[:, :3].copy())
+    stored = cloud(3, degree=1)
+    assert SplatData.from_packed(PackedRows(stored.rows, stored.appearance)).degree == 1
+    three = PackedRows(stored.rows, stored.appearance[:, :3].copy())
     assert SplatData.from_packed(three).degree is None
     assert SplatData.from_packed(three, "sh").degree == 0

@@ -12,8 +12,8 @@ def test_flags_of_a_file_are_the_defaults_of_its_set_and_scene():
     data = SplatData.from_splats(scene(3, 0, antialiased=True, color_space="linear"))
     drawn = Scene([data])
     assert (drawn.sets[0].antialias, drawn.color_space) == ("mip", "linear")
-    plain = Scene([SplatData.from_splats(scene(3, 0))])
-    assert (plain.sets[0].antialias, plain.color_space) == ("classic", "srgb")
+    original = Scene([SplatData.from_splats(scene(3, 0))])
+    assert (original.sets[0].antialias, original.color_space) == ("classic", "srgb")
     assert Scene([]).color_space == "srgb"
 
 

@@ -32,8 +32,8 @@ def test_the_order_of_rows_does_not_matter(renderer: Renderer) -> None:
     data = cloud(400, 3, degree=1)
     shuffled = np.random.default_rng(0).permutation(400)
     other = SplatData(data.rows[shuffled], data.appearance[shuffled], "sh")
-    one, two = (renderer.render(Scene([held]), camera()) for held in (data, other))
-    assert np.array_equal(one.rgba, two.rgba)
+    first, two = (renderer.render(Scene([array]), camera()) for array in (data, other))
+    assert np.array_equal(first.rgba, two.rgba)
 
 
 def test_a_transform_moves_positions_covariances_and_harmonics(renderer: Renderer) -> None:
@@ -54,33 +54,33 @@ def test_a_transform_moves_positions_covariances_and_harmonics(renderer: Rendere
     change = np.linalg.lstsq(basis(directions), basis(directions @ rotation), rcond=None)[0]
     sh = np.einsum("ij,njc->nic", change, data.appearance.reshape(150, 16, 3))
     moved = SplatData(rows.astype(np.float32), sh.reshape(150, 48).astype(np.float32), "sh")
-    seen = renderer.render(Scene([SplatSet(data, turn)]), camera())
-    wanted = renderer.render(Scene([moved]), camera())
-    assert wanted.alpha.mean() > 0.1
-    assert np.abs(seen.rgba - wanted.rgba).max() <= 5e-5
+    frame = renderer.render(Scene([SplatSet(data, turn)]), camera())
+    expected = renderer.render(Scene([moved]), camera())
+    assert expected.alpha.mean() > 0.1
+    assert np.abs(frame.rgba - expected.rgba).max() <= 5e-5
 
 
 def test_one_model_in_two_places_is_on_the_device_once(device: Device) -> None:
-    held = Residency(device)
+    residency = Residency(device)
     data = cloud(10)
-    assert held.pages(data) is held.pages(data)
+    assert residency.pages(data) is residency.pages(data)
 
 
 def test_paging_does_not_change_the_picture(device: Device, renderer: Renderer) -> None:
     data = cloud(300, 6, degree=3)
     small = Renderer(device, rasteriser="tiles", page_rows=64)
-    one, two = (each.render(Scene([data]), camera()) for each in (renderer, small))
-    assert np.array_equal(one.rgba, two.rgba)
+    first, two = (entry.render(Scene([data]), camera()) for entry in (renderer, small))
+    assert np.array_equal(first.rgba, two.rgba)
     fewer = Scene([SplatData(data.rows, data.appearance, "sh", count=70)])
-    one, two = (each.render(fewer, camera()) for each in (renderer, small))
-    assert np.array_equal(one.rgba, two.rgba)
+    first, two = (entry.render(fewer, camera()) for entry in (renderer, small))
+    assert np.array_equal(first.rgba, two.rgba)
 
 
 def test_compact_colours_are_nearly_the_same(device: Device, renderer: Renderer) -> None:
     small = Renderer(device, rasteriser="tiles", compact=True)
     for degree in (None, 1, 2, 3):
         scene = Scene([cloud(200, 50, degree=degree)])
-        exact, compact = (each.render(scene, camera()).rgba for each in (renderer, small))
+        exact, compact = (entry.render(scene, camera()).rgba for entry in (renderer, small))
         assert 0 < np.abs(exact - compact).max() < 1e-3
 
 
@@ -102,14 +102,14 @@ def test_a_steady_state_makes_no_buffer_and_no_bind_group(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = cloud(100, 9)
-    place = np.eye(4)
+    transform = np.eye(4)
     renderer.render(Scene([data]), camera())
-    made = watched(renderer.device, monkeypatch)
+    result = watched(renderer.device, monkeypatch)
     for step in range(3):
-        place[0, 3] = 0.1 * step
+        transform[0, 3] = 0.1 * step
         data.update(data.rows + np.float32(0.01), data.appearance)
-        renderer.render(Scene([SplatSet(data, place)]), camera(cx=20.0 + step))
-    assert made == []
+        renderer.render(Scene([SplatSet(data, transform)]), camera(cx=20.0 + step))
+    assert result == []
 
 
 def test_undrawable_sets_are_refused() -> None:

@@ -30,13 +30,13 @@ def _quiet() -> None:
 
 
 def painted(**visual: object) -> trimesh.Trimesh:
-    made = trimesh.Trimesh(SHAPE.vertices, SHAPE.faces, process=False)
+    mesh = trimesh.Trimesh(SHAPE.vertices, SHAPE.faces, process=False)
     if "uv" in visual or "material" in visual:
-        made.visual = TextureVisuals(**visual)
+        mesh.visual = TextureVisuals(**visual)
     for name, colors in visual.items():
         if name.endswith("colors"):
-            setattr(made.visual, name, colors)
-    return made
+            setattr(mesh.visual, name, colors)
+    return mesh
 
 
 def textured(**material: object) -> trimesh.Trimesh:
@@ -45,8 +45,8 @@ def textured(**material: object) -> trimesh.Trimesh:
     return painted(uv=uv, material=PBRMaterial(baseColorTexture=image, **material))
 
 
-def written(path: Path, made: trimesh.Trimesh | trimesh.Scene, **options: object) -> Path:
-    content = made.export(file_type=path.suffix[1:], **options)
+def written(path: Path, mesh: trimesh.Trimesh | trimesh.Scene, **options: object) -> Path:
+    content = mesh.export(file_type=path.suffix[1:], **options)
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
 
@@ -94,8 +94,8 @@ def test_texture_is_multiplied_by_its_factor(tmp_path: Path) -> None:
 
 
 def test_a_factor_alone_is_linear(tmp_path: Path) -> None:
-    plain = painted(material=PBRMaterial(baseColorFactor=[255, 128, 64, 255]))
-    (mesh,) = read_mesh(written(tmp_path / "a.glb", plain))
+    original = painted(material=PBRMaterial(baseColorFactor=[255, 128, 64, 255]))
+    (mesh,) = read_mesh(written(tmp_path / "a.glb", original))
     assert mesh.data.color_space == "linear"
     np.testing.assert_allclose(mesh.data.colors[0], np.array([255, 128, 64]) / 255)
 
@@ -126,11 +126,11 @@ def test_nodes_stand_where_they_say_and_share_what_they_show(tmp_path: Path) -> 
     scene.add_geometry(painted(), geom_name="ball", node_name="here")
     scene.graph.update(frame_to="there", matrix=away, geometry="ball")
     scene.add_geometry(textured())
-    found = read_mesh(written(tmp_path / "a.glb", scene))
-    assert len(found) == 3
-    moved = next(one for one in found if one.transform[0, 3] != 0)
+    actual = read_mesh(written(tmp_path / "a.glb", scene))
+    assert len(actual) == 3
+    moved = next(entry for entry in actual if entry.transform[0, 3] != 0)
     np.testing.assert_allclose(moved.transform[:3, 3], [-3, -2, 1])
-    assert sum(one.data is moved.data for one in found) == 2
+    assert sum(entry.data is moved.data for entry in actual) == 2
 
 
 def test_splats_and_points_are_no_meshes(tmp_path: Path) -> None:
@@ -206,13 +206,13 @@ def test_mutants_end_in_an_error_or_a_mesh(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     scene = trimesh.Scene([textured(), painted(vertex_colors=COLORS)])
     read = 0
-    for suffix, made in (
+    for suffix, mesh in (
         ("glb", scene),
         ("ply", painted()),
         ("stl", painted()),
         ("obj", painted()),
     ):
-        whole = written(tmp_path / f"a.{suffix}", made).read_bytes()
+        whole = written(tmp_path / f"a.{suffix}", mesh).read_bytes()
         for number in range(40):
             mutant = bytearray(whole[: rng.integers(len(whole))] if number % 4 == 0 else whole)
             for _ in range(number % 4):

@@ -36,13 +36,13 @@ def renderer() -> Renderer:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two splat files, a generator and a mesh."""
-    made = tmp_path_factory.mktemp("parts")
+    result = tmp_path_factory.mktemp("parts")
     for name, seed in (("a.npz", 1), ("b.npz", 2)):
         data = cloud(60, seed, degree=2)
-        np.savez(made / name, gaussians=data.rows, appearance=data.appearance)
-    trimesh.creation.icosphere(subdivisions=1).export(made / "ball.ply")
-    find("drift").write(made)
-    return made
+        np.savez(result / name, gaussians=data.rows, appearance=data.appearance)
+    trimesh.creation.icosphere(subdivisions=1).export(result / "ball.ply")
+    find("drift").write(result)
+    return result
 
 
 def saved(folder: Path, **told: object) -> Path:
@@ -63,12 +63,12 @@ def test_every_field_of_a_set_is_read(folder: Path) -> None:
         "clip": {"low": [-1, -1, 0], "high": [1, 1, 9]},
     }
     (source,) = open_scene(saved(folder, models=[model]))
-    made = source.splats(None, None)
-    wanted = turned(np.radians(40), (1, 2, 3), (1, 2, 3))
-    wanted[:3, 3] = 0.1, 0.2, 0.3
-    np.testing.assert_allclose(made.transform, wanted, atol=1e-12)
-    assert (made.opacity_scale, made.degree, made.antialias) == (0.5, 1, "mip")
-    assert made.clip == Box((-1, -1, 0), (1, 1, 9))
+    splats = source.splats(None, None)
+    expected = turned(np.radians(40), (1, 2, 3), (1, 2, 3))
+    expected[:3, 3] = 0.1, 0.2, 0.3
+    np.testing.assert_allclose(splats.transform, expected, atol=1e-12)
+    assert (splats.opacity_scale, splats.degree, splats.antialias) == (0.5, 1, "mip")
+    assert splats.clip == Box((-1, -1, 0), (1, 1, 9))
     other = source.splats(2, "classic")  # what options say counts
     assert (other.degree, other.antialias) == (2, "classic")
 
@@ -82,7 +82,7 @@ def test_every_form_of_placement_is_read(folder: Path) -> None:
         "a.npz",
     ]
     first, second, third = (
-        one.splats(None, None).transform for one in open_scene(saved(folder, models=models))
+        entry.splats(None, None).transform for entry in open_scene(saved(folder, models=models))
     )
     np.testing.assert_allclose(first, second, atol=1e-12)
     assert np.array_equal(third, np.eye(4))
@@ -99,11 +99,11 @@ def test_the_picture_is_that_of_the_scene(folder: Path, renderer: Renderer) -> N
     )
     sources = open_scene(path)
     player = Player(sources, renderer=renderer)
-    seen = player.render(FrameRequest(camera()))
+    frame = player.render(FrameRequest(camera()))
     sets = [SplatSet(sources[0].data), SplatSet(sources[1].data, moved)]
     direct = renderer.render(Scene(sets, meshes=sources[2].meshes), camera())
-    assert np.array_equal(seen.rgba, direct.rgba)
-    assert (seen.alpha == 1).any()  # the ball
+    assert np.array_equal(frame.rgba, direct.rgba)
+    assert (frame.alpha == 1).any()  # the ball
     assert sources[2].meshes[0].shading == "unlit"
     np.testing.assert_allclose(sources[2].extent()[0], [0, 0, 4], atol=0.1)
 
@@ -115,31 +115,31 @@ def test_generator_keeps_inputs_of_the_scene_file(folder: Path) -> None:
     still.update(None, {"time": 0.5})
     assert np.array_equal(placed.data.rows, still.data.rows)
     assert placed.time is None  # so that no film moves it
-    for one in (placed, still):
-        one.close()
+    for source in (placed, still):
+        source.close()
 
 
 def test_moved_model_equals_inversely_moved_camera(renderer: Renderer) -> None:
     """What a moved model shows a camera is what the model shows a camera that is moved back."""
-    place = turned(0.7, (1, 2, 3), 1.5)
-    place[:3, 3] = 0.3, -0.2, 1.0
+    transform = turned(0.7, (1, 2, 3), 1.5)
+    transform[:3, 3] = 0.3, -0.2, 1.0
     data, here = cloud(80, 3, degree=2), camera(fx=30.0, fy=31.0)
-    for one in (here, here.flattened(5.0)):
-        there = renderer.render(Scene([SplatSet(data, place)]), one)
-        back = renderer.render(Scene([data]), local_camera(one, place))
-        assert np.abs(there.rgba - back.rgba).max() < 2e-3
+    for projection in (here, here.flattened(5.0)):
+        frame = renderer.render(Scene([SplatSet(data, transform)]), projection)
+        back = renderer.render(Scene([data]), local_camera(projection, transform))
+        assert np.abs(frame.rgba - back.rgba).max() < 2e-3
     mirrored = local_camera(here, np.diag([-2.0, 2, 2, 1]))
     assert isinstance(mirrored, Camera)
     assert mirrored.near == pytest.approx(here.near / 2)
 
 
 def test_options_override_the_view_of_the_file(folder: Path) -> None:
-    told = read_scene(
+    message = read_scene(
         saved(folder, models=["a.npz"], camera="orbit:10,20,3", width=64, fov=30, up="+z")
     )
-    made = scene_viewpoint([told])
-    assert (made.orbit, made.width, made.fov, made.up) == ((10, 20, 3), 64, 30, (0, 0, 1))
-    other = scene_viewpoint([told], "orbit:1,2", width=32, fov=70, up="-y")
+    result = scene_viewpoint([message])
+    assert (result.orbit, result.width, result.fov, result.up) == ((10, 20, 3), 64, 30, (0, 0, 1))
+    other = scene_viewpoint([message], "orbit:1,2", width=32, fov=70, up="-y")
     assert (other.orbit, other.width, other.fov) == ((1, 2, None), 32, 70)
     own = read_scene(saved(folder, models=["a.npz"], camera=json.loads(camera().to_json())))
     assert scene_viewpoint([own]).cameras == (own.camera,)
@@ -241,9 +241,9 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_invalid_scene_fields_are_named(tmp_path: Path, name: str) -> None:
-    told, match = WRONG[name]
+    message, match = WRONG[name]
     with pytest.raises((SceneInvalid, ConfigInvalid), match=match) as caught:
-        read_scene(saved(tmp_path, **told))
+        read_scene(saved(tmp_path, **message))
     assert caught.value.where.startswith(str(tmp_path / "scene.json"))
 
 
@@ -303,13 +303,13 @@ def test_a_placed_source_closes_what_it_places(folder: Path) -> None:
     inner = open_source(folder / "drift.onnx")
     turn = turned(np.pi / 2, (0, 0, 1), 2)
     turn[:3, 3] = 5, 0, 0
-    made = PlacedSource(inner, turn)
-    (center, reach), (own_center, own_reach) = made.extent(), inner.extent()
+    placed_source = PlacedSource(inner, turn)
+    (center, reach), (own_center, own_reach) = placed_source.extent(), inner.extent()
     np.testing.assert_allclose(center, turn[:3, :3] @ own_center + [5, 0, 0])
     assert reach == pytest.approx(2 * own_reach)
-    np.testing.assert_allclose(made.up, turn[:3, :3] @ inner.up / 2, atol=1e-12)
-    made.update(camera(), {"time": 0.25})
-    assert made.data is inner.data
-    made.abandon()
-    assert made.shape("time") == inner.shape("time")
-    made.close()
+    np.testing.assert_allclose(placed_source.up, turn[:3, :3] @ inner.up / 2, atol=1e-12)
+    placed_source.update(camera(), {"time": 0.25})
+    assert placed_source.data is inner.data
+    placed_source.abandon()
+    assert placed_source.shape("time") == inner.shape("time")
+    placed_source.close()

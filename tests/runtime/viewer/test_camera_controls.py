@@ -31,15 +31,15 @@ def toward(camera: Camera, share: float) -> np.ndarray:
 
 def test_controls_start_at_the_given_camera() -> None:
     home = orbit(azimuth=20, elevation=10)
-    made = controls(home).camera(*SIZE)
-    np.testing.assert_allclose(made.view, home.view, atol=1e-12)
-    assert (made.fx, made.cx, made.near) == (home.fx, home.cx, home.near)
+    camera = controls(home).camera(*SIZE)
+    np.testing.assert_allclose(camera.view, home.view, atol=1e-12)
+    assert (camera.fx, camera.cx, camera.near) == (home.fx, home.cx, home.near)
 
 
 def test_resized_window_keeps_the_visible_region() -> None:
-    made = controls()
+    controller = controls()
     for size in ((640, 180), (320, 500), (640, 360)):
-        camera = made.camera(*size)
+        camera = controller.camera(*size)
         for corner in ((-1, -1), (1, 1)):
             half = np.array([160, 90]) / orbit().fx * corner
             x, y = half * camera.fx + [camera.cx, camera.cy]
@@ -49,11 +49,11 @@ def test_resized_window_keeps_the_visible_region() -> None:
 
 @pytest.mark.parametrize("drag", [(30, 0), (-30, 0), (0, 20), (0, -20)])
 def test_near_points_follow_the_pointer(drag: tuple[int, int]) -> None:
-    made = controls()
-    before = made.camera(*SIZE)
+    controller = controls()
+    before = controller.camera(*SIZE)
     near, eye = toward(before, 0.4), before.eye
-    made.orbit(*drag)
-    after = made.camera(*SIZE)
+    controller.orbit(*drag)
+    after = controller.camera(*SIZE)
     moved = seen(after, near) - seen(before, near)
     assert moved @ drag > 0
     np.testing.assert_allclose(seen(after, CENTER), seen(before, CENTER), atol=1e-9)
@@ -62,27 +62,27 @@ def test_near_points_follow_the_pointer(drag: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("drag", [(30, 0), (-30, 0), (0, 20), (0, -20)])
 def test_looking_around_keeps_the_eye_position(drag: tuple[int, int]) -> None:
-    made = controls()
-    before = made.camera(*SIZE)
-    made.look(*drag)
-    after = made.camera(*SIZE)
+    controller = controls()
+    before = controller.camera(*SIZE)
+    controller.look(*drag)
+    after = controller.camera(*SIZE)
     np.testing.assert_allclose(after.eye, before.eye, atol=1e-9)
     assert (seen(after, CENTER) - seen(before, CENTER)) @ drag > 0
 
 
 def test_panning_keeps_the_grasped_point_under_the_pointer() -> None:
-    made = controls()
-    before = made.camera(*SIZE)
-    made.pan(17, -9, *SIZE)
-    after = made.camera(*SIZE)
+    controller = controls()
+    before = controller.camera(*SIZE)
+    controller.pan(17, -9, *SIZE)
+    after = controller.camera(*SIZE)
     np.testing.assert_allclose(seen(after, CENTER) - seen(before, CENTER), [17, -9], atol=1e-9)
 
 
 def test_no_drag_goes_over_the_pole_or_wears_the_rotation_out() -> None:
-    made = controls()
+    controller = controls()
     for _ in range(300):
-        made.orbit(3.7, 41.0)
-    turn = made.camera(*SIZE).view[:3, :3]
+        controller.orbit(3.7, 41.0)
+    turn = controller.camera(*SIZE).view[:3, :3]
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     assert -1 < turn[2] @ UP < -0.99  # it looks down: the camera stands above
     assert turn[1] @ UP < 0  # and what is up is up
@@ -102,81 +102,81 @@ def test_a_tilted_camera_goes_on_tilted() -> None:
         height=180,
         near=upright.near,
     )
-    made = controls(tilted)
-    made.orbit(5, 0)
-    side = made.camera(*SIZE).view[0, :3] @ UP
+    controller = controls(tilted)
+    controller.orbit(5, 0)
+    side = controller.camera(*SIZE).view[0, :3] @ UP
     assert side == pytest.approx(tilted.view[0, :3] @ UP, abs=0.05)
     assert abs(side) > 0.5
 
 
 def test_the_wheel_comes_nearer_and_never_through() -> None:
-    made = controls()
-    far = np.linalg.norm(made.eye - CENTER)
-    made.wheel(-100)
-    near = np.linalg.norm(made.eye - CENTER)
+    controller = controls()
+    far = np.linalg.norm(controller.eye - CENTER)
+    controller.wheel(-100)
+    near = np.linalg.norm(controller.eye - CENTER)
     assert near < far
-    made.wheel(100)
-    assert np.linalg.norm(made.eye - CENTER) == pytest.approx(far)
+    controller.wheel(100)
+    assert np.linalg.norm(controller.eye - CENTER) == pytest.approx(far)
     for _ in range(100):
-        made.wheel(-1000)
-    camera = made.camera(*SIZE)
+        controller.wheel(-1000)
+    camera = controller.camera(*SIZE)
     assert 0 < np.linalg.norm(camera.eye - CENTER) < 1e-3
     assert camera.near < np.linalg.norm(camera.eye - CENTER)
 
 
 def test_a_flat_camera_is_magnified_in_place_of_coming_nearer() -> None:
     home = orbit().flattened(4.0)
-    made = controls(home)
-    made.wheel(-100)
-    camera = made.camera(*SIZE)
+    controller = controls(home)
+    controller.wheel(-100)
+    camera = controller.camera(*SIZE)
     np.testing.assert_allclose(camera.eye, home.eye, atol=1e-9)
     assert camera.fx > home.fx
 
 
 @pytest.mark.parametrize("key", KEYS)
 def test_keys_move_along_their_axes(key: str) -> None:
-    made = controls()
-    before = made.camera(*SIZE)
-    assert made.fly(frozenset({key}), 0.5, fast=False)
-    slow = before.view[:3, :3] @ (made.eye - before.eye)
+    controller = controls()
+    before = controller.camera(*SIZE)
+    assert controller.fly(frozenset({key}), 0.5, fast=False)
+    slow = before.view[:3, :3] @ (controller.eye - before.eye)
     np.testing.assert_allclose(slow, 0.25 * np.array(KEYS[key]), atol=1e-12)
-    assert made.fly(frozenset({key}), 0.5, fast=True)
-    both = before.view[:3, :3] @ (made.eye - before.eye)
+    assert controller.fly(frozenset({key}), 0.5, fast=True)
+    both = before.view[:3, :3] @ (controller.eye - before.eye)
     assert np.linalg.norm(both) > 4 * np.linalg.norm(slow)
-    assert not made.fly(frozenset({"z"}), 0.5, fast=False)
+    assert not controller.fly(frozenset({"z"}), 0.5, fast=False)
 
 
 def test_focus_turns_to_a_point_and_then_around_it() -> None:
-    made = controls()
-    eye, point = made.eye, CENTER + np.array([0.4, 0.3, -0.2])
-    made.focus(point)
-    np.testing.assert_allclose(made.eye, eye, atol=1e-9)
+    controller = controls()
+    eye, point = controller.eye, CENTER + np.array([0.4, 0.3, -0.2])
+    controller.focus(point)
+    np.testing.assert_allclose(controller.eye, eye, atol=1e-9)
     for _ in range(2):
-        np.testing.assert_allclose(seen(made.camera(*SIZE), point), [160, 90], atol=1e-6)
-        made.orbit(40, 25)
+        np.testing.assert_allclose(seen(controller.camera(*SIZE), point), [160, 90], atol=1e-6)
+        controller.orbit(40, 25)
 
 
 def test_framing_centres_the_scene_and_reset_restores_the_camera() -> None:
-    made = controls()
-    first = made.camera(*SIZE)
-    made.fly(frozenset("wd"), 3, fast=True)
-    made.orbit(100, 10)
-    turn = made.camera(*SIZE).view[:3, :3]
-    made.frame()
-    camera = made.camera(*SIZE)
+    controller = controls()
+    first = controller.camera(*SIZE)
+    controller.fly(frozenset("wd"), 3, fast=True)
+    controller.orbit(100, 10)
+    turn = controller.camera(*SIZE).view[:3, :3]
+    controller.frame()
+    camera = controller.camera(*SIZE)
     np.testing.assert_allclose(camera.view[:3, :3], turn)
     np.testing.assert_allclose(seen(camera, CENTER), [160, 90], atol=1e-9)
     distance = np.linalg.norm(camera.eye - CENTER)
     assert 90 / camera.fy == pytest.approx(np.tan(np.arcsin(1 / distance)))
-    made.reset()
-    np.testing.assert_allclose(made.camera(*SIZE).view, first.view, atol=1e-12)
+    controller.reset()
+    np.testing.assert_allclose(controller.camera(*SIZE).view, first.view, atol=1e-12)
 
 
 def test_a_panorama_is_turned_in_its_place() -> None:
     home = Camera.panorama(CENTER.tolist(), width=320)
-    made = Controls(home, UP, CENTER, 1.0)
-    made.orbit(25, 10)
-    camera = made.camera(640, 200)
+    controls = Controls(home, UP, CENTER, 1.0)
+    controls.orbit(25, 10)
+    camera = controls.camera(640, 200)
     np.testing.assert_allclose(camera.eye, home.eye, atol=1e-3)
     assert (camera.kind, camera.width, camera.height) == ("panorama", 640, 200)
     assert not np.allclose(camera.view[:3, :3], home.view[:3, :3], atol=1e-3)

@@ -36,9 +36,9 @@ def expected(
     frame = painter.renderer.render(
         viewer.playback.scene(), camera, outputs=(MODES[mode],), background=(0, 0, 0, 1), **options
     )
-    made = picture_of(frame, mode, viewer.playback.depths(camera))
-    made = made[..., :3] if made.ndim == 3 else np.repeat(made[..., None], 3, axis=-1)
-    return made.astype(int)
+    result = picture_of(frame, mode, viewer.playback.depths(camera))
+    result = result[..., :3] if result.ndim == 3 else np.repeat(result[..., None], 3, axis=-1)
+    return result.astype(int)
 
 
 @pytest.mark.parametrize(("key", "mode"), list(zip("12345", MODES, strict=True)))
@@ -46,10 +46,10 @@ def test_each_mode_is_that_of_render(
     still: Hand, painter: SurfaceRenderer, key: str, mode: str
 ) -> None:
     still.key(key)
-    made = still.bare()[..., :3]
-    wanted = expected(still, painter, mode)
-    assert np.abs(made - wanted).max() <= 1
-    assert len(np.unique(wanted)) > 20  # there is something to be compared
+    result = still.bare()[..., :3]
+    reference = expected(still, painter, mode)
+    assert np.abs(result - reference).max() <= 1
+    assert len(np.unique(reference)) > 20  # there is something to be compared
 
 
 @pytest.mark.parametrize("key", ["1", "2"])
@@ -57,24 +57,24 @@ def test_a_window_larger_than_a_buffer_is_drawn_in_bands(
     still: Hand, painter: SurfaceRenderer, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     still.key(key)
-    wanted = still.bare()
+    expected = still.bare()
     drawn = painter.drawn
     monkeypatch.setattr(painter.renderer.device, "largest_binding", 16 * SIZE[0] * 33)
     monkeypatch.setattr(painter.renderer, "_pairs", 4 * SIZE[0] * 33)
     painter._last_view = None
     other = Hand(still.viewer.playback, painter)
     other.key(key)
-    assert np.array_equal(other.bare(), wanted)
+    assert np.array_equal(other.bare(), expected)
     assert [band.first for band in painter._last_view[1].bands] == [0, 32, 64, 96]
     assert painter.drawn.visible >= drawn.visible > 0
 
 
 def test_linear_colours_are_shown_as_srgb(cloud: SplatData, painter: SurfaceRenderer) -> None:
     hand = Hand(LivePlayback(sources_of(Scene([cloud], "linear"))), painter)
-    plain = Hand(LivePlayback(sources_of(cloud)), painter).bare()
-    made = hand.bare()
-    assert np.abs(made[..., :3] - expected(hand, painter)).max() <= 1
-    assert made[..., :3].mean() > plain[..., :3].mean() + 1
+    original = Hand(LivePlayback(sources_of(cloud)), painter).bare()
+    result = hand.bare()
+    assert np.abs(result[..., :3] - expected(hand, painter)).max() <= 1
+    assert result[..., :3].mean() > original[..., :3].mean() + 1
 
 
 def test_dragging_orbits_and_r_resets(still: Hand) -> None:
@@ -88,16 +88,16 @@ def test_dragging_orbits_and_r_resets(still: Hand) -> None:
 
 def test_shift_middle_and_right_drags_are_other_drags(still: Hand) -> None:
     first, ends = still.bare(), ((80, 60), (110, 70))
-    made = {}
-    for button, held in ((1, ()), (1, ("Shift",)), (2, ()), (3, ())):
-        still.drag(*ends, button, *held)
-        made[button, held] = still.bare()
+    results = {}
+    for button, modifiers in ((1, ()), (1, ("Shift",)), (2, ()), (3, ())):
+        still.drag(*ends, button, *modifiers)
+        results[button, modifiers] = still.bare()
         still.key("r")
-    assert np.array_equal(made[1, ("Shift",)], made[3, ()])
-    others = [first, made[1, ()], made[3, ()], made[2, ()]]
-    for number, one in enumerate(others):
+    assert np.array_equal(results[1, ("Shift",)], results[3, ()])
+    others = [first, results[1, ()], results[3, ()], results[2, ()]]
+    for number, entry in enumerate(others):
         for other in others[:number]:
-            assert not np.array_equal(one, other)
+            assert not np.array_equal(entry, other)
 
 
 def test_moving_without_a_button_has_no_effect(still: Hand) -> None:
@@ -140,13 +140,13 @@ def test_double_click_focuses_the_surface_point(painter: SurfaceRenderer) -> Non
 
 def test_keys_cycle_harmonics_antialiasing_and_backgrounds(still: Hand) -> None:
     first = still.bare()
-    seen = [first]
+    actual = [first]
     for _ in range(4):
         still.key("g")
-        seen.append(still.bare())
+        actual.append(still.bare())
     assert still.viewer.playback.sh_degree == 3
-    assert not np.array_equal(seen[1], first)  # degree 0
-    assert np.array_equal(seen[4], first)  # 3 is more than there is
+    assert not np.array_equal(actual[1], first)  # degree 0
+    assert np.array_equal(actual[4], first)  # 3 is more than there is
     still.key("g")
     still.key("x")
     still.key("x")
@@ -162,8 +162,8 @@ def test_keys_cycle_harmonics_antialiasing_and_backgrounds(still: Hand) -> None:
 
 def test_help_and_numbers_lie_over_the_picture(still: Hand) -> None:
     bare = still.bare()
-    told = still.look()
-    changed = np.abs(told - bare).max(axis=-1) > 0
+    message = still.look()
+    changed = np.abs(message - bare).max(axis=-1) > 0
     assert changed[10:40, 10:60].mean() > 0.9  # its paper
     assert not changed[:9].any()
     assert not changed[:, :9].any()
@@ -172,7 +172,7 @@ def test_help_and_numbers_lie_over_the_picture(still: Hand) -> None:
     assert (np.abs(helped - bare).max(axis=-1) > 0).mean() > 0.5
     still.key("Escape")  # closes the help first
     assert not still.viewer.closed
-    assert np.array_equal(still.look(), told)
+    assert np.array_equal(still.look(), message)
     still.key("Escape")
     assert still.viewer.closed
 
@@ -205,7 +205,7 @@ def test_a_frame_of_the_slider_is_that_of_a_film(
     moving.drag((x, y), (x, y))
     number = moving.viewer.playback.number
     assert number in (4, 5, 6)
-    made = moving.bare()
+    result = moving.bare()
     source = GeneratorSource(drift)
     source.update(None, {"time": number / 10})
     frame = painter.renderer.render(
@@ -213,8 +213,8 @@ def test_a_frame_of_the_slider_is_that_of_a_film(
     )
     source.close()
     above = slice(0, slider.corner[1])
-    assert np.abs(made[above, :, :3] - frame.srgb8[above, :, :3].astype(int)).max() <= 1
-    assert not np.array_equal(made[above], first[above])
+    assert np.abs(result[above, :, :3] - frame.srgb8[above, :, :3].astype(int)).max() <= 1
+    assert not np.array_equal(result[above], first[above])
     moving.key("ArrowLeft")
     assert moving.viewer.playback.number == number - 1
     moving.key("Home")
@@ -271,17 +271,17 @@ def test_p_saves_the_picture_and_a_camera_that_render_takes(
 ) -> None:
     hand = Hand(LivePlayback(sources_of(cloud)), painter, folder=tmp_path / "new")
     hand.drag((80, 60), (110, 70))
-    wanted = hand.bare()
+    expected = hand.bare()
     hand.key("p")
     hand.key("p")
-    assert sorted(one.name for one in (tmp_path / "new").iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
         "view_001.json",
         "view_001.png",
         "view_002.json",
         "view_002.png",
     ]
     with Image.open(tmp_path / "new/view_001.png") as image:
-        assert np.abs(np.asarray(image).astype(int) - wanted).max() <= 1
+        assert np.abs(np.asarray(image).astype(int) - expected).max() <= 1
     file = tmp_path / "new/view_001.json"
     camera = viewpoint(str(file)).cameras[0]
     np.testing.assert_allclose(camera.view, hand.viewer.controls.camera(*SIZE).view)
@@ -293,11 +293,11 @@ def test_another_size_is_another_picture(still: Hand, painter: SurfaceRenderer) 
     still.look()
     still.canvas.set_logical_size(90, 70)
     still.key("i")
-    made = still.look()
-    assert made.shape == (70, 90, 4)
+    result = still.look()
+    assert result.shape == (70, 90, 4)
     camera = still.viewer.controls.camera(90, 70)
     frame = painter.renderer.render(still.viewer.playback.scene(), camera, background=(0, 0, 0, 1))
-    assert np.abs(made - frame.srgb8.astype(int)).max() <= 1
+    assert np.abs(result - frame.srgb8.astype(int)).max() <= 1
 
 
 def test_a_lost_device_is_opened_again(cloud: SplatData) -> None:
@@ -415,13 +415,13 @@ def test_other_cameras_are_looked_through_too(
     camera: Camera = hand.viewer.controls.camera(*SIZE)
     local = camera.view[:3, :3] @ ahead + camera.view[:3, 3]
     if kind == "orthographic":
-        place = camera.fx * local[:2] + [camera.cx, camera.cy]
+        pixel = camera.fx * local[:2] + [camera.cx, camera.cy]
     else:
         turn = np.array(
             [np.arctan2(local[0], local[2]), np.arcsin(local[1] / np.linalg.norm(local))]
         )
-        place = turn * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    hand.send("double_click", x=place[0], y=place[1], button=1, modifiers=())
+        pixel = turn * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    hand.send("double_click", x=pixel[0], y=pixel[1], button=1, modifiers=())
     pivot = hand.viewer.controls.pivot - camera.eye
     along = camera.view[:3, :3] @ pivot
     if kind == "panorama":
@@ -438,16 +438,16 @@ def test_post_process_models_apply_to_the_shown_mode(
     post = PostProcessor(find("post_process").write(tmp_path), "cpu")
     stage = LivePlayback(sources_of(cloud), post=[post])
     hand = Hand(stage, painter)
-    made = hand.bare()[..., :3]
+    result = hand.bare()[..., :3]
     camera = hand.viewer.controls.camera(*SIZE)
     frame = stage.frame(stage.player(painter.renderer, (0, 0, 0, 1), "color"), camera)
-    assert np.abs(made - frame.srgb8[..., :3].astype(int)).max() <= 1
-    assert np.abs(made - expected(hand, painter)).max() > 10  # it does something
+    assert np.abs(result - frame.srgb8[..., :3].astype(int)).max() <= 1
+    assert np.abs(result - expected(hand, painter)).max() > 10  # it does something
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(painter.renderer.device, "largest_binding", 16 * SIZE[0] * 33)
         patch.setattr(painter.renderer, "_pairs", 4 * SIZE[0] * 33)
         painter._last_view = None
-        assert np.array_equal(Hand(stage, painter).bare()[..., :3], made)
+        assert np.array_equal(Hand(stage, painter).bare()[..., :3], result)
         assert [band.first for band in painter._last_view[1].bands] == [0, 33, 66, 99]
     hand.key("5")  # what is no colour is as it was
     assert np.abs(hand.bare()[..., :3] - expected(hand, painter, "alpha")).max() <= 1

@@ -58,9 +58,9 @@ def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
 
     canvas = OffscreenRenderCanvas(size=SIZE)
     assert view(Scene([cloud]), canvas=canvas, size=SIZE) is canvas
-    made = np.asarray(canvas.draw())
-    assert made.shape == (*SIZE[::-1], 4)
-    assert made[..., :3].max() > 60
+    result = np.asarray(canvas.draw())
+    assert result.shape == (*SIZE[::-1], 4)
+    assert result[..., :3].max() > 60
 
 
 def test_view_without_a_screen_raises_before_a_window_aborts_the_process() -> None:

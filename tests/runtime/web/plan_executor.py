@@ -49,12 +49,12 @@ class PlanExecutor:
             for entry in entries
             for command in self._commands(entry)
         ]
-        self.clears = [(self.buffers[row], *rest) for row, *rest in plan["clears"]]
+        self.clears = [(self.buffers[row], *remaining) for row, *remaining in plan["clears"]]
         self.clears += [
-            (getattr(page.slots, name), *rest)
+            (getattr(page.slots, name), *remaining)
             for page in pages
             if page.slots is not None
-            for name, *rest in plan["pool_clears"]
+            for name, *remaining in plan["pool_clears"]
         ]
 
     def _buffer(self, entry: dict[str, Any]) -> Any:

@@ -98,11 +98,11 @@ class Reading:
 
     def clears(self) -> list[tuple[Any, ...]]:
         """Return label, offset and size of all cleared bytes, those of the pools' pages last."""
-        own = [(self.buffer(row)[0], *rest) for row, *rest in self.plan["clears"]]
+        own = [(self.buffer(row)[0], *remaining) for row, *remaining in self.plan["clears"]]
         return own + [
-            (self.page_buffer(pool_kind(kind), name, {"slots": count})[0], *rest)
+            (self.page_buffer(pool_kind(kind), name, {"slots": count})[0], *remaining)
             for kind, count in self.pools
-            for name, *rest in self.plan["pool_clears"]
+            for name, *remaining in self.plan["pool_clears"]
         ]
 
     def _each(self, entry: int | dict[str, Any]) -> list[Any]:
@@ -242,7 +242,7 @@ def test_formulas_give_the_buffers_and_dispatches_of_python(
         assert reading.buffer(row)[1] == plan.images[name].size
     for name, row in chosen["inputs"].items():
         assert reading.buffer(row)[:2] == (plan.inputs[name].label, plan.inputs[name].size)
-    assert reading.clears() == [(buffer.label, *rest) for buffer, *rest in plan.clears]
+    assert reading.clears() == [(buffer.label, *clear) for buffer, *clear in plan.clears]
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -274,7 +274,7 @@ def test_formulas_of_pools_give_the_buffers_and_dispatches_of_python(
         outputs, sizes, kinds, capacities, pools=pools, slot_rows=slot_rows, **shape
     )
     assert reading.steps() == described(plan, pages)
-    assert reading.clears() == [(buffer.label, *rest) for buffer, *rest in plan.clears]
+    assert reading.clears() == [(buffer.label, *clear) for buffer, *clear in plan.clears]
     for (kind, count), page in zip(pools, pages[len(kinds) :], strict=True):
         assert page.slots is not None
         buffers = {"rows": page.rows, "appearance": page.appearance}

@@ -43,41 +43,41 @@ Row = namedtuple("Row", "xyz logits log_scales quats colors")
 
 def first(generator: Any) -> Gaussians:
     with torch.no_grad():
-        made = generator(torch.full((1,), 0.5), torch.full((1,), 0.25))
-    assert isinstance(made, Gaussians)
-    return made
+        result = generator(torch.full((1,), 0.5), torch.full((1,), 0.25))
+    assert isinstance(result, Gaussians)
+    return result
 
 
-def check(made: Gaussians, module: Plain) -> None:
-    assert torch.equal(made.position, 1.5 * module.velocity)
-    assert torch.equal(made.opacity, torch.full((N, 1), 0.5))
-    assert made.scale is not None
-    torch.testing.assert_close(made.scale, torch.full((N, 3), -3.0).exp())
-    assert made.rgb is not None
-    assert (made.rgb == 0.25).all()
+def check(result: Gaussians, module: Plain) -> None:
+    assert torch.equal(result.position, 1.5 * module.velocity)
+    assert torch.equal(result.opacity, torch.full((N, 1), 0.5))
+    assert result.scale is not None
+    torch.testing.assert_close(result.scale, torch.full((N, 3), -3.0).exp())
+    assert result.rgb is not None
+    assert (result.rgb == 0.25).all()
 
 
 def test_a_module_that_returns_a_dict_is_wrapped_and_exported(tmp_path: Path) -> None:
     module = Plain()
     generator = wrap(module, inputs=INPUTS, outputs=NAMED, family="4d")
     check(first(generator), module)
-    made = export(generator, tmp_path / "m.onnx")
-    assert made.parity.holds
-    assert made.manifest.family == "4d"
-    assert [entry.role for entry in made.manifest.inputs] == ["time", "control"]
+    exported = export(generator, tmp_path / "m.onnx")
+    assert exported.parity.holds
+    assert exported.manifest.family == "4d"
+    assert [entry.role for entry in exported.manifest.inputs] == ["time", "control"]
 
 
 def test_attributes_and_positions_are_found() -> None:
     by_attribute = NAMED | {
-        "opacity": lambda made: torch.sigmoid(made.logits),
-        "scale": lambda made: made.log_scales.exp(),
+        "opacity": lambda result: torch.sigmoid(result.logits),
+        "scale": lambda result: result.log_scales.exp(),
     }
     module = Plain(Row)
     check(first(wrap(module, inputs=INPUTS, outputs=by_attribute)), module)
     by_position = {
         "position": 0,
-        "opacity": lambda made: torch.sigmoid(made[1]),
-        "scale": lambda made: made[2].exp(),
+        "opacity": lambda result: torch.sigmoid(result[1]),
+        "scale": lambda result: result[2].exp(),
         "rotation": 3,
         "rgb": -1,
     }
@@ -89,8 +89,8 @@ def test_inputs_are_passed_by_name_where_asked() -> None:
     module = Plain()
     swapped = wrap(module, inputs=INPUTS[::-1], outputs=NAMED, by_name=True)
     with torch.no_grad():
-        made = swapped(torch.full((1,), 0.25), torch.full((1,), 0.5))
-    check(made, module)
+        result = swapped(torch.full((1,), 0.25), torch.full((1,), 0.5))
+    check(result, module)
 
 
 def test_wrapped_modules_do_not_share_declarations() -> None:
@@ -112,7 +112,7 @@ def test_wrapped_modules_do_not_share_declarations() -> None:
             "which has no 'means'",
         ),
         (NAMED | {"position": 0}, GeneratorInvalid, "outputs['position'] = 0"),
-        (NAMED | {"rgb": lambda made: 3}, GeneratorInvalid, "is int, expected a tensor"),
+        (NAMED | {"rgb": lambda result: 3}, GeneratorInvalid, "is int, expected a tensor"),
     ],
 )
 def test_a_field_that_is_not_there_is_named(

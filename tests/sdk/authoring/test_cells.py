@@ -47,7 +47,7 @@ def test_cells_are_declared_and_compared(made: Exported) -> None:
     assert manifest.weighted_sum == WEIGHTS
     assert manifest.outputs.cells == CellsOutput("cells", EACH, "float32")
     assert made.report.findings == ()
-    fields = {one.field for one in made.parity.fields}
+    fields = {field.field for field in made.parity.fields}
     assert {"cell position", "cell covariance", "cell visibility"} <= fields
 
 
@@ -56,12 +56,12 @@ def test_a_session_gives_the_cells_of_live_rows(made: Exported) -> None:
         frame = session.run({"time": 0.5})
         known = eager(0.5).cells
         assert known is not None
-        seen = decode_cells(frame.cells)
-        np.testing.assert_allclose(seen.position, known.position, atol=1e-6)
-        np.testing.assert_allclose(seen.visibility, known.visibility[:, 0], atol=1e-6)
-        np.testing.assert_allclose(seen.covariance, known.covariances(), atol=1e-6)
+        actual = decode_cells(frame.cells)
+        np.testing.assert_allclose(actual.position, known.position, atol=1e-6)
+        np.testing.assert_allclose(actual.visibility, known.visibility[:, 0], atol=1e-6)
+        np.testing.assert_allclose(actual.covariance, known.covariances(), atol=1e-6)
         np.testing.assert_array_equal(frame[made.manifest.outputs.cells.name], frame.cells)
-        assert 0 < (seen.visibility == 0).sum() < CELLS
+        assert 0 < (actual.visibility == 0).sum() < CELLS
 
 
 def test_a_frame_of_a_model_without_cells_has_none(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_frame_of_a_model_without_cells_has_none(tmp_path: Path) -> None:
 
 def test_cells_go_into_half_precision_with_their_rows(made: Exported, tmp_path: Path) -> None:
     halved = write_float16(made.path, tmp_path / "half.onnx")
-    assert {"cell position", "cell visibility"} <= {one.field for one in halved.parity.fields}
+    assert {"cell position", "cell visibility"} <= {field.field for field in halved.parity.fields}
     subject = inspect_model(open_model(tmp_path / "half.onnx"), load_target("core"), Limits())
     assert subject.declared_cells == CellsOutput("cells", EACH, "float16")
     assert subject.cells is not None
@@ -88,8 +88,8 @@ def test_cells_go_into_half_precision_with_their_rows(made: Exported, tmp_path: 
 def test_cells_behind_the_count_are_not_visible() -> None:
     class Counted(Bunches):
         def forward(self, time: torch.Tensor) -> Gaussians:
-            made = super().forward(time)
-            return replace(made, count=torch.tensor([7]))
+            outputs = super().forward(time)
+            return replace(outputs, count=torch.tensor([7]))
 
     packed = PackedGenerator(Counted(), Packed(torch.float32, (CELLS + 1) * EACH))
     with torch.no_grad():
@@ -121,8 +121,8 @@ def test_cells_and_weights_go_together(
         weighted_sum = weights
 
         def forward(self, time: torch.Tensor) -> Gaussians:
-            made = super().forward(time)
-            return made if keep else replace(made, cells=None)
+            outputs = super().forward(time)
+            return outputs if keep else replace(outputs, cells=None)
 
     with pytest.raises(GeneratorInvalid, match=f"(?s)Half: .*{said}"):
         export(Half(), tmp_path / "m.onnx")
@@ -150,13 +150,13 @@ def test_cells_of_another_shape_are_refused(changes: dict[str, object], said: st
 
 
 def test_cells_that_rows_do_not_fill_are_refused() -> None:
-    made = eager(1.0)
+    outputs = eager(1.0)
     few = Cells(torch.zeros(5, 3), torch.ones(5), covariance=torch.zeros(5, 6))
     with pytest.raises(GeneratorInvalid, match="24 Gaussians do not fill 5 cells"):
-        replace(made, cells=few)
+        replace(outputs, cells=few)
     none = Cells(torch.zeros(0, 3), torch.ones(0), covariance=torch.zeros(0, 6))
     with pytest.raises(GeneratorInvalid, match="do not fill 0 cells"):
-        replace(made, cells=none)
+        replace(outputs, cells=none)
 
 
 def test_single_rows_do_not_leave_their_cells() -> None:
@@ -173,11 +173,11 @@ FIELDS = {name: name for name in ("position", "opacity", "scale", "rotation", "r
 def test_a_module_with_cells_is_wrapped() -> None:
     generator = wrapped(Bunches(), inputs=[inputs.time()], outputs=FIELDS, weighted_sum=WEIGHTS)
     with torch.no_grad():
-        made = generator(torch.full((1,), 0.5))
+        result = generator(torch.full((1,), 0.5))
     assert generator.weighted_sum == WEIGHTS
     known = eager(0.5).cells
     assert known is not None
-    assert torch.equal(made.cells.visibility, known.visibility)
+    assert torch.equal(result.cells.visibility, known.visibility)
 
 
 def test_cells_of_a_wrapped_module_must_be_cells() -> None:
@@ -216,5 +216,5 @@ def test_cells_of_both_devices_are_compared(
     gpu["cells"][cell, column] += by
     frame = Frame(Probe(label="p", inputs={}), cpu, gpu, None)
     live = Live(subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,))
-    found = [place for place, _, _ in disagreements(live)]
-    assert found == ([f"field {field}"] if field else [])
+    actual = [disagreement for disagreement, _, _ in disagreements(live)]
+    assert actual == ([f"field {field}"] if field else [])

@@ -101,11 +101,11 @@ class Sepia(PostProcess):
     ],
 )
 def test_unexportable_module_is_refused(
-    made: Any, where: str, what: str, hint: str, tmp_path: Path
+    result: Any, where: str, label: str, hint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(GeneratorInvalid) as refused:
-        export(made(), tmp_path / "model.onnx")
-    assert (refused.value.where, refused.value.message) == (where, what)
+        export(result(), tmp_path / "model.onnx")
+    assert (refused.value.where, refused.value.message) == (where, label)
     assert hint in refused.value.hint
     assert not list(tmp_path.iterdir())
 
@@ -201,9 +201,11 @@ def test_a_misspelled_input_gets_the_known_name(tmp_path: Path) -> None:
 def test_offsets_may_make_single_scales_negative(tmp_path: Path) -> None:
     class Offset(Cloud):
         def forward(self, time: torch.Tensor) -> Gaussians:
-            made = super().forward(time)
-            assert made.scale is not None
-            return replace(made, scale=made.scale * torch.tensor([1.0] * 5 + [-1.0] * 3)[:, None])
+            outputs = super().forward(time)
+            assert outputs.scale is not None
+            return replace(
+                outputs, scale=outputs.scale * torch.tensor([1.0] * 5 + [-1.0] * 3)[:, None]
+            )
 
     static = Settings(level=Level.STATIC)
     assert export(Offset(), tmp_path / "model.onnx", settings=static).parity.holds

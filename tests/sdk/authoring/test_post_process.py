@@ -34,25 +34,28 @@ class Darken(PostProcess):
 
 
 def test_a_model_of_open_size_takes_every_size(tmp_path: Path) -> None:
-    made = export_post_process(Darken(), tmp_path / "dark.onnx", settings=VALUES)
-    assert made.contents == "an image of any size, float32"
-    assert made.parity.holds
-    session = onnxruntime.InferenceSession(made.path)
+    actual = export_post_process(Darken(), tmp_path / "dark.onnx", settings=VALUES)
+    assert actual.contents == "an image of any size, float32"
+    assert actual.parity.holds
+    session = onnxruntime.InferenceSession(actual.path)
     assert MANIFEST_KEY in session.get_modelmeta().custom_metadata_map
-    rest = {"timestep": np.zeros(1, np.float32), "conditioning": np.zeros((1, 2, 3), "f4")}
+    remaining = {"timestep": np.zeros(1, np.float32), "conditioning": np.zeros((1, 2, 3), "f4")}
     for shape in ((1, 3, 1, 1), (1, 3, 30, 51)):
         image = np.random.default_rng(0).random(shape).astype(np.float32)
-        (result,) = session.run(None, {"image": image, **rest})
+        (result,) = session.run(None, {"image": image, **remaining})
         np.testing.assert_allclose(result, image / 2, atol=1e-6)
 
 
 def test_float16_applies_to_images_and_weights(tmp_path: Path) -> None:
     model = Darken((4, 6))
-    made = export_post_process(model, tmp_path / "half.onnx", dtype="float16", settings=VALUES)
-    types = {one.name: one.type for one in onnxruntime.InferenceSession(made.path).get_inputs()}
+    result = export_post_process(model, tmp_path / "half.onnx", dtype="float16", settings=VALUES)
+    types = {
+        get_input.name: get_input.type
+        for get_input in onnxruntime.InferenceSession(result.path).get_inputs()
+    }
     assert types["image"] == "tensor(float16)"
     assert types["timestep"] == types["conditioning"] == "tensor(float)"
-    assert made.manifest.outputs.image.dtype == "float16"
+    assert result.manifest.outputs.image.dtype == "float16"
     assert model.share.dtype == torch.float32, "the author's module was changed"
 
 
@@ -61,8 +64,8 @@ def test_a_module_that_does_not_agree_with_itself_is_not_written(tmp_path: Path)
         """Another image in the graph than in eager torch."""
 
         def forward(self, image: Any, timestep: Any, conditioning: Any) -> Any:
-            made = super().forward(image, timestep, conditioning)
-            return made if torch.compiler.is_exporting() else 0.9 * made
+            outputs = super().forward(image, timestep, conditioning)
+            return outputs if torch.compiler.is_exporting() else 0.9 * outputs
 
     path = tmp_path / "moody.onnx"
     with pytest.raises(ParityFailed, match="times the tolerance") as caught:
@@ -82,8 +85,8 @@ def test_alpha_may_come_along_whatever_the_size(tmp_path: Path) -> None:
         def forward(self, image: Any) -> Any:
             return image * 0.5
 
-    made = export_post_process(Keep(), tmp_path / "keep.onnx", settings=STATIC)
-    shape = onnxruntime.InferenceSession(made.path).get_inputs()[0].shape
+    result = export_post_process(Keep(), tmp_path / "keep.onnx", settings=STATIC)
+    shape = onnxruntime.InferenceSession(result.path).get_inputs()[0].shape
     assert shape[:2] == [1, 4]
     assert all(isinstance(side, str) for side in shape[2:])
 
@@ -137,7 +140,7 @@ def test_factory_may_return_a_post_process_module(tmp_path: Path) -> None:
         "        return image + 0\n"
     )
     (tmp_path / "post_of_mine.py").write_text(source)
-    made = load_factory("post_of_mine:Same", tmp_path).build({})
-    assert isinstance(made, PostProcess)
+    built = load_factory("post_of_mine:Same", tmp_path).build({})
+    assert isinstance(built, PostProcess)
     with pytest.raises(UnknownName, match="Sane"):
         load_factory("post_of_mine:Sane", tmp_path)

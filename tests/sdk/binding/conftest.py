@@ -17,5 +17,7 @@ def models(tmp_path_factory) -> dict[str, Path]:
     sketches["look-row"] = looking(order="row")
     for name, sketch in sketches.items():
         sketch.write(folder / f"{name}.onnx")
-    made = {name: folder / f"{name}.onnx" for name in sketches}
-    return made | {one.name: one.write(folder) for one in live_fixtures()}
+    result = {name: folder / f"{name}.onnx" for name in sketches}
+    return result | {
+        live_fixture.name: live_fixture.write(folder) for live_fixture in live_fixtures()
+    }

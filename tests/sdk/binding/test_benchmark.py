@@ -71,13 +71,15 @@ def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
     ran = gsgen("bench", models["round_on_the_cpu"], "--frames", "3", "-o", out)
     assert ran.code == 0, ran.err
     results = json.loads(out.read_text())["results"]
-    named = [(Path(one["model"]).stem, one["provider"], one["state"]) for one in results]
+    named = [
+        (Path(result["model"]).stem, result["provider"], result["state"]) for result in results
+    ]
     assert named == [("round_on_the_cpu", provider, "measured") for provider in ("cpu", "webgpu")]
     assert results[1]["nodes_on_cpu"] == ["Round"]
     for words in ("p50 ms", "first ms", "copies", "nodes on the CPU (Round)", "not captured: "):
         assert words in ran.out
-    for one in results:
-        assert f"{1000 * one['p50_seconds']:.3f}" in ran.out
+    for entry in results:
+        assert f"{1000 * entry['p50_seconds']:.3f}" in ran.out
 
 
 def test_command_lists_unmeasured_models(models, tmp_path):

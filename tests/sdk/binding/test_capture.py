@@ -11,16 +11,16 @@ def moves(session: FrameSession) -> None:
     """Assert that frames are those of the CPU."""
     with FrameSession(session.path, provider="cpu") as reference:
         for time in (0.0, 0.5, 1.0):
-            wanted = reference.run({"time": time})["gaussians"]
-            found = session.run({"time": time})["gaussians"]
-            np.testing.assert_allclose(found, wanted, atol=1e-6)
+            expected = reference.run({"time": time})["gaussians"]
+            actual = session.run({"time": time})["gaussians"]
+            np.testing.assert_allclose(actual, expected, atol=1e-6)
 
 
 def test_stale_capture_is_disabled_and_its_operator_named(models):
     with pytest.warns(CaptureOff) as warned:
         session = FrameSession(models["output_from_idle_sum"], provider="webgpu")
     cause = "output gaussians repeats frame 0 in all 1 replays; made by ReduceSum (node ReduceSum)"
-    assert [str(one.message) for one in warned] == [
+    assert [str(entry.message) for entry in warned] == [
         f"output_from_idle_sum.onnx runs without capture on webgpu: {cause}"
     ]
     assert warned[0].filename == __file__  # it points at the caller
@@ -58,9 +58,11 @@ def test_nodes_that_fell_back_to_the_cpu_are_reported(models):
 
 
 def test_capture_can_be_left_off(models):
-    with FrameSession(models["output_from_idle_sum"], provider="webgpu", capture=False) as one:
-        assert (one.captured, one.cause) == (False, "")
-        moves(one)
+    with FrameSession(
+        models["output_from_idle_sum"], provider="webgpu", capture=False
+    ) as frame_session:
+        assert (frame_session.captured, frame_session.cause) == (False, "")
+        moves(frame_session)
 
 
 def test_a_refusal_at_the_first_captured_run_is_a_cause_too(models, monkeypatch):

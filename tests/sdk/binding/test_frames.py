@@ -54,13 +54,13 @@ def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):
         assert (session.provider, session.captured) == (provider, provider == "webgpu")
         assert session.cause == ""
         for time in (0, 0.25, 1.0, np.float32(0.5), [0.75], np.array([0.1])):
-            found = session.run({"time": time}).gaussians()
-            at = float(np.asarray(time).reshape(-1)[0])
-            wanted = weights["center"] + at * weights["speed"]
-            np.testing.assert_allclose(found.position, wanted, atol=TOLERANCE[dtype])
-            np.testing.assert_allclose(found.opacity, weights["opacity"][:, 0], atol=1e-3)
-            assert found.sh is not None
-            assert found.sh.shape == (5, 1, 3)
+            actual = session.run({"time": time}).gaussians()
+            seconds = float(np.asarray(time).reshape(-1)[0])
+            expected = weights["center"] + seconds * weights["speed"]
+            np.testing.assert_allclose(actual.position, expected, atol=TOLERANCE[dtype])
+            np.testing.assert_allclose(actual.opacity, weights["opacity"][:, 0], atol=1e-3)
+            assert actual.sh is not None
+            assert actual.sh.shape == (5, 1, 3)
 
 
 @BOTH
@@ -70,15 +70,15 @@ def test_a_camera_is_laid_out_as_the_manifest_declares(provider, model, models):
     weights = looking(order=order).weights
     with FrameSession(models[model], provider=provider) as session:
         for angle in (0.0, 0.9, 2.2):
-            one = camera(angle)
-            depth = (weights["homogeneous"].astype(np.float64) @ one.view.T)[:, 2]
-            wanted = weights["opacity"][:, 0] / (1 + np.exp(-depth))
+            view_camera = camera(angle)
+            depth = (weights["homogeneous"].astype(np.float64) @ view_camera.view.T)[:, 2]
+            expected = weights["opacity"][:, 0] / (1 + np.exp(-depth))
             for frame in (
-                session.run(camera=one, copy=True),
-                session.run(camera=(one.view, one.projection), copy=True),
-                session.run({"view": one.view}, copy=True),
+                session.run(camera=view_camera, copy=True),
+                session.run(camera=(view_camera.view, view_camera.projection), copy=True),
+                session.run({"view": view_camera.view}, copy=True),
             ):
-                np.testing.assert_allclose(frame.gaussians().opacity, wanted, atol=2e-3)
+                np.testing.assert_allclose(frame.gaussians().opacity, expected, atol=2e-3)
 
 
 @BOTH
@@ -97,27 +97,27 @@ def test_rows_behind_the_count_are_left_out(provider, tmp_path):
 @BOTH
 def test_inputs_keep_their_value_until_they_are_updated(provider, models):
     with FrameSession(models["drift-float32"], provider=provider) as session:
-        rest = session.run(copy=True)["gaussians"]  # the default is 0
-        np.testing.assert_array_equal(session.run({"time": 0})["gaussians"], rest)
+        initial = session.run(copy=True)["gaussians"]  # the default is 0
+        np.testing.assert_array_equal(session.run({"time": 0})["gaussians"], initial)
         moved = session.run({"time": 0.5}, copy=True)["gaussians"]
-        assert np.abs(moved - rest).max() > 0.01
+        assert np.abs(moved - initial).max() > 0.01
         np.testing.assert_array_equal(session.run()["gaussians"], moved)
         session.update({"time": 0})
-        np.testing.assert_array_equal(session.run()["gaussians"], rest)
+        np.testing.assert_array_equal(session.run()["gaussians"], initial)
 
 
 @BOTH
 def test_frame_expires_after_the_next_unless_copied(provider, models):
     with FrameSession(models["drift-float32"], provider=provider) as session:
-        lent, kept = session.run({"time": 0}), session.run({"time": 1}, copy=True)
-        before = kept["gaussians"].copy()
+        lent, retained = session.run({"time": 0}), session.run({"time": 1}, copy=True)
+        before = retained["gaussians"].copy()
         session.run({"time": 0})
         for read in (lambda: lent["gaussians"], lent.gaussians, lambda: lent.handle("color")):
             with pytest.raises(FrameGone, match="frame 0 was overwritten by frame 2"):
                 read()
-        np.testing.assert_array_equal(kept["gaussians"], before)
-        assert len(kept.gaussians()) == 5
-        assert set(kept) == {"gaussians", "color", "num_points"}
+        np.testing.assert_array_equal(retained["gaussians"], before)
+        assert len(retained.gaussians()) == 5
+        assert set(retained) == {"gaussians", "color", "num_points"}
 
 
 @BOTH
@@ -136,7 +136,7 @@ def test_outputs_keep_their_addresses(provider, models):
 
 def test_an_output_is_copied_from_the_device_once_a_frame(models, monkeypatch):
     read, copied = DeviceBuffer.read, []
-    monkeypatch.setattr(DeviceBuffer, "read", lambda one: (copied.append(one), read(one))[1])
+    monkeypatch.setattr(DeviceBuffer, "read", lambda entry: (copied.append(entry), read(entry))[1])
     with FrameSession(models["drift-float32"], provider="webgpu") as session:
         copied.clear()
         for time in (0, 1):

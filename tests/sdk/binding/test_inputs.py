@@ -34,8 +34,8 @@ def session(tmp_path_factory):
     )
     text = "float[1] a, float[1] b, int32[1] index, float[1,3] pose"
     driven(text, WAYS, shift).weighing(zero=np.zeros(1, np.int64)).write(path)
-    with FrameSession(path, provider="cpu") as made:
-        yield made
+    with FrameSession(path, provider="cpu") as frame_session:
+        yield frame_session
 
 
 @pytest.mark.parametrize(
@@ -68,9 +68,9 @@ def test_mismatched_values_are_refused(values, said, session):
 
 
 def test_a_role_stands_for_the_one_input_that_has_it(session):
-    one = session.run({"frame_index": 2, "a": 0, "b": 0}, copy=True)["gaussians"]
+    first = session.run({"frame_index": 2, "a": 0, "b": 0}, copy=True)["gaussians"]
     two = session.run({"index": np.int64(2), "pose": np.zeros((1, 3))}, copy=True)["gaussians"]
-    np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(first, two)
 
 
 def test_tensors_are_written_as_they_are(session):
@@ -123,8 +123,8 @@ def test_intrinsics_project_to_the_pixels_that_they_say(cx, cy, x, y, z):
 
 def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
     camera = Camera(np.eye(4), fx=500, fy=500, cx=320, cy=240, width=640, height=480, near=0.01)
-    wanted = perspective(2 * np.arctan(320 / 500), 640 / 480, 0.01, 1000)
-    np.testing.assert_allclose(pinhole_projection(camera), wanted, rtol=1e-12)
+    expected = perspective(2 * np.arctan(320 / 500), 640 / 480, 0.01, 1000)
+    np.testing.assert_allclose(pinhole_projection(camera), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -141,8 +141,8 @@ def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
         (Input(name="x", role="pose", default=(1, 2, 3, 4, 5, 6)), (2, 3), [[1, 2, 3], [4, 5, 6]]),
     ],
 )
-def test_defaults_are_those_of_the_specification(entry, shape, wanted):
-    np.testing.assert_array_equal(default_tensor(entry, shape), wanted)
+def test_defaults_are_those_of_the_specification(entry, shape, expected):
+    np.testing.assert_array_equal(default_tensor(entry, shape), expected)
 
 
 def test_a_default_that_does_not_fill_its_input_is_refused():
@@ -158,8 +158,8 @@ def test_matrices_are_transposed_for_column_order_alone(numbers, order):
         name="m", dtype=np.dtype("float32"), shape=(4, 4), declared=entry, order=order
     )
     tensor = binding.tensor(matrix)
-    wanted = matrix.astype(np.float32)
-    np.testing.assert_array_equal(tensor, wanted.T if order == "column" else wanted)
+    expected = matrix.astype(np.float32)
+    np.testing.assert_array_equal(tensor, expected.T if order == "column" else expected)
 
 
 # ---- Sizes -----------------------------------------------------------------------------------

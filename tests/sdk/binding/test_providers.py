@@ -147,16 +147,16 @@ def with_cuda(monkeypatch):
 
 @pytest.mark.parametrize("capture", [True, False])
 def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda):
-    told = {}
+    received = {}
 
-    def remember(model, settings, given, **options):
-        told.update(model=model, given=given, **options)
+    def remember(model, settings, inputs, **options):
+        received.update(model=model, given=inputs, **options)
         return SimpleNamespace(get_providers=lambda: with_cuda)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", remember)  # a fake: CUDA
     open_session(models["drift-float32"], SessionOptions(choice=choose_provider(), capture=capture))
     options = {"device_id": "0", "enable_cuda_graph": "1" if capture else "0"}
-    assert told == {
+    assert received == {
         "model": str(models["drift-float32"]),
         "given": [("CUDAExecutionProvider", options)],
         "enable_fallback": 0,
@@ -199,14 +199,14 @@ def stand_in(monkeypatch, with_cuda):
 def test_the_way_of_a_frame_through_cuda_on_a_stand_in(models, stand_in):
     """All but the device: capture is asked for and checked, inputs and outputs are copied."""
     with FrameSession(models["drift-float32"], provider="cpu") as reference:
-        wanted = [reference.run({"time": t}, copy=True)["gaussians"] for t in (0, 1)]
+        expected = [reference.run({"time": t}, copy=True)["gaussians"] for t in (0, 1)]
     with pytest.warns(NodesOnCpu, match=r"cuda: 3 of 3 nodes run on the CPU \(Mul, Add, Concat\)"):
         opened = FrameSession(models["drift-float32"], provider="cuda")
     with opened as session:
         assert (session.provider, session.captured) == ("cuda", True)
         for time in (0, 1):
-            found = session.run({"time": time})["gaussians"]
-            np.testing.assert_array_equal(found, wanted[time])
+            actual = session.run({"time": time})["gaussians"]
+            np.testing.assert_array_equal(actual, expected[time])
     assert stand_in[-1] is True
 
 

@@ -16,20 +16,25 @@ BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
 def test_threads_get_the_frame_that_they_asked_for(provider, models):
     """Two sessions with three threads each: every frame fits the time that was asked for."""
     path, wrong, done = models["drift-float32"], [], []
-    with FrameSession(path, provider=provider) as one, FrameSession(path, provider=provider) as two:
-        rest, end = (one.run({"time": t}, copy=True)["gaussians"][:, :3] for t in (0, 1))
+    with (
+        FrameSession(path, provider=provider) as frame_session,
+        FrameSession(path, provider=provider) as two,
+    ):
+        initial, end = (
+            frame_session.run({"time": t}, copy=True)["gaussians"][:, :3] for t in (0, 1)
+        )
 
         def work(session, seed):
             for time in np.random.default_rng(seed).random(20):
-                found = session.run({"time": time}, copy=True)["gaussians"][:, :3]
-                wanted = rest + time * (end - rest)
+                actual = session.run({"time": time}, copy=True)["gaussians"][:, :3]
+                expected = initial + time * (end - initial)
                 done.append(time)
-                if np.abs(found - wanted).max() > 1e-5:
+                if np.abs(actual - expected).max() > 1e-5:
                     wrong.append(time)
 
         threads = [
             threading.Thread(target=work, args=(session, seed))
-            for seed, session in enumerate([one, two] * 3)
+            for seed, session in enumerate([frame_session, two] * 3)
         ]
         for thread in threads:
             thread.start()
@@ -41,7 +46,7 @@ def test_threads_get_the_frame_that_they_asked_for(provider, models):
 @BOTH
 def test_a_closed_session_says_so(provider, models):
     session = FrameSession(models["drift-float32"], provider=provider)
-    frame, kept = session.run({"time": 0}), session.run({"time": 0}, copy=True)
+    frame, retained = session.run({"time": 0}), session.run({"time": 0}, copy=True)
     assert repr(session).startswith(f"<FrameSession drift-float32.onnx on {provider}, ")
     session.close()
     session.close()
@@ -64,18 +69,18 @@ def test_a_closed_session_says_so(provider, models):
         assert str(raised.value) == (
             f"{models['drift-float32']}: the session was closed\n  Open a new FrameSession."
         )
-    assert len(kept.gaussians()) == 5  # what was copied outlives the session
+    assert len(retained.gaussians()) == 5  # what was copied outlives the session
 
 
 @BOTH
 def test_closing_releases_the_session_of_onnx_runtime(provider, models):
     session = FrameSession(models["drift-float32"], provider=provider)
     bound = session._ready.bound
-    gone = [weakref.ref(one) for one in (bound, bound.session, bound.outputs["gaussians"])]
+    gone = [weakref.ref(array) for array in (bound, bound.session, bound.outputs["gaussians"])]
     del bound
     session.close()
     gc.collect()
-    assert [one() for one in gone] == [None] * 3
+    assert [entry() for entry in gone] == [None] * 3
 
 
 def test_an_error_inside_the_block_closes_the_session(models):

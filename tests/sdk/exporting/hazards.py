@@ -29,12 +29,16 @@ class GoesThroughNumpy(Drift):
 
 class IndexesByMask(Drift):
     def forward(self, time: torch.Tensor) -> Gaussians:
-        made = super().forward(time)
-        keep = made.position[:, 0] > time
-        position = made.position[keep]  # guilty
+        outputs = super().forward(time)
+        keep = outputs.position[:, 0] > time
+        position = outputs.position[keep]  # guilty
         n = position.shape[0]
         return Gaussians(
-            position, made.opacity[:n], made.scale[:n], made.rotation[:n], sh=made.sh[:n]
+            position,
+            outputs.opacity[:n],
+            outputs.scale[:n],
+            outputs.rotation[:n],
+            sh=outputs.sh[:n],
         )
 
 

@@ -105,10 +105,10 @@ def test_masked_model_is_captured_and_replayed_live(rewritten: Rewritten, half: 
     path = rewritten.path
     assert path is not None
     if half:
-        made = write_float16(path, path.with_name("half.onnx"))
-        assert made.halved > len(made.retained)
-        assert made.path is not None
-        path = made.path
+        result = write_float16(path, path.with_name("half.onnx"))
+        assert result.halved > len(result.retained)
+        assert result.path is not None
+        path = result.path
     report = validate(path, Settings(level=Level.LIVE, target=WEBGPU))
     assert_captured(report)
     assert report.verdict == "conforms", report.findings

@@ -43,9 +43,9 @@ def plain(name: str, folder: Path) -> Path:
     path = folder / f"{name}.onnx"
     if name != "denoiser":
         make, rows, degree = GENERATORS[name]
-        made = traced(make(), name, rows, degree)
-        rewrite_and_embed(made.model, made.manifest, load_target("core"), rewrite=False)
-        save_model(made.model, path)
+        result = traced(make(), name, rows, degree)
+        rewrite_and_embed(result.model, result.manifest, load_target("core"), rewrite=False)
+        save_model(result.model, path)
         return path
     image, step = torch.rand(1, 3, 8, 8), torch.tensor([200], dtype=torch.int32)
     program = torch.onnx.export(
@@ -100,8 +100,8 @@ def test_every_node_of_a_rewritten_model_has_a_kernel_in_every_release(
     name: str, rewritten: dict[str, Case]
 ) -> None:
     done = rewritten[name]
-    told = [f"{name}: {line}" for line in done.before.uncaptured]
-    sys.stdout.write("\n".join([*told, f"{name}: {len(done.after.uncaptured)} left\n"]))
+    message = [f"{name}: {line}" for line in done.before.uncaptured]
+    sys.stdout.write("\n".join([*message, f"{name}: {len(done.after.uncaptured)} left\n"]))
     assert done.after.uncaptured == ()
 
 
@@ -136,6 +136,6 @@ def test_the_avatar_turns_its_joints_by_their_axis_and_angle() -> None:
     poses[0] = pose
     with torch.no_grad():
         moved = avatar(poses, torch.zeros(3)).position
-        rest = avatar.rest - avatar.joint[0]
-        wanted = rest @ rotation_of(pose).T + avatar.joint[0]
-    np.testing.assert_allclose(moved.numpy(), wanted.numpy(), atol=1e-5)
+        rest_rows = avatar.rest - avatar.joint[0]
+        expected = rest_rows @ rotation_of(pose).T + avatar.joint[0]
+    np.testing.assert_allclose(moved.numpy(), expected.numpy(), atol=1e-5)

@@ -129,17 +129,17 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     assert "agrees with torch at 13 probes: position" in ran.out
     opened = open_model(folder / "out" / "dots.onnx")
     assert opened.proto.opset_import[0].version == 19
-    told = json.loads((folder / "r.json").read_text())
-    assert told["schema"] == "gsgen-export/1"
-    assert (told["source"], told["written"], told["error"]) == ("dots:Dots", True, None)
-    assert told["options"]["capacity"] == 16
-    assert told["options"]["opset"] == 19
-    assert isinstance(told["rewrites"], list)
-    assert {field["field"] for field in told["parity"]["fields"]} == {
+    document = json.loads((folder / "r.json").read_text())
+    assert document["schema"] == "gsgen-export/1"
+    assert (document["source"], document["written"], document["error"]) == ("dots:Dots", True, None)
+    assert document["options"]["capacity"] == 16
+    assert document["options"]["opset"] == 19
+    assert isinstance(document["rewrites"], list)
+    assert {field["field"] for field in document["parity"]["fields"]} == {
         *("position", "covariance", "opacity", "appearance")
     }
-    assert told["validation"]["verdict"] == "conforms"
-    assert told["validation"]["target"].startswith("webgpu")
+    assert document["validation"]["verdict"] == "conforms"
+    assert document["validation"]["target"].startswith("webgpu")
     assert validate(folder / "out" / "dots.onnx").name == "my dots"
 
 
@@ -149,10 +149,10 @@ def test_nonconforming_model_is_reported_and_not_written(folder: Path) -> None:
     assert "GV003 error opacity-range" in ran.output
     assert "gsgen: m.onnx was not written" in ran.output
     assert not (folder / "m.onnx").exists()
-    told = json.loads((folder / "r.json").read_text())
-    assert told["written"] is False
-    assert told["error"]["kind"] == "ExportRejected"
-    assert told["validation"]["counts"]["error"] == 1
+    document = json.loads((folder / "r.json").read_text())
+    assert document["written"] is False
+    assert document["error"]["kind"] == "ExportRejected"
+    assert document["validation"]["counts"]["error"] == 1
 
 
 def test_torch_export_failure_is_reported_with_its_line(folder: Path) -> None:
@@ -160,11 +160,11 @@ def test_torch_export_failure_is_reported_with_its_line(folder: Path) -> None:
     assert ran.exit_code == 1
     assert "super().forward(time if time > 0.5 else -time)" in ran.output
     assert "torch.where" in ran.output
-    told = json.loads((folder / "r.json").read_text())
-    assert told["error"]["kind"] == "ExportFailed"
-    assert "dots.py:" in told["error"]["where"]
-    assert told["options"]["rewrite"] is False
-    assert (told["parity"], told["validation"]) == (None, None)
+    document = json.loads((folder / "r.json").read_text())
+    assert document["error"]["kind"] == "ExportFailed"
+    assert "dots.py:" in document["error"]["where"]
+    assert document["options"]["rewrite"] is False
+    assert (document["parity"], document["validation"]) == (None, None)
     assert not (folder / "m.onnx").exists()
 
 
@@ -174,9 +174,9 @@ def test_report_states_the_parity_error() -> None:
     outcome = Outcome(written=False, parity=error.parity, error=error)
     request = ExportRequest(output=Path("m.onnx"), report=Path("r.json"))
     emit_report(request, "dots:Dots", outcome)
-    told = json.loads(Path("r.json").read_text(encoding="utf-8"))
-    assert told["error"]["kind"] == "ParityFailed"
-    assert told["parity"] == {
+    document = json.loads(Path("r.json").read_text(encoding="utf-8"))
+    assert document["error"]["kind"] == "ParityFailed"
+    assert document["parity"] == {
         "probes": 13,
         "rows_at_a_threshold": 0,
         "fields": [
@@ -203,8 +203,8 @@ def test_report_states_the_parity_error() -> None:
 )
 def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str]) -> None:
     factory = load_factory(target)
-    made = factory.build(factory.arguments(arguments))
-    assert made.n == 5
+    built = factory.build(factory.arguments(arguments))
+    assert built.n == 5
 
 
 @pytest.mark.parametrize(
@@ -241,24 +241,24 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
     ],
 )
 def test_mistyped_target_is_named_with_suggestions(
-    folder: Path, words: list[str], error: type[GsgenError], told: str
+    folder: Path, words: list[str], error: type[GsgenError], message: str
 ) -> None:
     if error is GeneratorInvalid:  # no wrong word, but a module that is no generator
         ran = run(*words, "-o", "m.onnx")
         assert ran.exit_code == 1
-        assert told in ran.output
+        assert message in ran.output
     else:
         caught = error_of(*words, "-o", "m.onnx")
         assert isinstance(caught, error)
-        assert told in str(caught)
+        assert message in str(caught)
     assert not (folder / "m.onnx").exists()
 
 
 def test_help_lists_factory_arguments() -> None:
-    told = " ".join(run("dots:Dots", "--help").output.replace("│", " ").split())
-    assert "--arg n: int = 8" in told
-    assert "color: Literal['red', 'blue'] = 'red'" in told
-    assert "--no-rewrite" in told
+    message = " ".join(run("dots:Dots", "--help").output.replace("│", " ").split())
+    assert "--arg n: int = 8" in message
+    assert "color: Literal['red', 'blue'] = 'red'" in message
+    assert "--no-rewrite" in message
 
 
 def test_model_file_is_refused_as_target() -> None:
@@ -275,13 +275,13 @@ def test_a_plugin_is_built_or_commands_by_itself() -> None:
 
 
 def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
-    told: dict[str, object] = {}
+    received: dict[str, object] = {}
 
     def build(file: Path, frames: int = 3) -> object:
         return (file, frames)
 
     def run_it(make, request) -> None:
-        told.update(made=make(), request=request)
+        received.update(made=make(), request=request)
 
     import typer
 
@@ -289,8 +289,8 @@ def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
     single.command()(with_common_options(build, run_it))
     ran = CliRunner().invoke(single, ["a.pt", "-o", "m.onnx", "--frames", "9"])
     assert ran.exit_code == 0, ran.output
-    assert told["made"] == (Path("a.pt"), 9)
-    assert told["request"].output == Path("m.onnx")  # type: ignore[attr-defined]
+    assert received["made"] == (Path("a.pt"), 9)
+    assert received["request"].output == Path("m.onnx")  # type: ignore[attr-defined]
 
     def clashing(dtype: str) -> object:
         return dtype

@@ -63,9 +63,9 @@ def test_sh_keeps_coefficient_major_order(tmp_path: Path, degree: int) -> None:
 def test_rows_behind_the_count_are_inert(exported: Exported) -> None:
     session = onnxruntime.InferenceSession(exported(Growing))
     for time, count in ((0.0, 5), (0.5, 10), (1.0, 15)):
-        rows, _, seen = session.run(None, {"time": np.float32([time])})
-        assert seen.dtype == np.int32
-        assert seen.tolist() == [count]
+        rows, _, actual = session.run(None, {"time": np.float32([time])})
+        assert actual.dtype == np.int32
+        assert actual.tolist() == [count]
         assert (rows[:count, 3] > 0.6).all()
         assert (rows[count:, 3] == 0).all()
 
@@ -92,9 +92,9 @@ class Wide(Drift):
     """ReduceMean takes its axes as an input from operator set 18 on, and torch finds no way back."""
 
     def forward(self, time: torch.Tensor) -> Gaussians:
-        made = super().forward(time)
-        scale = made.position.mean(dim=1, keepdim=True).abs().expand(50, 3)
-        return Gaussians(made.position, made.opacity, scale, made.rotation, sh=made.sh)
+        outputs = super().forward(time)
+        scale = outputs.position.mean(dim=1, keepdim=True).abs().expand(50, 3)
+        return Gaussians(outputs.position, outputs.opacity, scale, outputs.rotation, sh=outputs.sh)
 
 
 def test_an_opset_that_torch_silently_does_not_reach_is_refused(tmp_path: Path) -> None:
@@ -112,9 +112,13 @@ def test_file_contains_no_paths_of_the_author_s_machine(exported: Exported) -> N
 def test_outputs_end_on_operators_that_capture_records(tmp_path: Path) -> None:
     class Reshaping(Drift):
         def forward(self, time: torch.Tensor) -> Gaussians:
-            made = super().forward(time)
+            outputs = super().forward(time)
             return Gaussians(
-                made.position, made.opacity, made.scale, made.rotation, sh=self.sh + time
+                outputs.position,
+                outputs.opacity,
+                outputs.scale,
+                outputs.rotation,
+                sh=self.sh + time,
             )
 
     export(Reshaping(), tmp_path / "m.onnx")
@@ -143,10 +147,14 @@ class Remembering(Drift):
     calls = 0
 
     def forward(self, time: torch.Tensor) -> Gaussians:
-        made = super().forward(time)
+        outputs = super().forward(time)
         self.calls += 1
         return Gaussians(
-            made.position + self.calls, made.opacity, made.scale, made.rotation, sh=self.sh
+            outputs.position + self.calls,
+            outputs.opacity,
+            outputs.scale,
+            outputs.rotation,
+            sh=self.sh,
         )
 
 
@@ -178,11 +186,11 @@ class SomeLogits(Drift):
     """A third of the opacities are logits; a module of which most are is refused without a file."""
 
     def forward(self, time: torch.Tensor) -> Gaussians:
-        made = super().forward(time)
-        logit = torch.logit(made.opacity) * 3
+        outputs = super().forward(time)
+        logit = torch.logit(outputs.opacity) * 3
         third = len(logit) // 3
-        mixed = torch.cat([logit[:third], made.opacity[third:]])
-        return Gaussians(made.position, mixed, made.scale, made.rotation, sh=self.sh)
+        mixed = torch.cat([logit[:third], outputs.opacity[third:]])
+        return Gaussians(outputs.position, mixed, outputs.scale, outputs.rotation, sh=self.sh)
 
 
 def test_rejected_model_keeps_the_previous_file(tmp_path: Path) -> None:
@@ -249,8 +257,10 @@ def test_a_capacity_below_the_gaussians_is_refused(tmp_path: Path) -> None:
 def test_an_empty_scene_is_refused(tmp_path: Path) -> None:
     class Nothing(Drift):
         def forward(self, time: torch.Tensor) -> Gaussians:
-            made = super().forward(time)
-            return Gaussians(made.position, made.opacity * 0, made.scale, made.rotation, sh=self.sh)
+            outputs = super().forward(time)
+            return Gaussians(
+                outputs.position, outputs.opacity * 0, outputs.scale, outputs.rotation, sh=self.sh
+            )
 
     with pytest.raises(GeneratorInvalid, match="no probe gives a single finite, visible Gaussian"):
         export(Nothing(), tmp_path / "m.onnx")

@@ -77,10 +77,10 @@ def test_the_size_of_a_large_frame_is_told_before_the_long_part(
     monkeypatch.setattr(frame_size, "_LARGE", 50 * (10 + 48) * 4)
     steps: list[str] = []
     exported = export(Drift(), tmp_path / "m.onnx", progress=steps.append)
-    (told,) = [step for step in steps if "Gaussians:" in step]
-    assert told.startswith("50 Gaussians: ")
-    assert "40 runs" in told
-    assert steps.index(told) == 1
+    (message,) = [step for step in steps if "Gaussians:" in step]
+    assert message.startswith("50 Gaussians: ")
+    assert "40 runs" in message
+    assert steps.index(message) == 1
     assert frame_size.frame_bytes(exported.manifest) == 50 * (10 + 48) * 4
 
 

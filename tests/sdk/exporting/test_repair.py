@@ -36,7 +36,7 @@ def test_unambiguous_faults_are_repaired_and_listed(tmp_path: Path, name: str, r
     source = find(name).write(tmp_path)
     before = source.read_bytes()
     done = repair(source, tmp_path / "fixed.onnx")
-    assert [one.rule for one in done.repairs] == [rule]
+    assert [repair.rule for repair in done.repairs] == [rule]
     assert done.after.verdict == "conforms"
     assert validate(tmp_path / "fixed.onnx").findings == ()
     assert source.read_bytes() == before
@@ -140,11 +140,11 @@ def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     here = sorted(tmp_path.iterdir())
     ran = gsgen_here("fix", source, "--dry-run", "--json", "--size", "N=5")
     assert ran.code == 0, ran.err
-    made = json.loads(ran.out)
-    assert made["path"] is None
-    assert made["repairs"] == [{"description": "dimension N is 5", "rule": "GO004"}]
-    assert [made[when]["verdict"] for when in ("before", "after")] == ["invalid", "conforms"]
-    assert made["after"]["subject"]["uri"] == str(source)
+    document = json.loads(ran.out)
+    assert document["path"] is None
+    assert document["repairs"] == [{"description": "dimension N is 5", "rule": "GO004"}]
+    assert [document[when]["verdict"] for when in ("before", "after")] == ["invalid", "conforms"]
+    assert document["after"]["subject"]["uri"] == str(source)
     assert sorted(tmp_path.iterdir()) == here
     fixed = tmp_path / "fixed.onnx"
     ran = gsgen_here("fix", source, "-o", fixed, "--json", "--size", "N=5")

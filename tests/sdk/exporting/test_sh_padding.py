@@ -42,29 +42,29 @@ class Glowing(GaussianGenerator):
 def test_harmonics_are_filled_up_with_zeros_where_they_have_to_be(
     half: bool, target: str, written: tuple[int, ...]
 ) -> None:
-    for degree, wanted in enumerate(written):
+    for degree, expected in enumerate(written):
         generator = Glowing(degree)
-        with padded_harmonics(generator, half=half, target=target) as told:
+        with padded_harmonics(generator, half=half, target=target) as message:
             for _ in range(2):
-                made = generator(torch.zeros(1)).sh
-        kept = (degree + 1) ** 2
-        assert made.shape == (4, (wanted + 1) ** 2, 3)
-        assert torch.equal(made[:, :kept], generator.sh)
-        assert (made[:, kept:] == 0).all()
-        assert len(told) == (wanted != degree)
+                result = generator(torch.zeros(1)).sh
+        coefficient_count = (degree + 1) ** 2
+        assert result.shape == (4, (expected + 1) ** 2, 3)
+        assert torch.equal(result[:, :coefficient_count], generator.sh)
+        assert (result[:, coefficient_count:] == 0).all()
+        assert len(message) == (expected != degree)
         assert torch.equal(generator(torch.zeros(1)).sh, generator.sh)
 
 
 def test_a_model_says_the_degree_that_it_has(tmp_path: Path) -> None:
     generator = Glowing(2)
     path, settings = tmp_path / "glowing.onnx", Settings(level=Level.STATIC)
-    made = export(generator, path, dtype="float16", settings=settings)
-    assert made.notes == ("SH of degree 2 are written as degree 3: rows fill words",)
-    color = made.manifest.outputs.appearance
+    exported = export(generator, path, dtype="float16", settings=settings)
+    assert exported.notes == ("SH of degree 2 are written as degree 3: rows fill words",)
+    color = exported.manifest.outputs.appearance
     assert color is not None
     assert color.degree == 3
     feeds = {"time": np.zeros(1, np.float32)}
-    _, seen, _ = onnxruntime.InferenceSession(path).run(None, feeds)
-    assert seen.shape == (4, 48)
-    np.testing.assert_allclose(seen[:, :27], generator.sh.flatten(1), atol=1e-3)
-    assert (seen[:, 27:] == 0).all()
+    _, actual, _ = onnxruntime.InferenceSession(path).run(None, feeds)
+    assert actual.shape == (4, 48)
+    np.testing.assert_allclose(actual[:, :27], generator.sh.flatten(1), atol=1e-3)
+    assert (actual[:, 27:] == 0).all()

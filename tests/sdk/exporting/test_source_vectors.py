@@ -134,10 +134,10 @@ def round_colors(array):
     [(swap_channels, "appearance"), (mirror, "position"), (round_colors, "appearance")],
 )
 def test_plausible_but_changed_outputs_are_detected(exported, change, field):
-    told = messages(edited(exported.path, change))
-    assert len(told) >= 2
-    assert all(message.startswith(f"{field} of ") for message in told)
-    assert all("from the source's" in message for message in told)
+    reported = messages(edited(exported.path, change))
+    assert len(reported) >= 2
+    assert all(message.startswith(f"{field} of ") for message in reported)
+    assert all("from the source's" in message for message in reported)
 
 
 def test_other_probes_and_another_seed_do_not_matter(exported):
@@ -182,8 +182,8 @@ def test_records_that_cannot_be_compared_are_named(exported, field, value, messa
         part = next(part for part in vector["outputs"] if part["output"] == "gaussians")
         part[field] = value
 
-    (told,) = messages(rewritten(exported.path, damage))
-    assert message in told
+    (reported,) = messages(rewritten(exported.path, damage))
+    assert message in reported
 
 
 def test_another_count_and_too_many_vectors_are_named(exported):
@@ -192,8 +192,8 @@ def test_another_count_and_too_many_vectors_are_named(exported):
             if part["output"] == "num_points":
                 part["values"] = [[7]]
 
-    told = messages(rewritten(exported.path, other_count))
-    assert told == ["24 live rows; expected 7, as the source gave"]
+    message = messages(rewritten(exported.path, other_count))
+    assert message == ["24 live rows; expected 7, as the source gave"]
     five = rewritten(exported.path, lambda d: d.update(test_vectors=d["test_vectors"][:1] * 5))
     assert messages(five) == ["vector 5 with outputs; expected 4 at most"]
 

@@ -53,8 +53,8 @@ def test_a_hazard_is_seen_with_its_line_while_the_module_runs(kind: type[Drift])
     with torch.no_grad(), Watch(module, [time]) as watch:
         module(time)
     line = guilty_line(kind)
-    seen = [one for one in watch.hazards if one.where.endswith(line)]
-    assert [one.kind for one in seen] == [SEEN[kind]]
+    actual = [hazard for hazard in watch.hazards if hazard.where.endswith(line)]
+    assert [entry.kind for entry in actual] == [SEEN[kind]]
 
 
 @pytest.mark.parametrize("kind", [Drift, Lit, Growing, Skinned])
@@ -104,9 +104,9 @@ def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
 
 
 def test_harmless_hazard_is_not_reported(tmp_path: Path) -> None:
-    made = export(hazards.RebuiltFromFloats(), tmp_path / "m.onnx")
-    assert made.parity.holds
-    assert made.parity.probes == 13
+    exported = export(hazards.RebuiltFromFloats(), tmp_path / "m.onnx")
+    assert exported.parity.holds
+    assert exported.parity.probes == 13
 
 
 # ---- Why a model differs, where no line was seen -----------------------------------------------

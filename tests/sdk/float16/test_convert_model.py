@@ -83,22 +83,22 @@ def frames(path: Path) -> list[list[np.ndarray]]:
 def test_colours_become_float16_and_positions_stay(tmp_path: Path) -> None:
     """Around 500 units from the origin float16 is half a unit coarse; a colour is not there."""
     source = saved(tmp_path, cloud(origin=500))
-    made = write_float16(source, tmp_path / "half.onnx")
-    kept = {one.node: one.reason for one in made.retained}
-    assert {"moved", "position"} <= kept.keys()  # far is computed once, in float32
-    assert kept["moved"] == "position"
-    assert not {"hidden", "raw", "color", "opacity", "active"} & kept.keys()
-    assert {"safe", "length", "direction"} <= kept.keys()
-    assert "guard" in kept["safe"]
-    assert made.parity.holds
-    assert {field.field for field in made.parity.fields} == {
+    result = write_float16(source, tmp_path / "half.onnx")
+    retained = {group.node: group.reason for group in result.retained}
+    assert {"moved", "position"} <= retained.keys()  # far is computed once, in float32
+    assert retained["moved"] == "position"
+    assert not {"hidden", "raw", "color", "opacity", "active"} & retained.keys()
+    assert {"safe", "length", "direction"} <= retained.keys()
+    assert "guard" in retained["safe"]
+    assert result.parity.holds
+    assert {field.field for field in result.parity.fields} == {
         "position",
         "covariance",
         "opacity",
         "appearance",
     }
-    assert made.bytes_after < 0.8 * made.bytes_before
-    assert made.outputs_after == made.outputs_before // 2
+    assert result.bytes_after < 0.8 * result.bytes_before
+    assert result.outputs_after == result.outputs_before // 2
     for old, new in zip(frames(source), frames(tmp_path / "half.onnx"), strict=True):
         assert [array.dtype for array in new] == [np.float16, np.float16, np.int32]
         sigma = np.sqrt(old[0][:, 4:5])
@@ -112,8 +112,8 @@ def test_colours_become_float16_and_positions_stay(tmp_path: Path) -> None:
 
 def test_outputs_can_stay_float32(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud(origin=500))
-    made = write_float16(source, tmp_path / "half.onnx", outputs=False)
-    assert made.outputs_after == made.outputs_before
+    result = write_float16(source, tmp_path / "half.onnx", outputs=False)
+    assert result.outputs_after == result.outputs_before
     for old, new in zip(frames(source), frames(tmp_path / "half.onnx"), strict=True):
         assert [array.dtype for array in new] == [array.dtype for array in old]
         np.testing.assert_allclose(new[0][:, :3], old[0][:, :3], atol=2e-4)
@@ -129,9 +129,9 @@ def test_overflowing_nodes_stay_float32(tmp_path: Path) -> None:
     text = text.replace("float half", "float thousand = {1000}, float half")
     proto = cloud()
     changed = model(text, *[w for w in proto.graph.initializer if w.name in _WEIGHTS])
-    made = write_float16(saved(tmp_path, changed), None)
-    assert {"q", "w"} & {one.node for one in made.retained if one.reason == "opacity"}
-    assert made.path is None
+    result = write_float16(saved(tmp_path, changed), None)
+    assert {"q", "w"} & {group.node for group in result.retained if group.reason == "opacity"}
+    assert result.path is None
 
 
 _WEIGHTS = ("rest", "origin", "velocity", "sigma", "logit", "extra", "first", "second", "live")
@@ -142,7 +142,7 @@ def test_looser_tolerances_retain_fewer_nodes(tmp_path: Path) -> None:
     strict = write_float16(source, None, tolerances=Tolerances(1e-3, 1e-3, 1e-5, 1e-5))
     loose = write_float16(source, None, tolerances=Tolerances(1, 1, 1, 1))
     assert len(loose.retained) < len(strict.retained)
-    assert {one.reason for one in loose.retained} <= {
+    assert {group.reason for group in loose.retained} <= {
         "a guard that float16 makes zero",
         "between a guard and its division",
         "saves Casts",
@@ -156,8 +156,8 @@ def test_deciding_comparisons_stay_float32(tmp_path: Path) -> None:
         "shown = Greater (logit, time)\n opacity = Where (shown, half, tenth)",
     )
     weights = [w for w in cloud().graph.initializer if w.name in _WEIGHTS]
-    made = write_float16(saved(tmp_path, model(text, *weights)), None)
-    assert {one.node: one.reason for one in made.retained}["shown"] == "it decides"
+    result = write_float16(saved(tmp_path, model(text, *weights)), None)
+    assert {group.node: group.reason for group in result.retained}["shown"] == "it decides"
 
 
 def test_outputs_that_float16_cannot_hold_are_refused(tmp_path: Path) -> None:
@@ -192,14 +192,14 @@ def test_every_choice_of_nodes_gives_a_sound_model(keep: set[str], outputs: bool
     model_ = parsed(CHAIN)
     x = np.array([0.5, -1, 2], np.float32)
     (before,) = run(model_, x=x)
-    wanted = Boundary(model_.graph, 18).casts(keep)
+    expected = Boundary(model_.graph, 18).casts(keep)
     ToFloat16(keep, outputs=outputs)(model_)
     (after,) = run(model_, x=x)
     assert after.dtype == (np.float16 if outputs else np.float32)
     np.testing.assert_allclose(after, before, rtol=2e-2, atol=2e-2)
     casts = [node for node in model_.graph if node.op_type == "Cast"]
     at_end = (outputs and "y" in keep) or (not outputs and "y" not in keep)
-    assert len(casts) == wanted + at_end
+    assert len(casts) == expected + at_end
     by_name = {node_key(node): node for node in model_.graph}
     for name in keep - {"y"}:
         assert by_name[name].outputs[0].dtype == ir.DataType.FLOAT
@@ -230,8 +230,8 @@ def test_results_with_input_dependent_dtype_keep_their_declaration() -> None:
         y = Sub (m, m) }"""
     model_ = parsed(text)
     ToFloat16()(model_)
-    (seen,) = run(model_, x=np.ones(3, np.float32))
-    np.testing.assert_array_equal(seen, np.zeros(3, np.float16))
+    (visible_mask,) = run(model_, x=np.ones(3, np.float32))
+    np.testing.assert_array_equal(visible_mask, np.zeros(3, np.float16))
 
 
 def test_outputs_that_are_inputs_or_weights_are_converted() -> None:
@@ -240,7 +240,7 @@ def test_outputs_that_are_inputs_or_weights_are_converted() -> None:
     model_ = ir.serde.deserialize_model(onnx.parser.parse_model(HEAD + text))
     rewrite = ToFloat16()
     rewrite(model_)
-    assert [one.where for one in rewrite.refusals] == ["x"]
+    assert [refusal.where for refusal in rewrite.refusals] == ["x"]
     assert [value.name for value in model_.graph.inputs] == ["x"]
     w, y, x = run(model_, x=np.array([3, 4], np.float32))
     np.testing.assert_array_equal(w, np.array([0.5, 2], np.float16))
@@ -291,9 +291,9 @@ def test_the_measuring_model_rounds_as_float16_does() -> None:
         return np.asarray(value).astype(np.float16).astype(np.float32)
 
     flags = np.array([True, False, False, True, False])
-    seen = half.run({"x": x}, flags)["y"]
+    actual = half.run({"x": x}, flags)["y"]
     a = r(r(x) * r(w))
-    np.testing.assert_allclose(seen, r(r(np.sin(a + w)) * 2) / w, rtol=1e-6)
+    np.testing.assert_allclose(actual, r(r(np.sin(a + w)) * 2) / w, rtol=1e-6)
 
 
 def test_measuring_model_flushes_subnormals_and_overflows() -> None:
@@ -301,8 +301,8 @@ def test_measuring_model_flushes_subnormals_and_overflows() -> None:
         parsed("g (float[3] x) => (float[3] y) <float one = {1}> { y = Mul (x, one) }")
     )
     x = np.array([3e-5, 7e-5, 1e5], np.float32)
-    seen = half.run({"x": x}, np.ones(1, np.bool_))["y"]
-    np.testing.assert_array_equal(seen, [0, np.float32(np.float16(7e-5)), np.inf])
+    visible_mask = half.run({"x": x}, np.ones(1, np.bool_))["y"]
+    np.testing.assert_array_equal(visible_mask, [0, np.float32(np.float16(7e-5)), np.inf])
 
 
 @settings(max_examples=60, deadline=None)
@@ -316,13 +316,13 @@ def test_search_quantizes_only_nodes_within_tolerance(costs: list[float], budget
     def measure(units: object) -> tuple[float, str]:
         return sum(costs[unit] for unit in units), "position"
 
-    found = max_quantizable(range(len(costs)), measure, budget=budget)
-    quantized = sum(costs[unit] for unit in found.quantized)
+    actual = max_quantizable(range(len(costs)), measure, budget=budget)
+    quantized = sum(costs[unit] for unit in actual.quantized)
     assert quantized <= 1
-    kept = [unit for group in found.retained for unit in group.units]
-    assert sorted([*kept, *found.quantized]) == list(range(len(costs)))
+    retained = [unit for group in actual.retained for unit in group.units]
+    assert sorted([*retained, *actual.quantized]) == list(range(len(costs)))
     if budget >= 300:
-        spare = [costs[unit] for unit in kept]
+        spare = [costs[unit] for unit in retained]
         assert all(quantized + cost > 1 for cost in spare)
 
 
@@ -382,18 +382,18 @@ def test_tables_that_are_read_once_are_stored_in_float16_unless_that_shows(tmp_p
         "paint": rng.normal(size=(N, 3)),
     }
     weights = [weight(name, array.astype(np.float32)) for name, array in arrays.items()]
-    which = np.arange(N, 2 * N, dtype=np.int32) - N * (np.arange(N) < 3)
-    weights += [weight("live", np.array([N], np.int32)), weight("which", which)]
+    index = np.arange(N, 2 * N, dtype=np.int32) - N * (np.arange(N) < 3)
+    weights += [weight("live", np.array([N], np.int32)), weight("which", index)]
     source = saved(tmp_path, model(TABLES, *weights))
     path = tmp_path / "half.onnx"
-    made = write_float16(source, path, outputs=False)
-    assert [one.node for one in made.retained_weights] == ["far"]
-    assert made.retained_weights[0].reason == "position"
-    stored = {one.name: one.data_type for one in onnx.load(path).graph.initializer}
+    result = write_float16(source, path, outputs=False)
+    assert [retained_weight.node for retained_weight in result.retained_weights] == ["far"]
+    assert result.retained_weights[0].reason == "position"
+    stored = {weight.name: weight.data_type for weight in onnx.load(path).graph.initializer}
     half = {name for name, kind in stored.items() if kind == onnx.TensorProto.FLOAT16}
     assert {"near", "paint", "logit"} <= half
     assert not {"far", "far_float16"} & half
-    nodes = {one.output[0]: one for one in onnx.load(path).graph.node}
+    nodes = {node.output[0]: node for node in onnx.load(path).graph.node}
     assert nodes["place"].input[0] == "twice"  # what follows from weights stays float32
     for old, new in zip(frames(source), frames(path), strict=True):
         assert np.abs(new[0][:, :3] - old[0][:, :3]).max() < 1e-4
@@ -433,9 +433,9 @@ def test_a_table_of_sizes_is_float16_where_even_steps_would_show(tmp_path: Path)
     manifest = replace(manifest_of(n), bounds=Bounds((-10,) * 3, (10,) * 3))
     source = save(tmp_path / "sizes.onnx", proto, manifest)
     path = tmp_path / "half.onnx"
-    made = write_float16(source, path, outputs=False, tolerances=Tolerances(1, 1e-2, 1, 1))
+    result = write_float16(source, path, outputs=False, tolerances=Tolerances(1, 1e-2, 1, 1))
     assert half_table(arrays["size"].astype(np.float32)).step is not None
-    stored = {one.name: one.data_type for one in onnx.load(path).graph.initializer}
+    stored = {weight.name: weight.data_type for weight in onnx.load(path).graph.initializer}
     assert stored["size"] == onnx.TensorProto.FLOAT16
-    assert "size" not in {one.node for one in made.retained_weights}
-    assert made.parity.holds
+    assert "size" not in {retained_weight.node for retained_weight in result.retained_weights}
+    assert result.parity.holds

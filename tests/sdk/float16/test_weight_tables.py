@@ -36,14 +36,14 @@ def test_a_table_is_as_close_as_the_closer_of_two_forms(
     columns: int, spread: float, far: float, tail: bool
 ) -> None:
     array = drawn(columns, spread, far, tail)
-    made = half_table(array)
-    assert made.numbers.nbytes == array.nbytes // 2
-    assert made.decoded.dtype == np.float32
+    result = half_table(array)
+    assert result.numbers.nbytes == array.nbytes // 2
+    assert result.decoded.dtype == np.float32
     exact = array.astype(np.float64)
-    off = np.abs(made.decoded - exact)
+    off = np.abs(result.decoded - exact)
     half = np.square(array.astype(np.float16) - exact).mean()
     assert np.square(off).mean() <= half
-    if made.step is not None:
+    if result.step is not None:
         width = exact.max(axis=0) - exact.min(axis=0)
         # Half a step, and what float32 rounds in finding the step, scaling and moving.
         allowed = width / 65535 * 0.51 + 2.0**-22 * (np.abs(exact).max(axis=0) + width)
@@ -59,16 +59,16 @@ def test_a_table_is_as_close_as_the_closer_of_two_forms(
     )
 )
 def test_a_small_table_is_float16(array: np.ndarray) -> None:
-    made = half_table(array)
-    assert made.step is None
-    np.testing.assert_array_equal(made.numbers, array.astype(np.float16))
+    result = half_table(array)
+    assert result.step is None
+    np.testing.assert_array_equal(result.numbers, array.astype(np.float16))
 
 
 @pytest.mark.parametrize("number", [0.0, 0.1, -1234.567])
 def test_a_column_of_one_number_keeps_it(number: float) -> None:
     array = np.stack([np.full(ROWS, number), np.linspace(-3, 40, ROWS)], axis=1)
-    made = half_table(array.astype(np.float32))
-    np.testing.assert_array_equal(made.decoded[:, 0], np.float32(number))
+    result = half_table(array.astype(np.float32))
+    np.testing.assert_array_equal(result.decoded[:, 0], np.float32(number))
 
 
 def test_whole_numbers_stay_whole() -> None:
@@ -91,11 +91,11 @@ def test_channels_have_steps_of_their_own(shape: tuple[int, ...]) -> None:
     axis = shape.index(8)
     reach = np.logspace(-4, 3, 8).reshape([8 if k == axis else 1 for k in range(len(shape))])
     array = (rng.uniform(0, 1, shape) * reach).astype(np.float32)
-    made = half_table(array)
-    assert made.numbers.shape == shape
-    assert made.step is not None
-    assert made.step.shape == reach.shape[axis:]
-    off = np.abs(made.decoded - array.astype(np.float64))
+    result = half_table(array)
+    assert result.numbers.shape == shape
+    assert result.step is not None
+    assert result.step.shape == reach.shape[axis:]
+    off = np.abs(result.decoded - array.astype(np.float64))
     # Half a step, and what float32 rounds.
     assert (off <= reach * (0.51 / 65535 + 2.0**-22)).all()
 
@@ -103,8 +103,8 @@ def test_channels_have_steps_of_their_own(shape: tuple[int, ...]) -> None:
 def test_subnormal_steps_are_not_used() -> None:
     """A step below 2⁻¹²⁶ is zero on some of them, and not on others."""
     array = np.random.default_rng(5).uniform(0, 1e-36, (ROWS, 2)).astype(np.float32)
-    made = half_table(array)
-    assert made.step is None or not ((made.step > 0) & (made.step < 2.0**-126)).any()
+    result = half_table(array)
+    assert result.step is None or not ((result.step > 0) & (result.step < 2.0**-126)).any()
 
 
 @pytest.mark.parametrize("far", [0.0, 1e4])
@@ -113,10 +113,10 @@ def test_a_large_table_takes_little_memory_besides(far: float) -> None:
     array = np.random.default_rng(6).standard_normal((1 << 20, 4), np.float32)
     array[0] = far
     tracemalloc.start()
-    made = half_table(array)
+    result = half_table(array)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert (made.step is None) == (far > 0)
+    assert (result.step is None) == (far > 0)
     assert peak < 4.5 * array.size
 
 
@@ -140,8 +140,8 @@ def test_a_graph_reads_what_the_table_says(keep: tuple[str, ...]) -> None:
     x = np.array([0.7], np.float32)
     y, z = run(graph, optimise=True, x=x)
     decoded = half_table(table).decoded
-    for name, seen, wanted in (("y", y, decoded * x), ("z", z, decoded + x)):
+    for name, actual, expected in (("y", y, decoded * x), ("z", z, decoded + x)):
         if name in keep:
-            np.testing.assert_array_equal(seen, wanted)
+            np.testing.assert_array_equal(actual, expected)
         else:
-            np.testing.assert_allclose(seen, wanted, rtol=2e-3)
+            np.testing.assert_allclose(actual, expected, rtol=2e-3)

@@ -43,7 +43,7 @@ def good(tmp_path_factory):
 
 
 def reason_to_skip(report: Report) -> str:
-    (level,) = (one for one in report.levels if one.level is Level.LIVE)
+    (level,) = (level for level in report.levels if level.level is Level.LIVE)
     assert not level.ran
     for rule in CAPTURED:
         outcome = report.outcome(rule)
@@ -82,14 +82,14 @@ def adapter_or_reason() -> str:
 
 
 def test_the_doctor_names_the_adapter():
-    (check,) = (one for one in checks() if one.name == "webgpu")
+    (check,) = (check for check in checks() if check.name == "webgpu")
     assert check.state == "ok", f"{check.detail}; install a driver with `make drivers`"
     assert check.detail.endswith("float16)")
 
 
 def test_the_doctor_says_what_is_missing(monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
-    (check,) = (one for one in checks() if one.name == "webgpu")
+    (check,) = (check for check in checks() if check.name == "webgpu")
     assert check.state == "missing"
     assert "No supported adapters" in check.detail
     assert check.remedy.startswith("install a Vulkan driver")
@@ -105,10 +105,10 @@ def test_an_adapter_without_float16_refuses_only_models_that_need_it(half, tmp_p
                 raise RuntimeError("requires f16 but the device does not support it")
             return [2 * inputs["x"]]
 
-    told = []
+    received = []
 
     def emit(event, **facts):
-        told.append((event, facts))
+        received.append((event, facts))
 
     def attempt():
         worker._try_adapter(lambda *_, **__: Session(), tmp_path, emit, half=half)
@@ -118,7 +118,7 @@ def test_an_adapter_without_float16_refuses_only_models_that_need_it(half, tmp_p
             attempt()
     else:
         attempt()
-    assert told == [("adapter", {"name": "Old Card", "software": False, "half": False})]
+    assert received == [("adapter", {"name": "Old Card", "software": False, "half": False})]
 
 
 # ---- What dies, hangs or deceives ------------------------------------------------------------
@@ -181,7 +181,7 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
     path = save(tmp_path / "a.onnx", proto, manifest_of(5))
     report = validate(path, replace(LIVE, limits=Limits(seconds=5)))
     assert report.outcome("GV025").status == "pass"
-    (finding,) = (one for one in report.findings if one.rule == "GB017")
+    (finding,) = (finding for finding in report.findings if finding.rule == "GB017")
     assert "(plain session): still running after 5 s" in finding.message
 
 
@@ -190,9 +190,9 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 
 def lived(path, *frames, **changes) -> Live:
     subject = inspect_model(open_model(path), LIVE.target, Limits())
-    made = [Frame(Probe(label=f"probe {k}", inputs={}), *three) for k, three in enumerate(frames)]
+    result = [Frame(Probe(label=f"probe {k}", inputs={}), *three) for k, three in enumerate(frames)]
     facts = {"nodes": (), "accepted": True, "stop": None} | changes
-    return Live(subject=subject, adapter="made up", frames=tuple(made), **facts)
+    return Live(subject=subject, adapter="made up", frames=tuple(result), **facts)
 
 
 def outputs(rows, count=None):
@@ -219,17 +219,17 @@ def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, by, field):
     changed = rows.copy()
     changed[row, column] += by
     same = outputs(rows)
-    found = list(disagreements(lived(good, (same, same, None), (same, outputs(changed), None))))
-    assert [place for place, _, _ in found] == ([f"field {field}"] if field else [])
+    actual = list(disagreements(lived(good, (same, same, None), (same, outputs(changed), None))))
+    assert [location for location, _, _ in actual] == ([f"field {field}"] if field else [])
     if field:
-        assert f"row {row}, " in found[0][1]
-        assert found[0][1].endswith("(probe 1)")
+        assert f"row {row}, " in actual[0][1]
+        assert actual[0][1].endswith("(probe 1)")
 
 
 def test_another_count_is_a_disagreement(good):
     rows = good_rows(8)
-    found = list(disagreements(lived(good, (outputs(rows), outputs(rows, 7), None))))
-    assert [place for place, _, _ in found] == ["field count"]
+    actual = list(disagreements(lived(good, (outputs(rows), outputs(rows, 7), None))))
+    assert [location for location, _, _ in actual] == ["field count"]
 
 
 def test_rows_behind_the_count_are_not_compared(good):
@@ -245,7 +245,7 @@ def test_one_unit_in_the_last_place_of_float16_is_no_disagreement(good):
     other = rows.copy()
     other[:, :3] = np.nextafter(other[:, :3], np.float16(2))
     color = np.full((8, 4), 0.5, np.float16)
-    pair = [outputs(one) | {"color": color} for one in (rows, other)]
+    pair = [outputs(array) | {"color": color} for array in (rows, other)]
     assert not list(disagreements(lived(good, (*pair, None))))
 
 
@@ -257,14 +257,14 @@ def test_output_undefined_on_the_cpu_is_not_a_stale_replay(good):
     assert not list(wrong_replays(lived(good, (outputs(rows), outputs(rows), outputs(other)))))
 
 
-def frames_of(plain, replayed):
+def frames_of(original, replayed):
     return [
         (
             {},
             {"gaussians": np.full((8, 10), a, np.float32)},
             {"gaussians": np.full((8, 10), b, np.float32)},
         )
-        for a, b in zip(plain, replayed, strict=True)
+        for a, b in zip(original, replayed, strict=True)
     ]
 
 
@@ -278,8 +278,8 @@ def frames_of(plain, replayed):
     ],
 )
 def test_replays_are_compared_with_plain_runs(good, replayed, how):
-    found = list(wrong_replays(lived(good, *frames_of((1, 2, 3), replayed))))
-    assert [one.actual for one in found] == ([how] if how else [])
+    actual = list(wrong_replays(lived(good, *frames_of((1, 2, 3), replayed))))
+    assert [entry.actual for entry in actual] == ([how] if how else [])
 
 
 @pytest.mark.parametrize(
@@ -300,17 +300,17 @@ def test_replays_are_compared_with_plain_runs(good, replayed, how):
 )
 def test_offending_operator_is_named(text, said, tmp_path):
     proto = parser.parse_model(f"{HEAD} g (float[8] time) => (float[8] gaussians) {{ {text} }}")
-    given = {
+    inputs = {
         "s": np.array([8], np.int64),
         "base": np.zeros(8, np.float32),
         "at": np.arange(8, dtype=np.int64)[:, None],
     }
     proto.graph.initializer.extend(
-        weight(k, v) for k, v in given.items() if f"{k}," in text or f" {k})" in text
+        weight(k, v) for k, v in inputs.items() if f"{k}," in text or f" {k})" in text
     )
     path = save(tmp_path / "a.onnx", proto)
-    (found,) = wrong_replays(lived(path, *frames_of((1, 2, 3), (1, 1, 1))))
-    assert found.actual == f"repeats frame 0 in all 2 replays; {said}"
+    (wrong_replay,) = wrong_replays(lived(path, *frames_of((1, 2, 3), (1, 1, 1))))
+    assert wrong_replay.actual == f"repeats frame 0 in all 2 replays; {said}"
 
 
 def test_a_still_output_has_nothing_to_go_stale(good):

@@ -31,7 +31,9 @@ END = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
 def broken(tmp_path_factory) -> dict[str, Report]:
     """The reports of all examples, by the rule that each breaks."""
     folder = tmp_path_factory.mktemp("broken")
-    return {one.rule: judged(one.write(folder)) for one in live_fixtures()}
+    return {
+        live_fixture.rule: judged(live_fixture.write(folder)) for live_fixture in live_fixtures()
+    }
 
 
 def judged(path) -> Report:
@@ -40,7 +42,7 @@ def judged(path) -> Report:
 
 
 def ran_live(report: Report) -> Report:
-    (level,) = (one for one in report.levels if one.level is Level.LIVE)
+    (level,) = (level for level in report.levels if level.level is Level.LIVE)
     assert level.ran, f"{level.reason}; install a driver with `make drivers`"
     return report
 
@@ -55,8 +57,8 @@ def passes(report: Report) -> None:
 
 
 def message(report: Report, rule: str) -> str:
-    (found,) = (one for one in report.findings if one.rule == rule)
-    return f"{found.where}: {found.message}"
+    (actual,) = (finding for finding in report.findings if finding.rule == rule)
+    return f"{actual.where}: {actual.message}"
 
 
 def test_there_is_one_example_for_each_rule():
@@ -104,13 +106,13 @@ def test_finding_message_describes_the_fault(broken):
     ],
 )
 def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end, dtype, tmp_path):
-    wide = "packed = Concat <axis = 1> (moved, opacity, spread)"
+    concat_text = "packed = Concat <axis = 1> (moved, opacity, spread)"
     half = dtype == "float16"
-    narrow = f"{wide.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"
+    narrow = f"{concat_text.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"
     before = "gaussians = Cast <to = 10> (packed)" if half else END
     sketch = drifting(dtype=dtype)
-    sketch = sketch.reworded(wide, "") if half else sketch
-    sketch = sketch.reworded(before, f"{narrow if half else wide} {end}")
+    sketch = sketch.reworded(concat_text, "") if half else sketch
+    sketch = sketch.reworded(before, f"{narrow if half else concat_text} {end}")
     weights = {"shape": i64(5, 10), "first": i64(0), "unit": np.ones(1, dtype)}
     used = {name: array for name, array in weights.items() if name in end}
     sketch.weighing(**used).write(tmp_path / "a.onnx")

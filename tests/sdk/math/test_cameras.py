@@ -21,8 +21,8 @@ def camera(eye: np.ndarray, order: str, scale: float = 1.0) -> torch.Tensor:
 @pytest.mark.parametrize("scale", [1.0, 0.25])
 def test_the_camera_stands_where_it_was_put(order: str, scale: float) -> None:
     for eye in EYES:
-        seen = math.camera_centre(camera(eye, order, scale), order).numpy()
-        np.testing.assert_allclose(seen, eye, atol=5e-6)
+        actual = math.camera_centre(camera(eye, order, scale), order).numpy()
+        np.testing.assert_allclose(actual, eye, atol=5e-6)
 
 
 @ORDERS
@@ -47,22 +47,22 @@ def test_nothing_that_is_seen_is_culled_and_most_of_the_rest_is(order: str, flip
     culled, unseen = 0, 0
     for eye in EYES[:6]:
         view = look_at(eye, np.zeros(3), np.array([0.0, -1.0, 0.0]))
-        kept = math.frustum_mask(
+        retained = math.frustum_mask(
             torch.from_numpy(points),
             torch.from_numpy(as_tensor(view, order)),
             torch.from_numpy(as_tensor(lens, order)),
             torch.from_numpy(radius),
             order=order,
         ).numpy()
-        assert set(kept) <= {0, 1}
+        assert set(retained) <= {0, 1}
         # Any point of a sphere that is seen is enough.
         surface = RNG.normal(size=(8, *points.shape))
         surface *= radius[:, None] / np.linalg.norm(surface, axis=2, keepdims=True)
-        seen = seen_on_image(points, view, lens)
+        visible_mask = seen_on_image(points, view, lens)
         for offset in surface:
-            seen |= seen_on_image(points + offset, view, lens)
-        assert not (seen & (kept == 0)).any()
-        culled, unseen = culled + int((kept == 0).sum()), unseen + int((~seen).sum())
+            visible_mask |= seen_on_image(points + offset, view, lens)
+        assert not (visible_mask & (retained == 0)).any()
+        culled, unseen = culled + int((retained == 0).sum()), unseen + int((~visible_mask).sum())
     assert culled > 0.9 * unseen
 
 
@@ -71,7 +71,7 @@ def test_spheres_on_the_border_are_kept_by_their_radius_and_the_margin() -> None
     points = torch.tensor([[1.05, 0, 1.0], [0, 1.05, 1.0], [0, 0, 0.0], [0, 0, 10.5]])
 
     def kept(radius: float, margin: float) -> list[float]:
-        tensors = (torch.from_numpy(as_tensor(one, "row")) for one in (view, lens))
+        tensors = (torch.from_numpy(as_tensor(array, "row")) for array in (view, lens))
         mask = math.frustum_mask(points, *tensors, radius, margin=margin, order="row")
         return mask.tolist()
 

@@ -10,14 +10,14 @@ from gsgen.sdk import Gaussians, GeneratorInvalid, math
 def test_kept_rows_stand_in_front_in_order(share: float, capacity: int) -> None:
     mask = (np.random.default_rng(4).random(100) < share).astype(np.float32)
     rows, count = math.keep_rows(torch.from_numpy(mask), capacity)
-    wanted = np.flatnonzero(mask)[:capacity]
+    expected = np.flatnonzero(mask)[:capacity]
     assert rows.shape == (min(capacity, 100),)
     assert (rows.dtype, count.dtype, count.shape) == (torch.int32, torch.int32, (1,))
-    assert count.item() == len(wanted)
-    assert rows[: len(wanted)].tolist() == wanted.tolist()
-    behind = rows[len(wanted) :].numpy()
+    assert count.item() == len(expected)
+    assert rows[: len(expected)].tolist() == expected.tolist()
+    behind = rows[len(expected) :].numpy()
     assert len(set(rows.tolist())) == len(rows)
-    assert (mask[behind] == 0).all() or len(wanted) == capacity
+    assert (mask[behind] == 0).all() or len(expected) == capacity
 
 
 def test_row_numbers_stay_exact_at_the_largest_size() -> None:
@@ -38,21 +38,27 @@ def test_the_best_rows_are_taken() -> None:
 def test_gaussians_are_taken_field_by_field() -> None:
     n = 4
     line = torch.arange(n, dtype=torch.float32)
-    made = Gaussians(
+    gaussians = Gaussians(
         position=line[:, None].expand(n, 3),
         opacity=line,
         scale=line[:, None].expand(n, 3),
         rotation=line[:, None].expand(n, 4),
         sh=line[:, None, None].expand(n, 4, 3),
     )
-    taken = made.take(torch.tensor([3, 1], dtype=torch.int32), torch.tensor([1]))
-    for value in (taken.position, taken.opacity, taken.scale, taken.rotation, taken.sh):
+    selected = gaussians.take(torch.tensor([3, 1], dtype=torch.int32), torch.tensor([1]))
+    for value in (
+        selected.position,
+        selected.opacity,
+        selected.scale,
+        selected.rotation,
+        selected.sh,
+    ):
         assert value is not None
         assert value.reshape(2, -1)[:, 0].tolist() == [3, 1]
-    assert taken.covariance is None
-    assert taken.rgb is None
-    assert taken.count is not None
-    assert taken.count.tolist() == [1]
+    assert selected.covariance is None
+    assert selected.rgb is None
+    assert selected.count is not None
+    assert selected.count.tolist() == [1]
 
 
 def test_no_capacity_is_refused() -> None:

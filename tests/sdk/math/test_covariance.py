@@ -15,10 +15,10 @@ def sample(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def test_covariances_are_those_of_the_oracle() -> None:
     scale, quaternions = sample(500)
-    seen = math.covariance_upper(torch.from_numpy(scale), torch.from_numpy(quaternions)).numpy()
-    wanted = geometry.covariance_upper(scale, quaternions)
-    trace = wanted[:, [0, 3, 5]].sum(axis=1, keepdims=True)
-    np.testing.assert_array_less(np.abs(seen - wanted) / trace, 2e-6)
+    actual = math.covariance_upper(torch.from_numpy(scale), torch.from_numpy(quaternions)).numpy()
+    expected = geometry.covariance_upper(scale, quaternions)
+    trace = expected[:, [0, 3, 5]].sum(axis=1, keepdims=True)
+    np.testing.assert_array_less(np.abs(actual - expected) / trace, 2e-6)
 
 
 def test_upper_triangles_and_matrices_round_trip() -> None:
@@ -34,9 +34,11 @@ def test_a_linear_map_of_a_covariance_is_that_of_the_oracle(each: bool) -> None:
     turn = np.random.default_rng(4).normal(size=(n, 3, 3) if each else (3, 3))
     turn = turn.astype(np.float32)
     upper = geometry.covariance_upper(*sample(n)).astype(np.float32)
-    seen = math.rotate_covariance(torch.from_numpy(upper), torch.from_numpy(turn)).numpy()
-    wide = turn.astype(np.float64)
-    full = wide @ geometry.symmetric(upper) @ wide.swapaxes(-1, -2)
-    wanted = full[:, geometry.COVARIANCE_INDEX[0], geometry.COVARIANCE_INDEX[1]]
-    size = np.abs(np.linalg.norm(wide, axis=(-2, -1)) ** 2 * upper[:, [0, 3, 5]].sum(axis=1))
-    np.testing.assert_array_less(np.abs(seen - wanted).max(axis=1) / size, 2e-6)
+    actual = math.rotate_covariance(torch.from_numpy(upper), torch.from_numpy(turn)).numpy()
+    double_precision = turn.astype(np.float64)
+    full = double_precision @ geometry.symmetric(upper) @ double_precision.swapaxes(-1, -2)
+    expected = full[:, geometry.COVARIANCE_INDEX[0], geometry.COVARIANCE_INDEX[1]]
+    size = np.abs(
+        np.linalg.norm(double_precision, axis=(-2, -1)) ** 2 * upper[:, [0, 3, 5]].sum(axis=1)
+    )
+    np.testing.assert_array_less(np.abs(actual - expected).max(axis=1) / size, 2e-6)

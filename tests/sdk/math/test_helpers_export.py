@@ -61,7 +61,8 @@ CALLS: dict[str, Call] = {
         math.axis_angle_to_matrix(x[:JOINTS, :3]), x[:JOINTS, 3:], PARENTS, x[0, :3]
     ),
     "skin": lambda x, v, p, t: torch.cat(
-        [one.reshape(N, -1) for one in math.skin(x[:, :3], x, v[None, :3].expand(6, 3, 4))], dim=1
+        [entry.reshape(N, -1) for entry in math.skin(x[:, :3], x, v[None, :3].expand(6, 3, 4))],
+        dim=1,
     ),
 }
 
@@ -106,17 +107,17 @@ def test_the_exported_helper_gives_what_torch_gives(
             seeded(4, 4, seed=seed + 1),
             torch.full((1,), time),
         )
-        feeds = {key: one.numpy() for key, one in zip("xvpt", example, strict=True)}
-        (seen,) = session.run([name], feeds)
-        wanted = CALLS[name](*example).numpy()
+        feeds = {key: entry.numpy() for key, entry in zip("xvpt", example, strict=True)}
+        (actual,) = session.run([name], feeds)
+        expected = CALLS[name](*example).numpy()
         if name == "keep_rows":  # rows behind the count may be any
-            live = int(wanted[-1])
-            assert seen[-1] == live
-            seen, wanted = seen[:live], wanted[:live]
+            live = int(expected[-1])
+            assert actual[-1] == live
+            actual, expected = actual[:live], expected[:live]
         if name == "top_rows" and time == 0:
             continue  # all scores are equal
-        assert seen.shape == wanted.shape
-        np.testing.assert_allclose(seen, wanted, rtol=2e-5, atol=5e-5)
+        assert actual.shape == expected.shape
+        np.testing.assert_allclose(actual, expected, rtol=2e-5, atol=5e-5)
 
 
 class Ensemble(GaussianGenerator):
@@ -144,22 +145,22 @@ class Ensemble(GaussianGenerator):
         towards = math.safe_normalize(position - math.camera_centre(view))
         mask = math.frustum_mask(position, view, proj, margin=-0.3)  # some go
         rows, count = math.keep_rows(mask, N)
-        made = Gaussians(
+        gaussians = Gaussians(
             position=position,
             opacity=torch.full((N,), 0.8),
             covariance=covariance,
             sh=math.sh_of_degree(math.sh_from_rgb(0.5 + 0.4 * towards), 1),
         )
-        return made.take(rows, count)
+        return gaussians.take(rows, count)
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     path: Path = tmp_path_factory.mktemp("ensemble") / "m.onnx"
     settings = Settings(level=Level.LIVE, fail_on=Severity.INFO)
-    made = export(Ensemble(), path, target="webgpu", settings=settings)
-    assert made.parity.holds
-    return made.report
+    exported = export(Ensemble(), path, target="webgpu", settings=settings)
+    assert exported.parity.holds
+    return exported.report
 
 
 def test_helpers_together_are_captured_and_replayed(report: Report) -> None:

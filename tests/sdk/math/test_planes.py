@@ -18,7 +18,7 @@ def bilinear(
 ) -> np.ndarray:
     """The definition, texel by texel, in float64: the tent-weighted sum of all texels."""
     _, height, width = plane.shape
-    made = []
+    results = []
     for u, v in points.astype(np.float64):
         x, y = ((u + 1) / 2, (v + 1) / 2)
         if align_corners:
@@ -29,8 +29,8 @@ def bilinear(
             x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
         across = np.maximum(0, 1 - np.abs(np.arange(width) - x))
         down = np.maximum(0, 1 - np.abs(np.arange(height) - y))
-        made.append(np.einsum("chw,h,w->c", plane, down, across))
-    return np.array(made)
+        results.append(np.einsum("chw,h,w->c", plane, down, across))
+    return np.array(results)
 
 
 @pytest.mark.parametrize("padding", ["border", "zeros"])
@@ -40,20 +40,20 @@ def test_samples_are_those_of_the_definition_and_of_torch(
     shape: tuple[int, int, int], align_corners: bool, padding: str
 ) -> None:
     plane = RNG.normal(size=shape).astype(np.float32)
-    seen = math.sample_plane(
+    actual = math.sample_plane(
         torch.from_numpy(plane),
         torch.from_numpy(POINTS),
         align_corners=align_corners,
         padding=padding,
     ).numpy()
-    np.testing.assert_allclose(seen, bilinear(plane, POINTS, align_corners, padding), atol=3e-6)
+    np.testing.assert_allclose(actual, bilinear(plane, POINTS, align_corners, padding), atol=3e-6)
     theirs = functional.grid_sample(
         torch.from_numpy(plane)[None],
         torch.from_numpy(POINTS)[None, None],
         padding_mode=padding,
         align_corners=align_corners,
     )[0, :, 0].T
-    np.testing.assert_allclose(seen, theirs.numpy(), atol=3e-6)
+    np.testing.assert_allclose(actual, theirs.numpy(), atol=3e-6)
 
 
 SIZES = (3, 4, 5, 6)  # along x, y, z, t
@@ -69,12 +69,12 @@ def test_planes_are_combined_as_their_papers_do(count: int, combine: str) -> Non
     axes = list(itertools.combinations(range(3 if count == 3 else 4), 2))
     planes = field(axes)
     position, time = RNG.uniform(-1, 1, (30, 3)).astype(np.float32), np.float32([0.3])
-    at = np.concatenate([position, np.full((30, 1), time)], axis=1)
+    samples = np.concatenate([position, np.full((30, 1), time)], axis=1)
     parts = [
-        bilinear(plane, at[:, [a, b]], True, "border")
+        bilinear(plane, samples[:, [a, b]], True, "border")
         for plane, (a, b) in zip(planes, axes, strict=True)
     ]
-    wanted = {
+    expected = {
         "product": np.prod(parts, axis=0),
         "sum": np.sum(parts, axis=0),
         "concat": np.concatenate(parts, axis=1),
@@ -82,16 +82,16 @@ def test_planes_are_combined_as_their_papers_do(count: int, combine: str) -> Non
     tensors = [torch.from_numpy(plane)[None] for plane in planes]  # [1, C, H, W], as stored
     where = torch.from_numpy(position)
     if count == 3:
-        seen = math.tri_plane(tensors, where, combine=combine)
+        actual = math.tri_plane(tensors, where, combine=combine)
     else:
-        seen = math.hex_plane(tensors, where, torch.from_numpy(time), combine=combine)
-    np.testing.assert_allclose(seen.numpy(), wanted, atol=5e-6)
+        actual = math.hex_plane(tensors, where, torch.from_numpy(time), combine=combine)
+    np.testing.assert_allclose(actual.numpy(), expected, atol=5e-6)
 
 
 def test_a_box_is_mapped_to_the_unit_cube() -> None:
     low, high = torch.tensor([-1.0, 0, 2]), torch.tensor([1.0, 4, 3])
-    made = math.to_unit_cube(torch.stack([low, high, (low + high) / 2]), low, high)
-    assert made.tolist() == [[-1, -1, -1], [1, 1, 1], [0, 0, 0]]
+    result = math.to_unit_cube(torch.stack([low, high, (low + high) / 2]), low, high)
+    assert result.tolist() == [[-1, -1, -1], [1, 1, 1], [0, 0, 0]]
 
 
 def test_other_planes_are_refused() -> None:

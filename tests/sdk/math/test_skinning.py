@@ -18,16 +18,16 @@ CHAINS = {
 
 def chained(turns: np.ndarray, joints: np.ndarray, parents: list[int]) -> np.ndarray:
     """The loop over joints, in float64, with the rest pose taken out: [J, 3, 4]."""
-    made: dict[int, np.ndarray] = {}
+    results: dict[int, np.ndarray] = {}
 
     def of(joint: int) -> np.ndarray:
         parent = parents[joint] if parents[joint] < len(parents) else -1
-        if joint not in made:
+        if joint not in results:
             local = np.eye(4)
             local[:3, :3] = turns[joint]
             local[:3, 3] = joints[joint] - (joints[parent] if parent >= 0 else 0)
-            made[joint] = of(parent) @ local if parent >= 0 else local
-        return made[joint]
+            results[joint] = of(parent) @ local if parent >= 0 else local
+        return results[joint]
 
     whole = np.stack([of(joint) for joint in range(len(parents))])
     whole[:, :3, 3] -= np.einsum("jab,jb->ja", whole[:, :3, :3], joints)
@@ -42,31 +42,33 @@ def test_kinematic_chain_agrees_with_a_loop(name: str) -> None:
     vectors = rng.normal(0, 1, (count, 3)).astype(np.float32)
     joints = rng.normal(0, 0.4, (count, 3)).astype(np.float32)
     move = rng.normal(size=3).astype(np.float32)
-    wanted = chained(Rotation.from_rotvec(vectors).as_matrix(), joints, parents)
-    wanted[:, :, 3] += move
+    expected = chained(Rotation.from_rotvec(vectors).as_matrix(), joints, parents)
+    expected[:, :, 3] += move
     turns = math.axis_angle_to_matrix(torch.from_numpy(vectors))
-    seen = math.skinning_transforms(
+    actual = math.skinning_transforms(
         turns, torch.from_numpy(joints), parents, torch.from_numpy(move)
     )
-    np.testing.assert_allclose(seen.numpy(), wanted, atol=1e-5)
-    wide = math.skinning_transforms(turns.double(), torch.from_numpy(joints).double(), parents)
-    wanted[:, :, 3] -= move
-    np.testing.assert_allclose(wide.numpy(), wanted, atol=1e-5)
+    np.testing.assert_allclose(actual.numpy(), expected, atol=1e-5)
+    double_precision = math.skinning_transforms(
+        turns.double(), torch.from_numpy(joints).double(), parents
+    )
+    expected[:, :, 3] -= move
+    np.testing.assert_allclose(double_precision.numpy(), expected, atol=1e-5)
 
 
 def test_a_chain_in_float64_is_exact() -> None:
     rng = np.random.default_rng(0)
     turns = Rotation.from_rotvec(rng.normal(size=(24, 3))).as_matrix()
     joints = rng.normal(size=(24, 3))
-    seen = math.skinning_transforms(torch.from_numpy(turns), torch.from_numpy(joints), SMPL)
-    np.testing.assert_allclose(seen.numpy(), chained(turns, joints, SMPL), atol=1e-14)
+    actual = math.skinning_transforms(torch.from_numpy(turns), torch.from_numpy(joints), SMPL)
+    np.testing.assert_allclose(actual.numpy(), chained(turns, joints, SMPL), atol=1e-14)
 
 
 def test_the_rest_pose_moves_nothing() -> None:
     joints = torch.randn(24, 3, generator=torch.Generator().manual_seed(1))
-    made = math.skinning_transforms(torch.eye(3).expand(24, 3, 3), joints, SMPL)
-    wanted = torch.eye(4)[:3].expand(24, 3, 4)
-    torch.testing.assert_close(made, wanted, atol=1e-6, rtol=0)
+    result = math.skinning_transforms(torch.eye(3).expand(24, 3, 3), joints, SMPL)
+    expected = torch.eye(4)[:3].expand(24, 3, 4)
+    torch.testing.assert_close(result, expected, atol=1e-6, rtol=0)
 
 
 def test_points_are_blended_as_by_the_oracle() -> None:
@@ -74,11 +76,11 @@ def test_points_are_blended_as_by_the_oracle() -> None:
     points, weights = rng.normal(size=(50, 3)), rng.random((50, 5))
     weights /= weights.sum(axis=1, keepdims=True)
     transforms = rng.normal(size=(5, 3, 4))
-    inputs = (torch.from_numpy(one.astype(np.float32)) for one in (points, weights, transforms))
+    inputs = (torch.from_numpy(array.astype(np.float32)) for array in (points, weights, transforms))
     position, turn = math.skin(*inputs)
     blended = np.einsum("nj,jab->nab", weights, transforms)
-    wanted = np.einsum("nab,nb->na", blended[:, :, :3], points) + blended[:, :, 3]
-    np.testing.assert_allclose(position.numpy(), wanted, atol=2e-6)
+    expected = np.einsum("nab,nb->na", blended[:, :, :3], points) + blended[:, :, 3]
+    np.testing.assert_allclose(position.numpy(), expected, atol=2e-6)
     np.testing.assert_allclose(turn.numpy(), blended[:, :, :3], atol=1e-6)
 
 

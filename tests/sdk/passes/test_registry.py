@@ -46,8 +46,8 @@ def test_multiply_matrices_keeps_the_product(name: str, level: object) -> None:
     a, b = (rng.normal(size=shape).astype(np.float32) for shape in shapes)
     made = ir.serde.serialize_model(result.model)
     onnx.checker.check_model(made, full_check=True)
-    (seen,) = run(made, level, a=a, b=b)
-    np.testing.assert_allclose(seen, a @ b, rtol=1e-5)
+    (computed,) = run(made, level, a=a, b=b)
+    np.testing.assert_allclose(computed, a @ b, rtol=1e-5)
     products = [node for node in result.model.graph if node.op_type == "MatMul"]
     assert all(len(value.shape) > 1 for node in products for value in node.inputs)
 
@@ -62,8 +62,8 @@ def test_a_camera_centre_is_right_at_every_level_of_optimisation(level: object) 
     made = ir.serde.serialize_model(MultiplyMatrices()(ir.serde.deserialize_model(proto)).model)
     rng = np.random.default_rng(1)
     r, t = rng.normal(size=(3, 3)).astype(np.float32), rng.normal(size=3).astype(np.float32)
-    (seen,) = run(made, level, r=r, t=t)
-    np.testing.assert_allclose(seen, -r.T @ t, rtol=1e-5)
+    (actual,) = run(made, level, r=r, t=t)
+    np.testing.assert_allclose(actual, -r.T @ t, rtol=1e-5)
 
 
 def test_multiply_matrices_reaches_graph_outputs_and_subgraphs() -> None:
@@ -78,9 +78,9 @@ def test_multiply_matrices_reaches_graph_outputs_and_subgraphs() -> None:
     rng = np.random.default_rng(2)
     a, b = rng.normal(size=(3, 3)).astype(np.float32), rng.normal(size=3).astype(np.float32)
     made = ir.serde.serialize_model(result.model)
-    for c, wanted in ((True, a @ b), (False, -b)):
-        (seen,) = run(made, LEVELS[1], c=np.array(c), a=a, b=b)
-        np.testing.assert_allclose(seen, wanted, rtol=1e-5)
+    for c, array in ((True, a @ b), (False, -b)):
+        (computed,) = run(made, LEVELS[1], c=np.array(c), a=a, b=b)
+        np.testing.assert_allclose(computed, array, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -102,13 +102,13 @@ def test_outputs_end_on_compute_only_where_they_did_not(body: str, modified: boo
     text = f"g (float[2,3] x) => (float[N,M] y) <int64[2] s = {{2, 3}}> {{ {body} }}"
     result = EndOutputsOnCompute()(ir.serde.deserialize_model(parsed(text)))
     assert result.modified is modified
-    made = ir.serde.serialize_model(result.model)
-    assert [output.name for output in made.graph.output] == ["y"]
-    assert made.graph.node[-1].op_type in ("Mul", "Neg")
+    proto = ir.serde.serialize_model(result.model)
+    assert [output.name for output in proto.graph.output] == ["y"]
+    assert proto.graph.node[-1].op_type in ("Mul", "Neg")
     x = np.array([[1, -0.0, np.inf], [3e38, 1e-45, 2]], np.float32)
-    (seen,) = run(made, LEVELS[0], x=x)
-    wanted = -x if "Neg" in body else x
-    np.testing.assert_array_equal(seen.view(np.uint32), wanted.view(np.uint32))
+    (computed,) = run(proto, LEVELS[0], x=x)
+    expected = -x if "Neg" in body else x
+    np.testing.assert_array_equal(computed.view(np.uint32), expected.view(np.uint32))
 
 
 def test_names_that_the_pass_would_give_may_be_taken() -> None:
@@ -116,21 +116,21 @@ def test_names_that_the_pass_would_give_may_be_taken() -> None:
         y = Reshape (x, s)
         y_uncopied = Neg (y) }"""
     result = EndOutputsOnCompute()(ir.serde.deserialize_model(parsed(text)))
-    made = ir.serde.serialize_model(result.model)
+    proto = ir.serde.serialize_model(result.model)
     x = np.arange(6, dtype=np.float32).reshape(2, 3)
-    (seen, negative) = run(made, LEVELS[0], x=x)
-    np.testing.assert_array_equal(seen, x.reshape(-1))
+    (computed, negative) = run(proto, LEVELS[0], x=x)
+    np.testing.assert_array_equal(computed, x.reshape(-1))
     np.testing.assert_array_equal(negative, -x.reshape(-1))
 
 
 def test_a_mask_ends_on_an_operator_of_masks() -> None:
     text = "g (bool[2,3] x) => (bool[6] y) <int64[1] s = {6}> { y = Reshape (x, s) }"
     result = EndOutputsOnCompute()(ir.serde.deserialize_model(parsed(text)))
-    made = ir.serde.serialize_model(result.model)
-    onnx.checker.check_model(made, full_check=True)
+    proto = ir.serde.serialize_model(result.model)
+    onnx.checker.check_model(proto, full_check=True)
     x = np.array([[True, False, True], [False, False, True]])
-    (seen,) = run(made, LEVELS[0], x=x)
-    np.testing.assert_array_equal(seen, x.reshape(-1))
+    (computed,) = run(proto, LEVELS[0], x=x)
+    np.testing.assert_array_equal(computed, x.reshape(-1))
 
 
 def test_a_weight_and_a_tensor_twice_become_outputs_of_their_own() -> None:

@@ -46,10 +46,10 @@ class Size(enum.Enum):
         ("__import__('os')", Any, "__import__('os')"),
     ],
 )
-def test_argument_texts_become_declared_types(text: str, annotation: Any, wanted: Any) -> None:
-    made = convert(text, annotation, "--arg x")
-    assert made == wanted
-    assert type(made) is type(wanted)
+def test_argument_texts_become_declared_types(text: str, annotation: Any, expected: Any) -> None:
+    converted = convert(text, annotation, "--arg x")
+    assert converted == expected
+    assert type(converted) is type(expected)
 
 
 @pytest.mark.parametrize(

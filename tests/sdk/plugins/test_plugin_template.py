@@ -32,9 +32,9 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ran = gsgen("new", "acme-splats", "--into", folder / "plugins")
     assert ran.code == 0, ran.err
     listed = {line for line in ran.out.splitlines() if line.startswith("/")}
-    made = folder / "plugins" / "acme-splats"
-    assert listed == {str(path) for path in made.rglob("*") if path.is_file()}
-    return made
+    result = folder / "plugins" / "acme-splats"
+    assert listed == {str(path) for path in result.rglob("*") if path.is_file()}
+    return result
 
 
 @pytest.mark.slow
@@ -127,11 +127,11 @@ def test_names_that_cannot_be_used_are_refused(tmp_path: Path, name: str, words:
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     write_plugin_package("mine", tmp_path)  # an empty folder is no loss
-    kept = tmp_path / "mine" / "README.md"
-    kept.write_text("changed")
+    kept_path = tmp_path / "mine" / "README.md"
+    kept_path.write_text("changed")
     with pytest.raises(ConfigInvalid, match="exists already"):
         write_plugin_package("mine", tmp_path)
-    assert kept.read_text() == "changed"
+    assert kept_path.read_text() == "changed"
     (tmp_path / "file").touch()
     with pytest.raises(ConfigInvalid, match="cannot be written"):
         write_plugin_package("other", tmp_path / "file")

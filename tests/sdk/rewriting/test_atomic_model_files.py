@@ -25,11 +25,11 @@ def test_folder_as_output_file_is_refused(tmp_path: Path) -> None:
 
 def test_folder_created_meanwhile_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "m.onnx"
-    place = atomic_write(path)
-    place.__enter__().touch()
+    draft = atomic_write(path)
+    draft.__enter__().touch()
     path.mkdir()
     with pytest.raises(GsgenError, match="cannot be written"):
-        place.__exit__(None, None, None)
+        draft.__exit__(None, None, None)
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -53,11 +53,11 @@ def test_small_weights_in_another_file_come_into_the_model(tmp_path: Path) -> No
 def test_a_copy_does_not_replace_the_weights_of_its_source(tmp_path: Path) -> None:
     source = find("weights_beside").write(tmp_path)
     weights = tmp_path / "weights_beside.bin"
-    kept = weights.read_bytes()
+    content = weights.read_bytes()
     for write in (repair, write_float16):
         with pytest.raises(ConfigInvalid, match=r"would replace weights_beside\.bin"):
             write(source, weights)
-    assert weights.read_bytes() == kept
+    assert weights.read_bytes() == content
 
 
 @pytest.mark.parametrize(("name", "channels"), [("still_sh0", 3), ("still_sh2", 27)])

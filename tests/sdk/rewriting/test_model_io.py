@@ -34,13 +34,13 @@ def weights(model: ir.Model) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("floats", "beside"), [(64, False), (65, True)])
 def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, beside: bool) -> None:
-    made = model_of(floats)
-    save_model(made, tmp_path / "m.onnx", external_weights=True)
+    result = model_of(floats)
+    save_model(result, tmp_path / "m.onnx", external_weights=True)
     assert (tmp_path / "m.onnx.data").exists() == beside
     read = ir.load(tmp_path / "m.onnx")
     assert has_external_weights(read) == beside
     assert weight_bytes(read) == 2 * 4 * floats
-    for name, value in weights(made).items():
+    for name, value in weights(result).items():
         np.testing.assert_array_equal(weights(read)[name], value)
     onnx.checker.check_model(tmp_path / "m.onnx", full_check=True)
 

@@ -49,6 +49,6 @@ def test_nonnumeric_output_is_not_compared(
     ir.save(parsed(text), tmp_path / "m.onnx")
     probes = [Probe(label=str(i), inputs={"x": np.full(2, i, np.float32)}) for i in range(2)]
     files = tmp_path / "m.onnx", tmp_path / "m.onnx"
-    made = compare_files(*files, ["y", "e", "z"], probes, Limits(), BITS, "a pass")
-    assert made.differences == ()
-    assert made.uncompared == (*uncompared, "e")
+    result = compare_files(*files, ["y", "e", "z"], probes, Limits(), BITS, "a pass")
+    assert result.differences == ()
+    assert result.uncompared == (*uncompared, "e")

@@ -74,7 +74,7 @@ def test_a_model_without_a_manifest_is_rewritten_and_compared(tmp_path: Path) ->
     source = written(tmp_path / "in.onnx", ROUNDED)
     done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
     assert {change.rewrite for change in done.changes} >= {"round-by-floor", "drop-idle"}
-    assert [len(one.uncaptured) for one in (done.before, done.after)] == [1, 0]
+    assert [len(array.uncaptured) for array in (done.before, done.after)] == [1, 0]
     assert done.before.uncaptured == ("r (Round float32): falls to the CPU",)
     assert (done.probes, done.differences) == (5, ())
     session = onnxruntime.InferenceSession(tmp_path / "out.onnx")
@@ -126,9 +126,9 @@ def test_functions_and_branches_are_reached(tmp_path: Path) -> None:
     )
     source = written(tmp_path / "in.onnx", text, head)
     done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
-    made = ir.load(tmp_path / "out.onnx")
-    assert not made.functions
-    assert "Round" not in operators(made)
+    loaded = ir.load(tmp_path / "out.onnx")
+    assert not loaded.functions
+    assert "Round" not in operators(loaded)
     assert "round-by-floor" in {change.rewrite for change in done.changes}
 
 
@@ -249,9 +249,11 @@ def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
         ("custom_operator", "does not run in ONNX Runtime"),
     ],
 )
-def test_a_model_that_is_broken_is_refused_for_that(name: str, told: str, tmp_path: Path) -> None:
+def test_a_model_that_is_broken_is_refused_for_that(
+    name: str, message: str, tmp_path: Path
+) -> None:
     source = find(name).write(tmp_path)
-    with pytest.raises(RewriteFailed, match=told):
+    with pytest.raises(RewriteFailed, match=message):
         rewrite_file(source, tmp_path / "out.onnx", CORE)
     assert not (tmp_path / "out.onnx").exists()
 
@@ -278,9 +280,9 @@ def test_an_input_that_is_an_output_keeps_its_name(tmp_path: Path) -> None:
     """It cannot be mended without another name; rule GG016 tells of it."""
     source = find("output_is_input").write(tmp_path)
     done = rewrite_file(source, tmp_path / "out.onnx", CORE)
-    made = onnx.load(tmp_path / "out.onnx")
+    loaded = onnx.load(tmp_path / "out.onnx")
     assert done.path is not None
-    assert {v.name for v in made.graph.output} == {v.name for v in onnx.load(source).graph.output}
+    assert {v.name for v in loaded.graph.output} == {v.name for v in onnx.load(source).graph.output}
 
 
 def test_graph_shapes_override_a_mismatched_manifest(tmp_path: Path) -> None:
@@ -304,7 +306,7 @@ def test_invalid_rewrite_arguments_are_refused(tmp_path: Path) -> None:
 
 
 def test_every_pass_has_a_description() -> None:
-    names = [one.name for one in REWRITES]
+    names = [rewrite.name for rewrite in REWRITES]
     assert len(set(names)) == len(names)
     for one in REWRITES:
         assert one.summary()
@@ -312,8 +314,8 @@ def test_every_pass_has_a_description() -> None:
         assert one.exactness.describe()
         assert one.wanted_by
         for target in known_targets().values():
-            made = one.for_target(RewriteTarget.of(target))
-            assert made is None or made.name == one.name
+            result = one.for_target(RewriteTarget.of(target))
+            assert result is None or result.name == one.name
 
 
 # ---- The command -----------------------------------------------------------------------------
@@ -350,12 +352,14 @@ def test_nan_outputs_are_not_compared(tmp_path: Path) -> None:
 def test_the_command_prints_json(tmp_path: Path) -> None:
     source = written(tmp_path / "in.onnx", ROUNDED)
     ran = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")
-    made = json.loads(ran.stdout)
-    assert made["path"] is None
-    assert {"name": "round-by-floor", "exactness": "bit for bit", "nodes": ["r (Round)"]} in made[
-        "passes"
-    ]
-    assert made["after"]["uncaptured"] == []
+    document = json.loads(ran.stdout)
+    assert document["path"] is None
+    assert {
+        "name": "round-by-floor",
+        "exactness": "bit for bit",
+        "nodes": ["r (Round)"],
+    } in document["passes"]
+    assert document["after"]["uncaptured"] == []
 
 
 def test_the_command_lists_its_passes() -> None:
@@ -364,7 +368,7 @@ def test_the_command_lists_its_passes() -> None:
     assert "- chunk-concat " in ran.output
     assert "  chunk-split " in ran.output
     listed = json.loads(gsgen("--list", "--json").stdout)
-    assert [row["name"] for row in listed] == [one.name for one in REWRITES]
+    assert [row["name"] for row in listed] == [rewrite.name for rewrite in REWRITES]
     assert all(row["runs"] for row in listed if row["name"] != "freeze-dimensions")
 
 
@@ -385,12 +389,12 @@ def test_the_command_lists_its_passes() -> None:
     ],
 )
 def test_mistaken_command_is_explained(
-    words: list[str], code: int, told: str, tmp_path: Path, monkeypatch
+    words: list[str], code: int, message: str, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     written(tmp_path / "in.onnx", ROUNDED)
     ran = gsgen(*words)
     text = ran.output + str(ran.exception or "")
-    assert told in text
+    assert message in text
     assert ran.exit_code == code or isinstance(ran.exception, ConfigInvalid)
     assert not (tmp_path / "out.onnx").exists()

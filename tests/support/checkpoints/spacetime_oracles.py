@@ -105,13 +105,13 @@ def rotor(
     """Rotor 4DGS (Yang et al. 2024), conditioned by way of the inverse 4-D covariance."""
     (path,) = folder.glob("chkpnt*.pth")
     values, _ = torch.load(path, weights_only=True)
-    degree, center, dc, rest, log_scale, left, logit = (
+    degree, center, dc, sh_rest, log_scale, left, logit = (
         value if isinstance(value, int) else value.double().numpy() for value in values[:7]
     )
     temporal_center, log_temporal, right = (value.double().numpy() for value in values[13:16])
     length = duration[1] - duration[0]
     moment = duration[0] + time * length
-    sh = np.concatenate([dc, rest], axis=1)
+    sh = np.concatenate([dc, sh_rest], axis=1)
     rows: dict[str, list] = {name: [] for name in ("position", "opacity", "covariance", "color")}
     factors = np.zeros(len(center))
     for row, mean in enumerate(center):

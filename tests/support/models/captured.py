@@ -13,7 +13,7 @@ def assert_captured(report: Report) -> None:
 
     Without an adapter this fails: a test that is skipped for want of a driver is no test.
     """
-    (live,) = (one for one in report.levels if one.level is Level.LIVE)
+    (live,) = (level for level in report.levels if level.level is Level.LIVE)
     assert live.ran, f"{live.reason}; install a driver with `make drivers`"
     said = {rule: report.outcome(rule).status for rule in CAPTURED}
     assert said == dict.fromkeys(CAPTURED, "pass")

@@ -49,13 +49,13 @@ class Lit(GaussianGenerator):
 
     def forward(self, view: torch.Tensor, proj: torch.Tensor) -> Gaussians:
         eye = -(view[:3, :3].T @ view[:3, 3])
-        made = self.net(math.safe_normalize(self.centre - eye))
-        opacity = 0.3 + 0.6 * torch.sigmoid(made[:, 3])
+        color = self.net(math.safe_normalize(self.centre - eye))
+        opacity = 0.3 + 0.6 * torch.sigmoid(color[:, 3])
         return Gaussians(
             position=self.centre + 0 * proj[:1, :3],
             opacity=opacity,
             covariance=self.covariance,
-            rgb=torch.sigmoid(made[:, :3]),
+            rgb=torch.sigmoid(color[:, :3]),
         )
 
 

@@ -32,7 +32,7 @@ def manifests():
 def _any(hint: Any, limits: Hint) -> st.SearchStrategy:
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _any(args[0], next((one for one in args[1:] if isinstance(one, Hint)), limits))
+        return _any(args[0], next((arg for arg in args[1:] if isinstance(arg, Hint)), limits))
     if origin is Literal:
         return st.sampled_from(args)
     if origin in (typing.Union, types.UnionType):

@@ -30,7 +30,7 @@ _TIME_PLANES = (2, 4, 5)
 
 
 def _sum(tensors: Iterable[Tensor | None]) -> int:
-    return 4 * sum(one.numel() for one in tensors if one is not None)
+    return 4 * sum(tensor.numel() for tensor in tensors if tensor is not None)
 
 
 def _mlp(net: Mlp | None) -> int:
@@ -41,11 +41,11 @@ def _mlp(net: Mlp | None) -> int:
 def of_anchors(read: AnchorCheckpoint, *, turned: bool = False) -> int:
     """Scaffold-GS and Octree-GS; ``turned``: the published culling needs rotations."""
     cloud, nets = read.cloud, read.nets
-    kept = [cloud.position, cloud.offset, cloud.feature, cloud.log_scale]
-    kept += [cloud.rotation] if turned else []
+    retained = [cloud.position, cloud.offset, cloud.feature, cloud.log_scale]
+    retained += [cloud.rotation] if turned else []
     levels = [cloud.level, cloud.extra_level]
     heads = (nets.opacity, nets.covariance, nets.color, nets.bank)
-    return _sum([*kept, *levels, nets.embedding]) + sum(_mlp(net) for net in heads)
+    return _sum([*retained, *levels, nets.embedding]) + sum(_mlp(net) for net in heads)
 
 
 def of_cells(read: CellCheckpoint, *, visibility: bool) -> int:
@@ -73,19 +73,19 @@ def of_hexplane(read: HexPlaneCheckpoint) -> int:
             total += _sum([reached])
     layers = [*nets.feature, *(layer for pair in nets.heads.values() for layer in pair)]
     layers += nets.static or ()
-    return total + _sum(one for layer in layers for one in layer) + _sum(nets.voxels or ())
+    return total + _sum(tensor for layer in layers for tensor in layer) + _sum(nets.voxels or ())
 
 
 def of_deformation(read: DeformationCheckpoint) -> int:
     """Deformable-3D-Gaussians."""
     net = read.net
     layers = [*net.layers, *net.warp, *(net.time or ()), net.rotation, net.scaling]
-    return _canonical(read.canonical) + _sum(one for layer in layers for one in layer)
+    return _canonical(read.canonical) + _sum(tensor for layer in layers for tensor in layer)
 
 
 def _nets(nets: PoseNets | None) -> int:
     layers = (*nets.pose, *nets.weights) if nets else ()
-    return _sum(one for layer in layers for one in layer)
+    return _sum(tensor for layer in layers for tensor in layer)
 
 
 def _vertices(body: Body, used: int, *, shape: bool) -> int:
@@ -115,7 +115,7 @@ def of_r3(read: R3Checkpoint, used: int) -> int:
     layers = [*read.inner, *read.heads.values()]
     total = _sum((read.canonical.position, read.canonical.sh))
     total += _sum(plane for six in read.grids for plane in six)
-    total += _sum(one for layer in layers for one in layer)
+    total += _sum(tensor for layer in layers for tensor in layer)
     return total + _vertices(read.body, used, shape=True) + _nets(read.nets)
 
 

@@ -42,18 +42,18 @@ class ScaffoldDecoder(GaussianGenerator):
 
     def forward(self, view: torch.Tensor, proj: torch.Tensor) -> Gaussians:
         eye = -(view[:3, :3] @ view[3, :3])  # the tensor holds the transposed matrix
-        seen = self.anchor - eye
-        distance = seen.norm(dim=1, keepdim=True)
-        code = torch.cat([self.feature, seen / distance, distance], dim=1)
+        view_offset = self.anchor - eye
+        distance = view_offset.norm(dim=1, keepdim=True)
+        code = torch.cat([self.feature, view_offset / distance, distance], dim=1)
         k = self.offsets
-        made = self.covariance(code).reshape(-1, 7)
+        result = self.covariance(code).reshape(-1, 7)
         scaling = torch.exp(self.scaling)[:, None].expand(-1, k, -1).reshape(-1, 6)
         center = self.anchor[:, None].expand(-1, k, -1).reshape(-1, 3)
         return Gaussians(
             position=center + self.offset.reshape(-1, 3) * scaling[:, :3],
             opacity=self.opacity(code).reshape(-1, 1).clamp(min=0),
-            scale=scaling[:, 3:] * torch.sigmoid(made[:, :3]),
-            rotation=nn.functional.normalize(made[:, 3:]),
+            scale=scaling[:, 3:] * torch.sigmoid(result[:, :3]),
+            rotation=nn.functional.normalize(result[:, 3:]),
             rgb=self.color(code).reshape(-1, 3),
         )
 
@@ -86,8 +86,8 @@ class HexPlane(GaussianGenerator):
         feature = torch.ones(())
         for plane, (a, b) in zip(self.planes, pairs, strict=True):
             grid = where[:, (a, b)].reshape(1, -1, 1, 2)
-            taken = nn.functional.grid_sample(plane, grid, align_corners=True)
-            feature = feature * taken.reshape(plane.shape[1], n).T
+            sampled = nn.functional.grid_sample(plane, grid, align_corners=True)
+            feature = feature * sampled.reshape(plane.shape[1], n).T
         hidden = self.trunk(feature)
         move, scale, turn, fade, sh = (head(hidden) for head in self.heads)
         return Gaussians(
@@ -133,9 +133,9 @@ class Avatar(GaussianGenerator):
             step = rotations[parent] @ (self.joint[index] - self.joint[parent])
             places.append(places[parent] + step)
         rotation = torch.stack(rotations)
-        place = torch.stack(places) - (rotation @ self.joint[..., None])[..., 0]
+        translation = torch.stack(places) - (rotation @ self.joint[..., None])[..., 0]
         blended = torch.einsum("nj,jab->nab", self.weight, rotation)
-        moved = (blended @ self.rest[..., None])[..., 0] + self.weight @ place
+        moved = (blended @ self.rest[..., None])[..., 0] + self.weight @ translation
         base = torch.diag(torch.tensor([4e-4, 1e-4, 9e-4]))
         covariance = blended @ base @ blended.transpose(1, 2)
         upper = covariance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
@@ -165,13 +165,13 @@ class Denoiser(nn.Module):
 
     def forward(self, image: torch.Tensor, timestep: torch.Tensor) -> torch.Tensor:
         angle = timestep.to(torch.float32) * 0.001 * self.frequency
-        told = self.embed(torch.cat([torch.sin(angle), torch.cos(angle)])[None])
+        embedding = self.embed(torch.cat([torch.sin(angle), torch.cos(angle)])[None])
         skip = nn.functional.silu(self.norms[0](self.enter(image)))
-        skip = skip + told[:, :, None, None]
+        skip = skip + embedding[:, :, None, None]
         deep = nn.functional.silu(self.norms[1](self.down(skip)))
         deep = deep + self.middle(deep)
-        wide = nn.functional.interpolate(deep, scale_factor=2.0, mode="nearest")
-        joined = self.up(torch.cat([wide, skip], dim=1))
+        upsampled = nn.functional.interpolate(deep, scale_factor=2.0, mode="nearest")
+        joined = self.up(torch.cat([upsampled, skip], dim=1))
         return image - self.leave(nn.functional.silu(self.norms[2](joined)))
 
 

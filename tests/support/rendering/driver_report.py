@@ -38,9 +38,9 @@ def pictures(ways: dict[str, Renderer], golden: Path) -> dict[str, float]:
     data, camera, image = golden_case(golden)
     errors = {}
     for name, renderer in ways.items():
-        seen = renderer.render(Scene([data]), camera).rgba
-        assert seen is not None
-        errors[name] = float(np.abs(seen - image).max())
+        actual = renderer.render(Scene([data]), camera).rgba
+        assert actual is not None
+        errors[name] = float(np.abs(actual - image).max())
     return errors
 
 
@@ -49,10 +49,10 @@ def disordered(ways: dict[str, Renderer]) -> list[str]:
     wrong = []
     for name in ("tilted", "plane_of_rounded_rows"):
         scene, camera = NEAR_TIES[name]()
-        wanted = oracle.render(scene, camera)
+        frame = oracle.render(scene, camera)
         for way in [way for way in ways if "tiles" in way]:
-            error = np.abs(ways[way].render(scene, camera).rgba - wanted.rgba)
-            if not error[~wanted.fragile].max() <= 2e-5:
+            error = np.abs(ways[way].render(scene, camera).rgba - frame.rgba)
+            if not error[~frame.fragile].max() <= 2e-5:
                 wrong.append(f"{name} by {way}")
     return wrong
 
@@ -62,9 +62,9 @@ def unmet(renderer: Renderer) -> list[str]:
     wrong = []
     for name in ("several", "near_plane", "panorama_poles"):
         scene, camera = MESH_SCENES[name]()
-        seen, wanted = renderer.render(scene, camera).rgba, oracle.render(scene, camera)
-        assert seen is not None
-        if not np.abs(seen - wanted.rgba)[~wanted.fragile].max() <= 1e-4:
+        actual, expected = renderer.render(scene, camera).rgba, oracle.render(scene, camera)
+        assert actual is not None
+        if not np.abs(actual - expected.rgba)[~expected.fragile].max() <= 1e-4:
             wrong.append(name)
     return wrong
 
@@ -76,15 +76,15 @@ def unsorted(device: Device, sizes: list[int]) -> list[str]:
         sort = Bench(device, cut, 32, max(n, 1), compact=True, counted=counted)
         for kind in KEYS:
             keys = keys_of(n, kind) if n else np.full(1, 0xFFFFFFFF, np.uint32)
-            taken = [time.process_time(), time.perf_counter()]
+            durations = [time.process_time(), time.perf_counter()]
             keys_out, places = sort(keys)
-            taken = [time.process_time() - taken[0], time.perf_counter() - taken[1]]
-            wanted = sort_reference(keys, 32)
-            if not (np.array_equal(places, wanted) and np.array_equal(keys_out, keys[wanted])):
+            durations = [time.process_time() - durations[0], time.perf_counter() - durations[1]]
+            expected = sort_reference(keys, 32)
+            if not (np.array_equal(places, expected) and np.array_equal(keys_out, keys[expected])):
                 wrong.append(f"{n} keys, {kind}, blocks of {cut.block}" + ", counted" * counted)
             sys.stderr.write(
                 f"  {n:>9,} keys, {kind:9}, blocks of {cut.block:>5,}: "
-                f"{taken[0]:6.2f} CPU-s, {taken[1]:6.2f} s\n"
+                f"{durations[0]:6.2f} CPU-s, {durations[1]:6.2f} s\n"
             )
     return wrong
 
@@ -96,8 +96,8 @@ def unscanned(device: Device) -> list[str]:
     for software in (True, False):
         alike = Device(device.raw)
         alike.software = software
-        made = scanned(Scan(alike, 4096, 64, 256), device, numbers)
-        if not np.array_equal(made, scan_reference(numbers)):
+        result = scanned(Scan(alike, 4096, 64, 256), device, numbers)
+        if not np.array_equal(result, scan_reference(numbers)):
             wrong.append("in one workgroup" if software else "by blocks")
     return wrong
 

@@ -26,26 +26,26 @@ def description(driver: str) -> Path | None:
     return next((path for path in DRIVERS[driver] if path.is_file()), None)
 
 
-def environment(found: Path) -> dict[str, str]:
+def environment(driver_info: Path) -> dict[str, str]:
     """Return the surroundings of a process that has the driver that ``found`` describes."""
     return os.environ | {
-        "VK_DRIVER_FILES": str(found),
-        "VK_ICD_FILENAMES": str(found),
+        "VK_DRIVER_FILES": str(driver_info),
+        "VK_ICD_FILENAMES": str(driver_info),
         "PYTHONPATH": str(ROOT / "tests"),
     }
 
 
 def on_driver(driver: str, module: str, *words: str, seconds: float = 600) -> Any:
     """Run ``python -m module`` on a driver, and return the JSON that it prints last."""
-    found = description(driver)
-    if found is None:
+    driver_info = description(driver)
+    if driver_info is None:
         pytest.fail(f"{driver} is not installed; `make drivers` installs it")
     done = subprocess.run(
         [sys.executable, "-P", "-m", module, *words],
         capture_output=True,
         text=True,
         timeout=seconds,
-        env=environment(found),
+        env=environment(driver_info),
     )
     assert done.returncode == 0, done.stderr[-4000:]
     return json.loads(done.stdout.strip().splitlines()[-1])

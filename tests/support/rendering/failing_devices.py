@@ -18,15 +18,15 @@ def memory_of(size: int) -> Iterator[None]:
     """
     import wgpu
 
-    make, made, most = Device._buffer, WeakSet[Any](), size
+    make, result, most = Device._buffer, WeakSet[Any](), size
 
     def limited(self: Device, *words: Any) -> Any:
         raw = self.raw
 
         def create_buffer(*, size: int, **words: Any) -> Any:
-            if sum(buffer.size for buffer in made) + size > most:
+            if sum(buffer.size for buffer in result) + size > most:
                 raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
-            made.add(buffer := raw.create_buffer(size=size, **words))
+            result.add(buffer := raw.create_buffer(size=size, **words))
             return buffer
 
         self.raw = SimpleNamespace(create_buffer=create_buffer)

@@ -36,8 +36,8 @@ def _usual(name: str) -> Callable[[], Case]:
 
 def _over_many_blocks() -> Case:
     """Splats over hundreds of tiles each, so that a workgroup's pairs are in many blocks."""
-    wide = replace(camera(), width=1000, height=700)
-    return Scene([cloud(100, 6, size=30.0, opacity=(0.05, 0.3))]), wide, 1 << 18
+    wide_camera = replace(camera(), width=1000, height=700)
+    return Scene([cloud(100, 6, size=30.0, opacity=(0.05, 0.3))]), wide_camera, 1 << 18
 
 
 def _beyond_the_capacity() -> Case:
@@ -82,13 +82,13 @@ CASES: dict[str, Callable[[], Case]] = {
 }  # fmt: skip
 
 
-def counters(device: Device, buffer: Buffer, wanted: np.ndarray) -> np.ndarray:
+def counters(device: Device, buffer: Buffer, expected: np.ndarray) -> np.ndarray:
     """Return the columns of a histogram that its twin has; the others are asserted to be zero."""
     words = device.read(buffer, np.uint32, buffer.size // 4)
-    columns = len(words) // len(wanted)
-    table = words[: len(wanted) * columns].reshape(len(wanted), columns)
-    assert not table[:, wanted.shape[1] :].any()
-    return table[:, : wanted.shape[1]]
+    columns = len(words) // len(expected)
+    table = words[: len(expected) * columns].reshape(len(expected), columns)
+    assert not table[:, expected.shape[1] :].any()
+    return table[:, : expected.shape[1]]
 
 
 def counted(renderer: Renderer, case: Case) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -109,16 +109,16 @@ def counted(renderer: Renderer, case: Case) -> dict[str, tuple[np.ndarray, np.nd
     result = {}
     made("project")
     keys = device.read(plan.buffers["keys of Gaussians a"], np.uint32, max(1, len(scene)))
-    wanted = first_digits_reference(keys[: len(scene)], kernels.sort.first_digits(KEY_BITS))
-    result["depths"] = counters(device, depths, wanted), wanted
+    expected = first_digits_reference(keys[: len(scene)], kernels.sort.first_digits(KEY_BITS))
+    result["depths"] = counters(device, depths, expected), expected
     made("project", "sort", "bin")  # no sort of the pairs, which would change the counters
     pairs = int(device.read(plan.buffers["counts"], np.uint32, 4)[Counts.PAIRS])
     last = plan.buffers["ranges"].size // 8 - 1
     digits = kernels.sort.first_digits(kernels.tile_bits(max(last, 0)))
     listed = device.read(plan.buffers["keys of pairs a"], np.uint32, max(1, pairs))[:pairs]
     assert not (listed == ABSENT).any()
-    wanted = first_digits_reference(listed, digits)
-    result["tiles"] = counters(device, tiles, wanted), wanted
+    expected = first_digits_reference(listed, digits)
+    result["tiles"] = counters(device, tiles, expected), expected
     return result
 
 
@@ -128,6 +128,6 @@ def miscounted(device: Device) -> list[str]:
     return [
         f"{kind} of {name}"
         for name, case in CASES.items()
-        for kind, (made, wanted) in counted(renderer, case()).items()
-        if not np.array_equal(made, wanted)
+        for kind, (result, expected) in counted(renderer, case()).items()
+        if not np.array_equal(result, expected)
     ]

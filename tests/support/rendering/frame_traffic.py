@@ -136,14 +136,14 @@ def counting_steps(plan: Plan, stage: str) -> list[Step]:
     """
     first = next(step for step in plan.stages[stage] if step.kernel.label == "scan_rows")
     histogram = bound(first, HISTOGRAM)
-    found = [
+    actual = [
         step
         for name, steps in plan.stages.items()
         for step in steps
         if name != stage and names_of(step, histogram)
     ]
-    assert not found or (histogram, 0, None) in plan.clears
-    return found
+    assert not actual or (histogram, 0, None) in plan.clears
+    return actual
 
 
 def first_histogram_bytes(
@@ -177,7 +177,7 @@ def stage_bytes(workload: Workload) -> dict[str, int]:
         "blend": pairs * (4 + splat + SECTOR) + 8 * tiles + 16 * pixels,
     }
     block = kernels.cut.block
-    made = {
+    result = {
         name: sum(
             sizes[step.kernel.label]
             if step.kernel.label in sizes
@@ -187,8 +187,8 @@ def stage_bytes(workload: Workload) -> dict[str, int]:
         for name, steps in plan.stages.items()
     }
     for name in SORTS:
-        made[name] += first_histogram_bytes(plan, name, workload, pairs, block)
-    return made
+        result[name] += first_histogram_bytes(plan, name, workload, pairs, block)
+    return result
 
 
 def earlier_bytes(workload: Workload) -> dict[str, int]:
@@ -232,8 +232,8 @@ def key_reads(workload: Workload) -> dict[str, list[int]]:
             keys = bound(next(step for step in steps if step.kernel.label == "scatter"), KEYS)
             writers = [
                 step
-                for each in plan.stages.values()
-                for step in each
+                for stage in plan.stages.values()
+                for step in stage
                 if step.kernel.label == writer and names_of(step, keys)
             ]
             assert writers

@@ -48,9 +48,9 @@ def ball(rings: int = 6, spokes: int = 9, seed: int = 1) -> MeshData:
 
 
 def moved(x: float, y: float, z: float, turn: np.ndarray | None = None) -> np.ndarray:
-    made = np.eye(4) if turn is None else turn.copy()
-    made[:3, 3] = x, y, z
-    return made
+    result = np.eye(4) if turn is None else turn.copy()
+    result[:3, 3] = x, y, z
+    return result
 
 
 @named
@@ -97,16 +97,16 @@ def principal_point() -> tuple[Scene, Camera]:
 @named
 def flat_camera() -> tuple[Scene, Camera]:
     scene, _ = several()
-    there = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
-    return scene, there.flattened(6.0)
+    other_view = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
+    return scene, other_view.flattened(6.0)
 
 
 @named
 def flat_camera_inside() -> tuple[Scene, Camera]:
     """What is behind an orthographic camera, or nearer than its near plane, is not drawn."""
     scene, _ = several()
-    there = Camera.look_at((0, 0, 4.2), (0.1, 0, 8), width=61, height=47)
-    return scene, replace(there.flattened(6.0), near=0.3)
+    other_view = Camera.look_at((0, 0, 4.2), (0.1, 0, 8), width=61, height=47)
+    return scene, replace(other_view.flattened(6.0), near=0.3)
 
 
 @named
@@ -160,8 +160,10 @@ def far_from_the_origin() -> tuple[Scene, Camera]:
     """A hundred kilometres away: only differences to the camera count."""
     away = np.array([1e5, -3e4, 7e4])
     scene, here = several()
-    sets = [SplatSet(one.data, moved(*away) @ one.transform) for one in scene.sets]
-    meshes = [one.placed(moved(*away)) for one in scene.meshes]
+    sets = [
+        SplatSet(splat_set.data, moved(*away) @ splat_set.transform) for splat_set in scene.sets
+    ]
+    meshes = [mesh.placed(moved(*away)) for mesh in scene.meshes]
     view = np.eye(4)
     view[:3, 3] = -away
     return Scene(sets, meshes=meshes), replace(here, view=view)

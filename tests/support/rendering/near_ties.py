@@ -27,22 +27,22 @@ def plane(n: int = 300, seed: int = 0, opacity: tuple[float, float] = (0.3, 0.9)
     return data
 
 
-def moved(data: SplatData, place: np.ndarray) -> SplatData:
+def moved(data: SplatData, transform: np.ndarray) -> SplatData:
     """The same with the transform in its rows, rounded."""
-    linear = place[:3, :3]
+    linear = transform[:3, :3]
     rows = data.rows.astype(np.float64)
-    rows[:, :3] = rows[:, :3] @ linear.T + place[:3, 3]
+    rows[:, :3] = rows[:, :3] @ linear.T + transform[:3, 3]
     full = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
     rows[:, 4:] = (linear @ full @ linear.T).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
     return SplatData(rows.astype(np.float32), data.appearance, data.space)
 
 
-def seen_through(place: np.ndarray, **changes: float) -> Camera:
+def seen_through(transform: np.ndarray, **changes: float) -> Camera:
     """:func:`camera`, moved as ``place`` moves models."""
     here = camera(**changes)
-    linear = place[:3, :3] / np.cbrt(np.linalg.det(place[:3, :3]))
+    linear = transform[:3, :3] / np.cbrt(np.linalg.det(transform[:3, :3]))
     view = np.eye(4)
-    view[:3, :3], view[:3, 3] = linear.T, -linear.T @ place[:3, 3]
+    view[:3, :3], view[:3, 3] = linear.T, -linear.T @ transform[:3, 3]
     return Camera(
         view,
         fx=here.fx,
@@ -76,30 +76,30 @@ def tilted_less() -> tuple[Scene, Camera]:
 @named
 def plane_of_rounded_rows() -> tuple[Scene, Camera]:
     """Nothing but what rounding left of the rows is deep."""
-    place = turned(0.7, (1, 2, 3))
-    place[:3, 3] = 0.3, -0.2, 0.1
-    return Scene([moved(plane(), place)]), seen_through(place)
+    transform = turned(0.7, (1, 2, 3))
+    transform[:3, 3] = 0.3, -0.2, 0.1
+    return Scene([moved(plane(), transform)]), seen_through(transform)
 
 
 @named
 def far_away() -> tuple[Scene, Camera]:
-    place = turned(0.5, (3, 1, 2))
-    place[:3, 3] = 1e5, -3e4, 7e4
+    transform = turned(0.5, (3, 1, 2))
+    transform[:3, 3] = 1e5, -3e4, 7e4
     tilt = turned(3e-5, (1, 2, 0))
-    return Scene([SplatSet(plane(), place @ tilt)]), seen_through(place)
+    return Scene([SplatSet(plane(), transform @ tilt)]), seen_through(transform)
 
 
 @named
 def huge() -> tuple[Scene, Camera]:
-    place = turned(0.5, (3, 1, 2), 1e9)
-    return Scene([SplatSet(plane(), place @ turned(1e-5, (1, 2, 0)))]), seen_through(place)
+    transform = turned(0.5, (3, 1, 2), 1e9)
+    return Scene([SplatSet(plane(), transform @ turned(1e-5, (1, 2, 0)))]), seen_through(transform)
 
 
 @named
 def tiny() -> tuple[Scene, Camera]:
-    place = turned(0.5, (3, 1, 2), 1e-9)
-    seen_by = seen_through(place, near=1e-12)
-    return Scene([SplatSet(plane(), place @ turned(1e-5, (1, 2, 0)))]), seen_by
+    transform = turned(0.5, (3, 1, 2), 1e-9)
+    seen_by = seen_through(transform, near=1e-12)
+    return Scene([SplatSet(plane(), transform @ turned(1e-5, (1, 2, 0)))]), seen_by
 
 
 @named
@@ -110,15 +110,17 @@ def several_models() -> tuple[Scene, Camera]:
         sheared = turned(2e-7 * (number + 1), (1, number, 0), (1.1, 0.9, 1))
         sheared[0, 1] += 0.2 * number
         sets.append(SplatSet(plane(100, number), sheared))
-    place = turned(0.4, (1, 2, 3))
-    return Scene([SplatSet(one.data, place @ one.transform) for one in sets]), seen_through(place)
+    transform = turned(0.4, (1, 2, 3))
+    return Scene(
+        [SplatSet(splat_set.data, transform @ splat_set.transform) for splat_set in sets]
+    ), seen_through(transform)
 
 
 @named
 def orthographic() -> tuple[Scene, Camera]:
-    place = turned(0.7, (1, 2, 3))
-    flat = seen_through(place).flattened(6.0)
-    return Scene([moved(plane(), place)]), flat
+    transform = turned(0.7, (1, 2, 3))
+    flat = seen_through(transform).flattened(6.0)
+    return Scene([moved(plane(), transform)]), flat
 
 
 @named
@@ -127,7 +129,7 @@ def sphere() -> tuple[Scene, Camera]:
     data = plane(500)
     toward = np.random.default_rng(5).normal(size=(500, 3))
     data.rows[:, :3] = 3 * toward / np.linalg.norm(toward, axis=1, keepdims=True)
-    place = turned(0.7, (1, 2, 3))
-    place[:3, 3] = 0.3, -0.2, 0.1
+    transform = turned(0.7, (1, 2, 3))
+    transform[:3, 3] = 0.3, -0.2, 0.1
     around = Camera.panorama((0.3, -0.2, 0.1), (1, 0, 1), width=96)
-    return Scene([SplatSet(data, place)]), around
+    return Scene([SplatSet(data, transform)]), around

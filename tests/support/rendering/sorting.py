@@ -97,18 +97,18 @@ class Bench:
         self.device.write(self.columns[0].keys, keys)
         self.device.write(self.columns[0].values, np.arange(len(keys), dtype=np.uint32))
         if self.digits is not None:
-            made = first_digits_reference(keys, self.digits)
+            result = first_digits_reference(keys, self.digits)
             columns = self.histograms[0].size // (4 * self.digits.values)
-            table = np.pad(made, [(0, 0), (0, columns - made.shape[1])])
+            table = np.pad(result, [(0, 0), (0, columns - result.shape[1])])
             self.device.write(self.histograms[0], table)
         encoder = self.device.raw.create_command_encoder()
         run(encoder, self.steps, "sort")
         self.device.raw.queue.submit([encoder.finish()])
-        kept = int(self.device.read(self.counts, np.uint32, 2)[Counts.VISIBLE])
+        retained = int(self.device.read(self.counts, np.uint32, 2)[Counts.VISIBLE])
         keys_out, values_out = self.columns[self.at]
         return (
-            self.device.read(keys_out, np.uint32, kept),
-            self.device.read(values_out, np.uint32, kept),
+            self.device.read(keys_out, np.uint32, retained),
+            self.device.read(values_out, np.uint32, retained),
         )
 
 

@@ -59,10 +59,10 @@ def turned(angle: float, axis: tuple[float, float, float], scale: object = 1.0) 
     """A rotation times a scale, as [4, 4]."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    made = np.eye(4)
-    made[:3, :3] = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    made[:3, :3] = made[:3, :3] @ np.diag(np.broadcast_to(scale, 3))
-    return made
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    matrix[:3, :3] = matrix[:3, :3] @ np.diag(np.broadcast_to(scale, 3))
+    return matrix
 
 
 @named
@@ -222,18 +222,18 @@ def placed() -> tuple[Scene, Camera]:
 
 @named
 def seen_from_elsewhere() -> tuple[Scene, Camera]:
-    there = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
-    return Scene([cloud(250, 46, degree=3)]), there
+    other_view = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
+    return Scene([cloud(250, 46, degree=3)]), other_view
 
 
 @named
 def flat_cameras() -> tuple[Scene, Camera]:
     """An orthographic camera; harmonics see one direction, in a set that is turned and sheared."""
-    there = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
+    other_view = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
     sheared = turned(0.4, (1, 2, 3), (1, 1.4, 0.8))
     sheared[:3, 3] = 0.5, 0.2, 0.3
     sets = [SplatSet(cloud(200, 48, degree=3), sheared), cloud(100, 49, size=0.2)]
-    return Scene(sets), there.flattened(6.0)
+    return Scene(sets), other_view.flattened(6.0)
 
 
 @named
@@ -244,10 +244,10 @@ def far_from_the_origin() -> tuple[Scene, Camera]:
     here = camera()
     view = np.eye(4)
     view[:3, 3] = -away[:3, 3]
-    there = Camera(
+    other_view = Camera(
         view, fx=here.fx, fy=here.fy, cx=here.cx, cy=here.cy, width=here.width, height=here.height
     )
-    return Scene([SplatSet(cloud(200, 47, degree=3), away)]), there
+    return Scene([SplatSet(cloud(200, 47, degree=3), away)]), other_view
 
 
 def all_around(n: int, seed: int, degree: int | None = None, **kind: object) -> SplatData:

@@ -48,8 +48,8 @@ class Hand:
     def drag(
         self, start: tuple[float, float], end: tuple[float, float], button: int = 1, *held: str
     ) -> None:
-        for kind, place in (("down", start), ("move", end), ("up", end)):
-            self.send(f"pointer_{kind}", x=place[0], y=place[1], button=button, modifiers=held)
+        for kind, point in (("down", start), ("move", end), ("up", end)):
+            self.send(f"pointer_{kind}", x=point[0], y=point[1], button=button, modifiers=held)
 
     def send(self, kind: str, **words: Any) -> None:
         self.canvas.submit_event({"event_type": kind, **words})
@@ -58,10 +58,10 @@ class Hand:
     def look(self, seconds: float = 0.0) -> np.ndarray:
         """Return the picture after so many seconds."""
         self.now += seconds
-        made = np.asarray(self.canvas.draw())
+        result = np.asarray(self.canvas.draw())
         if (error := self.failure()) is not None:
             raise error
-        return made.astype(int)
+        return result.astype(int)
 
     def settled(self, seconds: float = 0.0) -> np.ndarray:
         """Return the picture once what was begun is there."""
@@ -72,9 +72,9 @@ class Hand:
     def bare(self) -> np.ndarray:
         """Return the picture without numbers over it."""
         self.key("i")
-        made = self.settled()
+        result = self.settled()
         self.key("i")
-        return made
+        return result
 
 
 def round_cloud() -> SplatData:

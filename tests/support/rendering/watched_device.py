@@ -12,9 +12,9 @@ from gsgen.runtime.gpu.device import Device
 class _Watched:
     """Stands before a wgpu device, and notes which objects it is asked to make."""
 
-    def __init__(self, raw: Any, made: list[str]) -> None:
+    def __init__(self, raw: Any, result: list[str]) -> None:
         self._raw = raw
-        self._made = made
+        self._made = result
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("create_") and name != "create_command_encoder":  # one a frame
@@ -24,6 +24,6 @@ class _Watched:
 
 def watched(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Return a list that grows with each object that a device is asked for from now on."""
-    made: list[str] = []
-    monkeypatch.setattr(device, "raw", _Watched(device.raw, made))
-    return made
+    results: list[str] = []
+    monkeypatch.setattr(device, "raw", _Watched(device.raw, results))
+    return results

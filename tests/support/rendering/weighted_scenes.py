@@ -234,8 +234,8 @@ def placed_cells() -> tuple[Scene, Camera]:
 
 @named
 def cells_seen_flat() -> tuple[Scene, Camera]:
-    there = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
-    return Scene([summed(celled(100, seed=34, degree=3))]), there.flattened(6.0)
+    other_view = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
+    return Scene([summed(celled(100, seed=34, degree=3))]), other_view.flattened(6.0)
 
 
 @named

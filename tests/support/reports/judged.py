@@ -34,9 +34,9 @@ _WAIVERS = (
 @cache
 def part_of_the_catalogue() -> Registry:
     """The chosen rules, in order of the catalogue; what else they need is left out."""
-    rules = [one for one in installed_rules().rules.values() if one.id in _CHOSEN]
+    rules = [rule for rule in installed_rules().rules.values() if rule.id in _CHOSEN]
     return Registry.of(
-        replace(one, needs=tuple(need for need in one.needs if need in _CHOSEN)) for one in rules
+        replace(rule, needs=tuple(need for need in rule.needs if need in _CHOSEN)) for rule in rules
     )
 
 

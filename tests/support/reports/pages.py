@@ -44,8 +44,8 @@ def name_of(page: Path) -> str:
 
 def blocks(page: Path) -> list[Block]:
     """Return the marked code blocks of a page, in order."""
-    found = _BLOCK.finditer(page.read_text("utf-8"))
-    return [Block(one["mark"], one["language"], one["text"]) for one in found]
+    actual = _BLOCK.finditer(page.read_text("utf-8"))
+    return [Block(entry["mark"], entry["language"], entry["text"]) for entry in actual]
 
 
 def links(page: Path) -> list[str]:
@@ -61,5 +61,5 @@ def anchors(page: Path) -> set[str]:
 
 
 def _slug(heading: str) -> str:
-    plain = re.sub(r"[^\w\s-]", "", heading).strip().lower()
-    return re.sub(r"[-\s]+", "-", plain)
+    original = re.sub(r"[^\w\s-]", "", heading).strip().lower()
+    return re.sub(r"[-\s]+", "-", original)

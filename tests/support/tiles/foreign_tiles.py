@@ -48,11 +48,11 @@ def gltf(
     else:
         columns[prefix + "OPACITY"] = splats["opacity"]
         degree = math.isqrt(splats["sh"].shape[1]) - 1
-        at = 0
+        offset = 0
         for band in range(degree + 1):
             for index in range(2 * band + 1):
-                columns[f"{prefix}SH_DEGREE_{band}_COEF_{index}"] = splats["sh"][:, at]
-                at += 1
+                columns[f"{prefix}SH_DEGREE_{band}_COEF_{index}"] = splats["sh"][:, offset]
+                offset += 1
     body, views, accessors, attributes = b"", [], [], {}
     kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
     for name, values in columns.items():
@@ -165,8 +165,10 @@ def turned_up(positions: np.ndarray) -> np.ndarray:
 
 
 def moved(positions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    wide = np.asarray(matrix, np.longdouble)
-    return np.asarray(positions, np.longdouble) @ wide[:3, :3].T + wide[:3, 3]
+    double_precision = np.asarray(matrix, np.longdouble)
+    return (
+        np.asarray(positions, np.longdouble) @ double_precision[:3, :3].T + double_precision[:3, 3]
+    )
 
 
 def east_north_up(longitude: float, latitude: float, height: float) -> np.ndarray:

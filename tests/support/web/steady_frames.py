@@ -66,9 +66,9 @@ def steady_frames(page: Any, count: int, *, are_executed: bool = True) -> Steady
     page.evaluate(_SCRIPT, [2, True])
     profiler = page.context.new_cdp_session(page)
     before = _heap_bytes(profiler)
-    made, in_flight = page.evaluate(_SCRIPT, [count, are_executed])
+    result, in_flight = page.evaluate(_SCRIPT, [count, are_executed])
     growth = _heap_bytes(profiler) - before
-    return SteadyFrames(made=made, in_flight=in_flight, heap_growth=growth)
+    return SteadyFrames(made=result, in_flight=in_flight, heap_growth=growth)
 
 
 def _heap_bytes(profiler: Any) -> int:

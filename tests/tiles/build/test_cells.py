@@ -24,11 +24,11 @@ def code_oracle(position, cube):
 def test_codes_are_interleaved_bits(origin):
     rng = np.random.default_rng(1)
     position = (rng.normal(size=(50, 3)) * 7 + origin).astype(np.float32)
-    wide = position.astype(np.float64)
-    cube = Cube.enclosing(wide.min(axis=0), wide.max(axis=0))
+    double_precision = position.astype(np.float64)
+    cube = Cube.enclosing(double_precision.min(axis=0), double_precision.max(axis=0))
     codes = morton_codes(position, cube)
     assert codes.tolist() == [code_oracle(row, cube) for row in position]
-    for row, code in zip(wide, codes.tolist(), strict=True):
+    for row, code in zip(double_precision, codes.tolist(), strict=True):
         for depth in (0, 3, 9):
             cell = cube.cell(depth, code >> 3 * (DEPTH - depth))
             low = np.asarray(cell.low) - 1e-9 * cube.side
@@ -89,11 +89,11 @@ def clusters_oracle(members, depth, count):
     alone = []
     for row in sorted(range(len(members)), key=lambda row: (-members.mass[row], row)):
         cell = cells[members.code[row].item() >> 3 * (DEPTH - depth)]
-        if len(alone) + len([rest for rest in cells.values() if rest]) + (len(cell) > 1) > count:
+        if len(alone) + len([cell for cell in cells.values() if cell]) + (len(cell) > 1) > count:
             break
         alone.append(row)
         cell.remove(row)
-    return alone, [sorted(rest) for rest in cells.values() if rest]
+    return alone, [sorted(cell) for cell in cells.values() if cell]
 
 
 @pytest.mark.parametrize("seed", range(4))

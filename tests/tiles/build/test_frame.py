@@ -30,28 +30,28 @@ def test_down_in_the_scene_is_down_in_the_world():
         ((0.0, 51.4778, 45.0), (3980631.40, 0.0, 4966859.19)),
     ],
 )
-def test_the_origin_is_on_the_globe(place, expected):
-    longitude, latitude, height = place
+def test_the_origin_is_on_the_globe(geodetic, expected):
+    longitude, latitude, height = geodetic
     origin = matrix(globe_transform(longitude, latitude, height))[:3, 3]
     np.testing.assert_allclose(origin, expected, atol=25)
 
 
-@pytest.mark.parametrize("place", [(12, 48, 500), (-179.9, -33, 0), (180, 89.9, -50)])
-def test_axes_point_east_north_and_up(place):
-    transform = matrix(globe_transform(*place))
+@pytest.mark.parametrize("geodetic", [(12, 48, 500), (-179.9, -33, 0), (180, 89.9, -50)])
+def test_axes_point_east_north_and_up(geodetic):
+    transform = matrix(globe_transform(*geodetic))
     up = -transform[:3, 1]  # −y of the scene
     step = 1e-4
-    east = matrix(globe_transform(place[0] - step, *place[1:]))[:3, 3] - transform[:3, 3]
-    above = matrix(globe_transform(*place[:2], place[2] + 1))[:3, 3] - transform[:3, 3]
+    east = matrix(globe_transform(geodetic[0] - step, *geodetic[1:]))[:3, 3] - transform[:3, 3]
+    above = matrix(globe_transform(*geodetic[:2], geodetic[2] + 1))[:3, 3] - transform[:3, 3]
     np.testing.assert_allclose(above, up, atol=1e-6)
     np.testing.assert_allclose(-east / np.linalg.norm(east), transform[:3, 0], atol=1e-5)
     np.testing.assert_allclose(np.linalg.det(transform), 1, rtol=1e-12)
 
 
-@pytest.mark.parametrize("place", [(181, 0, 0), (0, 91, 0), (0, 0, 2e7), (float("nan"), 0, 0)])
-def test_invalid_longitude_or_latitude_is_refused(place):
+@pytest.mark.parametrize("geodetic", [(181, 0, 0), (0, 91, 0), (0, 0, 2e7), (float("nan"), 0, 0)])
+def test_invalid_longitude_or_latitude_is_refused(geodetic):
     with pytest.raises(ConfigInvalid):
-        globe_transform(*place)
+        globe_transform(*geodetic)
 
 
 def test_a_transform_is_read_by_rows_or_by_columns(tmp_path):

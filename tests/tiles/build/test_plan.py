@@ -46,10 +46,10 @@ def test_every_splat_is_in_one_partition(seed, leaf):
     anchors = rng.integers(0, 12, count)
     cells, counts = np.unique(location_codes(codes, anchors, depth), return_counts=True)
     partitions, top = make_partitions(cells, counts, limit, leaf)
-    held = partition_of(codes, anchors, partitions)
-    assert (held >= 0).all()
+    partition_index = partition_of(codes, anchors, partitions)
+    assert (partition_index >= 0).all()
     np.testing.assert_array_equal(
-        np.bincount(held, minlength=len(partitions)), [part.count for part in partitions]
+        np.bincount(partition_index, minlength=len(partitions)), [part.count for part in partitions]
     )
     for part in partitions:
         assert part.above in (*top, 0)
@@ -57,7 +57,7 @@ def test_every_splat_is_in_one_partition(seed, leaf):
         assert part.count <= limit or part.anchored or not divisible
         if len(part.locations) > 1:
             assert part.count <= leaf
-        for row in np.flatnonzero(held == part.index)[:20].tolist():
+        for row in np.flatnonzero(partition_index == part.index)[:20].tolist():
             code, anchor = int(codes[row]), int(anchors[row])
             level = depth_of(part.locations[0])
             assert location_oracle(code, 99, level) in part.locations

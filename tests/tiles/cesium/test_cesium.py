@@ -62,14 +62,14 @@ def test_every_tile_loads_and_the_scene_stands_upright(
         sketch.document["root"]["transform"] = globe.T.ravel().tolist()
         tiles, leaves = 8, 4
     sketch.write(tmp_path / "tileset.json")
-    seen = viewer.view(tmp_path)
-    assert (seen.failed, seen.errors) == ([], [])
-    files = {name for name in seen.loaded if name.endswith(".glb")}
+    view_report = viewer.view(tmp_path)
+    assert (view_report.failed, view_report.errors) == ([], [])
+    files = {name for name in view_report.loaded if name.endswith(".glb")}
     assert files == {name for name in sketch.files if name.endswith(".glb")}
     assert len(files) == tiles
-    assert seen.splats == leaves * 3 * _EACH
-    Image.fromarray(seen.picture).save(tmp_path / "seen.png")
-    red, green, blue = np.moveaxis(seen.picture.astype(int), 2, 0)
+    assert view_report.splats == leaves * 3 * _EACH
+    Image.fromarray(view_report.picture).save(tmp_path / "seen.png")
+    red, green, blue = np.moveaxis(view_report.picture.astype(int), 2, 0)
     towers = (red > 120) & (green < 90) & (blue < 90)
     ground = (green > 120) & (red < 90) & (blue < 90)
     arrows = (blue > 120) & (red < 90) & (green < 120)
@@ -83,15 +83,15 @@ def test_viewer_reports_a_tile_that_does_not_load(viewer: Viewer, tmp_path: Path
     sketch.write(tmp_path / "tileset.json")
     name = sketch.document["root"]["children"][0]["content"]["uri"]
     (tmp_path / name).unlink()
-    seen = viewer.view(tmp_path)
-    assert [url for url in seen.failed if name in url]
+    view_report = viewer.view(tmp_path)
+    assert [url for url in view_report.failed if name in url]
 
 
 def test_the_first_draft_is_drawn_as_points(viewer: Viewer, tmp_path: Path) -> None:
     """GT007 is right: without the required extensions, five splats are five dots."""
     write(tmp_path, first_draft.five_splats())
-    seen = viewer.view(tmp_path)
-    assert (seen.failed, seen.errors, seen.splats) == ([], [], 0)
-    assert seen.loaded == ["0/0.gltf"]
-    _, dots = label(seen.picture.max(axis=2) > 20, structure=np.ones((3, 3)))
+    view_report = viewer.view(tmp_path)
+    assert (view_report.failed, view_report.errors, view_report.splats) == ([], [], 0)
+    assert view_report.loaded == ["0/0.gltf"]
+    _, dots = label(view_report.picture.max(axis=2) > 20, structure=np.ones((3, 3)))
     assert dots == 5

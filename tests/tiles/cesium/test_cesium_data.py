@@ -46,8 +46,8 @@ def test_the_first_draft_is_named_in_the_report(tmp_path: Path) -> None:
 
     A radius of 3σ is more than its box, which counts only for tilesets of gsgen's profile.
     """
-    found = findings(foreign.write(tmp_path, first_draft.five_splats()))
-    assert found == {"GT003": "possible", "GT007": "confirmed", "GT019": "confirmed"}
+    actual = findings(foreign.write(tmp_path, first_draft.five_splats()))
+    assert actual == {"GT003": "possible", "GT007": "confirmed", "GT019": "confirmed"}
 
 
 @pytest.mark.parametrize("legacy", [False, True])

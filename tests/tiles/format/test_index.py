@@ -90,8 +90,8 @@ def test_an_implicit_octree_says_what_its_records_say(tmp_path: Path) -> None:
 
 
 def test_oversized_tiles_stand_beside_the_tree(tmp_path: Path) -> None:
-    wide = ContentRecord(uri="w.glb", size=1, low=corner(-9, 0, 0), high=corner(9, 1, 1))
-    large = record(0, (0, 0, 0), oversized=True, contents=(wide,), splats=1)
+    content_record = ContentRecord(uri="w.glb", size=1, low=corner(-9, 0, 0), high=corner(9, 1, 1))
+    large = record(0, (0, 0, 0), oversized=True, contents=(content_record,), splats=1)
     tree = ContentRecord(uri="t/0/0_0_0-q0.glb", size=1, low=corner(0, 0, 0), high=corner(1, 1, 1))
     root = record(0, (0, 0, 0), contents=(tree,), children=(replace(large, geometric_error=0),))
     path = tmp_path / "tileset.json"

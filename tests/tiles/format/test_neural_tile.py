@@ -156,8 +156,8 @@ def test_each_broken_promise_is_named(change, message: str, tmp_path: Path) -> N
     sketch.write(tmp_path / "tileset.json")
     report = validate(tmp_path / "tileset.json")
     assert {finding.rule for finding in report.findings} == {"GT020"}
-    told = " ".join(f"{f.where} {f.message}" for f in report.findings)
-    assert message in told, told
+    reported = " ".join(f"{f.where} {f.message}" for f in report.findings)
+    assert message in reported, reported
 
 
 def on_the_globe(sketch: Any, margin: float) -> None:

@@ -101,11 +101,11 @@ def test_ecef_with_harmonics_and_nested_transforms(tmp_path: Path, spz: bool) ->
     path = foreign.write(
         tmp_path, {"tileset.json": foreign.tileset(root, extensions), "a b/one.glb": content}
     )
-    at = foreign.turned_up(foreign.moved(cloud["position"], node))
-    expected = foreign.moved(foreign.moved(at, inner), globe)
-    found = on_globe(path)
-    assert found.shape == (foreign.COUNT, 3)
-    assert float(np.abs(found - expected).max()) < 0.005
+    positions = foreign.turned_up(foreign.moved(cloud["position"], node))
+    expected = foreign.moved(foreign.moved(positions, inner), globe)
+    actual = on_globe(path)
+    assert actual.shape == (foreign.COUNT, 3)
+    assert float(np.abs(actual - expected).max()) < 0.005
     assert conforms(path)
 
 
@@ -258,8 +258,8 @@ def test_ellipsoids_and_colours_turn_with_the_axes(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     direction = rng.normal(size=(foreign.COUNT, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    seen = evaluate(cloud["sh"], direction)
-    assert np.abs(evaluate(leaves.sh, direction @ turn.T) - seen).max() < 1e-5
+    actual = evaluate(cloud["sh"], direction)
+    assert np.abs(evaluate(leaves.sh, direction @ turn.T) - actual).max() < 1e-5
 
 
 def test_names_of_drafts_are_read_with_a_notice(tmp_path: Path) -> None:

@@ -26,17 +26,17 @@ def test_info_counts_tiles_splats_and_bytes_of_the_files(tmp_path: Path, make, l
     sketch.write(path)
     done = gsgen_here("tiles", "info", path, "--json")
     assert done.code == 0, done.err
-    told = json.loads(done.out)
-    assert set(KEYS) | {"transform"} <= told.keys()
-    found = counted(tmp_path)
-    assert sum(level["tiles"] for level in told["levels"]) == found["files"]
-    assert told["bytes"] == sum(level["bytes"] for level in told["levels"])
-    assert told["bytes"] == found["bytes"]
-    assert len(told["levels"]) == levels
-    assert told["leaf_splats"] == sketch.document["metadata"]["properties"]["source_splats"]
-    assert told["sh_degree"] == 1
+    document = json.loads(done.out)
+    assert set(KEYS) | {"transform"} <= document.keys()
+    actual = counted(tmp_path)
+    assert sum(level["tiles"] for level in document["levels"]) == actual["files"]
+    assert document["bytes"] == sum(level["bytes"] for level in document["levels"])
+    assert document["bytes"] == actual["bytes"]
+    assert len(document["levels"]) == levels
+    assert document["leaf_splats"] == sketch.document["metadata"]["properties"]["source_splats"]
+    assert document["sh_degree"] == 1
     text = gsgen_here("tiles", "info", path)
-    assert f"{told['splats']:,} splats" in text.out
+    assert f"{document['splats']:,} splats" in text.out
 
 
 def test_without_metadata_the_headers_say_the_same(tmp_path: Path) -> None:

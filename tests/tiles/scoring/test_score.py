@@ -35,8 +35,8 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
     words = ("tiles", "score", folder, scene, "-o", picture, "--width", "96", "--height", "64")
     done = gsgen_here(*words, "--json")
     assert done.code == 0, done.err
-    told = json.loads(done.out)
-    root, leaves = told["levels"]
+    document = json.loads(done.out)
+    root, leaves = document["levels"]
     assert (root["tiles"], root["splats"]) == (1, 16)
     assert (leaves["tiles"], leaves["splats"]) == (2, 48)
     assert leaves["bytes"] == sum(file.stat().st_size for file in (folder / "t/1").iterdir())

@@ -46,7 +46,7 @@ def random_camera(rng: np.random.Generator, kind: str) -> Camera:
 @pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
 def test_no_box_with_a_visible_point_is_culled(kind: str) -> None:
     rng = np.random.default_rng(0)
-    kept = seen = 0
+    kept_count = actual = 0
     for _ in range(40):
         camera = random_camera(rng, kind)
         center, half = random_boxes(rng, 50)
@@ -55,9 +55,11 @@ def test_no_box_with_a_visible_point_is_culled(kind: str) -> None:
         visible = inside(camera, points.reshape(-1, 3)).reshape(50, 200).any(axis=1)
         meets = Frustum.from_camera(camera).meets(center, half)
         assert not (visible & ~meets).any()
-        kept += meets.sum()
-        seen += visible.sum()
-    assert seen <= kept < 1.6 * seen  # it does cull: a test that keeps all would keep 2000
+        kept_count += meets.sum()
+        actual += visible.sum()
+    assert (
+        actual <= kept_count < 1.6 * actual
+    )  # it does cull: a test that keeps all would keep 2000
 
 
 def test_a_box_behind_is_culled_and_one_around_the_camera_is_seen() -> None:
@@ -162,14 +164,14 @@ def test_a_cut_is_that_of_a_walk_from_the_root() -> None:
     index = {id(tile): row for row, tile in enumerate(tree.tiles)}
     for _ in range(20):
         frustum = Frustum.from_camera(random_camera(rng, "pinhole"))
-        seen, wanted = [], []
+        actual, expected = [], []
 
-        def walk(tile: Tile, frustum=frustum, seen=seen, wanted=wanted) -> None:
+        def walk(tile: Tile, frustum=frustum, actual=actual, expected=expected) -> None:
             row = index[id(tile)]
             box = tile.volume
             if not frustum.meets(box.center[None], box.half_axes[None])[0]:
                 return
-            seen.append(row)
+            actual.append(row)
             gap = np.maximum(np.abs(frustum.eye - box.center) - np.diag(box.half_axes), 0)
             distance = np.linalg.norm(gap)
             error = tile.geometric_error * frustum.focal
@@ -177,27 +179,27 @@ def test_a_cut_is_that_of_a_walk_from_the_root() -> None:
                 for child in tile.children:
                     walk(child)
             else:
-                wanted.append(row)
+                expected.append(row)
 
         walk(tree.tiles[0])
         cut = cut_tree(tree, frustum, 16.0)
-        assert np.flatnonzero(cut.seen).tolist() == sorted(seen)
-        assert np.flatnonzero(cut.wanted).tolist() == sorted(wanted)
+        assert np.flatnonzero(cut.seen).tolist() == sorted(actual)
+        assert np.flatnonzero(cut.wanted).tolist() == sorted(expected)
         order = request_order(tree, cut).tolist()
-        key = {row: (tree.level[row], -cut.error[row], row) for row in seen}
-        assert order == sorted(seen, key=key.get)
+        key = {row: (tree.level[row], -cut.error[row], row) for row in actual}
+        assert order == sorted(actual, key=key.get)
 
 
 def test_volumes_of_every_kind_become_boxes_that_hold_them() -> None:
     rng = np.random.default_rng(5)
     sphere = Sphere(rng.normal(size=3), 2.0)
     region = Region(west=0.2, south=0.5, east=0.22, north=0.53, minimum=-5, maximum=300)
-    wide = Region(west=-2, south=-1, east=2, north=1, minimum=0, maximum=50)
+    wide_region = Region(west=-2, south=-1, east=2, north=1, minimum=0, maximum=50)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation(rng) * 2, rng.normal(size=3) * 100
     globe = np.eye(4)
     globe[:3, :3], globe[:3, 3] = rotation(rng), [4e6, 1e6, 4.7e6]
-    for volume in (sphere, region, wide):
+    for volume in (sphere, region, wide_region):
         tile = Tile(location="", volume=volume, geometric_error=1, refine="ADD", transform=matrix)
         tileset = Tileset(
             name="", index="", version="1.1", geometric_error=1, transform=globe, root=tile
@@ -229,9 +231,9 @@ def test_a_moved_frustum_is_that_of_the_camera_there(kind: str) -> None:
         turn, eye = rotation_matrix(quaternion[None])[0].T, rng.normal(size=3) * 5
         view = np.eye(4)
         view[:3, :3], view[:3, 3] = turn, -turn @ eye
-        there = Frustum.from_camera(replace(camera, view=view))
+        reference = Frustum.from_camera(replace(camera, view=view))
         moved = Frustum.from_camera(camera).moved(eye, quaternion)
-        np.testing.assert_allclose(moved.planes, there.planes, atol=1e-9)
-        np.testing.assert_allclose(moved.rotation, there.rotation, atol=1e-9)
+        np.testing.assert_allclose(moved.planes, reference.planes, atol=1e-9)
+        np.testing.assert_allclose(moved.rotation, reference.rotation, atol=1e-9)
         back = matrix_quaternion(turn.T)
         np.testing.assert_allclose(abs(back @ quaternion), 1)

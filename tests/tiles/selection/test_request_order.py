@@ -52,8 +52,8 @@ def ladder_of(sizes: Sequence[Sequence[float]], worth: Sequence[float]) -> Quali
     return QualityLadder(tiles=(), size=np.array(sizes, np.float64), worth=np.array(worth))
 
 
-def cut_of(seen: Sequence[bool], error: Sequence[float]) -> Cut:
-    mask = np.array(seen)
+def cut_of(visible_mask: Sequence[bool], error: Sequence[float]) -> Cut:
+    mask = np.array(visible_mask)
     return Cut(seen=mask, wanted=mask, error=np.array(error))
 
 
@@ -143,33 +143,35 @@ def stream_at_random(seed: int) -> list[int]:
     ladder = ladder_of([[100, 40]] * count, [1, 0.5])
     link = RecordingLink(int(rng.integers(1, 7)))
     planner = RequestPlanner(tree, link, MetricsRecorder(tree.parent, tree.size), None)
-    held, loaded = np.full(count, -1), np.zeros(count, bool)
-    seen = np.ones(count, bool)
+    held_levels, loaded = np.full(count, -1), np.zeros(count, bool)
+    visible_mask = np.ones(count, bool)
     for frame in range(80):
         if frame % 8 == 0:
-            seen = rng.uniform(size=count) < 0.8
-            seen[0] = True
+            visible_mask = rng.uniform(size=count) < 0.8
+            visible_mask[0] = True
             for row in range(1, count):
-                seen[row] &= seen[tree.parent[row]]
-        cut = cut_of(seen, rng.uniform(0, 50, count))
+                visible_mask[row] &= visible_mask[tree.parent[row]]
+        cut = cut_of(visible_mask, rng.uniform(0, 50, count))
         planner.frame(Pose(float(frame), EYE, np.array([1.0, 0, 0, 0])), cut, loaded)
         before = len(link.requests)
-        planner.fill(loaded, finer_file_order(tree, ladder, held, seen & loaded, EYE).tolist())
+        planner.fill(
+            loaded, finer_file_order(tree, ladder, held_levels, visible_mask & loaded, EYE).tolist()
+        )
         requests = link.requests[before:]
         assert loaded[0] or set(link.requests) <= {0}
-        if (seen & ~loaded).any():
-            assert all(seen[tile] and not loaded[tile] for tile in requests)
+        if (visible_mask & ~loaded).any():
+            assert all(visible_mask[tile] and not loaded[tile] for tile in requests)
             key = [(tree.level[tile], -cut.error[tile], tile) for tile in requests]
             assert key == sorted(key)
         else:
-            assert all(held[tile] == 1 for tile in requests)
+            assert all(held_levels[tile] == 1 for tile in requests)
         for tile in list(link.active):
             if rng.uniform() < 0.5:
                 link.active.remove(tile)
-                held[tile] = 0 if loaded[tile] else 1
+                held_levels[tile] = 0 if loaded[tile] else 1
                 loaded[tile] = True
                 planner.arrive(tile, float(frame))
-    assert (held == 0).any()
+    assert (held_levels == 0).any()
     return link.requests
 
 

@@ -61,7 +61,7 @@ def look(tiles: list[dict], row: list[float], view: dict) -> tuple[list[int], se
     eye, quaternion = row[1:4], row[4:8]
     slope_y = math.tan(math.radians(view["fov"]) / 2)
     slope_x = slope_y * view["width"] / view["height"]
-    seen, wanted, errors = [], set(), {}
+    actual, expected, errors = [], set(), {}
     pending = [0]
     while pending:
         index = pending.pop()
@@ -93,13 +93,13 @@ def look(tiles: list[dict], row: list[float], view: dict) -> tuple[list[int], se
             error = math.inf
         else:
             error = tile["error"] * view["height"] / (2 * distance * slope_y)
-        seen.append(index)
+        actual.append(index)
         errors[index] = error
         if tile["children"] and error > view["sse"]:
             pending += tile["children"]
         else:
-            wanted.add(index)
-    return seen, wanted, errors
+            expected.add(index)
+    return actual, expected, errors
 
 
 def finish_time(trace: list[list[float]], start: float, size: float) -> float:
@@ -127,14 +127,14 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
     link: tuple[float, int] | None = None
     entries: list[dict] = []
     before: set[int] = set()
-    seen: list[int] = []
+    recorded: list[int] = []
     errors: dict[int, float] = {}
     received = requests = holes = good = 0
     first_good = None
 
     def ask(now: float) -> tuple[float, int] | None:
         nonlocal requests
-        missing = [index for index in seen if index not in loaded]
+        missing = [index for index in recorded if index not in loaded]
         if not missing:
             return None
         best = min(missing, key=lambda i: (tiles[i]["level"], -errors[i], i))
@@ -151,19 +151,19 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
                 if entry["tile"] == index and entry["delay"] is None:
                     entry["delay"] = time - entry["time"]
             link = ask(time)
-        seen, wanted, errors = look(tiles, row, view)
-        unseen -= set(seen)
-        for index in sorted(wanted - before):
+        recorded, expected, errors = look(tiles, row, view)
+        unseen -= set(recorded)
+        for index in sorted(expected - before):
             hit = index in loaded
             entries.append(
                 {"tile": index, "time": row[0], "hit": hit, "delay": 0.0 if hit else None}
             )
-        before = wanted
-        there = len(wanted & loaded)
-        if there >= 0.9 * len(wanted):
+        before = expected
+        loaded_count = len(expected & loaded)
+        if loaded_count >= 0.9 * len(expected):
             good += 1
             first_good = row[0] - rows[0][0] if first_good is None else first_good
-        for index in wanted:
+        for index in expected:
             while index >= 0 and index not in loaded:
                 index = tiles[index]["parent"]
             if index < 0:

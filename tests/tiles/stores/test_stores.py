@@ -41,13 +41,13 @@ def served(folder: Path, faults: NetworkFaults | None = None) -> Iterator[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    place = tmp_path / "files"
-    (place / "t").mkdir(parents=True)
-    (place / "t" / "a b.glb").write_bytes(BODY)
-    (place / "empty.bin").write_bytes(b"")
-    (place / "tileset.json").write_bytes(b"{}")
+    files_folder = tmp_path / "files"
+    (files_folder / "t").mkdir(parents=True)
+    (files_folder / "t" / "a b.glb").write_bytes(BODY)
+    (files_folder / "empty.bin").write_bytes(b"")
+    (files_folder / "tileset.json").write_bytes(b"{}")
     (tmp_path / "secret.txt").write_bytes(b"not for you")
-    return place
+    return files_folder
 
 
 @pytest.fixture(params=["folder", "zip", "deflated", "http"])
@@ -132,13 +132,13 @@ def test_a_tileset_is_the_same_from_every_store(tmp_path: Path, make) -> None:
     assert np.array_equal(read_leaves(archive).position, leaves.position)
     assert np.array_equal(read_leaves(path.parent).sh, leaves.sh)
     with served(path.parent) as address:
-        found = read_leaves(f"{address}tileset.json")
+        actual = read_leaves(f"{address}tileset.json")
         served_archive = Path(f"{address}town.3tz")  # as the command line hands it over
         archive.rename(path.parent / "town.3tz")
         packed = read_leaves(served_archive)
         with pytest.raises(ContentMissing, match="404"):
             open_store(f"{address}none.3tz")
-    assert np.array_equal(found.position, leaves.position)
+    assert np.array_equal(actual.position, leaves.position)
     assert np.array_equal(packed.position, leaves.position)
 
 

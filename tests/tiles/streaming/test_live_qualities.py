@@ -65,10 +65,10 @@ def test_no_file_is_finer_than_the_index_that_was_opened(
 
 
 def test_there_is_no_ladder_without_all_its_tilesets(town: Path, tmp_path: Path) -> None:
-    for kept in (("tileset-q0.json", "tileset-q2.json"), ()):
-        folder = tmp_path / str(len(kept))
+    for file_names in (("tileset-q0.json", "tileset-q2.json"), ()):
+        folder = tmp_path / str(len(file_names))
         folder.mkdir()
-        for name in ("tileset.json", *kept):
+        for name in ("tileset.json", *file_names):
             (folder / name).write_bytes((town / name).read_bytes())
         store = FolderStore(folder)
         assert load_ladder(store, "tileset.json", load_tileset(store, "tileset.json")) is None
@@ -100,7 +100,7 @@ def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path, tmp_path:
             break
         session.wait(0.05)
     assert frame.is_complete
-    assert {tile: found[0] for tile, found in qualities.items()} == dict.fromkeys(qualities, 2)
+    assert {tile: quality[0] for tile, quality in qualities.items()} == dict.fromkeys(qualities, 2)
     store = FolderStore(town)
     tileset = load_tileset(store, "tileset-q0.json")
     reader = ContentReader(store, tileset, TileTree.of_tileset(tileset, store), None)

@@ -23,12 +23,12 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> TileTree:
 
 def random_cut(rng: np.random.Generator, tree: TileTree) -> Cut:
     refined = (rng.uniform(size=len(tree)) < 0.6) & ~tree.is_leaf
-    seen = rng.uniform(size=len(tree)) < 0.8
-    seen[0] = True
+    visible_mask = rng.uniform(size=len(tree)) < 0.8
+    visible_mask[0] = True
     for rows in tree.rows_of_level[1:]:
         above = tree.parent[rows]
-        seen[rows] &= seen[above] & refined[above]
-    return Cut(seen, seen & ~refined, np.zeros(len(tree)))
+        visible_mask[rows] &= visible_mask[above] & refined[above]
+    return Cut(visible_mask, visible_mask & ~refined, np.zeros(len(tree)))
 
 
 def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree) -> None:
@@ -36,12 +36,12 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
     slots = rng.integers(1, 6, len(tree))
     capacity = 40
     pool = ResidentTiles(tree, slots, capacity)
-    there: set[int] = set()
+    present: set[int] = set()
     needed_rows: list[int] = []
     evictions = refusals = 0
     for event in range(10_000):
         if event % 7 == 0:
-            needed_rows = rng.permutation(sorted(there))[: rng.integers(0, 20)].tolist()
+            needed_rows = rng.permutation(sorted(present))[: rng.integers(0, 20)].tolist()
             needed = np.isin(np.arange(len(tree)), needed_rows)
             pool.frame(float(event), needed)
         tile = int(rng.integers(len(tree)))
@@ -52,9 +52,9 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
             evictions += len(victims)
             assert len(set(victims)) == len(victims)
             assert tile not in victims
-            there = (there - set(victims)) | {tile}
-        assert there == set(np.flatnonzero(pool.resident).tolist())
-        assert pool.used_slots == slots[sorted(there)].sum() <= capacity
+            present = (present - set(victims)) | {tile}
+        assert present == set(np.flatnonzero(pool.resident).tolist())
+        assert pool.used_slots == slots[sorted(present)].sum() <= capacity
         protected = {0}.union(*({row, *tree.ancestors(row)} for row in needed_rows))
         assert not protected & set(victims or ())
     assert evictions > 1000
@@ -120,38 +120,38 @@ def test_drawable_tiles_equal_those_of_a_recursive_walk(tree: TileTree) -> None:
 
 def test_a_replacement_fades_and_a_tile_that_comes_into_view_does_not(tree: TileTree) -> None:
     fades = Fades(tree, 0.25)
-    seen = np.ones(len(tree), bool)
+    visible_mask = np.ones(len(tree), bool)
     drawn = np.zeros(len(tree), bool)
     drawn[0] = True
-    fades.frame(0.0, drawn, seen)
+    fades.frame(0.0, drawn, visible_mask)
     assert fades.values[0] == 1
     children = np.flatnonzero(tree.parent == 0)
     replaced = np.zeros(len(tree), bool)
     replaced[children] = True
     values = []
     for time in np.arange(1, 8) * 0.05:
-        fades.frame(time, replaced, seen)
+        fades.frame(time, replaced, visible_mask)
         sums = fades.values[children] + fades.values[0]
         np.testing.assert_allclose(sums, 1)
         values.append(float(fades.values[0]))
     np.testing.assert_allclose(values, [0.8, 0.6, 0.4, 0.2, 0, 0, 0], atol=1e-9)
     assert fades.is_settled
     # One leaves the view, and comes back: at once, both times.
-    gone, hidden = replaced.copy(), seen.copy()
+    gone, hidden = replaced.copy(), visible_mask.copy()
     gone[children[0]] = hidden[children[0]] = False
     fades.frame(0.4, gone, hidden)
     assert fades.values[children[0]] == 0
-    fades.frame(0.41, replaced, seen)
+    fades.frame(0.41, replaced, visible_mask)
     assert fades.values[children[0]] == 1
     # The change back, interrupted half way.
-    fades.frame(0.5, drawn, seen)
+    fades.frame(0.5, drawn, visible_mask)
     middle = fades.values[0]
     assert 0 < middle < 1
-    fades.frame(0.55, replaced, seen)
+    fades.frame(0.55, replaced, visible_mask)
     assert fades.values[0] < middle
     still = Fades(tree, 0.0)
-    still.frame(0.0, drawn, seen)
-    still.frame(0.0, replaced, seen)
+    still.frame(0.0, drawn, visible_mask)
+    still.frame(0.0, replaced, visible_mask)
     assert still.is_settled
     assert still.values[0] == 0
 

@@ -36,8 +36,8 @@ def judge(tmp_path_factory: pytest.TempPathFactory):
 @pytest.mark.parametrize("fixture", BROKEN, ids=named)
 def test_a_broken_tileset_breaks_its_rule_and_no_other(fixture: Fixture, judge) -> None:
     report = judge(fixture)
-    told = [(finding.rule, str(finding.where), finding.message) for finding in report.findings]
-    assert {finding.rule for finding in report.findings} == {fixture.rule}, told
+    message = [(finding.rule, str(finding.where), finding.message) for finding in report.findings]
+    assert {finding.rule for finding in report.findings} == {fixture.rule}, message
     warns = all_rules().rules[fixture.rule].severity is Severity.WARNING
     assert report.verdict == ("conforms" if warns else "invalid")
 

@@ -31,8 +31,8 @@ def _colored(kind: str, space: str, recolor: Callable[[Scene], Array], degree: i
 
 
 def _ply(sh: Array) -> Array:
-    dc, rest = sh[:, 0], sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1)
-    return np.concatenate([dc, rest], axis=1)
+    dc, sh_rest = sh[:, 0], sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1)
+    return np.concatenate([dc, sh_rest], axis=1)
 
 
 def _planar(sh: Array) -> Array:

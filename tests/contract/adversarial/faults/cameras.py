@@ -258,8 +258,8 @@ def _culled(visible: Visible, kind: str, *, projects: bool) -> Draft:
     graph = GraphBuilder()
     view = graph.input("camera", [4, 4])
     projection = graph.input("proj", [4, 4]) if projects else ""
-    seen = visible(graph, source.position, view, projection)
-    opacity = graph.op("Mul", graph.constant(source.opacity[:, None]), seen)
+    visible_mask = visible(graph, source.position, view, projection)
+    opacity = graph.op("Mul", graph.constant(source.opacity[:, None]), visible_mask)
     parts = rows(source)
     packed = packed_by_parts(
         graph, graph.constant(parts[:, :3]), opacity, graph.constant(parts[:, 4:])

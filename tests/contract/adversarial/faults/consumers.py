@@ -207,8 +207,8 @@ def _uncapturable(kind: str) -> Draft:
     time = graph.input("time", [1])
     if kind == "NonZero":
         late = graph.op("Greater", graph.constant(np.linspace(0, 1, 64)), time)
-        found = graph.op("Shape", graph.op("NonZero", late))
-        number = graph.gather(found, [1], 0)
+        actual = graph.op("Shape", graph.op("NonZero", late))
+        number = graph.gather(actual, [1], 0)
         count = graph.cast(number, "int32")
         mask = graph.cast(graph.reshape(late, 64, 1), "float32")
         reverse = graph.constant(np.arange(63, -1, -1), "int64")

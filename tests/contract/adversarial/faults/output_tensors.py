@@ -45,9 +45,9 @@ def _outputs(
     live = graph.constant(np.full(shape_of_count, count), count_dtype)
     graph.output("num_points", live, count_shape, count_dtype)
     if without:
-        kept = [output for output in graph.proto.graph.output if output.name != without]
+        retained = [output for output in graph.proto.graph.output if output.name != without]
         del graph.proto.graph.output[:]
-        graph.proto.graph.output.extend(kept)
+        graph.proto.graph.output.extend(retained)
     return Draft(graph.proto, manifest)
 
 
@@ -229,18 +229,18 @@ def _compacted(mistake: str) -> Draft:
     source = scene("surface", seed=31)
     graph = GraphBuilder()
     view, projection = graph.input("camera", [4, 4]), graph.input("proj", [4, 4])
-    seen = inside_frustum(graph, source.position, view, projection, 0.35)
+    visible_mask = inside_frustum(graph, source.position, view, projection, 0.35)
     total = graph.cast(
-        graph.op("ReduceSum", seen, graph.constant([0, 1], "int64"), keepdims=0), "int32"
+        graph.op("ReduceSum", visible_mask, graph.constant([0, 1], "int64"), keepdims=0), "int32"
     )
     live = graph.reshape(total, 1)
     packed, color = graph.constant(rows(source)), graph.constant(sh_columns(source, 3))
     if mistake != "not compacted":
-        rank = graph.reshape(seen, 64)
+        rank = graph.reshape(visible_mask, 64)
         _, order = _top_k(graph, rank)
         packed = graph.op("Gather", packed, order, axis=0)
         color = graph.op("Gather", color, order, axis=0)
-        ranked = graph.op("Gather", seen, order, axis=0)
+        ranked = graph.op("Gather", visible_mask, order, axis=0)
         columns = graph.constant(np.eye(10)[3][None])
         if mistake != "padding kept":
             hidden = graph.op("Sub", graph.constant(1.0), ranked)

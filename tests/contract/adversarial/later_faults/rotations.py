@@ -216,8 +216,8 @@ def _interleaved(color: Array) -> Array:
 
 def _blocked(color: Array) -> Array:
     """The rest as three blocks of 16 with a zero at the end of each."""
-    rest = color.reshape(len(color), 16, 3)[:, 1:].transpose(0, 2, 1)
-    padded = np.pad(rest, ((0, 0), (0, 0), (0, 1))).reshape(len(color), -1)
+    sh_rest = color.reshape(len(color), 16, 3)[:, 1:].transpose(0, 2, 1)
+    padded = np.pad(sh_rest, ((0, 0), (0, 0), (0, 1))).reshape(len(color), -1)
     return np.concatenate([color[:, :3], padded[:, :45]], axis=1)
 
 

@@ -113,8 +113,8 @@ def _near_alone(limit: float) -> PartsOf:
         graph: GraphBuilder, source: Scene, positions: Array, view: str, projection: str
     ) -> Parts:
         near = graph.op("Less", _squared_distance(graph, positions, view), graph.constant(limit**2))
-        seen = graph.cast(near, "float32")
-        return graph.op("Mul", graph.constant(source.opacity[:, None]), seen), "", ""
+        visible_mask = graph.cast(near, "float32")
+        return graph.op("Mul", graph.constant(source.opacity[:, None]), visible_mask), "", ""
 
     return parts
 
@@ -123,10 +123,10 @@ def _far_plane_in_front(
     graph: GraphBuilder, source: Scene, positions: Array, view: str, projection: str
 ) -> Parts:
     """The near plane stands at 50 units, and the scene is a few units large."""
-    seen = graph.cast(
+    visible_mask = graph.cast(
         graph.op("Greater", _depth(graph, positions, view), graph.constant(50.0)), "float32"
     )
-    return graph.op("Mul", graph.constant(source.opacity[:, None]), seen), "", ""
+    return graph.op("Mul", graph.constant(source.opacity[:, None]), visible_mask), "", ""
 
 
 def _signed_frustum(
@@ -137,9 +137,9 @@ def _signed_frustum(
     clip = graph.op("MatMul", graph.op("MatMul", homogeneous, view), projection)
     right = graph.op("GreaterOrEqual", graph.gather(clip, [0], 1), graph.constant(0.0))
     inside = graph.cast(right, "float32")
-    wide = inside_frustum(graph, positions, view, projection)
-    seen = graph.op("Mul", inside, wide)
-    return graph.op("Mul", graph.constant(source.opacity[:, None]), seen), "", ""
+    wide_frustum = inside_frustum(graph, positions, view, projection)
+    visible_mask = graph.op("Mul", inside, wide_frustum)
+    return graph.op("Mul", graph.constant(source.opacity[:, None]), visible_mask), "", ""
 
 
 def _rows_sorted_alone(

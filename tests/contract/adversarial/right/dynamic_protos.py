@@ -62,8 +62,8 @@ def _culled(kind: str) -> Draft:
     source = scene(kind, seed=71)
     graph = GraphBuilder()
     view, projection = graph.input("camera", [4, 4]), graph.input("proj", [4, 4])
-    seen = inside_frustum(graph, source.position, view, projection)
-    opacity = graph.op("Mul", graph.constant(source.opacity[:, None]), seen)
+    visible_mask = inside_frustum(graph, source.position, view, projection)
+    opacity = graph.op("Mul", graph.constant(source.opacity[:, None]), visible_mask)
     parts = rows(source)
     packed = packed_by_parts(
         graph, graph.constant(parts[:, :3]), opacity, graph.constant(parts[:, 4:])
@@ -83,15 +83,17 @@ def _compacted(kind: str) -> Draft:
     source = scene(kind, seed=72)
     graph = GraphBuilder()
     view, projection = graph.input("camera", [4, 4]), graph.input("proj", [4, 4])
-    seen = inside_frustum(graph, source.position, view, projection)
+    visible_mask = inside_frustum(graph, source.position, view, projection)
     n = source.count
-    graph.node("TopK", [graph.reshape(seen, n), graph.constant([n], "int64")], ["best", "order"])
-    live = graph.op("Gather", seen, "order", axis=0)
+    graph.node(
+        "TopK", [graph.reshape(visible_mask, n), graph.constant([n], "int64")], ["best", "order"]
+    )
+    live = graph.op("Gather", visible_mask, "order", axis=0)
     tables = graph.constant(rows(source)), graph.constant(sh_columns(source, 1))
     packed, color = (
         graph.op("Mul", graph.op("Gather", table, "order", axis=0), live) for table in tables
     )
-    total = graph.op("ReduceSum", seen, graph.constant([0], "int64"), keepdims=0)
+    total = graph.op("ReduceSum", visible_mask, graph.constant([0], "int64"), keepdims=0)
     manifest = declare(
         n, source.position.min(0), source.position.max(0), degree=1, inputs=CAMERA_INPUTS
     )
@@ -142,8 +144,8 @@ def _basis(size: int) -> Callable[[GraphBuilder, str], str]:
 
 
 def _first(graph: GraphBuilder, size: str) -> str:
-    wide = graph.op("Max", graph.gather(size, [0], 0), graph.constant(1.0))
-    return graph.op("Div", graph.constant(300.0), wide)
+    max_size = graph.op("Max", graph.gather(size, [0], 0), graph.constant(1.0))
+    return graph.op("Div", graph.constant(300.0), max_size)
 
 
 SWINGS: list[tuple[str, str, dict[str, Any], Callable[[GraphBuilder, str], str]]] = [

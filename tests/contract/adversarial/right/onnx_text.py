@@ -74,9 +74,9 @@ def _text(text: str, kind: str, statistics: str) -> Draft:
         if info.name in values and info.name not in weights:
             array = values[info.name].astype(np.float32)
             graph.initializer.append(numpy_helper.from_array(array, info.name))
-    kept = [info for info in graph.value_info if info.name not in values]
+    retained = [info for info in graph.value_info if info.name not in values]
     del graph.value_info[:]
-    graph.value_info.extend(kept)
+    graph.value_info.extend(retained)
     for index, tensor in reversed(list(enumerate(graph.initializer))):
         if tensor.name in values and not (tensor.raw_data or tensor.float_data):
             del graph.initializer[index]

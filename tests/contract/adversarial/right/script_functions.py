@@ -31,9 +31,9 @@ def breathing(
 def dimmed(
     t: FLOAT[1], table: FLOAT[64, 10], harmonics: FLOAT[64, 27], live: INT32[1], lift: FLOAT[10]
 ):
-    kept = op.Clip(1.0 - 0.5 * t, 0.2, 1.0)
+    clip = op.Clip(1.0 - 0.5 * t, 0.2, 1.0)
     gaussians = table + 0.0 * lift
-    color = harmonics * kept
+    color = harmonics * clip
     num_points = op.Identity(live)
     return gaussians, color, num_points
 

@@ -89,8 +89,8 @@ def by_degree(color: np.ndarray) -> np.ndarray:
 
 
 def in_blocks(color: np.ndarray) -> np.ndarray:
-    rest = color.reshape(len(color), 16, 3)[:, 1:].transpose(0, 2, 1)
-    padded = np.pad(rest, ((0, 0), (0, 0), (0, 1))).reshape(len(color), -1)
+    sh_rest = color.reshape(len(color), 16, 3)[:, 1:].transpose(0, 2, 1)
+    padded = np.pad(sh_rest, ((0, 0), (0, 0), (0, 1))).reshape(len(color), -1)
     return np.concatenate([color[:, :3], padded[:, :45]], axis=1)
 
 

@@ -65,14 +65,14 @@ class Scene:
             CountOutput("num_points"),
         )
         corner = (room, room, room)
-        made = GeneratorManifest(
+        generator_manifest = GeneratorManifest(
             name="good",
             inputs=inputs,
             outputs=outputs,
             space=Space(),
             bounds=Bounds((-room, -room, -room), corner),
         )
-        return replace(made, **changes)
+        return replace(generator_manifest, **changes)
 
 
 def scene(
@@ -89,8 +89,8 @@ def live(count: int) -> np.ndarray:
 
 def declared(model: ModelProto, manifest: Manifest) -> ModelProto:
     """Embed ``manifest`` in place of whatever was there."""
-    kept = [one for one in model.metadata_props if one.key != MANIFEST_KEY]
+    retained = [prop for prop in model.metadata_props if prop.key != MANIFEST_KEY]
     del model.metadata_props[:]
-    model.metadata_props.extend(kept)
+    model.metadata_props.extend(retained)
     model.metadata_props.add(key=MANIFEST_KEY, value=dumps(manifest))
     return model

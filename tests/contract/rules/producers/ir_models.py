@@ -40,34 +40,34 @@ def _moved(
     entry: Input, shape: tuple[int, ...], table: np.ndarray, steps: str, **changes: Any
 ) -> ModelProto:
     """Centres move by what ``steps``, the operators between input and table, make of it."""
-    made = scene(_COUNT, 1, seed=len(steps))
+    result = scene(_COUNT, 1, seed=len(steps))
     graph = _Graph()
     dtype = "int32" if steps == "Gather" else "float32"
-    given = ir.Value(name=entry.name, type=ir.TensorType(_CODES[dtype]), shape=ir.Shape(shape))
+    inputs = ir.Value(name=entry.name, type=ir.TensorType(_CODES[dtype]), shape=ir.Shape(shape))
     weights = graph.weigh("table", table)
     if steps == "Gather":
-        shift = graph.do("Gather", weights, given, axis=0)
+        shift = graph.do("Gather", weights, inputs, axis=0)
     else:
-        value = given
+        value = inputs
         for op in steps.split():
-            one = (weights,) if op in ("Mul", "MatMul") else ()
-            value = graph.do(op, value, *one)
+            first = (weights,) if op in ("Mul", "MatMul") else ()
+            value = graph.do(op, value, *first)
         shift = value
-    center = graph.weigh("center", made.rows[:, :3])
-    rest = graph.weigh("rest", made.rows[:, 3:])
-    rows = graph.do("Concat", graph.do("Add", center, shift), rest, axis=1)
-    one = graph.weigh("one", np.ones(1, np.float32))
-    color = graph.do("Mul", graph.weigh("colors", made.colors), one)
+    center = graph.weigh("center", result.rows[:, :3])
+    remaining = graph.weigh("rest", result.rows[:, 3:])
+    rows = graph.do("Concat", graph.do("Add", center, shift), remaining, axis=1)
+    first = graph.weigh("one", np.ones(1, np.float32))
+    color = graph.do("Mul", graph.weigh("colors", result.colors), first)
     count = graph.do("Identity", graph.weigh("live", live(_COUNT)))
     for value, name, array in (
-        (rows, "gaussians", made.rows),
-        (color, "color", made.colors),
+        (rows, "gaussians", result.rows),
+        (color, "color", result.colors),
         (count, "num_points", live(_COUNT)),
     ):
         value.name, value.shape = name, ir.Shape(array.shape)
         value.dtype = _CODES[array.dtype.name]
     body = ir.Graph(
-        [given],
+        [inputs],
         [rows, color, count],
         nodes=graph.nodes,
         initializers=graph.weights,
@@ -76,7 +76,7 @@ def _moved(
     )
     model = ir.to_proto(ir.Model(body, ir_version=10, producer_name="onnx_ir"))
     assert isinstance(model, ModelProto)
-    return declared(model, made.manifest(entry, room=3.0, **changes))
+    return declared(model, result.manifest(entry, room=3.0, **changes))
 
 
 def models() -> Iterator[Good]:
@@ -97,8 +97,8 @@ def models() -> Iterator[Good]:
     turn = Input(name="time", role="time", range=(0.0, 6.2831855), default=0.0, loop=True)
     yield one("looping time", turn, (1,), speed, "Sin Mul")
     for role in ("frame_index", "appearance_id"):
-        which = Input(name="which", role=role, range=(0.0, 8.0), default=4.0)
-        yield one(role, which, (1,), frames, "Gather")
+        index = Input(name="which", role=role, range=(0.0, 8.0), default=4.0)
+        yield one(role, index, (1,), frames, "Gather")
     eye = Input(name="eye", role="camera_position", default="zeros")
     yield one("camera position", eye, (3,), np.eye(3, dtype=np.float32), "MatMul Tanh")
     root = Input(name="root", role="root_translation", range=(-1.0, 1.0), default=(0.0, 0.0, 0.5))

@@ -30,8 +30,8 @@ def turned(pose, center, scale, rest, colors, alive, one):
     second = op.Concat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), axis=1)
     third = op.Concat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), axis=1)
     length = op.ReduceSum(pose * pose, keepdims=1)
-    kept = op.Where(op.Greater(length, one * 0.5), one, one * 0.0)
-    rotation = op.Concat(first, second, third, axis=0) * kept
+    where = op.Where(op.Greater(length, one * 0.5), one, one * 0.0)
+    rotation = op.Concat(first, second, third, axis=0) * where
     moved = op.MatMul(center, op.Transpose(rotation, perm=[1, 0]))
     axes = op.Unsqueeze(rotation, [0]) * op.Unsqueeze(scale, [1])
     sigma = op.MatMul(axes, op.Transpose(axes, perm=[0, 2, 1])) + op.Unsqueeze(rest, [0])
@@ -79,9 +79,9 @@ def _built(
         ir_version=10,
     )
     graph = model.graph
-    kept = [value for value in graph.input if value.name not in weights]
+    retained = [value for value in graph.input if value.name not in weights]
     del graph.input[:]
-    graph.input.extend(kept)
+    graph.input.extend(retained)
     for name, array in weights.items():
         graph.initializer.append(numpy_helper.from_array(array, name))
     renamed = dict(zip((o.name for o in graph.output), outputs, strict=True))
@@ -114,10 +114,10 @@ def _common(made: Scene) -> dict[str, np.ndarray]:
 
 
 def _turned(degree: int | None, seed: int) -> ModelProto:
-    made = scene(_COUNT, degree, seed=seed)
+    result = scene(_COUNT, degree, seed=seed)
     rng = np.random.default_rng(seed)
-    weights = _common(made) | {
-        "center": made.rows[:, :3],
+    weights = _common(result) | {
+        "center": result.rows[:, :3],
         "scale": rng.uniform(0.02, 0.2, (_COUNT, 3)).astype(np.float32),
         "rest": (1e-4 * np.eye(3)).astype(np.float32),
     }
@@ -128,15 +128,15 @@ def _turned(degree: int | None, seed: int) -> ModelProto:
         default=(1.0, 0.0, 0.0, 0.0),
         convention="quaternion-wxyz",
     )
-    manifest = made.manifest(pose, room=1.8, family="avatar")
-    return _built(turned, weights, {"pose": (1, 4)}, _outputs(made), manifest)
+    manifest = result.manifest(pose, room=1.8, family="avatar")
+    return _built(turned, weights, {"pose": (1, 4)}, _outputs(result), manifest)
 
 
 def _shown(up: str, degree: int | None, seed: int) -> ModelProto:
-    made = scene(_COUNT, degree, seed=seed)
-    rows = made.rows
+    result = scene(_COUNT, degree, seed=seed)
+    rows = result.rows
     ones = np.ones((_COUNT, 1), np.float32)
-    weights = _common(made) | {
+    weights = _common(result) | {
         "homogeneous": np.concatenate([rows[:, :3], ones], axis=1),
         "third": np.asarray([[0], [0], [1], [0]], np.float32),
         "center": rows[:, :3],
@@ -144,8 +144,8 @@ def _shown(up: str, degree: int | None, seed: int) -> ModelProto:
         "spread": rows[:, 4:],
     }
     camera = Input(name="camera", role="view", default="identity")
-    manifest = made.manifest(camera, space=Space(up=up, unit="metre"))
-    model = _built(shown, weights, {"view": (4, 4)}, _outputs(made), manifest)
+    manifest = result.manifest(camera, space=Space(up=up, unit="metre"))
+    model = _built(shown, weights, {"view": (4, 4)}, _outputs(result), manifest)
     return _renamed_input(model, "view", "camera")
 
 

@@ -53,7 +53,7 @@ def _model(graph: GraphProto, weights: dict[str, np.ndarray], opset: int) -> Mod
 
 
 def _generator(
-    made: Scene,
+    result: Scene,
     nodes: list[NodeProto],
     weights: dict[str, np.ndarray],
     *inputs: tuple[str, str, tuple[int, ...]],
@@ -62,31 +62,31 @@ def _generator(
     graph = GraphProto(name="by_hand", node=nodes)
     for name, dtype, dims in inputs:
         _value(graph.input, name, dtype, dims)
-    dtype = "float16" if made.half else "float32"
-    _value(graph.output, "gaussians", dtype, made.rows.shape)
-    _value(graph.output, "color", dtype, made.colors.shape)
+    dtype = "float16" if result.half else "float32"
+    _value(graph.output, "gaussians", dtype, result.rows.shape)
+    _value(graph.output, "color", dtype, result.colors.shape)
     _value(graph.output, "num_points", "int32", (1,))
     return _model(graph, weights, opset)
 
 
-def _still(made: Scene, opset: int = 17, alive: int | None = None) -> ModelProto:
+def _still(result: Scene, opset: int = 17, alive: int | None = None) -> ModelProto:
     """Weights that a Mul by one ends, so that the outputs survive a captured replay."""
     nodes = [
         _node("Mul", "rows one", "gaussians"),
         _node("Mul", "colors one", "color"),
         _node("Identity", "live", "num_points"),
     ]
-    one = np.ones(1, made.rows.dtype)
-    count = live(len(made.rows) if alive is None else alive)
-    rows, colors = made.rows.copy(), made.colors.copy()
+    entry = np.ones(1, result.rows.dtype)
+    count = live(len(result.rows) if alive is None else alive)
+    rows, colors = result.rows.copy(), result.colors.copy()
     rows[count[0] :], colors[count[0] :] = 0, 0
-    weights = {"rows": rows, "colors": colors, "live": count, "one": one}
-    return declared(_generator(made, nodes, weights, opset=opset), made.manifest())
+    weights = {"rows": rows, "colors": colors, "live": count, "one": entry}
+    return declared(_generator(result, nodes, weights, opset=opset), result.manifest())
 
 
 def _seen(up: str, order: str, unit: str, color_space: str) -> ModelProto:
     """Opacity fades with depth, which is the third row of M times (centre, 1)."""
-    made = scene(60, None, seed=UP.index(up))
+    result = scene(60, None, seed=UP.index(up))
     square = _node("Transpose" if order == "row" else "Identity", "view", "transposed")
     nodes = [
         square,
@@ -100,20 +100,20 @@ def _seen(up: str, order: str, unit: str, color_space: str) -> ModelProto:
     ]
     ones = np.ones((60, 1), np.float32)
     weights = {
-        "homogeneous": np.concatenate([made.rows[:, :3], ones], axis=1),
+        "homogeneous": np.concatenate([result.rows[:, :3], ones], axis=1),
         "third": np.asarray([[0], [0], [1], [0]], np.float32),
-        "center": made.rows[:, :3],
-        "opacity": made.rows[:, 3:4],
-        "spread": made.rows[:, 4:],
-        "colors": made.colors,
+        "center": result.rows[:, :3],
+        "opacity": result.rows[:, 3:4],
+        "spread": result.rows[:, 4:],
+        "colors": result.colors,
         "one": ones[:1, 0],
         "live": live(60),
     }
     space = Space(up=up, unit=unit, matrix_order=order)
-    manifest = made.manifest(_VIEW, space=space)
+    manifest = result.manifest(_VIEW, space=space)
     appearance = AppearanceOutput("color", "rgb", None, color_space)
     outputs = replace(manifest.outputs, appearance=appearance)
-    model = _generator(made, nodes, weights, ("view", "float32", (4, 4)))
+    model = _generator(result, nodes, weights, ("view", "float32", (4, 4)))
     return declared(model, replace(manifest, outputs=outputs))
 
 
@@ -180,11 +180,11 @@ def _straight_on(steps: int, past: int) -> ModelProto:
 
 def _bounded_above() -> ModelProto:
     """Some rows before the count are inert, as ``upper-bound`` says."""
-    made = scene(64, 0)
-    made.rows[::4] = 0
-    manifest = made.manifest()
+    result = scene(64, 0)
+    result.rows[::4] = 0
+    manifest = result.manifest()
     outputs = replace(manifest.outputs, count=CountOutput("num_points", "upper-bound"))
-    return declared(_still(made), replace(manifest, outputs=outputs))
+    return declared(_still(result), replace(manifest, outputs=outputs))
 
 
 def models() -> Iterator[Good]:
@@ -195,9 +195,9 @@ def models() -> Iterator[Good]:
         shown = "rgb" if degree is None else f"sh{degree}"
         name = f"{shown} {np.dtype(dtype).name}"
         fits = degree == 3 or (degree is None and dtype is np.float16)
-        made = scene(256, degree, dtype, seed=number)
+        result = scene(256, degree, dtype, seed=number)
         target = "visionary" if fits else "webgpu"
-        yield Good(name, "protos", partial(_still, made), target)
+        yield Good(name, "protos", partial(_still, result), target)
     for count in (1, 7, 1000, 16_385):
         yield Good(f"{count} rows", "protos", partial(_still, scene(count, 0)), "webgpu")
     padded = partial(_still, scene(512, 2), alive=100)

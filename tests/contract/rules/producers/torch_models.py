@@ -39,8 +39,8 @@ class _Tinted(torch.nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        made = scene(_COUNT, None, seed=4)
-        self.register_buffer("rows", torch.from_numpy(made.rows))
+        result = scene(_COUNT, None, seed=4)
+        self.register_buffer("rows", torch.from_numpy(result.rows))
         torch.manual_seed(1)
         self.net = torch.nn.Sequential(
             torch.nn.Linear(4, 8), torch.nn.GELU(), torch.nn.Linear(8, 3)
@@ -52,11 +52,11 @@ class _Tinted(torch.nn.Module):
         # Both memory orders are right: the camera's axes count, its place does not.
         size = torch.sqrt((camera[:3, :3] ** 2).sum().clamp(min=1e-6))
         toward = self.rows[:, :3] / size
-        seen = torch.cat([toward, time.expand(_COUNT, 1)], dim=1)
+        actual = torch.cat([toward, time.expand(_COUNT, 1)], dim=1)
         swing = torch.sin(time) * torch.eye(10)[0] * 0.1
         live = (time > -1.0).to(torch.int32) * _COUNT
         turned = 0.02 * torch.tanh(camera[2, :3].sum()) * torch.eye(10)[1]
-        return self.rows + swing + turned, torch.sigmoid(self.net(seen)), live
+        return self.rows + swing + turned, torch.sigmoid(self.net(actual)), live
 
 
 class _Enhanced(torch.nn.Module):
@@ -105,11 +105,11 @@ def _enhanced() -> bytes:
 
 @cache
 def _by_sdk(kind: str) -> tuple[bytes, GeneratorManifest]:
-    made = {"drift": Drift, "lit": Lit, "bunches": Bunches}[kind]()
+    result = {"drift": Drift, "lit": Lit, "bunches": Bunches}[kind]()
     dtype = "float16" if kind == "drift" else "float32"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.onnx"
-        exported = export(made, path, dtype=dtype, capacity=255 if made.weighted_sum else 256)
+        exported = export(result, path, dtype=dtype, capacity=255 if result.weighted_sum else 256)
         return path.read_bytes(), exported.manifest
 
 
@@ -120,8 +120,8 @@ def _own(kind: str, change: Callable[[ModelProto], ModelProto], **said: Any) -> 
 
 
 def _foreign(order: str, up: str, **said: Any) -> ModelProto:
-    made = scene(_COUNT, None, seed=4)
-    manifest = made.manifest(
+    result = scene(_COUNT, None, seed=4)
+    manifest = result.manifest(
         Input(name="camera", role="view", default="identity"),
         Input(name="time", role="time", range=(0.0, 6.3), default=0.0),
         space=Space(up=up, matrix_order=order),

@@ -32,10 +32,10 @@ def test_ten_thousand_splats_in_slabs_and_bands(renderers: tuple[Renderer, Rende
     scene, view = crowd(), camera(width=61, height=75)
     whole, small = renderers
     expected = whole.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
-    seen = small.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
-    assert_same_images(seen, expected)
+    frame = small.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
+    assert_same_images(frame, expected)
     assert expected.visible > 3 * SMALL // 16
-    assert seen.visible == expected.visible  # though some are in two bands
+    assert frame.visible == expected.visible  # though some are in two bands
     assert "tally" in small._plan.stages
 
 
@@ -85,8 +85,8 @@ def test_pairs_that_exceed_a_binding_are_drawn_in_parts(
     assert np.array_equal(small.render(scene, view).rgba, expected.rgba)
     view = camera(width=32, height=60)
     drawn, expected = small.draw(scene, view), whole.render(scene, view)
-    seen = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(60, 32, 4)
-    assert np.array_equal(seen, expected.rgba)
+    actual = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(60, 32, 4)
+    assert np.array_equal(actual, expected.rgba)
     assert drawn.pairs == expected.pairs
 
 
@@ -116,10 +116,10 @@ def test_meshes_and_weighted_sums_mix_with_slabs(renderers: tuple[Renderer, Rend
         sets, outputs = [], ("color",)
     scene = Scene([*sets, cloud(4000, 1, size=0.02)], meshes=scene.meshes)
     expected = whole.render(scene, view, outputs=outputs)
-    seen, again = (small.render(scene, view, outputs=outputs) for _ in range(2))
-    assert_same_images(seen, expected)
+    actual, again = (small.render(scene, view, outputs=outputs) for _ in range(2))
+    assert_same_images(actual, expected)
     assert_same_images(again, expected)
-    assert again.visible == seen.visible
+    assert again.visible == actual.visible
     assert expected.visible > SMALL // 16
     assert {"meshes", "tally"} <= set(small._plan.stages)
     assert ("sum" in small._plan.stages) == (not whole.device.software)

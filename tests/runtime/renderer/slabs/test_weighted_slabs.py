@@ -77,7 +77,7 @@ def test_binding_capacity_plus_one_cell_is_drawn(
 ) -> None:
     scene = Scene([summed(celled(cells, per_cell, 3, size=0.05))])
     whole, small = renderers
-    expected, drawn = (each.render(scene, NARROW, outputs=OUTPUTS) for each in (whole, small))
+    expected, drawn = (entry.render(scene, NARROW, outputs=OUTPUTS) for entry in (whole, small))
     assert_same_images(drawn, expected)
     assert (small._plan.weighted_slabs is None) == (cells * per_cell <= MOST)
 
@@ -197,8 +197,8 @@ def test_pairs_that_exceed_a_binding_halve_the_slabs(renderers: tuple[Renderer, 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(type(small), "_most_pairs", property(lambda self: 1024))
         drawn = small.draw(scene, view)
-        seen = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
-        assert np.array_equal(seen, expected.rgba)
+        actual = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
+        assert np.array_equal(actual, expected.rgba)
         assert np.array_equal(small.render(scene, view).rgba, expected.rgba)
     assert type(small)._most_pairs is most
     assert drawn.pairs == expected.pairs
@@ -211,8 +211,8 @@ def test_frames_in_flight_are_waited_for(renderers: tuple[Renderer, Renderer]) -
     expected = whole.render(scene, NARROW)
     for _ in range(3):
         drawn = small.draw(scene, NARROW, wait=False)
-        seen = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
-        assert np.array_equal(seen, expected.rgba)
+        actual = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
+        assert np.array_equal(actual, expected.rgba)
         assert drawn.visible == expected.visible
     assert not small.settle()
 

@@ -40,8 +40,8 @@ class UnstableSum(Cloud):
         self.register_buffer("back", torch.randn(64, 3))
 
     def forward(self, time: Tensor) -> Gaussians:
-        wide = (self.rest + time) @ self.factor
-        return self.cloud(position=self.rest + torch.sin(wide @ self.back))  # guilty
+        product = (self.rest + time) @ self.factor
+        return self.cloud(position=self.rest + torch.sin(product @ self.back))  # guilty
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,16 +68,16 @@ def test_what_is_called_like_a_renamed_output_makes_way() -> None:
     RenameOutputs({"y": "color", "z": "rows"})(model)
     NameFixPass()(model)
     require_new(model)
-    made, size = run(model, x=X, c=np.array(True))
-    wanted = X + np.array([3, 4], np.float32)
-    np.testing.assert_array_equal(made, -wanted)
-    np.testing.assert_array_equal(size, abs(wanted))
+    result, size = run(model, x=X, c=np.array(True))
+    expected = X + np.array([3, 4], np.float32)
+    np.testing.assert_array_equal(result, -expected)
+    np.testing.assert_array_equal(size, abs(expected))
     assert [value.name for value in model.graph.outputs] == ["color", "rows"]
 
 
-@pytest.mark.parametrize("taken", ["x", "z"])
-def test_a_name_of_an_input_or_output_is_not_given_again(taken: str) -> None:
+@pytest.mark.parametrize("selected", ["x", "z"])
+def test_a_name_of_an_input_or_output_is_not_given_again(selected: str) -> None:
     model = parsed("g (float[2] x) => (float[2] y, float[2] z) { y = Abs (x) z = Neg (x) }")
     with pytest.raises(GsgenError) as caught:
-        RenameOutputs({"y": taken})(model)
-    assert str(caught.value) == f"{taken}: already exists, so output 'y' cannot be renamed to it"
+        RenameOutputs({"y": selected})(model)
+    assert str(caught.value) == f"{selected}: already exists, so output 'y' cannot be renamed to it"

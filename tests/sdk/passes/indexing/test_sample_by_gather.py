@@ -32,14 +32,14 @@ def sampling(
 
 
 def oracle(x: np.ndarray, grid: np.ndarray, align: bool, padding: str) -> np.ndarray:
-    taken = torch.nn.functional.grid_sample(
+    sampled = torch.nn.functional.grid_sample(
         torch.tensor(x, dtype=torch.float64),
         torch.tensor(grid, dtype=torch.float64),
         mode="bilinear",
         padding_mode=padding,
         align_corners=align,
     )
-    return taken.numpy()
+    return sampled.numpy()
 
 
 @settings(max_examples=25, deadline=None)
@@ -74,14 +74,14 @@ def test_far_infinite_and_nan_coordinates_neither_fail_nor_spread(padding: str) 
     odd = [(1e30, 0), (-1e30, 0), (np.inf, 0), (0, -np.inf), (np.nan, 0), (0.25, -0.5)]
     grid = np.array(odd, np.float32)[None, None]
     SampleByGather()(model)
-    (seen,) = run(model, x=x, grid=grid)
-    assert np.isfinite(seen).all()
+    (actual,) = run(model, x=x, grid=grid)
+    assert np.isfinite(actual).all()
     tame = np.where(np.isfinite(grid), grid, np.sign(np.nan_to_num(grid)) * 1e6)
     if padding == "border":
         tame[0, 0, 4] = (-1e6, 0)  # NaN goes to the first pixel, as in torch
     else:
         tame[0, 0, 4] = (1e6, 0)
-    np.testing.assert_allclose(seen, oracle(x, tame, False, padding), atol=1e-6)
+    np.testing.assert_allclose(actual, oracle(x, tame, False, padding), atol=1e-6)
 
 
 def test_a_weight_of_float16_is_a_table_and_places_are_numbered_in_float32() -> None:
@@ -92,9 +92,9 @@ def test_a_weight_of_float16_is_a_table_and_places_are_numbered_in_float32() -> 
     x = rng.normal(size=shape).astype(np.float16)
     grid = rng.uniform(-1, 1, (1, 1, 50, 2)).astype(np.float16)
     SampleByGather()(model)
-    (seen,) = run(model, x=x, grid=grid)
-    assert seen.dtype == np.float16
-    np.testing.assert_allclose(seen, oracle(x, grid, False, "border"), atol=2e-3)
+    (actual,) = run(model, x=x, grid=grid)
+    assert actual.dtype == np.float16
+    np.testing.assert_allclose(actual, oracle(x, grid, False, "border"), atol=2e-3)
 
 
 def test_a_plane_that_is_a_weight_becomes_a_table_of_rows() -> None:

@@ -47,9 +47,9 @@ WHOLE = {
 @pytest.mark.parametrize("goal", [None, OLD])
 @pytest.mark.parametrize("name", WHOLE)
 def test_integers_that_fit_are_narrowed(name: str, goal: RewriteTarget | None) -> None:
-    body, made = WHOLE[name]
+    body, result = WHOLE[name]
     text = (
-        f"g (float[6] x) => ({made}[N] y) <int64 three = {{3}}, int64 none = {{0}}, "
+        f"g (float[6] x) => ({result}[N] y) <int64 three = {{3}}, int64 none = {{0}}, "
         "int64[1] axis = {0}, int64[2] list = {5, -6}> "
         f"{{ i = Cast <to = 7> (x) {body} y = Identity (r) }}"
     )
@@ -84,7 +84,7 @@ def test_integers_that_may_not_fit_stay_and_the_pass_says_why(body: str, why: st
     model, rewrite = parsed(text), NarrowIntegers(OLD)
     before = run(model, x=X + 5, free=X * 1e12)
     rewrite(model)
-    assert any(why in one.reason for one in rewrite.refusals)
+    assert any(why in refusal.reason for refusal in rewrite.refusals)
     np.testing.assert_array_equal(run(model, x=X + 5, free=X * 1e12)[0], before[0])
 
 
@@ -112,8 +112,8 @@ def test_a_count_of_a_mask_is_a_sum_of_floats_at_last() -> None:
         MergeCasts()(model)
     (total,) = (node for node in model.graph if node.op_type == "ReduceSum")
     assert total.inputs[0].dtype.name == "FLOAT"
-    (seen,) = run(model, x=X)
-    assert seen.tolist() == [2]
+    (actual,) = run(model, x=X)
+    assert actual.tolist() == [2]
 
 
 def test_index_operators_take_int32() -> None:
@@ -214,9 +214,9 @@ def test_masks_are_numbers_between_comparison_and_use(name: str) -> None:
     assert ArithmeticMasks()(model).modified
     while ArithmeticMasks()(model).modified:
         pass
-    for wanted, seen in zip(before, run(model, x=X, z=z), strict=True):
-        assert seen.dtype == wanted.dtype
-        np.testing.assert_array_equal(seen, wanted)
+    for expected, actual in zip(before, run(model, x=X, z=z), strict=True):
+        assert actual.dtype == expected.dtype
+        np.testing.assert_array_equal(actual, expected)
     computed = [n for n in model.graph if n.op_type not in ("Cast", "Not", "Reshape")]
     kinds = {v.dtype.name for n in computed for v in n.inputs if v is not None and v.name != "c"}
     assert "BOOL" not in kinds
@@ -230,8 +230,8 @@ def test_a_choice_between_masks_is_made_of_numbers_and_by_a_mask() -> None:
     model = parsed(text)
     z = np.array([1, 9, -4, -3, 70, -5], np.float32)
     assert ArithmeticMasks()(model).modified
-    (seen,) = run(model, x=X, z=z)  # ONNX Runtime cannot choose between booleans
-    np.testing.assert_array_equal(seen, np.where(X > 0, z < 0, True))
+    (actual,) = run(model, x=X, z=z)  # ONNX Runtime cannot choose between booleans
+    np.testing.assert_array_equal(actual, np.where(X > 0, z < 0, True))
 
 
 @pytest.mark.parametrize("goal", [None, OLD])

@@ -17,11 +17,11 @@ ODD = [0.0, -0.0, np.inf, -np.inf, np.nan, 1e-30, -1e-30, 88.0, -200.0, 3.4e38]
 
 def floats(dtype: str, seed: int = 0, odd: bool = True, rows: int = 40) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    made = rng.normal(0, 3, (rows, 4))
+    result = rng.normal(0, 3, (rows, 4))
     if odd:
-        made.reshape(-1)[rng.permutation(made.size)[: len(ODD)]] = ODD
+        result.reshape(-1)[rng.permutation(result.size)[: len(ODD)]] = ODD
     with np.errstate(over="ignore"):
-        return made.astype(NUMPY.get(dtype, dtype))
+        return result.astype(NUMPY.get(dtype, dtype))
 
 
 def same(a: np.ndarray, b: np.ndarray) -> None:
@@ -52,8 +52,10 @@ EXTREMES = {
 @pytest.mark.parametrize("dtype", ["float", "float16", "int32", "int64", "double"])
 @pytest.mark.parametrize("name", EXTREMES)
 def test_minimum_and_maximum_become_selections(name: str, dtype: str) -> None:
-    one, minus, two = HALVES if dtype == "float16" else (1, -1, 2)
-    weights = f"<{dtype} one = {{{one}}}, {dtype} minus = {{{minus}}}, {dtype}[1] ones = {{{two}}}>"
+    entry, minus, two = HALVES if dtype == "float16" else (1, -1, 2)
+    weights = (
+        f"<{dtype} one = {{{entry}}}, {dtype} minus = {{{minus}}}, {dtype}[1] ones = {{{two}}}>"
+    )
     text = (
         f"g ({dtype}[40,4] x, {dtype}[40,4] z, {dtype}[4] row) => ({dtype}[40,4] y) "
         f"{weights} {{ y = {EXTREMES[name]} }}"
@@ -71,7 +73,7 @@ def test_minimum_and_maximum_become_selections(name: str, dtype: str) -> None:
     (after,) = run(model, **inputs)
     if not whole:  # a Clip with one bound takes the largest number for the other
         largest = np.finfo(after.dtype).max
-        before, after = (np.clip(one, -largest, largest) for one in (before, after))
+        before, after = (np.clip(array, -largest, largest) for array in (before, after))
     same(after, before)
 
 
@@ -125,8 +127,10 @@ def test_swish_of_operator_set_24_is_x_times_a_gate() -> None:
     text = "g (float[40,4] x) => (float[40,4] y) { y = Swish <alpha = 1.5> (x) }"
     model, x = parsed(text, HEAD.replace("18", "24")), floats("float", odd=False)
     assert WriteOutActivations()(model).modified
-    wide = x.astype(np.float64)
-    np.testing.assert_allclose(run(model, x=x)[0], wide / (1 + np.exp(-1.5 * wide)), atol=2e-6)
+    double_precision = x.astype(np.float64)
+    np.testing.assert_allclose(
+        run(model, x=x)[0], double_precision / (1 + np.exp(-1.5 * double_precision)), atol=2e-6
+    )
 
 
 def test_activations_of_a_softmax_that_flattens_are_left_alone() -> None:
@@ -155,8 +159,8 @@ SIGNS = [
 
 
 @pytest.mark.parametrize(("body", "dtype", "made"), SIGNS)
-def test_a_sign_keeps_its_value(body: str, dtype: str, made: str) -> None:
-    model = parsed(f"g ({dtype}[40,4] x) => ({made}[40,4] y) {{ y = {body} }}")
+def test_a_sign_keeps_its_value(body: str, dtype: str, result: str) -> None:
+    model = parsed(f"g ({dtype}[40,4] x) => ({result}[40,4] y) {{ y = {body} }}")
     x = (
         np.abs(floats(dtype, odd=False))
         if dtype[0] == "u"
@@ -204,13 +208,13 @@ def test_a_remainder_of_floats_has_the_sign_of_the_dividend(dtype: str) -> None:
     a[0], b[0] = [6, -6, 5.999999, 0], [3, 3, 3, 2]
     (before,) = run(model, a=a, b=b)
     assert WriteOutModulo()(model).modified
-    seen = run(model, a=a, b=b)[0]
-    apart = np.abs(seen - before)
+    actual = run(model, a=a, b=b)[0]
+    apart = np.abs(actual - before)
     # One step off counts as near: the remainder goes round.
     near = np.minimum(apart, np.abs(np.abs(b) - apart))
     assert (near <= 1e-5 * np.maximum(np.abs(a), np.abs(b))).all()
-    assert (np.abs(seen) <= np.abs(b)).all()
-    assert ((seen == 0) | (np.sign(seen) == np.sign(a))).all()
+    assert (np.abs(actual) <= np.abs(b)).all()
+    assert ((actual == 0) | (np.sign(actual) == np.sign(a))).all()
 
 
 def test_a_remainder_of_floats_by_the_sign_of_the_divisor_is_no_onnx() -> None:

@@ -38,13 +38,13 @@ def inputs(seed: int = 0) -> dict[str, np.ndarray]:
 )
 def test_a_loop_of_known_length_is_a_chain(trips: int, start: str, on: str, turns: int) -> None:
     model = parsed(loop(trips, start, on))
-    given = inputs()
-    before = run(model, **given)
+    values = inputs()
+    before = run(model, **values)
     assert len(before[1]) == turns
     assert UnrollControlFlow()(model).modified
     assert "Loop" not in operators(model)
-    for seen, wanted in zip(run(model, **given), before, strict=True):
-        np.testing.assert_array_equal(seen, wanted)
+    for actual, expected in zip(run(model, **values), before, strict=True):
+        np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_loop_that_never_runs_hands_its_state_through() -> None:
@@ -112,13 +112,13 @@ def test_a_scan_takes_and_gives_along_its_axes(axis: int, backwards: int) -> Non
     }}"""
     model = parsed(text)
     rng = np.random.default_rng(1)
-    given = {"x": rng.normal(size=2), "rows": rng.normal(size=sizes_of(shape))}
-    given = {name: array.astype(np.float32) for name, array in given.items()}
-    before = run(model, **given)
+    inputs = {"x": rng.normal(size=2), "rows": rng.normal(size=sizes_of(shape))}
+    inputs = {name: array.astype(np.float32) for name, array in inputs.items()}
+    before = run(model, **inputs)
     assert UnrollControlFlow()(model).modified
     assert "Scan" not in operators(model)
-    for seen, wanted in zip(run(model, **given), before, strict=True):
-        np.testing.assert_array_equal(seen, wanted)
+    for actual, expected in zip(run(model, **inputs), before, strict=True):
+        np.testing.assert_array_equal(actual, expected)
 
 
 def sizes_of(text: str) -> tuple[int, ...]:

@@ -72,12 +72,12 @@ def test_groups_of_operator_set_18_are_scaled_as_the_formula_says() -> None:
     model = parsed(text)
     x, s, b = (numbers(shape, "float", k) for k, shape in enumerate([(2, 6, 4), (3,), (3,)]))
     assert WriteOutNorms()(model).modified
-    (seen,) = run(model, x=x, s=s, b=b)
+    (actual,) = run(model, x=x, s=s, b=b)
     grouped = x.astype(np.float64).reshape(2, 3, -1)
     even = grouped - grouped.mean(axis=2, keepdims=True)
     even /= np.sqrt(grouped.var(axis=2, keepdims=True) + 1e-5)
-    wanted = (even * s[:, None] + b[:, None]).reshape(2, 6, 4)
-    np.testing.assert_allclose(seen, wanted, atol=2e-5)
+    expected = (even * s[:, None] + b[:, None]).reshape(2, 6, 4)
+    np.testing.assert_allclose(actual, expected, atol=2e-5)
 
 
 def test_all_three_results_of_a_layer_norm_are_written_out() -> None:
@@ -88,8 +88,8 @@ def test_all_three_results_of_a_layer_norm_are_written_out() -> None:
     model, x, s = parsed(text), numbers((3, 4), "float"), numbers((4,), "float", 1)
     before = run(model, x=x, s=s)
     assert WriteOutNorms()(model).modified
-    for wanted, seen in zip(before, run(model, x=x, s=s), strict=True):
-        np.testing.assert_allclose(seen, wanted, atol=1e-5)
+    for expected, actual in zip(before, run(model, x=x, s=s), strict=True):
+        np.testing.assert_allclose(actual, expected, atol=1e-5)
 
 
 def test_a_length_of_zero_gives_what_onnx_runtime_gives() -> None:
@@ -148,8 +148,8 @@ def test_sums_of_large_powers_neither_overflow_nor_lose_infinity() -> None:
     model = parsed(text)
     WriteOutReductions()(model)
     x = np.array([[1000, 1000], [-1000, -1001], [np.inf, 1], [-np.inf, -np.inf]], np.float32)
-    wanted = [1000 + np.log(2), -1000 + np.log(1 + np.exp(-1)), np.inf, -np.inf]
-    np.testing.assert_allclose(run(model, x=x)[0], wanted, rtol=1e-6)
+    expected = [1000 + np.log(2), -1000 + np.log(1 + np.exp(-1)), np.inf, -np.inf]
+    np.testing.assert_allclose(run(model, x=x)[0], expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -76,8 +76,8 @@ def judge_concat(width: int, dtype: str, rank: int, axis: int, limit: int) -> No
     assert result.modified is (width > limit)
     joins = [node for node in model.graph if node.op_type == "Concat"]
     assert max(len(node.inputs) for node in joins) <= limit
-    (seen,) = run(model, **inputs)
-    assert same(seen, np.concatenate(parts, axis))
+    (actual,) = run(model, **inputs)
+    assert same(actual, np.concatenate(parts, axis))
     assert not ChunkConcat(limit)(model).modified
 
 
@@ -91,13 +91,13 @@ def test_a_wide_concat_keeps_its_value(width: int) -> None:
     width=st.integers(2, 120),
     dtype=st.sampled_from(sorted(DTYPES)),
     rank=st.integers(1, 4),
-    place=st.integers(-4, 3),
+    location=st.integers(-4, 3),
     limit=st.integers(2, 9),
 )
 def test_random_concat_keeps_its_value(
-    width: int, dtype: str, rank: int, place: int, limit: int
+    width: int, dtype: str, rank: int, location: int, limit: int
 ) -> None:
-    judge_concat(width, dtype, rank, max(-rank, min(place, rank - 1)), limit)
+    judge_concat(width, dtype, rank, max(-rank, min(location, rank - 1)), limit)
 
 
 def wide_split(
@@ -112,11 +112,11 @@ def wide_split(
     text = ", ".join(map(str, sizes or []))
     weight = f"<int64[{width}] s = {{{text}}}>" if sizes and not old else ""
     counted = f", num_outputs = {width}" if '"" : 18' in head and not sizes else ""
-    given = f", split = [{text}]" if sizes and old else counted
+    inputs = f", split = [{text}]" if sizes and old else counted
     argument = ", s" if weight else ""
     return parsed(
         f"g ({dtype}[{dims}] x) => ({outputs}) {weight} "
-        f"{{ {names} = Split <axis = {axis}{given}> (x{argument}) }}",
+        f"{{ {names} = Split <axis = {axis}{inputs}> (x{argument}) }}",
         head,
     )
 
@@ -138,9 +138,9 @@ def judge_split(
     assert result.modified is (width > limit)
     cuts = [node for node in model.graph if node.op_type == "Split"]
     assert max(len(node.outputs) for node in cuts) <= limit
-    wanted = np.split(x, np.cumsum(sizes or [2] * width)[:-1], axis)
-    seen = run(model, x=x)
-    assert all(same(a, b) for a, b in zip(seen, wanted, strict=True))
+    expected = np.split(x, np.cumsum(sizes or [2] * width)[:-1], axis)
+    outputs = run(model, x=x)
+    assert all(same(a, b) for a, b in zip(outputs, expected, strict=True))
     assert not ChunkSplit(limit)(model).modified
 
 
@@ -154,17 +154,23 @@ def test_a_wide_split_keeps_its_values(width: int) -> None:
     sizes=st.lists(st.integers(0, 3), min_size=2, max_size=80),
     dtype=st.sampled_from(sorted(DTYPES)),
     rank=st.integers(1, 4),
-    place=st.integers(-4, 3),
+    location=st.integers(-4, 3),
     limit=st.integers(2, 9),
-    given=st.booleans(),
+    sizes_given=st.booleans(),
     opset=st.sampled_from([11, 13, 18]),
 )
 def test_random_split_keeps_its_values(
-    sizes: list[int], dtype: str, rank: int, place: int, limit: int, given: bool, opset: int
+    sizes: list[int],
+    dtype: str,
+    rank: int,
+    location: int,
+    limit: int,
+    sizes_given: bool,
+    opset: int,
 ) -> None:
-    axis = max(-rank, min(place, rank - 1))
+    axis = max(-rank, min(location, rank - 1))
     head = HEAD.replace("18", str(opset))
-    known = sizes if given else None
+    known = sizes if sizes_given else None
     judge_split(len(sizes), dtype, rank, axis, known, limit, head)
 
 

@@ -64,8 +64,8 @@ def test_operator_set_13_takes_axes_and_sizes_another_way() -> None:
     before = run(model, x=X)
     assert LowerOpset(13)(model).modified
     assert model.opset_imports[""] == 13
-    for wanted, seen in zip(before, run(model, x=X), strict=True):
-        np.testing.assert_array_equal(seen, wanted)
+    for expected, actual in zip(before, run(model, x=X), strict=True):
+        np.testing.assert_array_equal(actual, expected)
 
 
 OBSTACLES = {
@@ -123,8 +123,8 @@ def test_bodies_of_branches_are_of_the_same_set() -> None:
     before = [run(model, c=np.array(c), x=x)[0] for c in (True, False)]
     assert LowerOpset()(model).modified
     assert "Gelu" not in operators(model)
-    for c, wanted in zip((True, False), before, strict=True):
-        np.testing.assert_allclose(run(model, c=np.array(c), x=x)[0], wanted, atol=1e-6)
+    for c, expected in zip((True, False), before, strict=True):
+        np.testing.assert_allclose(run(model, c=np.array(c), x=x)[0], expected, atol=1e-6)
 
 
 def test_target_chooses_the_operator_set() -> None:

@@ -114,5 +114,5 @@ def test_folded_guards_are_restored() -> None:
     assert "Add" not in operators(model)  # or else the exporter has learnt to keep it
     assert np.isnan(run(model, v=v.numpy())[0][0]).all()
     assert RestoreGuards()(model).modified
-    for seen, wanted in zip(run(model, v=v.numpy()), Unit()(v), strict=True):
-        np.testing.assert_allclose(seen, wanted.numpy(), atol=1e-6)
+    for actual, expected in zip(run(model, v=v.numpy()), Unit()(v), strict=True):
+        np.testing.assert_allclose(actual, expected.numpy(), atol=1e-6)

@@ -10,10 +10,10 @@ from support.passes import parsed, run, text_of
 
 def with_weight(text: str, array: np.ndarray, **more: np.ndarray) -> ir.Model:
     model = parsed(text)
-    for name, given in {"w": array, **more}.items():
+    for name, inputs in {"w": array, **more}.items():
         value = next(value for value in model.graph.inputs if value.name == name)
         model.graph.inputs.remove(value)
-        value.const_value = ir.tensor(given, name=name)
+        value.const_value = ir.tensor(inputs, name=name)
         model.graph.register_initializer(value)
     return model
 
@@ -49,8 +49,8 @@ def test_a_table_is_split_along_the_axis_that_is_looked_up() -> None:
         "g (float[2,10] w, int64[3] i) => (float[2,3] y) { y = Gather <axis = 1> (w, i) }", table
     )
     SplitLargeWeights(30)(model)
-    (seen,) = run(model, i=np.array([9, 0, 4]))
-    np.testing.assert_array_equal(seen, table[:, [9, 0, 4]])
+    (actual,) = run(model, i=np.array([9, 0, 4]))
+    np.testing.assert_array_equal(actual, table[:, [9, 0, 4]])
 
 
 PRODUCTS = {

@@ -40,14 +40,14 @@ THEN = {
 }
 
 
-def masked(taken: str, then: str, count: str = COUNT) -> ir.Model:
+def masked(selection: str, then: str, count: str = COUNT) -> ir.Model:
     weights = WEIGHTS.replace(
         ">",
         ", int64[2] halves = {1, 3}, float[4,4] square = {"
         + ", ".join(str(k % 5) for k in range(16))
         + "}>",
     )
-    return parsed(f"{HEAD} {weights} {{ {MASK} {taken}\n {then}\n {count} }}")
+    return parsed(f"{HEAD} {weights} {{ {MASK} {selection}\n {then}\n {count} }}")
 
 
 def inputs(seed: int, t: float) -> dict[str, np.ndarray]:
@@ -57,38 +57,38 @@ def inputs(seed: int, t: float) -> dict[str, np.ndarray]:
 
 def assert_same_rows(before: list[np.ndarray], after: list[np.ndarray]) -> None:
     *rows, count = before
-    *wide, seen = after
-    np.testing.assert_array_equal(seen, count)
+    *padded, actual = after
+    np.testing.assert_array_equal(actual, count)
     (k,) = count
-    for one, other in zip(rows, wide, strict=True):
-        assert other.shape == (N, *one.shape[1:])
-        np.testing.assert_array_equal(other[:k], one)
+    for first, other in zip(rows, padded, strict=True):
+        assert other.shape == (N, *first.shape[1:])
+        np.testing.assert_array_equal(other[:k], first)
         np.testing.assert_array_equal(other[k:], 0)
 
 
-@pytest.mark.parametrize("taken", TAKEN)
+@pytest.mark.parametrize("selection", TAKEN)
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 10**6), t=st.sampled_from([-9.0, -0.5, 0.0, 1.0, 9.0]))
-def test_every_form_of_taking_rows_gives_them_in_order(taken: str, seed: int, t: float) -> None:
-    model = masked(TAKEN[taken], THEN["elementwise"])
-    given_ = inputs(seed, t)
-    before = run(model, **given_)
+def test_every_form_of_taking_rows_gives_them_in_order(selection: str, seed: int, t: float) -> None:
+    model = masked(TAKEN[selection], THEN["elementwise"])
+    fed = inputs(seed, t)
+    before = run(model, **fed)
     rewrite = MaskRows()
     assert rewrite(model).modified, rewrite.refusals
     assert not operators(model) & DYNAMIC
     assert list(model.graph.outputs[0].shape) == [N, 4]
-    assert_same_rows(before, run(model, **given_))
+    assert_same_rows(before, run(model, **fed))
 
 
 @pytest.mark.parametrize("then", THEN)
 def test_rows_pass_through_row_wise_operators(then: str) -> None:
     model = masked(TAKEN["NonZero and GatherND"], THEN[then])
-    given_ = inputs(3, 0.1)
-    before = run(model, **given_)
+    fed = inputs(3, 0.1)
+    before = run(model, **fed)
     rewrite = MaskRows()
     assert rewrite(model).modified, rewrite.refusals
     assert not operators(model) & DYNAMIC
-    assert_same_rows(before, run(model, **given_))
+    assert_same_rows(before, run(model, **fed))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 64])
@@ -103,8 +103,8 @@ def test_the_order_is_right_at_every_size(n: int) -> None:
     assert rewrite(model).modified, rewrite.refusals
     for share in (0, 0.2, 0.5, 1):
         m, x = rng.random(n) < share, rng.normal(size=n).astype(np.float32)
-        seen, count = run(model, m=m, x=x)
-        np.testing.assert_array_equal(seen, [*x[m], *np.zeros(n - m.sum())])
+        actual, count = run(model, m=m, x=x)
+        np.testing.assert_array_equal(actual, [*x[m], *np.zeros(n - m.sum())])
         np.testing.assert_array_equal(count, [m.sum()])
 
 
@@ -112,10 +112,10 @@ def test_masked_rows_do_not_reach_the_output() -> None:
     model = masked(TAKEN["Compress"], "s = Sqrt (r)\n y = Div (two, s)")
     x = np.array([[k - 5, 1, 1, 1] for k in range(N)], np.float32)
     x[:3, 2] = np.nan
-    given_ = {"x": x, "t": np.zeros(1, np.float32)}
-    before = run(model, **given_)
+    inputs = {"x": x, "t": np.zeros(1, np.float32)}
+    before = run(model, **inputs)
     MaskRows()(model)
-    after = run(model, **given_)
+    after = run(model, **inputs)
     assert np.isfinite(after[0]).all()
     assert_same_rows(before, after)
 
@@ -131,11 +131,11 @@ def test_rows_that_are_not_kept_take_no_part_in_sums(
         "(float z)", "(float[A,B] z)" if keep else "(float[A] z)" if axes == "zero" else "(float z)"
     )
     model = parsed(text)
-    given_ = inputs(4, t)
-    (before,) = run(model, **given_)
+    fed = inputs(4, t)
+    (before,) = run(model, **fed)
     assert MaskRows()(model).modified
     assert not operators(model) & DYNAMIC
-    np.testing.assert_allclose(run(model, **given_)[0], before, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(run(model, **fed)[0], before, rtol=1e-5, atol=1e-6)
 
 
 NESTED = {
@@ -144,17 +144,17 @@ NESTED = {
 }
 
 
-@pytest.mark.parametrize("taken", NESTED)
-def test_a_mask_among_kept_rows_is_a_mask_of_both(taken: str) -> None:
-    nested = f"r1 = Compress <axis = 0> (x, m)\n b = Gather <axis = 1> (r1, second)\n m2 = Greater (b, t)\n {NESTED[taken]}"
+@pytest.mark.parametrize("selection", NESTED)
+def test_a_mask_among_kept_rows_is_a_mask_of_both(selection: str) -> None:
+    nested = f"r1 = Compress <axis = 0> (x, m)\n b = Gather <axis = 1> (r1, second)\n m2 = Greater (b, t)\n {NESTED[selection]}"
     model = masked(nested, "y = Neg (r)", "s = Shape <end = 1> (r)\n count = Cast <to = 6> (s)")
-    given_ = inputs(5, -0.3)
-    before = run(model, **given_)
+    fed = inputs(5, -0.3)
+    before = run(model, **fed)
     assert 0 < before[1] < N
     rewrite = MaskRows()
     assert rewrite(model).modified, rewrite.refusals
     assert not operators(model) & DYNAMIC
-    assert_same_rows(before, run(model, **given_))
+    assert_same_rows(before, run(model, **fed))
 
 
 MIXED = {
@@ -184,11 +184,11 @@ PRODUCTS = {
 @pytest.mark.parametrize("name", PRODUCTS)
 def test_per_row_matrix_products_are_masked(name: str) -> None:
     model = masked(TAKEN["Compress"], PRODUCTS[name].replace("'", '"'))
-    given_ = inputs(6, 0.0)
-    before = run(model, **given_)
+    fed = inputs(6, 0.0)
+    before = run(model, **fed)
     rewrite = MaskRows()
     assert rewrite(model).modified, rewrite.refusals
-    after = run(model, **given_)
+    after = run(model, **fed)
     (k,) = before[1]
     np.testing.assert_allclose(after[0][:k], before[0], rtol=1e-5, atol=1e-6)
     assert not after[0][k:].any()
@@ -227,10 +227,10 @@ def test_a_count_is_known_however_it_ends(end: str) -> None:
     )
     model = masked(TAKEN["Compress"], "y = Neg (r)", count)
     FoldShapes()(model)
-    given_ = inputs(0, 0.2)
-    before = run(model, **given_)
+    fed = inputs(0, 0.2)
+    before = run(model, **fed)
     assert MaskRows("count")(model).modified
-    assert_same_rows(before, run(model, **given_))
+    assert_same_rows(before, run(model, **fed))
 
 
 def test_the_count_must_be_the_one_that_the_manifest_names() -> None:
@@ -247,17 +247,17 @@ def test_unsupported_mask_does_not_block_another() -> None:
         z = ReduceProd <keepdims = 0> (r, zero) }}"""
     model = parsed(text)
     rng = np.random.default_rng(0)
-    given_ = {
+    inputs = {
         "x": rng.normal(size=(N, 4)).astype(np.float32),
         "m": rng.random(N) < 0.5,
         "q": rng.random(N) < 0.5,
     }
-    y, count, z = run(model, **given_)
+    y, count, z = run(model, **inputs)
     rewrite = MaskRows()
     assert rewrite(model).modified
     assert len(rewrite.refusals) == 1
-    seen, number, same = run(model, **given_)
-    np.testing.assert_array_equal(seen[: len(y)], y)
+    actual, number, same = run(model, **inputs)
+    np.testing.assert_array_equal(actual[: len(y)], y)
     np.testing.assert_array_equal(number, count)
     np.testing.assert_array_equal(same, z)
 
@@ -337,10 +337,10 @@ def test_masks_exported_by_torch_are_recognised(exported: bytes) -> None:
     assert not rewrite.refusals
     assert not operators(model) & DYNAMIC
     for seed, t in ((0, 0.0), (1, -5.0), (2, 5.0)):
-        given_ = inputs(seed, t)
-        wanted = Everything()(*(torch.tensor(v) for v in given_.values()))
-        seen = run(model, **given_)
-        assert [len(one) for one in seen] == [N, N, 1, N, 1, 14, 14, N]
-        for one, other in zip(seen, wanted, strict=True):
-            np.testing.assert_allclose(one[: len(other)], other.numpy(), rtol=1e-6)
-            np.testing.assert_array_equal(one[len(other) :], 0)
+        fed = inputs(seed, t)
+        everything = Everything()(*(torch.tensor(v) for v in fed.values()))
+        outputs = run(model, **fed)
+        assert [len(entry) for entry in outputs] == [N, N, 1, N, 1, 14, 14, N]
+        for first, other in zip(outputs, everything, strict=True):
+            np.testing.assert_allclose(first[: len(other)], other.numpy(), rtol=1e-6)
+            np.testing.assert_array_equal(first[len(other) :], 0)

@@ -24,8 +24,8 @@ def with_weight(model: ir.Model, name: str, array: np.ndarray) -> ir.Model:
         name=name, const_value=tensor, type=ir.TensorType(tensor.dtype), shape=ir.Shape(array.shape)
     )
     model.graph.register_initializer(value)
-    for node, place in uses:
-        node.replace_input_with(place, value)
+    for node, use in uses:
+        node.replace_input_with(use, value)
     ShapeInferencePass(strict_mode=False)(model)
     return model
 
@@ -57,9 +57,9 @@ def test_a_line_that_moves_as_a_whole_is_sampled_by_products(
     before = [run(model, t=np.array([t], np.float32))[0] for t in TIMES]
     assert SampleByProduct()(model).modified
     assert "GridSample" not in operators(model)
-    for t, wanted in zip(TIMES, before, strict=True):
-        (seen,) = run(model, t=np.array([t], np.float32))
-        np.testing.assert_allclose(seen, wanted, atol=2e-6)
+    for t, expected in zip(TIMES, before, strict=True):
+        (actual,) = run(model, t=np.array([t], np.float32))
+        np.testing.assert_allclose(actual, expected, atol=2e-6)
     assert not SampleByProduct()(model).modified
 
 
@@ -115,10 +115,10 @@ def test_parts_are_taken_before_they_are_joined(name: str) -> None:
     (before,) = run(model, x=x, z=z)
     assert PickParts()(model).modified
     (last,) = (node for node in model.graph if node.op_type == "Exp")
-    made, kinds = last.inputs[0].producer(), set()
-    while made.op_type in ("Gather", "Concat", "Transpose"):
-        kinds.add(made.op_type)
-        made = made.inputs[0].producer()
+    result, kinds = last.inputs[0].producer(), set()
+    while result.op_type in ("Gather", "Concat", "Transpose"):
+        kinds.add(result.op_type)
+        result = result.inputs[0].producer()
     assert kinds == left
     np.testing.assert_array_equal(run(model, x=x, z=z)[0], before)
     assert not PickParts()(model).modified

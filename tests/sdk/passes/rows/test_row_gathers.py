@@ -74,19 +74,19 @@ def test_parts_that_only_a_frame_knows_are_left_alone(text: str) -> None:
 
 @pytest.mark.parametrize("opset", [11, 13, 18])
 def test_a_split_becomes_slices_and_those_are_gathered_in_the_next_round(opset: int) -> None:
-    given = ", split = [1, 0, 4]" if opset < 13 else ""
+    inputs = ", split = [1, 0, 4]" if opset < 13 else ""
     weight, argument = ("", "") if opset < 13 else ("<int64[3] s = {1, 0, 4}>", ", s")
     text = (
         f"g (float16[2,5] x) => (float16[A,B] p, float16[C,D] q, float16[E,F] r) {weight} "
-        f"{{ p, q, r = Split <axis = 1{given}> (x{argument}) }}"
+        f"{{ p, q, r = Split <axis = 1{inputs}> (x{argument}) }}"
     )
     model = parsed(text, HEAD.replace("18", str(opset)))
     x = np.arange(10, dtype=np.float16).reshape(2, 5)
     before = run(model, x=x)
     assert GatherSlices()(model).modified
     assert operators(model) == {"Slice"}
-    for wanted, seen in zip(before, run(model, x=x), strict=True):
-        np.testing.assert_array_equal(seen, wanted)
+    for expected, actual in zip(before, run(model, x=x), strict=True):
+        np.testing.assert_array_equal(actual, expected)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
@@ -142,12 +142,12 @@ def test_a_scatter_of_known_rows_is_gathered(
         indices,
     )
     x, u = (rng.normal(size=shape).astype(np.float32), rng.normal(size=new).astype(np.float32))
-    wanted = x.copy()
-    for place in np.ndindex(*rows):
-        wanted[tuple(indices[place])] = u[place]
+    copy = x.copy()
+    for location in np.ndindex(*rows):
+        copy[tuple(indices[location])] = u[location]
     assert GatherScatters()(model).modified
     assert "ScatterND" not in operators(model)
-    np.testing.assert_array_equal(run(model, x=x, u=u)[0], wanted)
+    np.testing.assert_array_equal(run(model, x=x, u=u)[0], copy)
 
 
 @pytest.mark.parametrize("axis", [0, 1, -1])
@@ -207,10 +207,10 @@ def test_a_scatter_in_a_branch_is_rewritten() -> None:
     assert run(model, c=np.array(True), x=x)[0].tolist() == [1, 7, 3]
 
 
-@pytest.mark.parametrize("place", [4, -5])
-def test_a_place_beyond_what_was_joined_is_left_to_the_runtime(place: int) -> None:
+@pytest.mark.parametrize("location", [4, -5])
+def test_a_place_beyond_what_was_joined_is_left_to_the_runtime(location: int) -> None:
     text = (
-        f"g (float[2] x, float[2] z) => (float[1] y) <int64[1] i = {{{place}}}> "
+        f"g (float[2] x, float[2] z) => (float[1] y) <int64[1] i = {{{location}}}> "
         "{ c = Concat <axis = 0> (x, z) y = Gather <axis = 0> (c, i) }"
     )
     assert not PickParts()(parsed(text)).modified

@@ -72,20 +72,20 @@ def model_of(body: str, dims: str) -> ir.Model:
 
 def inputs() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(5)
-    made = {"x": (70000, 3), "z": (70000, 3), "c": (70000, 1), "t": (1,)}
-    return {name: rng.normal(size=size).astype(np.float32) for name, size in made.items()}
+    result = {"x": (70000, 3), "z": (70000, 3), "c": (70000, 1), "t": (1,)}
+    return {name: rng.normal(size=size).astype(np.float32) for name, size in result.items()}
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_column_form_equals_row_form(name: str, monkeypatch) -> None:
     monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
-    model, given = model_of(*ROWS[name]), inputs()
-    (before,) = run(model, **given)
+    model, values = model_of(*ROWS[name]), inputs()
+    (before,) = run(model, **values)
     assert WorkInColumns()(model).modified
     kinds = {"Expand", "Gather", "Slice", "Transpose", "ReduceSum", "ReduceL2", "ReduceMax"}
     assert not kinds & operators(model)
     assert model.graph.outputs[0].name == "y"
-    (after,) = run(model, **given)
+    (after,) = run(model, **values)
     np.testing.assert_allclose(after, before, rtol=2e-5, atol=1e-6)
 
 
@@ -135,11 +135,11 @@ def test_shared_results_are_reassembled_into_rows(monkeypatch) -> None:
         "{ e = Exp (c) w = Mul (x, e) y = MatMul (w, k) }"
     )
     model, rng = parsed(text), np.random.default_rng(6)
-    given = {
+    inputs = {
         k: rng.normal(size=s).astype(np.float32)
         for k, s in (("x", (70000, 3)), ("c", (70000, 1)), ("k", (3, 20)))
     }
-    before = run(model, **given)
+    before = run(model, **inputs)
     assert WorkInColumns()(model).modified
-    for wanted, seen in zip(before, run(model, **given), strict=True):
-        np.testing.assert_allclose(seen, wanted, rtol=1e-5)
+    for expected, actual in zip(before, run(model, **inputs), strict=True):
+        np.testing.assert_allclose(actual, expected, rtol=1e-5)

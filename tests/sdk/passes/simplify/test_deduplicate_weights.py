@@ -94,7 +94,7 @@ def test_a_weight_that_can_be_fed_stays() -> None:
     before = text_of(model)
     rewrite = DeduplicateWeights()
     assert not rewrite(model).modified
-    assert [one.where for one in rewrite.refusals] == ["second"]
+    assert [refusal.where for refusal in rewrite.refusals] == ["second"]
     assert text_of(model) == before
 
 

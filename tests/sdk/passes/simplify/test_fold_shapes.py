@@ -148,12 +148,12 @@ def test_folding_computes_what_onnx_runtime_does(name: str, seed: int) -> None:
     del proto.graph.output[:]
     proto.graph.output.add(name="z")
     del proto.graph.node[1:]
-    (wanted,) = onnxruntime.InferenceSession(
+    (expected,) = onnxruntime.InferenceSession(
         onnx.shape_inference.infer_shapes(proto).SerializeToString()
     ).run(None, {})
     model = ir.serde.deserialize_model(proto)
     node = next(iter(model.graph))
-    seen = FoldShapes()._value_of(node)
-    assert seen is not None
-    assert seen.dtype == wanted.dtype
-    np.testing.assert_array_equal(seen, wanted)
+    actual = FoldShapes()._value_of(node)
+    assert actual is not None
+    assert actual.dtype == expected.dtype
+    np.testing.assert_array_equal(actual, expected)
