@@ -157,7 +157,7 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("at", "value", "kind", "text"),
+    ("offset", "value", "kind", "text"),
     [
         (0, b"GLTF", NotRecognised, "first bytes: 47 4c 54 46\n"),
         (4, b"\x01", NotSupported, "byte 4: the file has glTF version 1\nexpected version 2"),

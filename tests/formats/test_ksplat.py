@@ -96,7 +96,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
 
 
 @pytest.mark.parametrize(
-    ("at", "value", "kind", "text"),
+    ("offset", "value", "kind", "text"),
     [
         (0, b"\x01", NotRecognised, "first bytes: 01 01 00 00\n"),
         (1, b"\x02", NotSupported, "byte 1: the file has KSPLAT version 0.2\nexpected version 0.1"),

@@ -77,7 +77,7 @@ def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "seen"), [(b"\x93NUMPY\x01\x00", "93 4e 55 4d 50"), (b"p", "70")]
+    ("content", "actual"), [(b"\x93NUMPY\x01\x00", "93 4e 55 4d 50"), (b"p", "70")]
 )
 def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, actual):
     file = tmp_path / "scene.abc"

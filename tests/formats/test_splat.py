@@ -91,7 +91,7 @@ def test_extreme_values_are_clamped(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("at", "value", "text"),
+    ("offset", "value", "text"),
     [
         (0, np.nan, "position[:, 0]: 1 of 2 rows are invalid: row 0 is nan\nexpected a finite number"),
         (9, np.inf, "position[:, 1]: 1 of 2 rows are invalid: row 1 is inf\nexpected a finite number"),

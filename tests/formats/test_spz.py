@@ -378,7 +378,7 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("at", "value", "text"),
+    ("offset", "value", "text"),
     [
         (
             15,

@@ -86,7 +86,7 @@ def rows(name, *dims):
 
 
 @pytest.mark.parametrize(
-    ("outputs", "found"),
+    ("outputs", "actual"),
     [
         ([rows("splats", 7, 10)], GaussiansOutput("splats", 7)),
         ([rows("splats", "N", 10)], GaussiansOutput("splats", 1)),
@@ -102,7 +102,7 @@ def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(
 
 
 @pytest.mark.parametrize(
-    ("dims", "found"),
+    ("dims", "actual"),
     [
         ((7, 3), AppearanceOutput("color", "rgb")),
         ((7, 4), AppearanceOutput("color", "rgb")),

@@ -150,7 +150,7 @@ def test_a_payload_in_several_pieces_is_left_out_whole():
     assert result.raw_data == STUB
 
 
-@pytest.mark.parametrize(("count", "kept"), [(300, True), (100_000, True), (200_000, False)])
+@pytest.mark.parametrize(("count", "retained"), [(300, True), (100_000, True), (200_000, False)])
 def test_integers_are_kept_up_to_a_mebibyte_for_shape_inference(count, retained):
     values = np.arange(count, dtype=np.int64).tobytes()
     weight = TensorProto(name="w", data_type=TensorProto.INT64, dims=[count], raw_data=values)

@@ -124,7 +124,7 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
 
 
 @pytest.mark.parametrize(
-    ("text", "place"),
+    ("text", "location"),
     [
         ("from gsgen.contract.rules import absent\n", "faulty_acme.py:1 (from gsgen"),
         (

@@ -214,7 +214,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("place", "reason"), [("no/a.ply", "No such file or directory"), (".", "Is a directory")]
+    ("location", "reason"), [("no/a.ply", "No such file or directory"), (".", "Is a directory")]
 )
 def test_unwritable_path_is_named(tmp_path: Path, location, reason):
     with pytest.raises(FileUnwritable) as caught:

@@ -18,7 +18,7 @@ def manifest_of(path: Path) -> dict:
 
 
 @pytest.mark.parametrize(
-    ("options", "kept"), [((), "mip"), (("--antialias", "classic"), "classic")]
+    ("options", "retained"), [((), "mip"), (("--antialias", "classic"), "classic")]
 )
 def test_spz_training_flags_are_kept(tmp_path, options, retained):
     model = tmp_path / "m.onnx"

@@ -112,7 +112,7 @@ def test_frame_rate_is_read_from_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "joints", "shared"),
+    ("axis_count", "joints", "shared"),
     [(52, 24, range(22)), (52, 55, [*range(22), *range(-30, 0)]), (22, 55, range(22)),
      (55, 52, [*range(22), *range(-30, 0)]), (24, 22, range(22))],
 )  # fmt: skip

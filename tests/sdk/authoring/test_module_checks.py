@@ -63,7 +63,7 @@ class Sepia(PostProcess):
 
 
 @pytest.mark.parametrize(
-    ("made", "where", "what", "hint"),
+    ("result", "where", "label", "hint"),
     [
         (NotSetUp, "NotSetUp", "__init__ does not call super().__init__()", "super().__init__()"),
         (

@@ -208,7 +208,7 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
 
 
 @pytest.mark.parametrize(
-    ("words", "error", "told"),
+    ("words", "error", "message"),
     [
         (["dot:Dots"], UnknownName, "Did you mean 'dots'?"),
         (["pack.scene:Dots"], UnknownName, "Did you mean 'pack.scenes'?"),

@@ -239,7 +239,7 @@ def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("external_data_outside", "GS001"),
         ("external_data_missing", "GS001"),
@@ -373,7 +373,7 @@ def test_the_command_lists_its_passes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "message"),
     [
         (["in.onnx"], 2, "is missing, expected the path of the copy"),
         (["in.onnx", "-o", "out.onnx", "--pass", "chunk"], 2, "Did you mean"),

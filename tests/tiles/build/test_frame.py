@@ -21,7 +21,7 @@ def test_down_in_the_scene_is_down_in_the_world():
 
 
 @pytest.mark.parametrize(
-    ("place", "expected"),
+    ("geodetic", "expected"),
     [
         ((0, 0, 0), (6378137.0, 0, 0)),
         ((90, 0, 100), (0, 6378237.0, 0)),

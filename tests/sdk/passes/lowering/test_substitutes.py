@@ -158,7 +158,7 @@ SIGNS = [
 ]
 
 
-@pytest.mark.parametrize(("body", "dtype", "made"), SIGNS)
+@pytest.mark.parametrize(("body", "dtype", "result"), SIGNS)
 def test_a_sign_keeps_its_value(body: str, dtype: str, result: str) -> None:
     model = parsed(f"g ({dtype}[40,4] x) => ({result}[40,4] y) {{ y = {body} }}")
     x = (
