@@ -82,9 +82,9 @@ def alternating(actions: list[Callable[[], object]], times: int) -> np.ndarray:
     for number, turn in enumerate(durations):
         for index in range(len(actions)):
             k = (index + number) % len(actions)
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             actions[k]()
-            turn[k] = time.perf_counter() - began
+            turn[k] = time.perf_counter() - start_time
     return durations
 
 
@@ -129,9 +129,9 @@ class Inside:
         self.session, self.seconds = session, 0.0
 
     def run_with_iobinding(self, binding: Any) -> None:
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         self.session.run_with_iobinding(binding)
-        self.seconds = time.perf_counter() - began
+        self.seconds = time.perf_counter() - start_time
 
 
 def bench_overhead_on_a_decoder(decoder: Path) -> None:
@@ -144,9 +144,9 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
         session._ready.bound.session = inside
         frames = np.zeros((60, 2))
         for frame in frames:
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             session.run({"time": 0.3})["gaussians"]
-            frame[:] = time.perf_counter() - began, inside.seconds
+            frame[:] = time.perf_counter() - start_time, inside.seconds
     whole, bare = frames.T
     more = np.median((whole - bare) / bare)
     print_figure(f"100 k Gaussians decoded on the CPU: {1e3 * np.median(bare):.2f} ms a frame, ")
@@ -207,13 +207,13 @@ with FrameSession(sys.argv[1], provider=sys.argv[2], threads=1) as session:
 
 @pytest.mark.parametrize("provider", ["cpu", "webgpu"])
 def bench_memory_over_ten_thousand_frames(tiny: Path, provider: str) -> None:
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", _GROWTH, str(tiny), provider, str(FRAMES)],
         check=True,
         capture_output=True,
         text=True,
     )
-    before, after = map(int, done.stdout.split())
+    before, after = map(int, completed.stdout.split())
     print_figure(
         f"{provider}: resident {before / 1000:.1f} MB, and {after - before} kB more after "
     )

@@ -48,17 +48,17 @@ def long_chain(nodes: int) -> ModelSpec:
     return base.reworded(first, text).weighing(**numbers)
 
 
-def weighing(sketch: ModelSpec, megabytes: int) -> ModelSpec:
+def weighing(spec: ModelSpec, megabytes: int) -> ModelSpec:
     """Let the model look a part of its colours up in a table of that size."""
     if not megabytes:
-        return sketch
+        return spec
     rows = megabytes * 10**6 // 12
     table = np.random.default_rng(0).random((rows, 3), np.float32)
-    looked_up = sketch.reworded(
+    lookup_model = spec.reworded(
         "color = Identity (colors)", "some = Gather (table, places) color = Mul (some, small)"
     )
     places = np.arange(5, dtype=np.int32)
-    return looked_up.weighing(table=table, places=places, small=np.float32([0.1]))
+    return lookup_model.weighing(table=table, places=places, small=np.float32([0.1]))
 
 
 def network(rows: int, width: int) -> ModelSpec:
@@ -79,22 +79,22 @@ def network(rows: int, width: int) -> ModelSpec:
         for name, value in base.weights.items()
         if value.ndim == 2 and len(value) == 5
     }
-    sketch = base.reworded("shift = Mul (speed, wave) moved = Add (center, shift)", text)
-    sketch = replace(sketch, outputs=sketch.outputs.replace("[5,", f"[{rows},"))
+    spec = base.reworded("shift = Mul (speed, wave) moved = Add (center, shift)", text)
+    spec = replace(spec, outputs=spec.outputs.replace("[5,", f"[{rows},"))
     outputs = base.manifest.outputs
     gaussians = replace(outputs.gaussians, capacity=rows)
     layers = {"first": normal(width, width), "second": normal(width, width)}
     return (
-        sketch.weighing(**remaining, **layers, third=normal(width, 3), feature=normal(rows, width))
+        spec.weighing(**remaining, **layers, third=normal(width, 3), feature=normal(rows, width))
         .weighing(live=np.int32([rows]), center=rng.uniform(-1, 1, (rows, 3)).astype("f4"))
         .declaring_outputs(gaussians=gaussians)
     )
 
 
 def taken(action: Callable[[], object]) -> float:
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     action()
-    return time.perf_counter() - began
+    return time.perf_counter() - start_time
 
 
 def compared(path: Path, settings: Settings) -> dict[str, list[float]]:
@@ -134,8 +134,10 @@ def bench_static_beside_the_checker(tmp_path: Path, megabytes: int) -> None:
         ("inferred", "the same with shape inference (full_check), which ours does, too"),
         ("parsed", "check_model of what was parsed before"),
     ):
-        ratio, usual = best["ours"] / best[name], middle["ours"] / middle[name]
-        print_figure(f"  {ratio:.2f} × (of medians {usual:.2f} ×) {best[name]:.1f} ms, {words}")
+        ratio, median_ratio = best["ours"] / best[name], middle["ours"] / middle[name]
+        print_figure(
+            f"  {ratio:.2f} × (of medians {median_ratio:.2f} ×) {best[name]:.1f} ms, {words}"
+        )
     if megabytes >= _BAR_FROM:
         print_figure("  bar 1.3 × onnx.load and check_model")
         assert best["ours"] <= 1.3 * best["theirs"]

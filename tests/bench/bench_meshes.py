@@ -25,9 +25,9 @@ AROUND = Camera.panorama((0, 0, 0), width=1024)
 def cpu(renderer: Renderer, scene: Scene, times: int = 5, camera: Camera = CAMERA) -> float:
     durations = []
     for _ in range(times + 1):
-        began = time.process_time()
+        start_time = time.process_time()
         renderer.render(scene, camera)
-        durations.append(time.process_time() - began)
+        durations.append(time.process_time() - start_time)
     return min(durations[1:])
 
 
@@ -55,8 +55,8 @@ def ball(rings: int) -> MeshData:
         np.broadcast_arrays(np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)),
         -1,
     ).reshape(-1, 3)
-    ring, spoke = np.divmod(np.arange(rings * rings), rings)
-    a, b = ring * rings + spoke, ring * rings + (spoke + 1) % rings
+    ring, spoke_index = np.divmod(np.arange(rings * rings), rings)
+    a, b = ring * rings + spoke_index, ring * rings + (spoke_index + 1) % rings
     faces = [np.stack([a, b, b + rings], 1), np.stack([a, b + rings, a + rings], 1)]
     return MeshData(points, np.concatenate(faces), np.abs(points))
 
@@ -79,8 +79,8 @@ def bench_meshes(splats: SplatData) -> None:
     bare = cpu(renderer, Scene([splats]))
     sys.stdout.write(f"\n  {COUNT:,} Gaussians, 960×540, no mesh: {bare:.3f} s")
     for name, mesh in cases.items():
-        took = cpu(renderer, Scene([splats], meshes=[mesh]))
-        sys.stdout.write(f"\n  {name}: {took:.3f} s, {took / bare:.2f} times")
+        seconds_taken = cpu(renderer, Scene([splats], meshes=[mesh]))
+        sys.stdout.write(f"\n  {name}: {seconds_taken:.3f} s, {seconds_taken / bare:.2f} times")
     alone = cpu(renderer, Scene([], meshes=[cases["105,800 triangles there"]]))
     sys.stdout.write(f"\n  105,800 triangles alone: {alone:.3f} s\n")
 
@@ -98,6 +98,6 @@ def bench_meshes_all_around() -> None:
     sys.stdout.write(f"\n  8 triangles, far away: {cpu(renderer, sky, camera=AROUND):.3f} s")
     for name, mesh in cases.items():
         scene = Scene([], meshes=[mesh])
-        took, ahead = cpu(renderer, scene, camera=AROUND), cpu(renderer, scene)
-        sys.stdout.write(f"\n  {name}: {took:.3f} s, as a pinhole sees it {ahead:.3f} s")
+        seconds_taken, ahead = cpu(renderer, scene, camera=AROUND), cpu(renderer, scene)
+        sys.stdout.write(f"\n  {name}: {seconds_taken:.3f} s, as a pinhole sees it {ahead:.3f} s")
     sys.stdout.write("\n")

@@ -34,9 +34,9 @@ def least(action: Callable[[], object], after: Callable[[], object]) -> float:
     """Return the least CPU milliseconds of this thread for an action, over many frames."""
     durations = []
     for _ in range(FRAMES):
-        began = time.thread_time()
+        start_time = time.thread_time()
         action()
-        durations.append(time.thread_time() - began)
+        durations.append(time.thread_time() - start_time)
         after()
     return 1000 * min(durations)
 
@@ -86,8 +86,8 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
     print_figure(
         f"    empty one's {bare:.2f}; uniforms {uniforms:.2f}, dispatches {whole - uniforms - bare:.2f}"
     )
-    placing = least(lambda: renderer.placed(scene), lambda: None)
-    print_figure(f"    finding what changed {placing:.3f} ms")
+    placing_seconds = least(lambda: renderer.placed(scene), lambda: None)
+    print_figure(f"    finding what changed {placing_seconds:.3f} ms")
 
 
 def bench_what_stays(renderer: Renderer) -> None:
@@ -102,9 +102,9 @@ def bench_what_stays(renderer: Renderer) -> None:
     def cpu(action: Callable[[], object]) -> float:
         durations = []
         for _ in range(5):
-            began = time.process_time()
+            start_time = time.process_time()
             action()
-            durations.append(time.process_time() - began)
+            durations.append(time.process_time() - start_time)
         return 1000 * min(durations)
 
     def compare() -> None:
@@ -131,11 +131,11 @@ def bench_what_stays(renderer: Renderer) -> None:
 def joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return spans of time with those that overlap joined to one."""
     whole: list[tuple[float, float]] = []
-    for begin, end in sorted(spans):
-        if whole and begin <= whole[-1][1]:
+    for start_time, end in sorted(spans):
+        if whole and start_time <= whole[-1][1]:
             whole[-1] = whole[-1][0], max(end, whole[-1][1])
         else:
-            whole.append((begin, end))
+            whole.append((start_time, end))
     return whole
 
 
@@ -156,9 +156,9 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
             name: str = name,
             **kwargs: object,
         ) -> object:
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             result = original(*args, **kwargs)
-            spans[name].append((began, time.perf_counter()))
+            spans[name].append((start_time, time.perf_counter()))
             return result
 
         monkeypatch.setattr(owner, name, watched)
@@ -178,7 +178,7 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
             for a in spans["run"]
             for b in joined(spans["render"] + in_flight)
         )
-        return both / sum(end - began for began, end in spans["run"])
+        return both / sum(end - start_time for start_time, end in spans["run"])
 
     played = shared(lambda player: list(player.play(camera, times=times)))
     alone = shared(lambda player: [player.render(camera, time=time) for time in times])
@@ -188,8 +188,8 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
     print_figure(f"{100 * alone:.0f} % where frames are rendered one by one")
 
 
-@pytest.mark.parametrize("work", ["frames alone", "with PNG files of them"])
-def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, work: str) -> None:
+@pytest.mark.parametrize("pixel_operations", ["frames alone", "with PNG files of them"])
+def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, pixel_operations: str) -> None:
     """What a film takes with two frames in flight, beside one that waits for each frame.
 
     Half of the frames are played in each way, in turns. Where the driver is software, drawing,
@@ -207,18 +207,18 @@ def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, work: str) -> Non
     for turn in range(6):
         for count, player in players.items():
             requests = [FrameRequest(camera, ({"time": moment},)) for moment in moments]
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             for number, frame in enumerate(player.play(requests)):
-                if work != "frames alone":
+                if pixel_operations != "frames alone":
                     save_picture(tmp_path / f"{number}.png", frame.srgb8)
             if turn:  # the first one compiles
-                durations[count].append(time.perf_counter() - began)
+                durations[count].append(time.perf_counter() - start_time)
                 waited[count].append(player.statistics.waited)
     source.close()
     ratio = np.median(np.divide(durations[2], durations[1]))
     first, two = (1000 * np.median(waited[count]) / len(moments) for count in (1, 2))
     print_figure(
-        f"100,000 moving Gaussians, {work}: with two frames in flight {ratio:.2f} of the time"
+        f"100,000 moving Gaussians, {pixel_operations}: with two frames in flight {ratio:.2f} of the time"
     )
     print_figure(
         f"    of waiting for each; the host waits {two:.1f} ms a frame instead of {first:.1f}"

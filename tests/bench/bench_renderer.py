@@ -41,9 +41,9 @@ def cpu(action: Callable[[], object], times: int = 5) -> float:
     """Return the least CPU seconds of several runs."""
     durations = []
     for _ in range(times):
-        began = time.process_time()
+        start_time = time.process_time()
         action()
-        durations.append(time.process_time() - began)
+        durations.append(time.process_time() - start_time)
     return min(durations)
 
 
@@ -129,27 +129,29 @@ def bench_a_million(device: Device, scene: Scene, size: tuple[int, int], compact
     )
     print_figure(f"{visible:,} visible, {pairs:,} pairs")
     rate = copy_rate()
-    stays = (32, 96) if compact else (40, 192)  # bytes of a row, and of its harmonics
-    least = floor(MILLION, visible, pairs, size[0] * size[1], *stays)
-    idle = cpu(lambda: frame("none"))  # uniforms, clearing, and copying the image back
+    unchanged_bytes = (32, 96) if compact else (40, 192)  # bytes of a row, and of its harmonics
+    min_costs = floor(MILLION, visible, pairs, size[0] * size[1], *unchanged_bytes)
+    idle_seconds = cpu(lambda: frame("none"))  # uniforms, clearing, and copying the image back
     names = list(plan.stages)
     # What a stage adds to those before it: each needs what they made.
-    sums = [idle, *(cpu(lambda n=n: frame(*names[: n + 1])) for n in range(len(names)))]
+    sums = [idle_seconds, *(cpu(lambda n=n: frame(*names[: n + 1])) for n in range(len(names)))]
     for number, name in enumerate(names):
-        bytes_ = least[name]
+        bytes_ = min_costs[name]
         print_figure(
             f"{name:8} {sums[number + 1] - sums[number]:.3f} CPU-s; "
             f"{bytes_ / 1e6:5.0f} MB, at one core's copying rate {bytes_ / rate:.3f} s"
         )
-    work = 14 * pairs * TILE**2  # of a tile's pixels with a splat, each takes about 14 operations
+    pixel_operations = (
+        14 * pairs * TILE**2
+    )  # of a tile's pixels with a splat, each takes about 14 operations
     print_figure(
-        f"blend at most {work / 1e9:.1f} G operations, one core's rate {work / flops():.3f} s"
+        f"blend at most {pixel_operations / 1e9:.1f} G operations, one core's rate {pixel_operations / flops():.3f} s"
     )
-    print_figure(f"uniforms and reading back {idle:.3f} CPU-s")
+    print_figure(f"uniforms and reading back {idle_seconds:.3f} CPU-s")
     print_figure(f"frame {sums[-1]:.3f} CPU-s (goal {SIZES[size]})")
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     frame()
-    print_figure(f"frame {time.perf_counter() - began:.3f} s of wall clock")
+    print_figure(f"frame {time.perf_counter() - start_time:.3f} s of wall clock")
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -206,9 +208,9 @@ def bench_quads(device: Device, scene: Scene, size: tuple[int, int]) -> None:
 def bench_panorama(device: Device, scene: Scene) -> None:
     """All around, beside a picture of as many pixels that sees a part of it."""
     eye, toward = (-0.5, -0.3, -0.4), (1.0, 0.1, 0.4)
-    straight = Camera.look_at(eye, np.add(eye, toward).tolist(), width=1024, height=512)
+    forward_camera = Camera.look_at(eye, np.add(eye, toward).tolist(), width=1024, height=512)
     around = Camera.panorama(eye, toward, width=1024)
-    for name, camera in (("pinhole", straight), ("panorama", around)):
+    for name, camera in (("pinhole", forward_camera), ("panorama", around)):
         own_renderer = Renderer(device, rasteriser="tiles")
         plan, placed, pairs = planned(own_renderer, scene, camera)
 
@@ -220,13 +222,13 @@ def bench_panorama(device: Device, scene: Scene) -> None:
 
         frame()
         visible = int(device.read(plan.buffers["counts"], np.uint32, 4)[Counts.VISIBLE])
-        idle, projected, all_ = (
+        idle_seconds, projected, total_seconds = (
             cpu(lambda: frame("none")),
             cpu(lambda: frame("project")),
             cpu(frame),
         )
         print_figure(f"{name:8} 1024×512: {visible:,} visible, {pairs:,} pairs, ")
-        print_figure(f"  project {projected - idle:.3f} CPU-s, frame {all_:.3f}")
+        print_figure(f"  project {projected - idle_seconds:.3f} CPU-s, frame {total_seconds:.3f}")
 
 
 def bench_encoding(renderer: Renderer) -> None:
@@ -241,12 +243,12 @@ def bench_encoding(renderer: Renderer) -> None:
 
     def both() -> None:
         for _ in range(20):
-            began.append(time.thread_time())
+            start_time.append(time.thread_time())
             plan.submit(placed, camera, NOTHING_BEHIND)
-            durations.append(time.thread_time() - began[-1])
+            durations.append(time.thread_time() - start_time[-1])
             plan.collect()
 
-    began: list[float] = []
+    start_time: list[float] = []
     durations: list[float] = []
     encode()
     both()
@@ -262,13 +264,15 @@ def bench_memory(device: Device, scene: Scene) -> None:
     data = scene.sets[0].data
     for compact in (False, True):
         renderer = Renderer(device, rasteriser="tiles", compact=compact)
-        stay = []
+        unchanged_sizes = []
         for degree in (0, 1, 2, 3):
-            some = SplatData(data.rows, data.appearance[:, : 3 * (degree + 1) ** 2], "sh")
-            pages = [page for _, page in renderer.placed(Scene([some]))]
-            stay.append(sum(page.rows.size + page.appearance.size for page in pages))
+            reduced_data = SplatData(data.rows, data.appearance[:, : 3 * (degree + 1) ** 2], "sh")
+            pages = [page for _, page in renderer.placed(Scene([reduced_data]))]
+            unchanged_sizes.append(sum(page.rows.size + page.appearance.size for page in pages))
         print_figure("compact: " if compact else "exact: ")
-        print_figure("  ".join(f"degree {d} {size / MILLION:.0f}" for d, size in enumerate(stay)))
+        print_figure(
+            "  ".join(f"degree {d} {size / MILLION:.0f}" for d, size in enumerate(unchanged_sizes))
+        )
         print_figure(
             f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)"
         )
@@ -330,6 +334,6 @@ def bench_two_hundred_still_frames(renderer: Renderer, scene: Scene) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for _ in range(200):
         renderer.render(small, camera)
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    print_figure(f"200 frames: peak memory grew by {grown / 1024:.1f} MiB")
-    assert grown < 20 * 1024
+    memory_growth = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    print_figure(f"200 frames: peak memory grew by {memory_growth / 1024:.1f} MiB")
+    assert memory_growth < 20 * 1024

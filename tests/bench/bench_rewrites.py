@@ -62,9 +62,9 @@ def built(name: str, folder: Path) -> Case:
     before, after = folder / f"{name}.onnx", folder / f"{name}_rewritten.onnx"
     save_model(model, before)
     original = copy.copy(ir.load(before))
-    began = time.process_time()
+    start_time = time.process_time()
     rewrite_and_embed(model, result.manifest, load_target("core"))
-    print_figure(f"{name}: rewritten in {time.process_time() - began:.1f} s of CPU time")
+    print_figure(f"{name}: rewritten in {time.process_time() - start_time:.1f} s of CPU time")
     save_model(model, after)
     inputs = [torch.from_numpy(np.array(entry)) for entry in probes[3].inputs.values()]
     return Case(result.module, inputs, list(probes[3].inputs), before, after, original)
@@ -78,9 +78,9 @@ def session(path: Path) -> onnxruntime.InferenceSession:
 
 
 def cpu_seconds(action: Callable[[], object]) -> float:
-    began = time.process_time()
+    start_time = time.process_time()
     action()
-    return time.process_time() - began
+    return time.process_time() - start_time
 
 
 def by_turns(actions: dict[str, Callable[[], object]]) -> dict[str, float]:
@@ -95,11 +95,11 @@ def by_turns(actions: dict[str, Callable[[], object]]) -> dict[str, float]:
 def speeds() -> tuple[float, float]:
     """Return multiply-adds ×2 a second of a product, and bytes a second of a copy, on one core."""
     a, b = torch.rand(1024, 1024), torch.rand(1024, 1024)
-    large = torch.rand(1 << 25)
-    target = torch.empty_like(large)
+    large_array = torch.rand(1 << 25)
+    target = torch.empty_like(large_array)
     product = min(cpu_seconds(lambda: a @ b) for _ in range(5))
-    moved = min(cpu_seconds(lambda: target.copy_(large)) for _ in range(5))
-    return 2 * 1024**3 / product, 2 * large.nbytes / moved
+    moved = min(cpu_seconds(lambda: target.copy_(large_array)) for _ in range(5))
+    return 2 * 1024**3 / product, 2 * large_array.nbytes / moved
 
 
 def floor_of(case: Case, outputs: list[np.ndarray]) -> tuple[float, float]:
@@ -143,18 +143,18 @@ def bench_rewritten_graph_on_the_cpu(name: str, tmp_path: Path) -> None:
     finally:
         torch.set_num_threads(threads)
     operations, size = floor_of(case, expected)
-    floor = operations / rate + size / bandwidth
-    said = ", ".join(f"{name} {1000 * second:.0f} ms" for name, second in seconds.items())
-    to_plain, to_eager = (seconds["ours"] / seconds[array] for array in ("plain", "eager"))
-    print_figure(f"{name}, one core: {said}")
+    min_seconds = operations / rate + size / bandwidth
+    message = ", ".join(f"{name} {1000 * second:.0f} ms" for name, second in seconds.items())
+    plain_ratio, to_eager = (seconds["ours"] / seconds[array] for array in ("plain", "eager"))
+    print_figure(f"{name}, one core: {message}")
     print_figure(
-        f"ours / plain {to_plain:.2f} (bar {BAR_PLAIN}), ours / eager {to_eager:.2f} (bar {BAR_EAGER})"
+        f"ours / plain {plain_ratio:.2f} (bar {BAR_PLAIN}), ours / eager {to_eager:.2f} (bar {BAR_EAGER})"
     )
     print_figure(
         f"{operations / 1e9:.2f} GFLOP at {rate / 1e9:.0f} GFLOP/s and {size / 1e6:.0f} MB at "
-        f"{bandwidth / 1e9:.1f} GB/s: floor {1000 * floor:.0f} ms, ours {seconds['ours'] / floor:.1f} × that"
+        f"{bandwidth / 1e9:.1f} GB/s: floor {1000 * min_seconds:.0f} ms, ours {seconds['ours'] / min_seconds:.1f} × that"
     )
-    assert to_plain <= BAR_PLAIN
+    assert plain_ratio <= BAR_PLAIN
     assert to_eager <= BAR_EAGER
 
 

@@ -50,10 +50,10 @@ def processor_seconds(*words: str) -> float:
 
 def modules(*words: str) -> str:
     """Return how many modules of gsgen a command imports, and how many of gsgen.tiles."""
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", _COUNT, *words], capture_output=True, text=True, check=True
     )
-    total, tiles = done.stderr.split()[-2:]
+    total, tiles = completed.stderr.split()[-2:]
     return f"{total} modules, {tiles} of tiles"
 
 

@@ -34,9 +34,9 @@ def best(action: Callable[[], object], times: int = 5) -> float:
     """Return the shortest of several runs, in seconds."""
     durations = []
     for _ in range(times):
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         action()
-        durations.append(time.perf_counter() - began)
+        durations.append(time.perf_counter() - start_time)
     return min(durations)
 
 
@@ -128,10 +128,10 @@ def bench_memory_of_static_on_a_large_model(large: Path) -> None:
         "stdout=subprocess.DEVNULL); "
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", launch, *command], check=True, capture_output=True, text=True
     )
-    peak = int(done.stdout) * 1024 / 1e6
+    peak = int(completed.stdout) * 1024 / 1e6
     print_figure(f"peak memory of the whole process, 232 MB model: {peak:.0f} MB (bar 150)")
     assert peak <= 150
 

@@ -32,10 +32,10 @@ def bench_the_first_picture_and_200_frames(tmp_path: Path) -> None:
         page.set_default_timeout(600_000)
         sizes: list[int] = []
         page.on("response", lambda response: sizes.append(len(response.body())))
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         page.goto(address)
         page.wait_for_function("document.querySelector('gsgen-model').report")
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - start_time
         print(f"scene of {path.stat().st_size:,} bytes: first picture after {seconds:.1f} s, "
               f"{len(sizes)} requests, {sum(sizes):,} bytes")  # fmt: skip
         result = steady_frames(page, FRAMES)

@@ -55,7 +55,7 @@ def data() -> SplatData:
 @pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
 def bench_sums_beside_sorting(device: Device, data: SplatData, size: tuple[int, int]) -> None:
     width, height = size
-    seen_by = Camera(
+    view_camera = Camera(
         np.eye(4),
         fx=width * 0.7,
         fy=width * 0.7,
@@ -72,12 +72,12 @@ def bench_sums_beside_sorting(device: Device, data: SplatData, size: tuple[int, 
         ("summed", SplatSet(data, weighted=weighted), CELLED),
     ):
         renderer, scene = Renderer(device, rasteriser="tiles"), Scene([splat_set])
-        frame = renderer.render(scene, seen_by)
+        frame = renderer.render(scene, view_camera)
         seconds = []
         for _ in range(FRAMES):
-            began = time.process_time()
-            renderer.render(scene, seen_by)
-            seconds.append(time.process_time() - began)
+            start_time = time.process_time()
+            renderer.render(scene, view_camera)
+            seconds.append(time.process_time() - start_time)
         durations[name] = min(seconds)
         sizes = renderer._plan.buffers.items()
         own = sum(size.size for label, size in sizes if label.startswith(columns))

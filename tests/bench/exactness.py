@@ -68,17 +68,19 @@ def splats(renderer: Renderer, scene: Scene, camera: Camera) -> Splats:
     drawn = keys != ABSENT
     rows = splat_set.data.rows[drawn].astype(np.float64)
     actual = ellipses(rows, splat_set, camera)
-    naive = (rows[:, :3].astype(np.float32) - camera.eye.astype(np.float32)) @ camera.view[
+    naive_offsets = (rows[:, :3].astype(np.float32) - camera.eye.astype(np.float32)) @ camera.view[
         2, :3
     ].astype(np.float32)
     inverse = np.linalg.inv(actual.dilated)
-    return Splats(actual.mean, inverse, rows[:, 3], actual.depth, naive, keys[drawn], lows[drawn])
+    return Splats(
+        actual.mean, inverse, rows[:, 3], actual.depth, naive_offsets, keys[drawn], lows[drawn]
+    )
 
 
 def describe(result: Splats) -> None:
     """Say how many neighbours in depth are in doubt, by what each way to sort knows of them."""
     order = np.argsort(result.depth, kind="stable")
-    key, low, naive = (
+    key, low, naive_offsets = (
         result.keys[order].astype(np.int64),
         result.lows[order].astype(np.int64),
         result.rounded[order],
@@ -86,7 +88,7 @@ def describe(result: Splats) -> None:
     swapped = (np.diff(key) < 0) | ((np.diff(key) == 0) & (np.diff(low) < 0))
     swapped &= np.diff(result.depth[order]) > _TIE * result.depth[order][1:]
     print_figure(
-        f"of {len(order):,} splats, {int((np.diff(naive) < 0).sum()):,} stand before one that is "
+        f"of {len(order):,} splats, {int((np.diff(naive_offsets) < 0).sum()):,} stand before one that is "
     )
     print_figure(
         f"nearer if depths are worked out in float32; {int((np.diff(key) == 0).sum()):,} have the "
@@ -106,13 +108,13 @@ def reason(result: Splats, x: int, y: int) -> str:
     rank = np.lexsort((near, result.lows[near], result.keys[near]))
     if (rank != np.arange(len(near))).any():
         first = int(np.flatnonzero(rank != np.arange(len(near)))[0])
-        gap = result.depth[near[first + 1]] - result.depth[near[first]]
-        return f"two splats {gap:.1e} apart, at {result.depth[near[first]]:.3f}, stand the other way around"
+        depth_gap = result.depth[near[first + 1]] - result.depth[near[first]]
+        return f"two splats {depth_gap:.1e} apart, at {result.depth[near[first]]:.3f}, stand the other way around"
     drawn = np.minimum(np.where(alpha[near] >= _CULL, alpha[near], 0), 0.99)
     light = np.cumprod(1 - drawn)
-    reached = np.append(1, light[:-1]) > _FINISHED
-    edge = float(np.abs(alpha[near][reached] / _CULL - 1).min(initial=np.inf))
-    stop = float(np.abs(light[reached] / _FINISHED - 1).min(initial=np.inf))
+    is_reached = np.append(1, light[:-1]) > _FINISHED
+    edge = float(np.abs(alpha[near][is_reached] / _CULL - 1).min(initial=np.inf))
+    stop = float(np.abs(light[is_reached] / _FINISHED - 1).min(initial=np.inf))
     if min(edge, stop) > 1e-2:
         return "no threshold is near: rounding"
     if edge < stop:
@@ -135,18 +137,18 @@ def main() -> int:
     describe(result := splats(renderer, scene, camera))
     frame = oracle.render(scene, camera)
     error = np.abs(actual - frame.rgba)
-    worst = error.max(axis=-1)
-    undeclared = float(worst[~frame.fragile].max())
+    max_error = error.max(axis=-1)
+    undeclared = float(max_error[~frame.fragile].max())
     print_figure(
         f"{width}×{height}, {renderer.device.name}: {psnr(error):.1f} dB over all pixels; "
     )
     print_figure(
-        f"largest error {worst.max():.1e}, away from declared discontinuities {undeclared:.1e} "
+        f"largest error {max_error.max():.1e}, away from declared discontinuities {undeclared:.1e} "
     )
     print_figure(f"({100 * frame.fragile.mean():.1f} % of the pixels have one)")
-    for pixel in np.argsort(worst.ravel())[::-1][:_WORST]:
+    for pixel in np.argsort(max_error.ravel())[::-1][:_WORST]:
         y, x = divmod(int(pixel), width)
-        print_figure(f"  pixel {x:4}, {y:4}: {worst[y, x]:.1e}: {reason(result, x, y)}")
+        print_figure(f"  pixel {x:4}, {y:4}: {max_error[y, x]:.1e}: {reason(result, x, y)}")
     sys.stdout.write("\n")
     return int(not (psnr(error) >= BAR_PSNR and undeclared <= BAR_ERROR))
 

@@ -126,11 +126,11 @@ def seconds(device: Device, action: Callable[[Any], None], times: int = 5) -> fl
     for number in range(times + 1):
         encoder = device.raw.create_command_encoder()
         action(encoder)
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         device.raw.queue.submit([encoder.finish()])
         device.read(marker, np.uint32, 1)
         if number:
-            durations.append(time.perf_counter() - began)
+            durations.append(time.perf_counter() - start_time)
     return statistics.median(durations)
 
 
@@ -214,19 +214,19 @@ class Frame:
 
     def wall(self, frames: int) -> float:
         """Return the milliseconds of a frame when many follow each other."""
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         for _ in range(frames):
             self.plan.submit(self.placed, self.camera, NOTHING, fetch=False)
         self.plan.collect(fetch=False)
-        return 1e3 * (time.perf_counter() - began) / frames
+        return 1e3 * (time.perf_counter() - start_time) / frames
 
     def unwaited(self, scene: Scene, frames: int) -> dict[str, float]:
         """Return the milliseconds of a frame of a window, and those that the host waits in it."""
-        waited, began = [], time.perf_counter()
+        waited, start_time = [], time.perf_counter()
         for _ in range(frames):
             self.renderer.draw(scene, self.camera, wait=False)
             waited.append(self.renderer.late.waited)
-        elapsed = time.perf_counter() - began
+        elapsed = time.perf_counter() - start_time
         self.renderer.settle()
         return {"frame": 1e3 * elapsed / frames, "waited": 1e3 * float(np.median(waited))}
 
@@ -272,8 +272,11 @@ def floors(frame: Frame, gaussians: int, bytes_a_second: float, flops: float) ->
     }
     result["sum"] = {"ms": sum(entry["ms"] for entry in result.values())}
     if pairs:
-        work = FLOPS_OF_A_PIXEL * pairs * cut.tile**2
-        result["blend, operations at most"] = {"GFLOP": work / 1e9, "ms": 1e3 * work / flops}
+        pixel_operations = FLOPS_OF_A_PIXEL * pairs * cut.tile**2
+        result["blend, operations at most"] = {
+            "GFLOP": pixel_operations / 1e9,
+            "ms": 1e3 * pixel_operations / flops,
+        }
     return result
 
 
@@ -320,11 +323,11 @@ class Exactness:
     def __init__(self, scene: Scene, camera: Camera) -> None:
         self.scene = scene
         self.camera, self.x, self.y = cropped(camera, CROP)
-        some = near(scene.sets[0].data, self.camera)
-        self.gaussians = len(some)
-        began = time.perf_counter()
-        self.wanted = oracle.render(Scene([some]), self.camera)
-        self.seconds = time.perf_counter() - began
+        visible_rows = near(scene.sets[0].data, self.camera)
+        self.gaussians = len(visible_rows)
+        start_time = time.perf_counter()
+        self.wanted = oracle.render(Scene([visible_rows]), self.camera)
+        self.seconds = time.perf_counter() - start_time
 
     def of(self, renderer: Renderer, whole: np.ndarray) -> dict[str, float]:
         """Return decibels and errors; of the same crop of the whole image, too."""
@@ -397,14 +400,14 @@ class Report:
 
     def part(self, name: str, measure: Callable[[], Any]) -> Any:
         print_line(f"{name} …")
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         try:
             self.made[name] = measure()
         except Exception as error:  # the parts after it are measured all the same
             traceback.print_exc()
             self.failed[name] = f"{type(error).__name__}: {error}"
         print_line(f"  {json.dumps(self.made.get(name), ensure_ascii=False)}")
-        print_line(f"  {time.perf_counter() - began:.1f} s")
+        print_line(f"  {time.perf_counter() - start_time:.1f} s")
         text = json.dumps(self.made | {"failed": self.failed}, indent=2, ensure_ascii=False)
         self.path.write_text(text + "\n", "utf-8")
         return self.made.get(name)

@@ -13,8 +13,8 @@ from support.commands import gsgen_here
 
 
 def front_matter(text: str) -> dict[str, object]:
-    _, matter, _ = text.split("---\n", 2)
-    document = yaml.safe_load(matter)
+    _, yaml_text, _ = text.split("---\n", 2)
+    document = yaml.safe_load(yaml_text)
     assert isinstance(document, dict)
     return document
 

@@ -7,9 +7,9 @@ from support.commands import gsgen_here
 
 
 def test_explain_prints_the_entries_of_rules() -> None:
-    explained = json.loads(gsgen_here("explain", "GV003", "rows-finite", "--json").out)
+    explanation = json.loads(gsgen_here("explain", "GV003", "rows-finite", "--json").out)
     listed = {rule["id"]: rule for rule in json.loads(gsgen_here("rules", "--json").out)}
-    assert explained == [listed["GV003"], listed["GV001"]]
+    assert explanation == [listed["GV003"], listed["GV001"]]
 
 
 def test_new_prints_the_files_that_it_wrote(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def run_pytest(folder: Path, *words: str | Path) -> Tested:
     command = [sys.executable, "-m", "pytest", "-p", "gsgen.conformance.pytest.plugin"]
     command += ["-p", "no:cacheprovider", "--junitxml=junit.xml", "-rA"]
     command += [f"--basetemp={folder / '.tmp'}", *map(str, words)]
-    done = subprocess.run(
+    completed = subprocess.run(
         command, capture_output=True, text=True, cwd=folder, env=clean, timeout=120
     )
     xml = folder / "junit.xml"
@@ -57,7 +57,7 @@ def run_pytest(folder: Path, *words: str | Path) -> Tested:
     if xml.exists():
         for case in ElementTree.parse(xml).iter("testcase"):
             cases[f"{case.get('classname')}::{case.get('name')}"] = case
-    return Tested(done.returncode, done.stdout + done.stderr, cases)
+    return Tested(completed.returncode, completed.stdout + completed.stderr, cases)
 
 
 def write(folder: Path, *names: str) -> list[Path]:

@@ -38,18 +38,18 @@ def test_the_command_repeats_what_settings_say(tmp_path: Path) -> None:
 def test_a_probe_is_only_given_where_it_is_enough(tmp_path: Path) -> None:
     """A rule about the share of all rows may need them all."""
     write(tmp_path, "all_transparent", "time_times_zero")
-    strict = Settings(fail_on=Severity.WARNING)
-    dead = run_model(tmp_path / "all_transparent.onnx", strict).evidence["GV004"]
-    assert "--probe" in dead.command
-    compared = run_model(tmp_path / "time_times_zero.onnx", strict).evidence["GB003"]
+    strict_settings = Settings(fail_on=Severity.WARNING)
+    failed_run = run_model(tmp_path / "all_transparent.onnx", strict_settings).evidence["GV004"]
+    assert "--probe" in failed_run.command
+    compared = run_model(tmp_path / "time_times_zero.onnx", strict_settings).evidence["GB003"]
     assert "--probe" not in compared.command
 
 
 def test_suspects_are_the_probes_that_findings_speak_of(tmp_path: Path) -> None:
     (model,) = write(tmp_path, "time_times_zero")
-    strict = Settings(fail_on=Severity.WARNING)
-    findings = run_model(model, strict).case("GB003").findings
-    _, plan = plan_for(model, strict)
+    strict_settings = Settings(fail_on=Severity.WARNING)
+    findings = run_model(model, strict_settings).case("GB003").findings
+    _, plan = plan_for(model, strict_settings)
     labels = [probe.label for probe in suspects(plan, findings)]
     assert any(" with the time of " in label for label in labels)
     assert suspects(plan, []) == [plan.probes[1]]

@@ -80,36 +80,36 @@ def test_pytest_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
     models = ("--gsgen=drift.onnx", "--gsgen=opacity_is_logits.onnx", "-k", "GV003 or xfail")
     (folder / "known.toml").write_text(KNOWN)
-    ran = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
-    assert ran.code == 0, ran.out
-    assert ran.names("xfailed") == ["opacity_is_logits.onnx.basic::GV003-opacity-range"]
-    assert "until 2.0" in ran.out
+    completed = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
+    assert completed.code == 0, completed.out
+    assert completed.names("xfailed") == ["opacity_is_logits.onnx.basic::GV003-opacity-range"]
+    assert "until 2.0" in completed.out
     stale = KNOWN.replace("opacity*", "d*") + KNOWN.replace("opacity*", "none")
     (folder / "known.toml").write_text(stale)
-    ran = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
-    assert ran.code == 1
-    assert sorted(ran.names("failure")) == [
+    completed = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
+    assert completed.code == 1
+    assert sorted(completed.names("failure")) == [
         "drift.onnx.basic::GV003-opacity-range",
         "opacity_is_logits.onnx.basic::GV003-opacity-range",
     ]
-    assert "holds, but is expected to fail: remove the entry" in ran.out
-    assert len(ran.names("error")) == 1
-    assert "GV003 of none.onnx (until 2.0)" in ran.out
+    assert "holds, but is expected to fail: remove the entry" in completed.out
+    assert len(completed.names("error")) == 1
+    assert "GV003 of none.onnx (until 2.0)" in completed.out
 
 
 def test_command_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     known = folder / "known.toml"
     known.write_text(KNOWN)
-    ran = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
-    assert ran.code == 0, ran.out + ran.err
-    assert "1 expected" in ran.out
-    assert "until 2.0" in ran.out
+    completed = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
+    assert completed.code == 0, completed.out + completed.err
+    assert "1 expected" in completed.out
+    assert "until 2.0" in completed.out
     known.write_text(KNOWN.replace("opacity-range", "rows-finite"))
-    ran = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
-    assert ran.code == 1
-    assert "2 failed" in ran.out
+    completed = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
+    assert completed.code == 1
+    assert "2 failed" in completed.out
     known.write_text(KNOWN.replace("opacity*", "none"))
-    ran = gsgen_here("conformance", model, "--xfails", known, "--level", "static")
-    assert ran.code == 2
-    assert "matches no rule of any tested model" in ran.err
+    completed = gsgen_here("conformance", model, "--xfails", known, "--level", "static")
+    assert completed.code == 2
+    assert "matches no rule of any tested model" in completed.err

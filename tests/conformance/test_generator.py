@@ -22,16 +22,16 @@ class TestMine(GeneratorConformance):
         return HERE / "camera_and_proj.onnx"
 """
     (folder / "test_mine.py").write_text(HEAD + text)
-    ran = run_pytest(folder, "--gsgen-level=values")
-    assert ran.code == 0, ran.out
-    assert set(ran.counts) == {"passed", "skipped"}
+    completed = run_pytest(folder, "--gsgen-level=values")
+    assert completed.code == 0, completed.out
+    assert set(completed.counts) == {"passed", "skipped"}
     node_prefix = "test_mine.TestMine::"
-    passed = ran.names("passed")
+    passed = completed.names("passed")
     assert f"{node_prefix}test_camera[GI001-view-is-4x4]" in passed
     assert f"{node_prefix}test_basic[GV003-opacity-range]" in passed
-    assert f"{node_prefix}test_time[GI003-time-is-1]" in ran.names("skipped")
-    assert "suite time is not for what it declares" in ran.out
-    assert "::GeneratorConformance" not in ran.out
+    assert f"{node_prefix}test_time[GI003-time-is-1]" in completed.names("skipped")
+    assert "suite time is not for what it declares" in completed.out
+    assert "::GeneratorConformance" not in completed.out
 
 
 def test_every_fixture_can_be_overridden(folder: Path) -> None:
@@ -79,14 +79,14 @@ class TestEmpty(GeneratorConformance):
         return HERE / "nothing.onnx"
 """
     (folder / "test_mine.py").write_text(HEAD + text)
-    ran = run_pytest(folder, "-k", "TestMine or GV003", "--gsgen-level=values")
-    assert ran.code == 1
-    assert "test_mine.TestMine::test_mine" in ran.names("passed")
-    assert not [name for name in ran.cases if "TestMine::test_basic" in name]
-    assert ran.names("xfailed") == ["test_mine.TestKnown::test_basic[GV003-opacity-range]"]
-    assert "TestForgotten must override the fixture `model`" in ran.out
-    assert "nothing.onnx: cannot be read: No such file" in ran.out
-    assert "INTERNALERROR" not in ran.out
+    completed = run_pytest(folder, "-k", "TestMine or GV003", "--gsgen-level=values")
+    assert completed.code == 1
+    assert "test_mine.TestMine::test_mine" in completed.names("passed")
+    assert not [name for name in completed.cases if "TestMine::test_basic" in name]
+    assert completed.names("xfailed") == ["test_mine.TestKnown::test_basic[GV003-opacity-range]"]
+    assert "TestForgotten must override the fixture `model`" in completed.out
+    assert "nothing.onnx: cannot be read: No such file" in completed.out
+    assert "INTERNALERROR" not in completed.out
 
 
 def test_a_broken_model_fails_with_a_line_that_shows_it_again(folder: Path) -> None:
@@ -98,9 +98,9 @@ class TestMine(GeneratorConformance):
         return HERE / "opacity_is_logits.onnx"
 """
     (folder / "test_mine.py").write_text(HEAD + text)
-    ran = run_pytest(folder, "--gsgen-level=values")
-    assert ran.names("failure") == ["test_mine.TestMine::test_basic[GV003-opacity-range]"]
-    assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in ran.out
+    completed = run_pytest(folder, "--gsgen-level=values")
+    assert completed.names("failure") == ["test_mine.TestMine::test_basic[GV003-opacity-range]"]
+    assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in completed.out
 
 
 UNMADE = """
@@ -132,19 +132,19 @@ class TestTwice(GeneratorConformance):
 def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(folder: Path) -> None:
     write(folder, "camera_and_proj")
     (folder / "test_mine.py").write_text(HEAD + UNMADE)
-    ran = run_pytest(folder, "--gsgen-level=static")
-    assert ran.code == 1
-    errors = [name.partition("::")[0] for name in ran.names("error")]
+    completed = run_pytest(folder, "--gsgen-level=static")
+    assert completed.code == 1
+    errors = [name.partition("::")[0] for name in completed.names("error")]
     expected = ["TestRefused", "TestCrashing", "TestTwice"]
     assert errors == [f"test_mine.{name}" for name in expected]
-    assert "test_mine.TestTwice::test_mine" in ran.names("passed")
+    assert "test_mine.TestTwice::test_mine" in completed.names("passed")
     passed_line = "test_mine.TestTwice::test_camera[GI001-view-is-4x4-camera_and_proj]"
-    assert passed_line in ran.names("passed")
-    message = ran.out.partition("ERROR at setup of TestRefused")[2].partition("____ ERROR")[0]
+    assert passed_line in completed.names("passed")
+    message = completed.out.partition("ERROR at setup of TestRefused")[2].partition("____ ERROR")[0]
     assert "mine.onnx: GV003 output gaussians: 4 of 5 rows\n  Squash it." in message
     assert "test_mine.py:16: return build()" in message
     assert "\nE  " not in message  # no traceback
-    crash = ran.out.partition("ERROR at setup of TestCrashing")[2].partition("____ ERROR")[0]
+    crash = completed.out.partition("ERROR at setup of TestCrashing")[2].partition("____ ERROR")[0]
     assert 'return {}["weights"]' in crash
     assert "KeyError: 'weights'" in crash
-    assert "the model cannot be validated: see the error of test_" in ran.out
+    assert "the model cannot be validated: see the error of test_" in completed.out

@@ -27,11 +27,11 @@ def lines_with(text: str, words: str) -> list[str]:
 def test_a_good_model_passes_and_only_the_model_is_collected(folder: Path) -> None:
     write(folder, "drift")
     (folder / "test_other.py").write_text("def test_other():\n    assert False\n")
-    ran = run_pytest(folder, "--gsgen", "drift.onnx", "-k", "not live")
-    assert ran.code == 0, ran.out
-    assert set(ran.counts) <= {"passed", "skipped"}
-    assert ran.counts["passed"] > 40
-    suites = {name.partition("::")[0] for name in ran.cases}
+    completed = run_pytest(folder, "--gsgen", "drift.onnx", "-k", "not live")
+    assert completed.code == 0, completed.out
+    assert set(completed.counts) <= {"passed", "skipped"}
+    assert completed.counts["passed"] > 40
+    suites = {name.partition("::")[0] for name in completed.cases}
     assert suites == {f"drift.onnx.{s}" for s in ("basic", "time", "appearance", "capture")}
 
 
@@ -39,9 +39,9 @@ def test_tests_that_are_named_run_beside_the_model(folder: Path) -> None:
     write(folder, "drift", "avatar")
     (folder / "test_mine.py").write_text("def test_mine():\n    pass\n")
     options = ("--gsgen", "drift.onnx", "--gsgen-level", "static", "--gsgen-suite", "basic")
-    ran = run_pytest(folder, *options, "test_mine.py", "avatar.onnx")
-    assert ran.code == 0, ran.out
-    assert {name.partition(".")[0].partition("::")[0] for name in ran.cases} == {
+    completed = run_pytest(folder, *options, "test_mine.py", "avatar.onnx")
+    assert completed.code == 0, completed.out
+    assert {name.partition(".")[0].partition("::")[0] for name in completed.cases} == {
         *("drift", "avatar", "test_mine")
     }
 
@@ -49,8 +49,8 @@ def test_tests_that_are_named_run_beside_the_model(folder: Path) -> None:
 def test_without_the_option_models_are_left_alone(folder: Path) -> None:
     write(folder, "drift")
     (folder / "test_mine.py").write_text("def test_mine():\n    pass\n")
-    ran = run_pytest(folder)
-    assert list(ran.cases) == ["test_mine::test_mine"]
+    completed = run_pytest(folder)
+    assert list(completed.cases) == ["test_mine::test_mine"]
 
 
 @pytest.mark.parametrize(
@@ -69,24 +69,24 @@ def test_a_broken_model_fails_with_its_rule_and_a_line_that_shows_it_again(
     write(folder, name)
     level = "behaviour" if rule == "GB001" else "values"
     options = ("--gsgen-dump=dumps", f"--gsgen-level={level}")
-    ran = run_pytest(folder, f"--gsgen={name}.onnx", *options)
-    assert ran.code == 1, ran.out
-    (failed,) = ran.names("failure")
+    completed = run_pytest(folder, f"--gsgen={name}.onnx", *options)
+    assert completed.code == 1, completed.out
+    (failed,) = completed.names("failure")
     assert failed.partition("::")[2].startswith(f"{rule}-")
-    assert f"{rule} error" in ran.out
-    (line,) = set(lines_with(ran.out, "reproduce: "))
+    assert f"{rule} error" in completed.out
+    (line,) = set(lines_with(completed.out, "reproduce: "))
     again = reproduce(line, folder)
     assert again.returncode == 1, again.stdout + again.stderr
     assert f"reproduced: {rule} is broken" in again.stdout
-    dumps = set(lines_with(ran.out, "inputs and outputs: "))
+    dumps = set(lines_with(completed.out, "inputs and outputs: "))
     assert len(dumps) == (0 if rule == "GI001" else 1)
 
 
 def test_a_folder_names_all_models_in_it(folder: Path) -> None:
     write(folder, "drift", "still_rgb")
-    ran = run_pytest(folder, f"--gsgen={folder}", "--gsgen-level=static", "-k", "GM001", "-v")
-    assert ran.code == 0, ran.out
-    assert "2 passed" in ran.out
+    completed = run_pytest(folder, f"--gsgen={folder}", "--gsgen-level=static", "-k", "GM001", "-v")
+    assert completed.code == 0, completed.out
+    assert "2 passed" in completed.out
     assert run_pytest(folder, "--gsgen=none*.onnx").code == pytest.ExitCode.USAGE_ERROR
 
 
@@ -102,45 +102,45 @@ def test_the_dump_holds_what_went_in_and_what_came_out(folder: Path) -> None:
             weight.CopyFrom(onnx.numpy_helper.from_array(array, weight.name))
             break
     onnx.save(model, folder / "nan.onnx")
-    ran = run_pytest(folder, "--gsgen=nan.onnx", "--gsgen-level=values", "-k", "GV001")
-    assert ran.code == 1, ran.out
-    (dump,) = set(lines_with(ran.out, "inputs and outputs: "))
+    completed = run_pytest(folder, "--gsgen=nan.onnx", "--gsgen-level=values", "-k", "GV001")
+    assert completed.code == 1, completed.out
+    (dump,) = set(lines_with(completed.out, "inputs and outputs: "))
     with np.load(dump) as arrays:
         assert arrays["probe"].item().startswith("time=")
         assert arrays["input.time"].shape == (1,)
         outputs = [arrays[name] for name in arrays if name.startswith("output.")]
         assert len(outputs) == 3
         assert any(np.isnan(array).any() for array in outputs)
-    (line,) = set(lines_with(ran.out, "reproduce: "))
+    (line,) = set(lines_with(completed.out, "reproduce: "))
     assert "--probe time=" in line
     assert reproduce(line, folder).returncode == 1
 
 
 def test_unchecked_rule_is_skipped_with_the_reason(folder: Path) -> None:
     write(folder, "drift")
-    ran = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
-    assert ran.code == 0
-    assert "skipped: level values was not requested" in ran.out
+    completed = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
+    assert completed.code == 0
+    assert "skipped: level values was not requested" in completed.out
 
 
 def test_warnings_warn_or_fail_as_asked(folder: Path) -> None:
     write(folder, "all_transparent")
     options = ("--gsgen=all_transparent.onnx", "--gsgen-level=values", "-k", "GV004")
-    ran = run_pytest(folder, *options)
-    assert ran.code == 0
-    assert "RuleWarning: GV004 warning mostly-visible" in ran.out
-    ran = run_pytest(folder, *options, "--gsgen-fail-on=warning")
-    assert ran.code == 1
+    completed = run_pytest(folder, *options)
+    assert completed.code == 0
+    assert "RuleWarning: GV004 warning mostly-visible" in completed.out
+    completed = run_pytest(folder, *options, "--gsgen-fail-on=warning")
+    assert completed.code == 1
 
 
 def test_the_target_brings_its_rules(folder: Path) -> None:
     write(folder, "still_sh1")
     options = ("--gsgen-target=visionary", "--gsgen-level=static")
-    ran = run_pytest(folder, "--gsgen=still_sh1.onnx", *options)
-    assert ran.code == 1
-    (failed,) = ran.names("failure")
+    completed = run_pytest(folder, "--gsgen=still_sh1.onnx", *options)
+    assert completed.code == 1
+    (failed,) = completed.names("failure")
     assert failed == "still_sh1.onnx.appearance::TV104-visionary-reads-color"
-    assert "--target visionary" in ran.out
+    assert "--target visionary" in completed.out
 
 
 @pytest.mark.parametrize(
@@ -161,20 +161,20 @@ def test_a_wrong_option_ends_the_run_and_names_itself(
 ) -> None:
     write(folder, "drift")
     (folder / "text.onnx").write_text("this is no model\n")
-    ran = run_pytest(folder, *options)
-    assert ran.code == code, ran.out
-    assert words in ran.out
-    assert "INTERNALERROR" not in ran.out
+    completed = run_pytest(folder, *options)
+    assert completed.code == code, completed.out
+    assert words in completed.out
+    assert "INTERNALERROR" not in completed.out
 
 
 def test_a_crashed_rule_is_an_error_not_a_failure(folder: Path) -> None:
     write(folder, "drift")
     (folder / "conftest.py").write_text(CRASHING)
-    ran = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
-    assert ran.code == 1
-    assert ran.names("error") == ["drift.onnx.basic::acme/AC001-never-works"]
-    assert "acme/AC001 crashed: this is a fault of the rule" in ran.out
-    assert "ZeroDivisionError" in ran.out
+    completed = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
+    assert completed.code == 1
+    assert completed.names("error") == ["drift.onnx.basic::acme/AC001-never-works"]
+    assert "acme/AC001 crashed: this is a fault of the rule" in completed.out
+    assert "ZeroDivisionError" in completed.out
 
 
 CRASHING = """
@@ -196,7 +196,7 @@ installed.builtin_rules = builtin_rules
 def test_workers_share_the_tests(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
     options = ("--gsgen=drift.onnx", "--gsgen=opacity_is_logits.onnx", "--gsgen-level=values")
-    ran = run_pytest(folder, *options, "-p", "xdist.plugin", "-n2", "--gsgen-suite=basic")
-    assert ran.code == 1, ran.out
-    assert len(ran.names("failure")) == 1
-    assert ran.counts["passed"] > 60
+    completed = run_pytest(folder, *options, "-p", "xdist.plugin", "-n2", "--gsgen-suite=basic")
+    assert completed.code == 1, completed.out
+    assert len(completed.names("failure")) == 1
+    assert completed.counts["passed"] > 60

@@ -21,12 +21,12 @@ def test_mine(check):
     assert check.model.is_file()
     check()
 """
-    ran = run(folder, text)
-    assert ran.code == 1, ran.out
-    (failed,) = ran.names("failure")
+    completed = run(folder, text)
+    assert completed.code == 1, completed.out
+    (failed,) = completed.names("failure")
     assert failed == "test_mine::test_mine[opacity_is_logits-basic-GV003-opacity-range]"
-    assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in ran.out
-    assert ran.counts["passed"] > 60
+    assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in completed.out
+    assert completed.counts["passed"] > 60
 
 
 def test_models_from_a_function_respect_options(folder: Path) -> None:
@@ -44,10 +44,10 @@ class TestMine:
         assert check.run.report.level.word == "static"
         check()
 """
-    ran = run(folder, text, "--gsgen-level=static", "--gsgen-suite=time")
-    assert ran.code == 0, ran.out
-    assert "test_mine.TestMine::test_mine[drift-time-GI003-time-is-1]" in ran.cases
-    assert all("[drift-time-" in name for name in ran.cases)
+    completed = run(folder, text, "--gsgen-level=static", "--gsgen-suite=time")
+    assert completed.code == 0, completed.out
+    assert "test_mine.TestMine::test_mine[drift-time-GI003-time-is-1]" in completed.cases
+    assert all("[drift-time-" in name for name in completed.cases)
 
 
 def test_a_test_that_forgets_to_check_fails(folder: Path) -> None:
@@ -57,9 +57,9 @@ def test_a_test_that_forgets_to_check_fails(folder: Path) -> None:
 def test_mine(check):
     pass
 """
-    ran = run(folder, text)
-    assert ran.code == 1
-    assert "the test never called check()" in ran.out
+    completed = run(folder, text)
+    assert completed.code == 1
+    assert "the test never called check()" in completed.out
 
 
 def test_expected_failures_are_strict_both_ways(folder: Path) -> None:
@@ -76,18 +76,18 @@ from gsgen.conformance.expected import ExpectedFailure
 def test_mine(check):
     check()
 """
-    ran = run(folder, text, "-k", "GV003")
-    assert ran.code == 1
-    assert ran.names("failure") == ["test_mine::test_mine[drift-basic-GV003-opacity-range]"]
-    assert "holds, but is expected to fail: remove the entry" in ran.out
-    assert len(ran.names("xfailed")) == 1
-    ran = run(folder, text.replace('2.0"', '2.0", "other*.onnx"'))
-    assert ran.code == 2
-    assert "matches no rule of any tested model" in ran.out
+    completed = run(folder, text, "-k", "GV003")
+    assert completed.code == 1
+    assert completed.names("failure") == ["test_mine::test_mine[drift-basic-GV003-opacity-range]"]
+    assert "holds, but is expected to fail: remove the entry" in completed.out
+    assert len(completed.names("xfailed")) == 1
+    completed = run(folder, text.replace('2.0"', '2.0", "other*.onnx"'))
+    assert completed.code == 2
+    assert "matches no rule of any tested model" in completed.out
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected_message"),
     [
         ('["drift.onnx"], level="valeus"', "Did you mean 'values'?"),
         ('["drift.onnx"], suites=["tiem"]', "Did you mean 'time'?"),
@@ -95,11 +95,13 @@ def test_mine(check):
     ],
 )
 def test_decorator_mistake_is_reported_without_a_traceback(
-    arguments: str, said: str, folder: Path
+    arguments: str, expected_message: str, folder: Path
 ) -> None:
     write(folder, "drift")
-    ran = run(folder, f"@parametrize_with_rules({arguments})\ndef test_mine(check):\n    check()\n")
-    assert ran.code == 2, ran.out
-    assert "test_mine.py::test_mine: gsgen: the model cannot be tested: " in ran.out
-    assert said in ran.out
-    assert "another exception" not in ran.out
+    completed = run(
+        folder, f"@parametrize_with_rules({arguments})\ndef test_mine(check):\n    check()\n"
+    )
+    assert completed.code == 2, completed.out
+    assert "test_mine.py::test_mine: gsgen: the model cannot be tested: " in completed.out
+    assert expected_message in completed.out
+    assert "another exception" not in completed.out

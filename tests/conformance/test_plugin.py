@@ -21,8 +21,8 @@ def test_a_run_without_models_imports_nothing_heavy(folder: Path) -> None:
     )
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST", "COV"))}
     clean |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    done = subprocess.run([sys.executable, "-c", script], cwd=folder, env=clean)
-    assert done.returncode == 0
+    completed = subprocess.run([sys.executable, "-c", script], cwd=folder, env=clean)
+    assert completed.returncode == 0
     names = set(json.loads((folder / "modules.json").read_text()))
     assert "gsgen.conformance.pytest.plugin" in names  # the measure works
     assert {name.partition(".")[0] for name in names} & HEAVY == set()
@@ -35,9 +35,11 @@ def test_pytest_finds_the_plugin_and_its_options_clash_with_none() -> None:
     """In this environment, with every plugin that is installed here."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     command = [sys.executable, "-m", "pytest", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, env=clean | {"COLUMNS": "200"})
-    assert done.returncode == 0, done.stderr
-    text = done.stdout.partition("conformance of Gaussian Generators:")[2]
+    completed = subprocess.run(
+        command, capture_output=True, text=True, env=clean | {"COLUMNS": "200"}
+    )
+    assert completed.returncode == 0, completed.stderr
+    text = completed.stdout.partition("conformance of Gaussian Generators:")[2]
     section = text.partition("\n\n")[0]
     options = {word for word in section.split() if word.startswith("--")}
     assert {option.partition("=")[0] for option in options} >= {
@@ -57,5 +59,5 @@ def test_public_names_are_those_that_authors_use() -> None:
 
 
 def test_the_marker_is_known_to_strict_runs(folder: Path) -> None:
-    ran = run_pytest(folder, "--markers")
-    assert "gsgen_rules(request)" in ran.out
+    completed = run_pytest(folder, "--markers")
+    assert "gsgen_rules(request)" in completed.out

@@ -19,12 +19,14 @@ from support.reports.rules import crashing
 def test_a_probe_that_breaks_a_rule_shows_its_rows_and_exits_1(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     dump = folder / "deep" / "out.npz"
-    ran = gsgen_here("repro", model, "--rule", "opacity-range", "--probe", "0", "--dump", dump)
-    assert ran.code == 1, ran.err
-    assert "GV003 error opacity-range" in ran.out
-    assert "rows at probe no inputs:" in ran.out
-    assert "5.02" in ran.out
-    assert ran.out.index("reproduced: GV003 is broken") > ran.out.index("opacity")
+    completed = gsgen_here(
+        "repro", model, "--rule", "opacity-range", "--probe", "0", "--dump", dump
+    )
+    assert completed.code == 1, completed.err
+    assert "GV003 error opacity-range" in completed.out
+    assert "rows at probe no inputs:" in completed.out
+    assert "5.02" in completed.out
+    assert completed.out.index("reproduced: GV003 is broken") > completed.out.index("opacity")
     with np.load(dump) as arrays:
         (packed,) = [arrays[name] for name in arrays if arrays[name].shape[1:] == (10,)]
     assert packed[3, 3] == np.float32(5.02)
@@ -37,24 +39,24 @@ def test_a_rule_that_crashes_is_no_wrong_option(
     registry = installed_rules()
     crashed = replace(registry.find("GM001"), check=crashing)
     monkeypatch.setitem(registry.rules, "GM001", crashed)
-    ran = gsgen_here("repro", model, "--rule", "GM001")
-    assert ran.code == 3, ran.out
-    assert "GM001 was not checked" in ran.err
-    assert "ZeroDivisionError" in ran.err
+    completed = gsgen_here("repro", model, "--rule", "GM001")
+    assert completed.code == 3, completed.out
+    assert "GM001 was not checked" in completed.err
+    assert "ZeroDivisionError" in completed.err
 
 
 def test_without_a_probe_option_all_probes_are_checked(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
-    ran = gsgen_here("repro", model, "--rule", "GV003")
-    assert ran.code == 1
-    assert "rows at probe no inputs:" in ran.out
+    completed = gsgen_here("repro", model, "--rule", "GV003")
+    assert completed.code == 1
+    assert "rows at probe no inputs:" in completed.out
 
 
 def test_the_document_has_the_finding_of_the_report_and_the_rows(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
-    ran = gsgen_here("repro", model, "--rule", "GV003", "--json")
-    assert ran.code == 1
-    document = json.loads(ran.out)
+    completed = gsgen_here("repro", model, "--rule", "GV003", "--json")
+    assert completed.code == 1
+    document = json.loads(completed.out)
     report = json.loads(gsgen_here("validate", model, "--level", "values", "--json").out)
     expected = [finding for finding in report["findings"] if finding["rule"] == "GV003"]
     assert document["findings"] == expected
@@ -64,9 +66,9 @@ def test_the_document_has_the_finding_of_the_report_and_the_rows(folder: Path) -
 
 def test_a_rule_that_holds_exits_0(folder: Path) -> None:
     (model,) = write(folder, "drift")
-    ran = gsgen_here("repro", model, "--rule", "GV003", "--probe", "time=0.286")
-    assert ran.code == 0
-    assert ran.out == f"does not reproduce: GV003 holds for {model} at probe time=0.286\n"
+    completed = gsgen_here("repro", model, "--rule", "GV003", "--probe", "time=0.286")
+    assert completed.code == 0
+    assert completed.out == f"does not reproduce: GV003 holds for {model} at probe time=0.286\n"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +106,7 @@ def test_errors_have_their_own_exit_codes(
 ) -> None:
     write(folder, "drift")
     (folder / "empty.onnx").touch()
-    ran = gsgen_here("repro", folder / f"{name}.onnx", "--rule", rule)
-    assert ran.code == code, ran.out
-    assert words in ran.err
-    assert "Traceback" not in ran.err
+    completed = gsgen_here("repro", folder / f"{name}.onnx", "--rule", rule)
+    assert completed.code == code, completed.out
+    assert words in completed.err
+    assert "Traceback" not in completed.err

@@ -40,14 +40,14 @@ def test_python_command_and_pytest_report_equal_findings(folder: Path, target: s
     }
     assert sum(map(len, python.values())) >= 2
 
-    ran = gsgen_here("validate", *named, "--target", target, "--format", "json", cwd=folder)
-    reports = json.loads(ran.out)["reports"]
+    completed = gsgen_here("validate", *named, "--target", target, "--format", "json", cwd=folder)
+    reports = json.loads(completed.out)["reports"]
     assert {r["subject"]["uri"]: told(r["findings"]) for r in reports} == python
 
     suites = gsgen_here("conformance", *named, "--target", target, "--format", "json", cwd=folder)
     models = json.loads(suites.out)["models"]
     assert {m["subject"]["uri"]: told(m["findings"]) for m in models} == python
-    assert suites.code == ran.code == 1
+    assert suites.code == completed.code == 1
 
     tested = run_pytest(folder, *[f"--gsgen={n}" for n in named], f"--gsgen-target={target}")
     by_model: dict[str, list[dict[str, Any]]] = {name: [] for name in named}

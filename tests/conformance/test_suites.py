@@ -45,10 +45,10 @@ def test_every_rule_that_can_fail_is_in_one_suite(tmp_path: Path, name: str, tar
     counted = Counter(rule.id for rules in planned.values() for rule in rules)
     assert set(counted.values()) == {1}
     for rule in installed_rules().rules.values():
-        elsewhere = rule.target not in ("", target)
+        is_foreign = rule.target not in ("", target)
         other_kind = kind is not None and kind not in rule.kinds
         lacks_limit = bool(rule.limit) and rule.limit not in settings.target.limits
-        assert (rule.id in counted) is not (elsewhere or other_kind or lacks_limit), rule.id
+        assert (rule.id in counted) is not (is_foreign or other_kind or lacks_limit), rule.id
 
 
 def test_a_rule_of_a_suite_that_does_not_apply_is_basic(tmp_path: Path) -> None:

@@ -97,8 +97,10 @@ def test_png_is_read_as_pillow_reads_it(mode: str, tmp_path: Path) -> None:
         image.save(file, "png", optimize=bool(number))
         np.testing.assert_array_equal(decode_png(file.getvalue()), values)
         image.save(tmp_path / "a.png")
-        over = Image.alpha_composite(Image.new("RGBA", image.size, "black"), image.convert("RGBA"))
-        expected = np.asarray(over.convert("RGB")) / 255
+        composited = Image.alpha_composite(
+            Image.new("RGBA", image.size, "black"), image.convert("RGBA")
+        )
+        expected = np.asarray(composited.convert("RGB")) / 255
         assert np.abs(read_picture(tmp_path, "a") - expected).max() <= 1 / 255
 
 
@@ -182,8 +184,8 @@ def test_the_script_needs_numpy_alone(kit: Path, tmp_path: Path) -> None:
     )
     options = [str(tmp_path), "--json", str(tmp_path / "result.json")]
     command = [sys.executable, "-c", code, str(kit / "check_viewer.py"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stdout + completed.stderr
     result = json.loads((tmp_path / "result.json").read_text("utf-8"))
     assert result["counts"] == {"passed": len(kit_cases()), "failed": 0}
 
@@ -194,11 +196,11 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
     for path in (kit / "expected").glob("*.npy"):
         (pictures / path.name).write_bytes(path.read_bytes())
     (pictures / f"{FIRST}-0.npy").unlink()
-    ran = gsgen_here(
+    completed = gsgen_here(
         "viewer-kit", "check", str(kit), str(pictures), "--html", "p.html", cwd=tmp_path
     )
-    assert ran.code == 1
-    assert f"failed: {FIRST}: {FIRST}-0: the picture is missing" in ran.out
+    assert completed.code == 1
+    assert f"failed: {FIRST}: {FIRST}-0: the picture is missing" in completed.out
     page = (tmp_path / "p.html").read_text("utf-8")
     assert "http" not in page
     result = check_viewer(kit, pictures)
@@ -208,16 +210,16 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
 
 
 def test_a_folder_that_is_no_kit_or_is_full_is_refused(tmp_path: Path) -> None:
-    ran = gsgen_here("viewer-kit", "check", str(tmp_path), str(tmp_path), cwd=tmp_path)
-    assert ran.code == 4
-    assert "index.json" in ran.err
+    completed = gsgen_here("viewer-kit", "check", str(tmp_path), str(tmp_path), cwd=tmp_path)
+    assert completed.code == 4
+    assert "index.json" in completed.err
     (tmp_path / "file").touch()
     with pytest.raises(ConfigInvalid, match="the output folder is not empty"):
         write_kit(tmp_path, draw_frames)
 
 
 def test_a_missing_folder_of_pictures_is_one_error(kit: Path, tmp_path: Path) -> None:
-    ran = gsgen_here("viewer-kit", "check", str(kit), "picturs", cwd=tmp_path)
-    assert ran.code == 4
-    assert "picturs: is not a folder, expected that of the viewer's pictures" in ran.err
-    assert "the picture is missing" not in ran.out
+    completed = gsgen_here("viewer-kit", "check", str(kit), "picturs", cwd=tmp_path)
+    assert completed.code == 4
+    assert "picturs: is not a folder, expected that of the viewer's pictures" in completed.err
+    assert "the picture is missing" not in completed.out

@@ -18,15 +18,18 @@ PACKAGES = (
 def test_lazy_names_agree_with_type_checking_imports(package: str) -> None:
     module = import_module(package)
     assert module.__file__ is not None
-    received: dict[str, str] = {}
+    module_by_name: dict[str, str] = {}
     for block in ast.parse(Path(module.__file__).read_text("utf-8")).body:
         for node in block.body if isinstance(block, ast.If) else ():
             assert isinstance(node, ast.ImportFrom)
-            received |= {alias.name: str(node.module) for alias in node.names}
-    assert module._HOMES.keys() == received.keys()
-    for name, home in module._HOMES.items():
-        assert home in (received[name], f"{received[name]}.{name}")  # which is a module itself
-    assert set(received) <= set(module.__all__)
+            module_by_name |= {alias.name: str(node.module) for alias in node.names}
+    assert module._HOMES.keys() == module_by_name.keys()
+    for name, home_module in module._HOMES.items():
+        assert home_module in (
+            module_by_name[name],
+            f"{module_by_name[name]}.{name}",
+        )  # which is a module itself
+    assert set(module_by_name) <= set(module.__all__)
     assert dir(module) == sorted(module.__all__)
     for name in module.__all__:
         assert getattr(module, name) is not None
@@ -39,5 +42,7 @@ def test_a_lazy_package_imports_no_module_of_its_own() -> None:
         "import sys, gsgen.contract; "
         "print(*(name for name in sys.modules if name.startswith('gsgen')))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["gsgen", "gsgen.contract"]
+    completed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert completed.stdout.split() == ["gsgen", "gsgen.contract"]

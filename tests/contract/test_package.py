@@ -19,5 +19,5 @@ def test_unknown_attribute_raises():
 
 def test_importing_the_contract_imports_nothing_else():
     code = "import sys, gsgen.contract; print('onnx' in sys.modules, 'numpy' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    assert done.stdout.split() == [b"False", b"False"]
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert completed.stdout.split() == [b"False", b"False"]

@@ -20,8 +20,8 @@ def test_a_public_module_exports_every_name_that_it_lists(door):
 @pytest.mark.parametrize("door", ["layout", "manifest"])
 def test_a_public_module_has_every_name_of_its_home(door):
     module = import_module(f"gsgen.contract.{door}")
-    for home in HOMES[door]:
-        original = import_module(f"gsgen.contract.{home}")
+    for home_module in HOMES[door]:
+        original = import_module(f"gsgen.contract.{home_module}")
         for name in original.__all__:
             assert getattr(module, name) is getattr(original, name)
             assert name in module.__all__
@@ -29,8 +29,8 @@ def test_a_public_module_has_every_name_of_its_home(door):
 
 def test_authors_of_rules_get_the_types_that_their_checks_receive():
     door = import_module("gsgen.contract.rule")
-    received = {"InspectedModel", "ProbeRuns", "ModelOutputs", "Rows", "Behaviour", "Review"}
-    assert received <= set(door.__all__)
+    expected_types = {"InspectedModel", "ProbeRuns", "ModelOutputs", "Rows", "Behaviour", "Review"}
+    assert expected_types <= set(door.__all__)
 
 
 def test_exit_codes_are_those_that_scripts_rely_on():

@@ -145,9 +145,9 @@ def test_the_rule_of_the_page_fails_its_fixture_alone(copy: Copy) -> None:
     completed = copy.run("-c", dedent(script))
     assert completed.returncode == 0, completed.stderr
     assert [json.loads(line) for line in completed.stdout.splitlines()] == [["GG099"], []]
-    explained = copy.gsgen("explain", "GG099")
-    assert explained.returncode == 0, explained.stderr
-    assert "The graph has no Dropout node." in explained.stdout
+    explanation = copy.gsgen("explain", "GG099")
+    assert explanation.returncode == 0, explanation.stderr
+    assert "The graph has no Dropout node." in explanation.stdout
 
 
 _PASS = '''\

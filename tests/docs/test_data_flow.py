@@ -28,17 +28,17 @@ def stages() -> set[str]:
     """Return the names of all stages that plans record."""
     text = "".join(inspect.getsource(part) for part in (frame_plan, tile_lists, weighted_plan))
     named = re.findall(r'stages\["([\w ]+)"\]', text)
-    begun = re.findall(
+    started = re.findall(
         r'^ *(?:stages = \{|return \{)?"([\w ]+)": (?:self\._project|self\.slabs|recorded\})',
         text,
         re.MULTILINE,
     )
-    return {*named, *begun}
+    return {*named, *started}
 
 
 def test_data_flow_picture_is_current(script: ModuleType) -> None:
-    advice = "run: .venv/bin/python scripts/draw_data_flow.py"
-    assert script.PICTURE.read_text("utf-8") == script.drawn(), advice
+    command_hint = "run: .venv/bin/python scripts/draw_data_flow.py"
+    assert script.PICTURE.read_text("utf-8") == script.drawn(), command_hint
 
 
 def test_picture_has_exactly_the_stages_of_the_code(script: ModuleType) -> None:

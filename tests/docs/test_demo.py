@@ -49,18 +49,18 @@ def test_family_is_exported_validated_and_drawn(demo: ModuleType, tmp_path: Path
     assert (result.name, result.gaussians, result.verdict) == ("static", 20_000, "conforms")
     assert result.size == (tmp_path / "static" / "static.onnx").stat().st_size
     assert result.milliseconds > 0
-    typed = (tmp_path / "static" / "commands.txt").read_text("utf-8")
-    assert typed.startswith("$ gsgen export static ")
-    assert "$ gsgen render " in typed
+    typed_commands = (tmp_path / "static" / "commands.txt").read_text("utf-8")
+    assert typed_commands.startswith("$ gsgen export static ")
+    assert "$ gsgen render " in typed_commands
     with Image.open(result.strip) as strip:
         assert strip.size == (6 * 240, 240)
         tiles = np.split(np.asarray(strip), 6, axis=1)
-    behind = np.array([0x16, 0x18, 0x1D])
+    background_color = np.array([0x16, 0x18, 0x1D])
     for tile in tiles:
-        assert np.abs(tile[0, 0].astype(int) - behind).max() <= 1
-        actual = (np.abs(tile.astype(int) - behind).max(axis=2) > 40).mean()
+        assert np.abs(tile[0, 0].astype(int) - background_color).max() <= 1
+        actual = (np.abs(tile.astype(int) - background_color).max(axis=2) > 40).mean()
         assert 0.1 < actual < 0.6  # of the picture: neither empty nor too near
-        rows, columns = np.nonzero(np.abs(tile.astype(int) - behind).max(axis=2) > 40)
+        rows, columns = np.nonzero(np.abs(tile.astype(int) - background_color).max(axis=2) > 40)
         assert min(rows.min(), columns.min()) > 3  # not cut off
         assert max(rows.max(), columns.max()) < 236
     assert not np.array_equal(tiles[0], tiles[1])
@@ -70,12 +70,12 @@ def test_family_is_exported_validated_and_drawn(demo: ModuleType, tmp_path: Path
 def test_demo_without_a_driver_reports_it(
     demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    why = "gsgen: no adapter was found"
-    monkeypatch.setattr(demo, "gsgen", lambda *_: (2, "", f"{why}\n"))
-    strip, trouble = demo.draw(
+    reason = "gsgen: no adapter was found"
+    monkeypatch.setattr(demo, "gsgen", lambda *_: (2, "", f"{reason}\n"))
+    strip, error_text = demo.draw(
         demo.demo_plugins()["gauhuman"], tmp_path / "m.onnx", tmp_path, tmp_path / "log"
     )
-    assert (strip, trouble) == (None, why)
+    assert (strip, error_text) == (None, reason)
     row = demo.DemoModel(
         name="gauhuman",
         gaussians=10,
@@ -84,7 +84,7 @@ def test_demo_without_a_driver_reports_it(
         level="behaviour",
         milliseconds=1.0,
         strip=None,
-        trouble=why,
+        trouble=reason,
     )
     assert "conforms (behaviour); picture: not drawn" in demo.table([row])
 

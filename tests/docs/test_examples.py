@@ -37,15 +37,15 @@ def test_the_guide_s_command_exports_a_model_that_is_captured(
     (tmp_path / f"{name}.py").write_text(BLOCKS[f"{name}.py"], "utf-8")
     monkeypatch.chdir(tmp_path)
     (line,) = re.findall(rf"^gsgen export ({name}:.*)$", TEXT, re.MULTILINE)
-    ran = CliRunner().invoke(app, shlex.split(line))
-    assert ran.exit_code == 0, ran.output
-    assert "conforms at level live" in ran.output
-    assert "skipped" not in ran.output
-    assert "warning" not in ran.output
-    rewritten = re.search(r"^rewritten: (.*)$", ran.output, re.MULTILINE)
+    completed = CliRunner().invoke(app, shlex.split(line))
+    assert completed.exit_code == 0, completed.output
+    assert "conforms at level live" in completed.output
+    assert "skipped" not in completed.output
+    assert "warning" not in completed.output
+    rewritten = re.search(r"^rewritten: (.*)$", completed.output, re.MULTILINE)
     assert rewritten is not None
     assert "end-on-compute (" in rewritten[1]
-    shown = re.search(r"agrees with torch at 13 probes: (.*)", ran.output)
+    shown = re.search(r"agrees with torch at 13 probes: (.*)", completed.output)
     assert shown is not None
     shares = [float(entry) for entry in re.findall(r"\(([\d.e+-]+) % of allowed\)", shown[1])]
     assert len(shares) == 4

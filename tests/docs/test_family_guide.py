@@ -43,9 +43,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         (folder / name).write_text(text, "utf-8")
     assert INSTALL == "pip install .\n"
     # What it depends on is here, and the environment of the tests is left as it is.
-    aside = ["--no-deps", "--no-build-isolation", "--quiet", "--target", str(site)]
+    install_options = ["--no-deps", "--no-build-isolation", "--quiet", "--target", str(site)]
     installed = subprocess.run(
-        [sys.executable, "-m", "pip", "install", *aside, str(folder)],
+        [sys.executable, "-m", "pip", "install", *install_options, str(folder)],
         capture_output=True,
         text=True,
     )

@@ -66,8 +66,8 @@ def test_changed_block_makes_dependent_pictures_stale(script: ModuleType) -> Non
     before = script.digests(script.blocks(page))
     own = script.digests(script.blocks(page.replace("--fov 42", "--fov 43")))
     assert [name for name in before if own[name] != before[name]] == ["harmonics.jpg"]
-    later = script.digests(script.blocks(page.replace("20_000", "20_001")))
-    unchanged = [name for name in before if later[name] == before[name]]
+    changed_digests = script.digests(script.blocks(page.replace("20_000", "20_001")))
+    unchanged = [name for name in before if changed_digests[name] == before[name]]
     assert unchanged == ["samples.jpg", "sunflower.jpg"]  # those that stand before the knot
 
 

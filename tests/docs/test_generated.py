@@ -12,9 +12,11 @@ SCRIPT = ROOT / "scripts" / "write_docs.py"
 
 def test_generated_pages_are_current():
     command = [sys.executable, SCRIPT, "--check"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    advice = "run: .venv/bin/python scripts/write_docs.py"
-    assert done.returncode == 0, f"{advice}\nnot current:\n{done.stdout}{done.stderr}"
+    completed = subprocess.run(command, capture_output=True, text=True)
+    command_hint = "run: .venv/bin/python scripts/write_docs.py"
+    assert completed.returncode == 0, (
+        f"{command_hint}\nnot current:\n{completed.stdout}{completed.stderr}"
+    )
 
 
 def test_every_marker_is_closed():

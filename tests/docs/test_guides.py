@@ -62,8 +62,8 @@ def _tier(page: Path) -> object:
 def test_every_block_runs(page, tmp_path):
     for block in blocks(page):
         if is_run(block):
-            done = run(block, tmp_path)
-            assert done.returncode == 0, f"{block.mark}:\n{done.stdout}{done.stderr}"
+            completed = run(block, tmp_path)
+            assert completed.returncode == 0, f"{block.mark}:\n{completed.stdout}{completed.stderr}"
 
 
 # What a block may begin with that no test runs: it needs a network, a screen, or sets up all.
@@ -128,13 +128,13 @@ def test_every_mark_is_one_that_a_test_knows():
 def test_the_workflow_runs_what_the_guide_tries():
     """The guide's workflow is not run by a test, but its commands are those that are."""
     page = DOCS / "guides" / "validate-in-ci.md"
-    tried = "".join(block.text for block in blocks(page) if block.mark == "bash")
+    tested_text = "".join(block.text for block in blocks(page) if block.mark == "bash")
     text = page.read_text("utf-8")
     (command,) = re.findall(r"- run: (gsgen validate .+)", text)
-    assert command in tried
+    assert command in tested_text
     summary = re.search(r"run: (python summary.py report.json) >>", text)
     assert summary is not None
-    assert summary[1] in tried
+    assert summary[1] in tested_text
 
 
 def test_the_basis_in_the_specification_is_that_of_the_code():
@@ -166,11 +166,11 @@ def test_the_rule_of_the_guide_can_be_installed(tmp_path):
     )
     points = f"[{section[1]}]\n{section[2].replace(chr(34), '')}\n"
     (info / "entry_points.txt").write_text(points)
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "gsgen.cli", "explain", "acme/AC001"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,
     )
-    assert done.stdout.startswith("# acme/AC001 licence-named\n"), done.stderr
+    assert completed.stdout.startswith("# acme/AC001 licence-named\n"), completed.stderr

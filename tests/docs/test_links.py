@@ -20,12 +20,12 @@ def test_every_relative_link_leads_to_a_file_and_a_heading(page):
         if link.startswith(("http://", "https://", "mailto:")):
             continue
         path, _, anchor = link.partition("#")
-        aim = (page.parent / path).resolve() if path else page
-        assert aim.is_file(), f"{name_of(page)}: {link}"
+        target_path = (page.parent / path).resolve() if path else page
+        assert target_path.is_file(), f"{name_of(page)}: {link}"
         if page != README:  # the site has what is below docs/ and nothing else
-            assert aim.is_relative_to(DOCS), f"{name_of(page)}: {link}"
+            assert target_path.is_relative_to(DOCS), f"{name_of(page)}: {link}"
         if anchor:
-            assert anchor in anchors(aim), f"{name_of(page)}: {link}"
+            assert anchor in anchors(target_path), f"{name_of(page)}: {link}"
 
 
 def test_every_rule_is_listed_and_has_a_page():
@@ -43,15 +43,17 @@ def test_every_command_is_described(page):
 
 def test_every_page_can_be_reached():
     """From README, by following links; rules and passes are reached through their index."""
-    reached, todo = set(), [README, DOCS / "index.md"]
+    reachable_pages, todo = set(), [README, DOCS / "index.md"]
     while todo:
         page = todo.pop()
-        if page in reached or page.suffix != ".md":
+        if page in reachable_pages or page.suffix != ".md":
             continue
-        reached.add(page)
-        aims = (link.partition("#")[0] for link in links(page) if "://" not in link)
-        todo += [(page.parent / aim).resolve() for aim in aims if aim]
-    assert reached >= set(pages())
+        reachable_pages.add(page)
+        link_targets = (link.partition("#")[0] for link in links(page) if "://" not in link)
+        todo += [
+            (page.parent / target_path).resolve() for target_path in link_targets if target_path
+        ]
+    assert reachable_pages >= set(pages())
 
 
 def test_every_page_of_the_navigation_exists():

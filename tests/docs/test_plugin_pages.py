@@ -35,8 +35,8 @@ def test_every_plugin_has_a_page_and_a_picture() -> None:
 def test_the_page_shows_its_picture_which_is_small(name: str) -> None:
     shown, *others = re.findall(r"^!\[(.+)\]\((\S+)\)$", text_of(name), re.MULTILINE)
     assert shown[1] == f"../assets/plugins/{name}.jpg"
-    for said, array in (shown, *others):
-        assert len(said) > 20  # says what can be seen, to those who cannot see it
+    for expected_message, array in (shown, *others):
+        assert len(expected_message) > 20  # says what can be seen, to those who cannot see it
         data = (PAGES / array).read_bytes()
         assert len(data) <= LARGEST
         with Image.open(io.BytesIO(data)) as picture:
@@ -84,8 +84,8 @@ def options_of(plugin: Plugin) -> list[str]:
         return spelled(plugin.build)
     example = plugin_of("stylise")
     assert example.build is not None
-    common = set(spelled(plugin_function(example))) - set(spelled(example.build))
-    return [option for option in spelled(plugin_function(plugin)) if option not in common]
+    shared_options = set(spelled(plugin_function(example))) - set(spelled(example.build))
+    return [option for option in spelled(plugin_function(plugin)) if option not in shared_options]
 
 
 def spelled(function: Callable[..., object]) -> list[str]:
@@ -110,8 +110,8 @@ def test_every_plugin_has_a_demo(name: str) -> None:
 @pytest.mark.parametrize("name", OURS)
 def test_the_page_cites_what_the_plugin_cites(name: str) -> None:
     publication, introduction = (plugin_of(name).publication, text_of(name).partition("\n## ")[0])
-    cited = re.findall(r"arxiv\.org/abs/([\d.]+)\)", introduction)
-    assert cited == [publication.arxiv] * bool(publication.arxiv)
+    cited_papers = re.findall(r"arxiv\.org/abs/([\d.]+)\)", introduction)
+    assert cited_papers == [publication.arxiv] * bool(publication.arxiv)
     facts = (publication.paper, publication.code.removeprefix("https://github.com/"))
     for fact in (*facts, publication.licence):
         assert fact in introduction

@@ -22,8 +22,8 @@ def script() -> ModuleType:
 
 
 def test_the_picture_is_current(script: ModuleType) -> None:
-    advice = "run: .venv/bin/python scripts/draw_rooms.py"
-    assert script.PICTURE.read_text("utf-8") == script.drawn(), advice
+    command_hint = "run: .venv/bin/python scripts/draw_rooms.py"
+    assert script.PICTURE.read_text("utf-8") == script.drawn(), command_hint
 
 
 def test_imports_point_downwards(script: ModuleType) -> None:

@@ -98,10 +98,10 @@ def test_the_picture_is_that_of_the_oracle(
     manifest = viewer.read_manifest(session)
     outputs = manifest["outputs"]
     names = [outputs[array]["name"] for array in ("gaussians", "appearance", "count")]
-    rows, looks, count = session.run(names, fed)
+    rows, appearances, count = session.run(names, fed)
     space = outputs["appearance"]["space"]
     live = min(int(count[0]), len(rows))
-    data = SplatData(rows, looks, space, count=live)
+    data = SplatData(rows, appearances, space, count=live)
     scene = Scene([SplatSet(data, antialias=manifest.get("antialias", "classic"))])
     frame = oracle.render(scene, Camera(**lens))
     assert frame.visible > 0

@@ -55,8 +55,8 @@ def _layer_of(name: str, container: str) -> int:
 
 def is_above(first: str, second: str) -> bool:
     """Return whether the layer of ``first`` is higher; modules of one room are not ordered."""
-    common = list(zip(rank(first), rank(second), strict=False))
-    return [a for a, _ in common] > [b for _, b in common]
+    rank_pairs = list(zip(rank(first), rank(second), strict=False))
+    return [a for a, _ in rank_pairs] > [b for _, b in rank_pairs]
 
 
 @pytest.mark.parametrize("name", WALKS)

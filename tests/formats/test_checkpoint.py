@@ -64,11 +64,11 @@ def test_the_values_saved_are_the_values_read(tmp_path, kind, degree):
     splats = scene(50, degree, seed=degree)
     file = tmp_path / "no_suffix"
     file.write_bytes(checkpoints(splats)[kind])
-    back = open_splats(file)
-    assert isinstance(back, Splats)
+    restored = open_splats(file)
+    assert isinstance(restored, Splats)
     for name in FIELDS:
-        np.testing.assert_array_equal(getattr(back, name), getattr(splats, name))
-    assert not back.antialiased
+        np.testing.assert_array_equal(getattr(restored, name), getattr(splats, name))
+    assert not restored.antialiased
 
 
 @pytest.mark.parametrize("kind", ["gsplat", "inria"])
@@ -127,8 +127,10 @@ def test_the_settings_beside_the_file_say_antialiased(tmp_path, kind, folder, se
     file.write_bytes(checkpoints(scene(4, 1))[kind])
     (tmp_path / settings).write_text(f"a: 1\n{line}\nb: 2\n")
     assert read_checkpoint(file).antialiased
-    classic = line.replace("true", "false").replace("antialiased", "classic", line.count("mode"))
-    (tmp_path / settings).write_text(f"{classic}\n")
+    classic_config = line.replace("true", "false").replace(
+        "antialiased", "classic", line.count("mode")
+    )
+    (tmp_path / settings).write_text(f"{classic_config}\n")
     assert not read_checkpoint(file).antialiased
 
 
@@ -243,8 +245,8 @@ def test_an_expanded_tensor_does_not_take_more_memory_than_its_storage(tmp_path)
     means = torch.ones(1, 3).expand(1 << 30, 3)
     file = stored(tmp_path / "a.pt", {"splats": {"means": means}})
     refusal(file, PropertyMissing)
-    huge = of_gsplat(means=torch.ones(1, 3).expand(6, 3))
-    assert "6, 3" in refusal(stored(tmp_path / "b.pt", huge), ArchiveDamaged)
+    expanded_checkpoint = of_gsplat(means=torch.ones(1, 3).expand(6, 3))
+    assert "6, 3" in refusal(stored(tmp_path / "b.pt", expanded_checkpoint), ArchiveDamaged)
 
 
 def test_a_pickle_beyond_the_limit_is_refused(tmp_path):
@@ -261,9 +263,9 @@ def test_big_endian_numbers_are_read(tmp_path):
             for name in archive.namelist()
             if "/data/" in name
         }
-    back = read_checkpoint(remade(file, swapped | {"byteorder": b"big"}))
+    restored = read_checkpoint(remade(file, swapped | {"byteorder": b"big"}))
     for name in FIELDS:
-        np.testing.assert_array_equal(getattr(back, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(restored, name), getattr(expected, name))
 
 
 def test_reading_a_checkpoint_needs_no_torch(tmp_path):
@@ -272,5 +274,7 @@ def test_reading_a_checkpoint_needs_no_torch(tmp_path):
         "import sys; sys.modules['torch'] = None\n"
         f"from gsgen.formats import open_splats; print(len(open_splats({str(file)!r})))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "6\n"
+    completed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert completed.stdout == "6\n"

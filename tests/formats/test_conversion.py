@@ -96,9 +96,9 @@ def test_every_format_is_written_and_compared(tmp_path, name, degree):
     assert (done.count, done.degree, done.format) == (400, (2, retained), name)
     assert done.sizes == (file.stat().st_size, target.stat().st_size)
     assert ("harmonics above degree" in " ".join(done.lost)) is (retained < 2)
-    back = open_splats(target)
-    assert isinstance(back, Splats)
-    assert back.degree == retained
+    restored = open_splats(target)
+    assert isinstance(restored, Splats)
+    assert restored.degree == retained
     off = by_name(done.differences)
     exact = {"ply": 0, "glb": 1e-5}
     assert max(off.values()) <= exact.get(name, 10)
@@ -116,7 +116,7 @@ def test_lost_flags_are_reported(tmp_path):
         "the flag that the colours are linear",
         "the flag that the splats are antialiased (Mip-Splatting)",
     )
-    for source, target, lost in (
+    for source, target, lost_flags in (
         ("linear.glb", "spz", (linear,)),
         ("linear.glb", "glb", ()),
         ("mip.spz", "spz", ()),
@@ -126,7 +126,7 @@ def test_lost_flags_are_reported(tmp_path):
         ("mip.spz", "compressed-ply", ("the order of the splats",)),
     ):
         done = convert(tmp_path / source, tmp_path / "out", codec_named(target))
-        assert done.lost == lost
+        assert done.lost == lost_flags
 
 
 @pytest.mark.parametrize("name", ["ksplat", "npz"])

@@ -42,9 +42,9 @@ def test_glb_round_trip_keeps_float32_precision(tmp_path_factory, degree, seed, 
     splats = scene(9, degree, seed, color_space=space)
     file = tmp_path_factory.getbasetemp() / "round.glb"
     write_glb(file, splats)
-    back = read_glb(file)
-    assert_near(back, splats, rotation=1e-6, log_scale=1e-6, opacities=1e-7)
-    assert back.color_space == space
+    restored = read_glb(file)
+    assert_near(restored, splats, rotation=1e-6, log_scale=1e-6, opacities=1e-7)
+    assert restored.color_space == space
 
 
 def test_written_file_follows_the_extension(tmp_path):
@@ -131,13 +131,13 @@ UNEVEN = {"translation": [-1, 0, 3], "rotation": TURN, "scale": [2, 0.5, 1]}
 
 
 @pytest.mark.parametrize("inner", [{}, EVEN, UNEVEN])
-@pytest.mark.parametrize("outer", [{}, EVEN, UNEVEN])
-def test_nodes_put_splats_into_the_world(tmp_path, outer, inner):
+@pytest.mark.parametrize("outer_matrix", [{}, EVEN, UNEVEN])
+def test_nodes_put_splats_into_the_world(tmp_path, outer_matrix, inner):
     splats = scene(6, 3)
-    nodes = [outer | {"children": [1]}, inner | {"mesh": 0}]
+    nodes = [outer_matrix | {"children": [1]}, inner | {"mesh": 0}]
     moved = with_nodes(tmp_path / "a.glb", splats, nodes)
     flip = np.diag([-1, -1, 1, 1])
-    matrix = flip @ spun(outer) @ spun(inner) @ flip
+    matrix = flip @ spun(outer_matrix) @ spun(inner) @ flip
     linear = matrix[:3, :3]
     np.testing.assert_allclose(
         moved.position, splats.position @ linear.T + matrix[:3, 3], atol=1e-5
@@ -154,9 +154,9 @@ def test_nodes_put_splats_into_the_world(tmp_path, outer, inner):
 
 def test_node_matrix_equals_its_translation_rotation_scale(tmp_path):
     splats = scene(3, 1)
-    as_parts = with_nodes(tmp_path / "a.glb", splats, [UNEVEN | {"mesh": 0}])
+    parts_file = with_nodes(tmp_path / "a.glb", splats, [UNEVEN | {"mesh": 0}])
     matrix = {"matrix": spun(UNEVEN).T.ravel().tolist(), "mesh": 0}
-    assert_near(with_nodes(tmp_path / "a.glb", splats, [matrix]), as_parts, position=1e-6)
+    assert_near(with_nodes(tmp_path / "a.glb", splats, [matrix]), parts_file, position=1e-6)
 
 
 def test_a_mesh_may_be_shown_twice_and_not_at_all(tmp_path):
@@ -199,25 +199,25 @@ def test_normalised_integers_are_read_as_fractions(tmp_path, name, kind, code, l
     width = {"VEC4": 4, "VEC3": 3, "SCALAR": 1}[accessor["type"]]
     low = 0 if code[-2] == "u" else -largest
     stored = np.random.default_rng(0).integers(low, max(largest, 9), (5, 4)).astype(code)
-    each = stored.itemsize * width
-    stride = -(-each // 4) * 4  # glTF aligns rows to four bytes
+    item_bytes = stored.itemsize * width
+    stride = -(-item_bytes // 4) * 4  # glTF aligns rows to four bytes
     rows = b"".join(row[:width].tobytes().ljust(stride, b"\0") for row in stored)
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(rows)}
     document["bufferViews"].append(view | {"byteStride": stride})
     accessor |= {"bufferView": len(document["bufferViews"]) - 1, "componentType": kind}
     accessor["normalized"] = largest > 1
     (tmp_path / "a.glb").write_bytes(built(document, binary + rows))
-    back = read_glb(tmp_path / "a.glb")
+    restored = read_glb(tmp_path / "a.glb")
     expected = stored[:, :width] / (largest if largest > 1 else 1)
     if name == "SCALE":
-        np.testing.assert_allclose(np.exp(back.log_scale), expected, rtol=1e-5)
+        np.testing.assert_allclose(np.exp(restored.log_scale), expected, rtol=1e-5)
     elif name == "OPACITY":
-        shown = 1 / (1 + np.exp(-back.logit_opacity))
+        shown = 1 / (1 + np.exp(-restored.logit_opacity))
         np.testing.assert_allclose(shown, expected[:, 0], rtol=1e-5)
     else:
         turn = expected[:, [3, 0, 1, 2]] * [1, -1, -1, 1]
         turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-        np.testing.assert_allclose(back.rotation, turn, atol=1e-6)
+        np.testing.assert_allclose(restored.rotation, turn, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -265,10 +265,10 @@ def test_attributes_of_the_first_draft_are_read(tmp_path):
         "COLOR_0": len(document["accessors"]) - 1,
     }
     (tmp_path / "a.glb").write_bytes(built(document, binary + rgba.tobytes()))
-    back = read_glb(tmp_path / "a.glb")
-    np.testing.assert_array_equal(back.position, splats.position)
+    restored = read_glb(tmp_path / "a.glb")
+    np.testing.assert_array_equal(restored.position, splats.position)
     shown = np.column_stack(
-        [0.5 + 0.28209479 * back.sh[:, 0], 1 / (1 + np.exp(-back.logit_opacity))]
+        [0.5 + 0.28209479 * restored.sh[:, 0], 1 / (1 + np.exp(-restored.logit_opacity))]
     )
     np.testing.assert_allclose(shown, rgba.reshape(4, 4) / 255, atol=1e-6)
 

@@ -23,8 +23,8 @@ from support.splat_files import scene
 
 
 def change(document: dict, path: str, value: object) -> None:
-    *way, last = [int(key) if key.isdigit() else key for key in path.split("/")]
-    for key in way:
+    *key_path, last = [int(key) if key.isdigit() else key for key in path.split("/")]
+    for key in key_path:
         document = document[key]
     if value is None:
         del document[last]  # type: ignore[attr-defined]

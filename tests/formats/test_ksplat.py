@@ -34,19 +34,19 @@ def test_handwritten_file_is_read(tmp_path_factory, level, degree, count, seed):
     splats = scene(count, degree, seed)
     file = tmp_path_factory.getbasetemp() / "a.ksplat"
     file.write_bytes(ksplat(splats, level))
-    back = read_ksplat(file)
-    assert (len(back), back.degree) == (count, degree)
+    restored = read_ksplat(file)
+    assert (len(restored), restored.degree) == (count, degree)
     half = 50 / 2 / 32767 / 2 * 1.01 if level else 0  # half a step of the buckets
-    assert np.abs(back.position - splats.position).max() <= half
+    assert np.abs(restored.position - splats.position).max() <= half
     relative = 1 / 1024 if level else 1e-6  # of a float16
-    np.testing.assert_allclose(np.exp(back.log_scale), np.exp(splats.log_scale), rtol=relative)
-    assert turn_between(back.rotation, splats.rotation) <= relative
-    assert np.abs(opacity(back) - opacity(splats)).max() <= 1 / 509
+    np.testing.assert_allclose(np.exp(restored.log_scale), np.exp(splats.log_scale), rtol=relative)
+    assert turn_between(restored.rotation, splats.rotation) <= relative
+    assert np.abs(opacity(restored) - opacity(splats)).max() <= 1 / 509
     cut = np.clip(splats.sh[:, 0], -0.5 / C0, 0.5 / C0)
-    assert np.abs(back.sh[:, 0] - cut).max() <= 1 / 509 / C0
+    assert np.abs(restored.sh[:, 0] - cut).max() <= 1 / 509 / C0
     higher = np.clip(splats.sh[:, 1:], -1.5, 1.5)
-    loss = {0: 0, 1: 1 / 1024, 2: 3 / 509}[level]
-    assert np.abs(back.sh[:, 1:] - higher).max(initial=0) <= loss
+    quantization_error = {0: 0, 1: 1 / 1024, 2: 3 / 509}[level]
+    assert np.abs(restored.sh[:, 1:] - higher).max(initial=0) <= quantization_error
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -83,13 +83,13 @@ def test_the_range_of_harmonics_is_in_the_header(tmp_path):
     file = tmp_path / "a.ksplat"
     content = bytearray(ksplat(scene(4, 1), 2))
     file.write_bytes(content)
-    narrow = read_ksplat(file).sh[:, 1:]
+    narrow_harmonics = read_ksplat(file).sh[:, 1:]
     content[36:44] = struct.pack("<2f", -3, 3)
     file.write_bytes(content)
-    np.testing.assert_allclose(read_ksplat(file).sh[:, 1:], 2 * narrow, atol=1e-6)
+    np.testing.assert_allclose(read_ksplat(file).sh[:, 1:], 2 * narrow_harmonics, atol=1e-6)
     content[36:44] = bytes(8)  # writers before it leave both 0, and mean 1.5
     file.write_bytes(content)
-    np.testing.assert_array_equal(read_ksplat(file).sh[:, 1:], narrow)
+    np.testing.assert_array_equal(read_ksplat(file).sh[:, 1:], narrow_harmonics)
 
 
 FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16

@@ -216,11 +216,11 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
     )
 
 
-@pytest.mark.parametrize(("spare", "fits"), [(-1, False), (0, True)])
-def test_the_limit_is_on_both_arrays_together(tmp_path, spare, fits):
+@pytest.mark.parametrize(("spare_bytes", "is_fitting"), [(-1, False), (0, True)])
+def test_the_limit_is_on_both_arrays_together(tmp_path, spare_bytes, is_fitting):
     file = saved(tmp_path / "frame.npz", gaussians=GAUSSIANS, appearance=APPEARANCE)
-    limit = GAUSSIANS.nbytes + APPEARANCE.nbytes + spare
-    if fits:
+    limit = GAUSSIANS.nbytes + APPEARANCE.nbytes + spare_bytes
+    if is_fitting:
         read_npz(file, max_bytes=limit)
     else:
         with pytest.raises(SizeExceeded):
@@ -328,8 +328,8 @@ def test_every_truncated_archive_is_refused(tmp_path, content):
     ),
 )
 def test_a_mutated_archive_is_read_or_refused_but_never_crashes(tmp_path_factory, content, edits):
-    for offset, gone, put in edits:
-        content = content[:offset] + put + content[offset + gone :]
+    for offset, removed, inserted in edits:
+        content = content[:offset] + inserted + content[offset + removed :]
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.npz", content)
 
 

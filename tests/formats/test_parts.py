@@ -83,9 +83,9 @@ def test_harmonics_are_read_in_batches_of_one_size(
 
 
 def test_only_edits_of_single_rows_go_in_parts(source: Path) -> None:
-    by_row, of_all = parse_edit("scale", "2"), parse_edit("decimate", "50%")
+    by_row, global_edit = parse_edit("scale", "2"), parse_edit("decimate", "50%")
     assert open_parts(source, [by_row], min_bytes=0) is not None
-    assert open_parts(source, [by_row, of_all], min_bytes=0) is None
+    assert open_parts(source, [by_row, global_edit], min_bytes=0) is None
     assert open_parts(source, [lambda splats: splats], min_bytes=0) is None
     assert open_parts(source, [], min_bytes=1 << 20) is None
 

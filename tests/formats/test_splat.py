@@ -41,13 +41,13 @@ def test_round_trip_error_is_within_half_a_step(tmp_path_factory, seed, degree):
     splats = scene(8, degree, seed)
     file = tmp_path_factory.getbasetemp() / "round.splat"
     write_splat(file, splats)
-    back = read_splat(file)
-    np.testing.assert_array_equal(back.position, splats.position)
-    assert np.abs(back.log_scale - splats.log_scale).max() <= 1e-6
-    assert np.abs(opacity(back) - opacity(splats)).max() <= 1 / 509
+    restored = read_splat(file)
+    np.testing.assert_array_equal(restored.position, splats.position)
+    assert np.abs(restored.log_scale - splats.log_scale).max() <= 1e-6
+    assert np.abs(opacity(restored) - opacity(splats)).max() <= 1 / 509
     cut = np.clip(splats.sh[:, :1], -0.5 / C0, 0.5 / C0)
-    assert np.abs(back.sh - cut).max() <= 1 / 509 / C0
-    assert turn_between(back.rotation, splats.rotation) <= 1.5 / 128  # 1 is cut to 127/128
+    assert np.abs(restored.sh - cut).max() <= 1 / 509 / C0
+    assert turn_between(restored.rotation, splats.rotation) <= 1.5 / 128  # 1 is cut to 127/128
 
 
 def test_rewriting_gives_the_same_bytes(tmp_path):
@@ -62,13 +62,13 @@ def test_rewriting_gives_the_same_bytes(tmp_path):
 
 def test_splat_and_ply_of_one_training_agree():
     name = "data/twins/test-splat.3-points-from-train"
-    real, twin = read_ply(shared(f"{name}.ply")), read_splat(shared(f"{name}.splat"))
+    source_splats, twin = read_ply(shared(f"{name}.ply")), read_splat(shared(f"{name}.splat"))
     splats = Splats(
-        position=real.position,
-        rotation=real.rotation,
-        log_scale=real.log_scale,
-        logit_opacity=real.logit_opacity,
-        sh=real.sh[:, :1],
+        position=source_splats.position,
+        rotation=source_splats.rotation,
+        log_scale=source_splats.log_scale,
+        logit_opacity=source_splats.logit_opacity,
+        sh=source_splats.sh[:, :1],
     )
     assert_near(splats, twin, rotation=0.02, log_scale=1e-6, opacities=1 / 255, sh=1 / 70)
 
@@ -83,11 +83,11 @@ def test_extreme_values_are_clamped(tmp_path):
         sh=np.float32([[[9, -9, 0]]] * 2),
     )
     write_splat(tmp_path / "odd.splat", odd)
-    back = read_splat(tmp_path / "odd.splat")
-    np.testing.assert_allclose(back.log_scale, odd.log_scale, rtol=1e-2)
-    np.testing.assert_array_equal(back.logit_opacity, odd.logit_opacity)
-    np.testing.assert_array_equal(back.rotation, [[1, 0, 0, 0], [-1, 0, 0, 0]])
-    np.testing.assert_allclose(back.sh[0, 0], [0.5 / C0, -0.5 / C0, 0], atol=0.01)
+    restored = read_splat(tmp_path / "odd.splat")
+    np.testing.assert_allclose(restored.log_scale, odd.log_scale, rtol=1e-2)
+    np.testing.assert_array_equal(restored.logit_opacity, odd.logit_opacity)
+    np.testing.assert_array_equal(restored.rotation, [[1, 0, 0, 0], [-1, 0, 0, 0]])
+    np.testing.assert_allclose(restored.sh[0, 0], [0.5 / C0, -0.5 / C0, 0], atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_a_part_of_a_record_is_refused(tmp_path):
 
 def test_a_scale_beyond_float32_is_not_written(tmp_path):
     original = scene(1, 0)
-    huge = Splats(
+    oversized_splats = Splats(
         position=original.position,
         rotation=original.rotation,
         log_scale=original.log_scale + 100,
@@ -131,5 +131,5 @@ def test_a_scale_beyond_float32_is_not_written(tmp_path):
         sh=original.sh,
     )
     with pytest.raises(FormatError, match="row 0 is inf"):
-        write_splat(tmp_path / "a.splat", huge)
+        write_splat(tmp_path / "a.splat", oversized_splats)
     assert not list(tmp_path.iterdir())

@@ -36,10 +36,10 @@ def naive_read(content: bytes) -> Splats:
     at = 16
     sh_count = (degree + 1) ** 2 - 1
 
-    def some(each: int) -> list[bytes]:
+    def some(item_size: int) -> list[bytes]:
         nonlocal at
-        rows = [body[at + each * row : at + each * (row + 1)] for row in range(count)]
-        at += each * count
+        rows = [body[at + item_size * row : at + item_size * (row + 1)] for row in range(count)]
+        at += item_size * count
         return rows
 
     def coordinate(part: bytes) -> float:
@@ -123,9 +123,9 @@ def test_the_code_of_the_format_rounds_alike(tmp_path, version):
 
 def test_spz_and_ply_of_one_training_agree():
     name = "data/twins/test-splat.3-points-from-train"
-    real, twin = read_ply(shared(f"{name}.ply")), read_spz(shared(f"{name}.spz"))
+    source_splats, twin = read_ply(shared(f"{name}.ply")), read_spz(shared(f"{name}.spz"))
     rounded = {"position": 1 / 8000, "rotation": 0.02, "log_scale": 1 / 31}
-    assert_near(real, twin, **rounded, opacities=1 / 509, sh=0.067)
+    assert_near(source_splats, twin, **rounded, opacities=1 / 509, sh=0.067)
 
 
 @pytest.mark.parametrize("name", ["raw", "v2", "v3", "v4"])
@@ -154,20 +154,20 @@ def test_round_trip_error_is_within_half_a_step(
     splats = scene(6, degree, seed, antialiased=flag)
     file = tmp_path_factory.getbasetemp() / "round.spz"
     write_spz(file, splats, version=version, sh_bits=bits)
-    back = read_spz(file)
-    assert back.antialiased is flag
+    restored = read_spz(file)
+    assert restored.antialiased is flag
     reach = np.abs(splats.position).max()
     half = 1 / 8192 if version > 1 else reach / 2048
-    assert np.abs(back.position - splats.position).max() <= half * 1.001
-    assert np.abs(back.log_scale - np.maximum(splats.log_scale, -10)).max() <= 1 / 32 + 1e-6
-    opacity = [1 / (1 + np.exp(-scene_splats.logit_opacity)) for scene_splats in (splats, back)]
+    assert np.abs(restored.position - splats.position).max() <= half * 1.001
+    assert np.abs(restored.log_scale - np.maximum(splats.log_scale, -10)).max() <= 1 / 32 + 1e-6
+    opacity = [1 / (1 + np.exp(-scene_splats.logit_opacity)) for scene_splats in (splats, restored)]
     assert np.abs(opacity[0] - opacity[1]).max() <= 1 / 510 + 1e-6
     constant = np.clip(splats.sh[:, 0], -0.5 / 0.15, 0.5 / 0.15)
-    assert np.abs(back.sh[:, 0] - constant).max() <= 1 / 510 / 0.15 + 1e-6
+    assert np.abs(restored.sh[:, 0] - constant).max() <= 1 / 510 / 0.15 + 1e-6
     for part, bit_count in ((slice(1, 4), bits[0]), (slice(4, None), bits[1])):
         width = 2 ** (8 - bit_count)
         cut = np.clip(splats.sh[:, part], -1, 127 / 128)
-        apart = np.abs(back.sh[:, part] - cut).max(initial=0)
+        apart = np.abs(restored.sh[:, part] - cut).max(initial=0)
         # Half a bucket, and half a step of the rounding before it.
         assert apart <= (width / 2 + 0.5) / 128
 
@@ -178,12 +178,12 @@ def test_rotations_come_back_as_close_as_the_bits_allow(tmp_path_factory, versio
     splats = scene(40, 0, seed)
     file = tmp_path_factory.getbasetemp() / "turned.spz"
     write_spz(file, splats, version=version)
-    back = read_spz(file).rotation.astype(np.float64)
+    restored = read_spz(file).rotation.astype(np.float64)
     unit_rotations = splats.rotation / np.linalg.norm(splats.rotation, axis=1, keepdims=True)
-    dots = np.abs(np.sum(unit_rotations * back, axis=1))
+    dots = np.abs(np.sum(unit_rotations * restored, axis=1))
     # Half a step for each stored component; where w is near 0, bytes lose more of it.
-    loosest = 0.02 if version <= 2 else 1.5 * (ROTATION_STEP[version] / 2) ** 2 * 4
-    assert 1 - dots.min() <= loosest
+    max_rotation_error = 0.02 if version <= 2 else 1.5 * (ROTATION_STEP[version] / 2) ** 2 * 4
+    assert 1 - dots.min() <= max_rotation_error
 
 
 def test_rewriting_gives_the_same_bytes(tmp_path):
@@ -200,17 +200,17 @@ def test_rewriting_gives_the_same_bytes(tmp_path):
 def test_a_large_scene_gets_larger_steps(tmp_path, reach, step):
     position = np.float32([[reach, -reach, 0], [0.3, 0.3, 0.3]])
     splats = scene(2, 0)
-    big = Splats(
+    large_scene = Splats(
         position=position,
         rotation=splats.rotation,
         log_scale=splats.log_scale,
         logit_opacity=splats.logit_opacity,
         sh=splats.sh,
     )
-    write_spz(tmp_path / "big.spz", big)
-    back = read_spz(tmp_path / "big.spz").position
-    assert np.abs(back - position).max() <= step / 2
-    np.testing.assert_array_equal(back / step, np.rint(back / step))
+    write_spz(tmp_path / "big.spz", large_scene)
+    restored = read_spz(tmp_path / "big.spz").position
+    assert np.abs(restored - position).max() <= step / 2
+    np.testing.assert_array_equal(restored / step, np.rint(restored / step))
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -224,14 +224,14 @@ def test_extreme_values_are_clamped(tmp_path, version):
         sh=np.float32([[[9, -9, 0]] * 4] * 3),
     )
     write_spz(tmp_path / "odd.spz", odd, version=version)
-    back = read_spz(tmp_path / "odd.spz")
-    np.testing.assert_array_equal(back.log_scale, [[-10, -10, 5.9375]] * 3)
-    np.testing.assert_array_equal(back.logit_opacity[:2], [np.inf, -np.inf])
-    assert np.abs(back.rotation[0, 0]) > 0.9999
-    assert np.abs(back.rotation[1, 0]) > 0.9999
+    restored = read_spz(tmp_path / "odd.spz")
+    np.testing.assert_array_equal(restored.log_scale, [[-10, -10, 5.9375]] * 3)
+    np.testing.assert_array_equal(restored.logit_opacity[:2], [np.inf, -np.inf])
+    assert np.abs(restored.rotation[0, 0]) > 0.9999
+    assert np.abs(restored.rotation[1, 0]) > 0.9999
     half = math.sqrt(0.5)
-    np.testing.assert_allclose(np.abs(back.rotation[2]), [half, 0, half, 0], atol=0.01)
-    np.testing.assert_allclose(back.sh[0, 1], [1, -1, 0], atol=1 / 16)
+    np.testing.assert_allclose(np.abs(restored.rotation[2]), [half, 0, half, 0], atol=0.01)
+    np.testing.assert_allclose(restored.sh[0, 1], [1, -1, 0], atol=1 / 16)
 
 
 @pytest.mark.parametrize(
@@ -397,11 +397,11 @@ def test_invalid_table_of_contents_is_refused(tmp_path, offset, value, text):
 
 def test_unreadable_scenes_are_not_written(tmp_path):
     splat = scene(1, 0)
-    alike = Splats(**{name: np.repeat(getattr(splat, name), 200_000, axis=0) for name in FIELDS})
+    repeated = Splats(**{name: np.repeat(getattr(splat, name), 200_000, axis=0) for name in FIELDS})
     with pytest.raises(FileTruncated, match="200000 splats in a file of"):
-        write_spz(tmp_path / "a.spz", alike, version=4)
+        write_spz(tmp_path / "a.spz", repeated, version=4)
     assert not list(tmp_path.iterdir())
-    write_spz(tmp_path / "a.spz", alike, version=3)
+    write_spz(tmp_path / "a.spz", repeated, version=3)
     assert len(read_spz(tmp_path / "a.spz")) == 200_000
 
 
@@ -421,9 +421,9 @@ def test_other_axes_are_read_as_they_were_written(tmp_path, axes):
     write_spz(tmp_path / "plain.spz", splats)
     write_spz(tmp_path / "a.spz", splats, axes=axes)
     expected = read_spz(tmp_path / "plain.spz")
-    back = read_spz(tmp_path / "a.spz", axes=axes)
+    restored = read_spz(tmp_path / "a.spz", axes=axes)
     # Steps are not symmetric about zero: the other sign rounds to the next one.
-    assert_near(back, expected, rotation=0.004, sh=2**-3)
+    assert_near(restored, expected, rotation=0.004, sh=2**-3)
     if axes == "RDF":  # numbers in the file are those of the PLY, which readers take for RUB
         turned = read_spz(tmp_path / "a.spz")
         np.testing.assert_allclose(turned.position * [1, -1, -1], expected.position)

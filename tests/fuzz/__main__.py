@@ -121,10 +121,10 @@ def _sum_up(done: list[dict[str, Any]], arguments: argparse.Namespace, folder: P
     slowest = max((outcome["seconds"] for outcome in done), default=0.0)
     largest = max((outcome.get("peak", 0) for outcome in done), default=0)
     parts = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
-    ran = sum(outcome["ran"] for outcome in done)
+    completed = sum(outcome["ran"] for outcome in done)
     sys.stdout.write(
         f"fuzz, seed {arguments.seed}: {len(done)} of {arguments.count} mutants ({parts}), "
-        f"{ran} reached ONNX Runtime; slowest {slowest:.1f} s, "
+        f"{completed} reached ONNX Runtime; slowest {slowest:.1f} s, "
         f"peak {largest / (1 << 20):.0f} MiB; {len(failed)} failed\n"
     )
     if failed:

@@ -51,9 +51,9 @@ def draw(seed: int, index: int, corpus: Sequence[Base]) -> Case:
     names: list[str] = []
     content = _mutated(base.content, rng, names)
     target = base.target if rng.random() < 0.6 else rng.choice(_TARGETS)
-    way = rng.random()
-    command = way < _COMMAND_SHARE
-    level = Level.BEHAVIOUR if way > 1 - _BEHAVIOUR_SHARE else Level.VALUES
+    mutation_choice = rng.random()
+    command = mutation_choice < _COMMAND_SHARE
+    level = Level.BEHAVIOUR if mutation_choice > 1 - _BEHAVIOUR_SHARE else Level.VALUES
     return Case(seed, index, base, tuple(names), content, target, command, level)
 
 

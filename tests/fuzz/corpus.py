@@ -32,14 +32,14 @@ def bases(folder: Path | None = None) -> list[Base]:
     """Draw every fixture; write side files below ``folder``, where one is given."""
     results = []
     for fixture in fixtures():
-        sketch = fixture.draw()
-        content = sketch.build().SerializeToString()
+        spec = fixture.draw()
+        content = spec.build().SerializeToString()
         if len(content) > _LARGEST:
             continue
-        beside = None
-        if folder is not None and (sketch.beside or sketch.holes or sketch.links):
-            beside = folder / fixture.name
-            beside.mkdir(parents=True, exist_ok=True)
-            sketch.write(beside / "base.onnx")
-        results.append(Base(fixture.name, fixture.target, content, beside))
+        external_data = None
+        if folder is not None and (spec.beside or spec.holes or spec.links):
+            external_data = folder / fixture.name
+            external_data.mkdir(parents=True, exist_ok=True)
+            spec.write(external_data / "base.onnx")
+        results.append(Base(fixture.name, fixture.target, content, external_data))
     return results

@@ -102,14 +102,14 @@ def _arguments() -> argparse.Namespace:
 
 def _run(format: str, count: int, seed: int) -> int:
     """Read the mutants of one format in other processes; return how many failed."""
-    began, first, kinds = time.monotonic(), 0, Counter[str]()
+    start_time, first, kinds = time.monotonic(), 0, Counter[str]()
     failures: dict[int, str] = {}
     peak = 0
     while first < count:
         words = ["--worker", format, "--count", count, "--seed", seed, "--first", first]
         command = [sys.executable, "-m", "fuzz.formats", *map(str, words)]
-        done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
-        for line in done.stdout.splitlines():
+        completed = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
+        for line in completed.stdout.splitlines():
             document = json.loads(line)
             first = document["case"] + 1
             kinds[document["kind"]] += 1
@@ -117,13 +117,13 @@ def _run(format: str, count: int, seed: int) -> int:
             if document["failure"]:
                 failures[document["case"]] = document["failure"]
         if first < count:  # it died over this one
-            failures[first] = f"ended with {done.returncode}: {done.stderr[-500:]}"
+            failures[first] = f"ended with {completed.returncode}: {completed.stderr[-500:]}"
             kinds["died"] += 1
             first += 1
     _keep(format, seed, failures)
     most = ", ".join(f"{kind} {number}" for kind, number in kinds.most_common())
     _say(
-        f"{format}: {count} files in {time.monotonic() - began:.0f} s, {len(failures)} failed, "
+        f"{format}: {count} files in {time.monotonic() - start_time:.0f} s, {len(failures)} failed, "
         f"{peak / (1 << 20):.0f} MiB at most; {most}"
     )
     for index, failure in [*failures.items()][:5]:

@@ -99,27 +99,27 @@ def _faults(report: Report, ended: list[int | None]) -> Iterator[str]:
     if report.verdict == "internal-error" and not report.statuses["crashed"]:
         yield "an internal error that no rule had"
     known = {outcome.rule.id: outcome.status for outcome in report.outcomes}
-    badly = [status for status in ended if status != 0]
-    if badly and not any(known.get(rule) == "fail" for rule in _RUNS):
-        yield f"ONNX Runtime's process ended with {badly}, and the report does not say so"
+    failed_statuses = [status for status in ended if status != 0]
+    if failed_statuses and not any(known.get(rule) == "fail" for rule in _RUNS):
+        yield f"ONNX Runtime's process ended with {failed_statuses}, and the report does not say so"
 
 
 def _by_command(case: Case, path: Path) -> Verdict:
     """Judge as a user does."""
     words = [sys.executable, "-m", "gsgen.cli", "validate", str(path), "--level", case.level.word]
     words += ["--target", case.target, "--format", "json", "--timeout", str(_SECONDS)]
-    done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
+    completed = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
     failures = []
-    if done.returncode not in (0, 1, 4):
-        failures.append(f"exit code {done.returncode}: {done.stderr[-2000:]}")
-    if "Traceback" in done.stderr or "Traceback" in done.stdout:
-        failures.append(f"a traceback: {done.stderr[-2000:]}")
+    if completed.returncode not in (0, 1, 4):
+        failures.append(f"exit code {completed.returncode}: {completed.stderr[-2000:]}")
+    if "Traceback" in completed.stderr or "Traceback" in completed.stdout:
+        failures.append(f"a traceback: {completed.stderr[-2000:]}")
     try:
-        json.loads(done.stdout, parse_constant=_refuse)
+        json.loads(completed.stdout, parse_constant=_refuse)
     except ValueError as error:
-        failures.append(f"what was printed is no JSON: {error}: {done.stdout[:300]}")
-    word = {0: "conforms", 1: "invalid", 4: "unreadable"}.get(done.returncode, "raised")
-    return Verdict(word, '"onnxruntime"' in done.stdout, tuple(failures))
+        failures.append(f"what was printed is no JSON: {error}: {completed.stdout[:300]}")
+    word = {0: "conforms", 1: "invalid", 4: "unreadable"}.get(completed.returncode, "raised")
+    return Verdict(word, '"onnxruntime"' in completed.stdout, tuple(failures))
 
 
 @contextmanager
@@ -140,5 +140,5 @@ def _children(ended: list[int | None]) -> Iterator[None]:
 
 def peak() -> int:
     """Return the largest size that this process or a child of it ever had, in bytes."""
-    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    return max(resource.getrusage(entry).ru_maxrss for entry in who) * 1024
+    usage_kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return max(resource.getrusage(entry).ru_maxrss for entry in usage_kinds) * 1024

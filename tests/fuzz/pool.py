@@ -61,16 +61,16 @@ class Pool:
     def judged(self, todo: Sequence[int], deadline: float) -> Iterator[dict[str, Any]]:
         """Judge the cases ``todo`` and yield what became of each, until ``deadline``."""
         self._todo, self._deadline = list(reversed(todo)), deadline
-        hands = [self._hire() for _ in range(min(self.jobs, len(todo)))]
+        workers = [self._hire() for _ in range(min(self.jobs, len(todo)))]
         try:
-            while hands:
+            while workers:
                 for key, _ in self._ready.select(timeout=0.5):
-                    yield from self._heard(key.data, hands)
-                for hand in list(hands):
-                    yield from self._late(hand, hands)
+                    yield from self._heard(key.data, workers)
+                for worker in list(workers):
+                    yield from self._late(worker, workers)
         finally:
-            for hand in hands:
-                self._dismiss(hand, hands=[])
+            for worker in workers:
+                self._dismiss(worker, hands=[])
 
     def _hire(self) -> _Hand:
         errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
@@ -84,78 +84,78 @@ class Pool:
             env=os.environ
             | {"PYTHONPATH": os.pathsep.join(paths).rstrip(":"), "OMP_NUM_THREADS": "1"},
         )
-        hand = _Hand(process, errors, time.monotonic())
+        worker = _Hand(process, errors, time.monotonic())
         assert process.stdout is not None
-        self._ready.register(process.stdout, selectors.EVENT_READ, hand)
-        return hand
+        self._ready.register(process.stdout, selectors.EVENT_READ, worker)
+        return worker
 
-    def _dismiss(self, hand: _Hand, hands: list[_Hand]) -> tuple[int, str]:
+    def _dismiss(self, worker: _Hand, hands: list[_Hand]) -> tuple[int, str]:
         """Let go of a process; return its exit status and its last words."""
-        assert hand.process.stdout is not None
-        assert hand.process.stdin is not None
-        self._ready.unregister(hand.process.stdout)
-        status = hand.stop()
-        hand.errors.seek(0)
-        last = hand.errors.read()[-2000:].decode(errors="replace")
-        for stream in (hand.process.stdout, hand.process.stdin, hand.errors):
+        assert worker.process.stdout is not None
+        assert worker.process.stdin is not None
+        self._ready.unregister(worker.process.stdout)
+        status = worker.stop()
+        worker.errors.seek(0)
+        last = worker.errors.read()[-2000:].decode(errors="replace")
+        for stream in (worker.process.stdout, worker.process.stdin, worker.errors):
             with contextlib.suppress(BrokenPipeError):
                 stream.close()
-        if hand in hands:
-            hands.remove(hand)
+        if worker in hands:
+            hands.remove(worker)
         return status, last
 
-    def _heard(self, hand: _Hand, hands: list[_Hand]) -> Iterator[dict[str, Any]]:
-        assert hand.process.stdout is not None
-        chunk = os.read(hand.process.stdout.fileno(), 1 << 16)
+    def _heard(self, worker: _Hand, hands: list[_Hand]) -> Iterator[dict[str, Any]]:
+        assert worker.process.stdout is not None
+        chunk = os.read(worker.process.stdout.fileno(), 1 << 16)
         if not chunk:
-            status, last = self._dismiss(hand, hands)
-            if not hand.ready:
+            status, last = self._dismiss(worker, hands)
+            if not worker.ready:
                 raise RuntimeError(f"a worker did not start: exit status {status}: {last}")
-            if hand.case is not None:
-                yield _lost(hand, f"the validator's process ended with {status}: {last}")
+            if worker.case is not None:
+                yield _lost(worker, f"the validator's process ended with {status}: {last}")
                 self._replace(hands)
             return
-        hand.text += chunk
-        *lines, hand.text = hand.text.split(b"\n")
+        worker.text += chunk
+        *lines, worker.text = worker.text.split(b"\n")
         for line in lines:
             document = json.loads(line)
             if "ready" in document:
-                hand.ready = True
+                worker.ready = True
             else:
-                hand.case = None
+                worker.case = None
                 yield document
                 if document["failures"]:  # what went wrong must not colour the next case
-                    self._dismiss(hand, hands)
+                    self._dismiss(worker, hands)
                     self._replace(hands)
                     return
-            self._next(hand, hands)
+            self._next(worker, hands)
 
-    def _next(self, hand: _Hand, hands: list[_Hand]) -> None:
+    def _next(self, worker: _Hand, hands: list[_Hand]) -> None:
         if not self._todo or time.monotonic() > self._deadline:
-            self._dismiss(hand, hands)
+            self._dismiss(worker, hands)
             return
-        hand.case, hand.since = self._todo.pop(), time.monotonic()
-        assert hand.process.stdin is not None
+        worker.case, worker.since = self._todo.pop(), time.monotonic()
+        assert worker.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):  # if it ended, its output tells so
-            hand.process.stdin.write(f"{hand.case}\n".encode())
-            hand.process.stdin.flush()
+            worker.process.stdin.write(f"{worker.case}\n".encode())
+            worker.process.stdin.flush()
 
     def _replace(self, hands: list[_Hand]) -> None:
         if self._todo and time.monotonic() < self._deadline:
             hands.append(self._hire())
 
-    def _late(self, hand: _Hand, hands: list[_Hand]) -> Iterator[dict[str, Any]]:
-        spent = time.monotonic() - hand.since
-        if not hand.ready and spent > _START:
+    def _late(self, worker: _Hand, hands: list[_Hand]) -> Iterator[dict[str, Any]]:
+        elapsed = time.monotonic() - worker.since
+        if not worker.ready and elapsed > _START:
             raise RuntimeError(f"a worker was not ready after {_START:g} s")
-        if hand.ready and hand.case is not None and spent > self.limit:
-            self._dismiss(hand, hands)
-            yield _lost(hand, f"still busy after {self.limit:g} s")
+        if worker.ready and worker.case is not None and elapsed > self.limit:
+            self._dismiss(worker, hands)
+            yield _lost(worker, f"still busy after {self.limit:g} s")
             self._replace(hands)
 
 
-def _lost(hand: _Hand, why: str) -> dict[str, Any]:
+def _lost(worker: _Hand, reason: str) -> dict[str, Any]:
     """Return what stands in the log for a case that gave no verdict."""
-    seconds = round(time.monotonic() - hand.since, 4)
-    facts = {"verdict": "lost", "ran": False, "mutations": [], "failures": [why]}
-    return {"case": hand.case, "seconds": seconds, **facts}
+    seconds = round(time.monotonic() - worker.since, 4)
+    facts = {"verdict": "lost", "ran": False, "mutations": [], "failures": [reason]}
+    return {"case": worker.case, "seconds": seconds, **facts}

@@ -155,23 +155,23 @@ def _json(text: bytes, rng: random.Random) -> bytes:
         data = json.loads(text)
     except (ValueError, RecursionError):
         return _flip(text or b"\0", rng)
-    holder: Any = data
+    container: Any = data
     while True:
-        keys = [*holder] if isinstance(holder, Mapping) else [*range(len(holder))]
+        keys = [*container] if isinstance(container, Mapping) else [*range(len(container))]
         if not keys:
             break
         key = rng.choice(keys)
-        inner = holder[key]
+        inner = container[key]
         if isinstance(inner, dict | list) and inner and rng.random() < 0.85:
-            holder = inner
+            container = inner
             continue
         choice = rng.random()
         if choice < 0.15:
-            del holder[key]
+            del container[key]
         elif choice < 0.3:
-            holder[key] = holder[rng.choice(keys)]
+            container[key] = container[rng.choice(keys)]
         else:
-            holder[key] = rng.choice(_VALUES)
+            container[key] = rng.choice(_VALUES)
         break
     try:
         return json.dumps(data).encode()

@@ -15,9 +15,9 @@ from support.splat_files import scene
 pytestmark = pytest.mark.slow
 
 
-def reading(monkeypatch: pytest.MonkeyPatch, act: object) -> None:
+def reading(monkeypatch: pytest.MonkeyPatch, action: object) -> None:
     """Let every file be read by ``act``."""
-    monkeypatch.setattr(formats, "open_splats", act)
+    monkeypatch.setattr(formats, "open_splats", action)
 
 
 def trial(tmp_path: Path) -> formats.Trial:
@@ -79,8 +79,8 @@ def test_a_run_sums_up_and_fails_where_a_file_did(tmp_path, monkeypatch, capsys)
 
 def test_a_process_that_dies_is_seen_and_its_file_kept(tmp_path, monkeypatch, capsys):
     """The second of three files kills the process that reads it."""
-    killer = tmp_path / "killer.py"
-    killer.write_text(
+    killer_script = tmp_path / "killer.py"
+    killer_script.write_text(
         "import json, os, sys\n"
         "first = int(sys.argv[sys.argv.index('--first') + 1])\n"
         "for case in range(first, 3):\n"
@@ -92,7 +92,7 @@ def test_a_process_that_dies_is_seen_and_its_file_kept(tmp_path, monkeypatch, ca
     run = formats.subprocess.run
 
     def instead(command: list[str], **options: object) -> object:
-        words = [sys.executable, str(killer), *command[3:]]
+        words = [sys.executable, str(killer_script), *command[3:]]
         return run(words, **options)  # type: ignore[call-overload]
 
     monkeypatch.setattr(formats, "FOLDER", tmp_path / "kept")

@@ -65,22 +65,22 @@ def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path):
     words = [sys.executable, "-m", "fuzz", "--count", "25", "--jobs", "1", "--folder", tmp_path]
     first = subprocess.run(words, cwd=TESTS, capture_output=True, text=True, timeout=300)
     assert first.returncode == 0, first.stderr
-    said = first.stdout
-    assert said.startswith("fuzz, seed 0: 25 of 25 mutants (")
-    assert said.endswith("; 0 failed\n")
+    expected_message = first.stdout
+    assert expected_message.startswith("fuzz, seed 0: 25 of 25 mutants (")
+    assert expected_message.endswith("; 0 failed\n")
     log = tmp_path / "seed-0" / "cases.jsonl"
     message = [json.loads(line) for line in log.read_text().splitlines()]
     assert [entry["case"] for entry in message] == list(range(25))
     assert {"invalid", "unreadable"} <= {entry["verdict"] for entry in message}
     assert any(entry["ran"] for entry in message)
     again = subprocess.run(words, cwd=TESTS, capture_output=True, text=True, timeout=300)
-    assert (again.returncode, again.stdout) == (0, said)  # nothing is left to judge
+    assert (again.returncode, again.stdout) == (0, expected_message)  # nothing is left to judge
     assert log.read_text().count("\n") == 25
 
 
 def test_failing_case_is_saved_with_its_repro_command(corpus, tmp_path):
-    beside = next(k for k in range(500) if draw(0, k, corpus).base.folder is not None)
-    for index in (0, beside):
+    neighbour_index = next(k for k in range(500) if draw(0, k, corpus).base.folder is not None)
+    for index in (0, neighbour_index):
         command._keep(0, {"case": index, "failures": ["it crashed"]}, tmp_path)
         kept_path = tmp_path / "failures" / str(index)
         case = draw(0, index, corpus)
@@ -132,8 +132,8 @@ def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
     path = write(good, tmp_path)
     message = judging.judge(good, path)
     assert (message.word, message.failures) == ("invalid", ())  # GV025 says so
-    blind = registry_with(made_up("GV025", over="execution"))
-    verdict = judging.judge(good, path, blind)
+    blind_registry = registry_with(made_up("GV025", over="execution"))
+    verdict = judging.judge(good, path, blind_registry)
     assert any(
         "ended with [-9], and the report does not" in failure for failure in verdict.failures
     )

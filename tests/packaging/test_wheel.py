@@ -42,8 +42,8 @@ def run(*command: str | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
 def built(source: Path, folder: Path) -> Path:
     """Build a wheel into ``folder``, with the setuptools that is here."""
     command = ["-m", "build", "--wheel", "--no-isolation", "--outdir", folder, source]
-    done = run(sys.executable, *command, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    completed = run(sys.executable, *command, cwd=folder)
+    assert completed.returncode == 0, completed.stderr
     (wheel,) = folder.glob("*.whl")
     return wheel
 
@@ -52,8 +52,8 @@ def install(binaries: Path, *wanted: str | Path, cwd: Path) -> None:
     """Install into another environment with the pip of this one: to give it its own takes 5 s."""
     pip = [sys.executable, "-m", "pip", "--python", binaries / "python"]
     words = ["install", "--quiet", "--no-compile", "--no-warn-conflicts"]
-    done = run(*pip, *words, "-c", ROOT / "constraints.txt", *wanted, cwd=cwd)
-    assert done.returncode == 0, done.stderr
+    completed = run(*pip, *words, "-c", ROOT / "constraints.txt", *wanted, cwd=cwd)
+    assert completed.returncode == 0, completed.stderr
 
 
 @pytest.fixture(scope="module")
@@ -105,16 +105,16 @@ def test_each_module_of_the_wheel_is_reached(wheel: Path) -> None:
             if name.endswith((".py", "entry_points.txt"))
         }
     documentation = "".join(path.read_text("utf-8") for path in ROOT.glob("docs/**/*.md"))
-    reached = set(_DOTTED.findall(documentation))
+    reached_modules = set(_DOTTED.findall(documentation))
     for name, text in texts.items():
-        reached |= set(_DOTTED.findall(text)) - {name.removesuffix(".py").replace("/", ".")}
+        reached_modules |= set(_DOTTED.findall(text)) - {name.removesuffix(".py").replace("/", ".")}
         for room, single, several in _FROM.findall(text):
-            reached |= {f"{room}.{stem}" for stem in re.findall(r"\w+", single or several)}
+            reached_modules |= {f"{room}.{stem}" for stem in re.findall(r"\w+", single or several)}
     names = {name.removesuffix(".py").replace("/", ".") for name in texts if name.endswith(".py")}
     names = {name for name in names if not name.endswith(("__init__", "__main__", "pytest_gsgen"))}
     tables = ("gsgen.contract.reporters.", "gsgen.cli.commands.")  # imported by names in tables
     by_name = {name for name in names if name.startswith(tables)}
-    assert sorted(names - reached - by_name) == []
+    assert sorted(names - reached_modules - by_name) == []
 
 
 def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> None:
@@ -124,13 +124,13 @@ def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> Non
     assert "gsgen" in installed
     assert not installed & {"torch", "wgpu", "onnxscript", "onnx-ir", "onnx_ir", "scipy"}
     good = find("drift").write(tmp_path)
-    ran = run(fresh / "gsgen", "validate", good, cwd=tmp_path)
-    assert ran.returncode == 0, ran.stderr
-    assert "conforms" in ran.stdout
+    completed = run(fresh / "gsgen", "validate", good, cwd=tmp_path)
+    assert completed.returncode == 0, completed.stderr
+    assert "conforms" in completed.stdout
     broken = find("opacity_is_logits").write(tmp_path)
-    ran = run(fresh / "gsgen", "validate", broken, cwd=tmp_path)
-    assert ran.returncode == 1
-    assert "GV003 error" in ran.stdout
+    completed = run(fresh / "gsgen", "validate", broken, cwd=tmp_path)
+    assert completed.returncode == 1
+    assert "GV003 error" in completed.stdout
 
 
 def test_the_container_s_stages_build_the_wheel_and_run_it(
@@ -149,8 +149,8 @@ def test_the_container_s_stages_build_the_wheel_and_run_it(
                 shutil.copy(ROOT / name, source / target)
     (build,) = re.findall(r"^RUN pip (wheel .+) --wheel-dir /wheels \.$", first, re.MULTILINE)
     pip = [sys.executable, "-m", "pip", *build.split(), "--quiet", "--no-build-isolation"]
-    done = run(*pip, "--wheel-dir", tmp_path / "wheels", source, cwd=source)
-    assert done.returncode == 0, done.stderr
+    completed = run(*pip, "--wheel-dir", tmp_path / "wheels", source, cwd=source)
+    assert completed.returncode == 0, completed.stderr
     (copy,) = (tmp_path / "wheels").glob("gsgen-*.whl")
     contents = [
         {entry.filename: entry.CRC for entry in zipfile.ZipFile(path).infolist()}
@@ -208,9 +208,9 @@ def test_packed_rows_export_without_torch(fresh: Path, tmp_path: Path) -> None:
         "r[:, [4, 7, 9]] = 0.01; np.savez('rows.npz', gaussians=r, appearance=np.zeros((5, 48), 'f4'))"
     )
     assert run(fresh / "python", "-c", script, cwd=tmp_path).returncode == 0
-    ran = run(fresh / "gsgen", "export", "static", "rows.npz", "-o", "m.onnx", cwd=tmp_path)
-    assert ran.returncode == 0, ran.stderr
-    assert "conforms" in ran.stdout
+    completed = run(fresh / "gsgen", "export", "static", "rows.npz", "-o", "m.onnx", cwd=tmp_path)
+    assert completed.returncode == 0, completed.stderr
+    assert "conforms" in completed.stdout
 
 
 def test_a_missing_extra_is_named_with_the_line_that_installs_it(
@@ -218,18 +218,18 @@ def test_a_missing_extra_is_named_with_the_line_that_installs_it(
 ) -> None:
     script = "import numpy as np; np.savez('c.npz', points=np.eye(3), colors=np.ones((3, 3)))"
     assert run(fresh / "python", "-c", script, cwd=tmp_path).returncode == 0
-    ran = run(fresh / "gsgen", "export", "static", "c.npz", "-o", "m.onnx", cwd=tmp_path)
-    assert ran.returncode == 2
-    assert "pip install 'gsgen[sdk]'" in ran.stderr
-    assert "Traceback" not in ran.stderr
+    completed = run(fresh / "gsgen", "export", "static", "c.npz", "-o", "m.onnx", cwd=tmp_path)
+    assert completed.returncode == 2
+    assert "pip install 'gsgen[sdk]'" in completed.stderr
+    assert "Traceback" not in completed.stderr
 
 
 def test_doctor_says_what_is_missing(fresh: Path, tmp_path: Path) -> None:
-    ran = run(fresh / "gsgen", "doctor", cwd=tmp_path)
-    assert ran.returncode == 0, ran.stdout
-    assert "missing torch" in " ".join(ran.stdout.split())
-    assert "hint: pip install 'gsgen[sdk]'" in ran.stdout
-    assert "hint: pip install 'gsgen[runtime]'" in ran.stdout
+    completed = run(fresh / "gsgen", "doctor", cwd=tmp_path)
+    assert completed.returncode == 0, completed.stdout
+    assert "missing torch" in " ".join(completed.stdout.split())
+    assert "hint: pip install 'gsgen[sdk]'" in completed.stdout
+    assert "hint: pip install 'gsgen[runtime]'" in completed.stdout
 
 
 @pytest.fixture(scope="module")
@@ -258,14 +258,14 @@ def test_a_third_party_brings_a_generator_a_target_and_a_rule(acme: Acme) -> Non
     result = acme("gsgen", "export", "row", "-o", "short.onnx")
     assert result.stdout == "short.onnx: 3 in a row\n", result.stderr
     assert acme("gsgen", "export", "row", "-o", "long.onnx", "--count", "5").returncode == 0
-    judged = acme("gsgen", "validate", "short.onnx", "long.onnx", "--target", "acme", "-q")
-    assert judged.returncode == 1
-    assert "long.onnx: invalid" in judged.stdout
-    assert "short.onnx: conforms" in judged.stdout
+    validated = acme("gsgen", "validate", "short.onnx", "long.onnx", "--target", "acme", "-q")
+    assert validated.returncode == 1
+    assert "long.onnx: invalid" in validated.stdout
+    assert "short.onnx: conforms" in validated.stdout
     tested = acme("gsgen", "conformance", "short.onnx", "long.onnx", "--target", "acme")
     assert tested.returncode == 1
-    short, _, long = tested.stdout.partition("long.onnx")
-    assert "acme/AC001" not in short
+    short_output, _, long = tested.stdout.partition("long.onnx")
+    assert "acme/AC001" not in short_output
     assert "acme/AC001" in long
 
 
@@ -274,9 +274,9 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
 
     A warning that pytest could not rewrite a module fails the run.
     """
-    quiet = ("-q", "-rA", "-p", "no:cacheprovider")
-    strict = ("-W", "error::pytest.PytestAssertRewriteWarning")
-    own = acme("pytest", "check_acme.py", *strict, *quiet)
+    quiet_options = ("-q", "-rA", "-p", "no:cacheprovider")
+    strict_options = ("-W", "error::pytest.PytestAssertRewriteWarning")
+    own = acme("pytest", "check_acme.py", *strict_options, *quiet_options)
     assert own.returncode == 0, own.stdout + own.stderr
     assert "PASSED check_acme.py::TestRow::test_basic[acme/AC001-small-enough]" in own.stdout
     (known,) = [line for line in own.stdout.splitlines() if line.startswith("XFAIL")]
@@ -284,7 +284,7 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
     assert "acme/AC001 (Acme draws three.)" in known
     assert "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
     assert "FAILED" not in own.stdout
-    model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
+    model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet_options)
     assert model.returncode == 1
     (failed,) = [line for line in model.stdout.splitlines() if line.startswith("FAILED")]
     assert "acme/AC001" in failed

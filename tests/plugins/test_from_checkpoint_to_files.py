@@ -87,10 +87,10 @@ WRITERS = {"gsplat": write_gsplat, "scaffold": write_anchors, "spacetime": write
 
 
 def run(command: str, source: str, cwd: Path) -> str:
-    ran = gsgen_here(*command.format(source=source).split(), cwd=cwd)
-    assert ran.code == 0, (command, ran.err)
-    assert "Traceback" not in ran.err
-    return ran.out
+    completed = gsgen_here(*command.format(source=source).split(), cwd=cwd)
+    assert completed.code == 0, (command, completed.err)
+    assert "Traceback" not in completed.err
+    return completed.out
 
 
 def drawn_share(path: Path) -> float:
@@ -137,10 +137,10 @@ def test_a_step_too_early_names_the_right_command(
 ) -> None:
     WRITERS[name](tmp_path)
     source = WALKS[name].source
-    ran = gsgen_here(*command.format(source=source).split(), cwd=tmp_path)
-    assert ran.code == 4, ran.err
-    assert hint in ran.err
-    assert "Traceback" not in ran.err
+    completed = gsgen_here(*command.format(source=source).split(), cwd=tmp_path)
+    assert completed.code == 4, completed.err
+    assert hint in completed.err
+    assert "Traceback" not in completed.err
 
 
 def test_the_plugins_of_the_walk_are_listed(tmp_path: Path) -> None:

@@ -134,11 +134,11 @@ def test_viewer_export_prints_the_detected_method(tmp_path: Path) -> None:
     words = ["export", "octree-gs", "--checkpoint", str(run), "--appearance-id", "1"]
     words += ["-o", str(tmp_path / "tree.onnx"), "--target", "visionary"]
     words += ["--dtype", "float16", "--level", "static"]
-    ran = CliRunner().invoke(build(), words)
-    assert ran.exit_code == 0, ran.output
+    completed = CliRunner().invoke(build(), words)
+    assert completed.exit_code == 0, completed.output
     for text in ("iteration 40000", "20 anchors × 5 Gaussians", "feature bank", "progressive"):
-        assert text in ran.stderr
-    assert "3 appearances of 4" in ran.stderr
+        assert text in completed.stderr
+    assert "3 appearances of 4" in completed.stderr
     settings = Settings(level=Level.STATIC, target=load_target("visionary"))
     assert validate(tmp_path / "tree.onnx", settings).verdict == "conforms"
 
@@ -148,9 +148,9 @@ def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) 
     run = write_hexplane(tmp_path / "run", HexPlaneOptions(count=5, degree=2))
     words = ["export", "hexplane-4dgs", "--checkpoint", str(run), "--dtype", "float16"]
     words += ["-o", str(tmp_path / "out.onnx"), "--level", "static"]
-    ran = CliRunner().invoke(build(), words)
-    assert ran.exit_code == 0, ran.output
-    assert "SH of degree 2 are written as degree 3: rows fill words" in ran.stderr
+    completed = CliRunner().invoke(build(), words)
+    assert completed.exit_code == 0, completed.output
+    assert "SH of degree 2 are written as degree 3: rows fill words" in completed.stderr
     (color,) = (o for o in onnx.load(tmp_path / "out.onnx").graph.output if "sh" in o.name)
     assert [d.dim_value for d in color.type.tensor_type.shape.dim] == [5, 48]
 
@@ -158,10 +158,10 @@ def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) 
 def test_mistaken_export_options_are_explained(tmp_path: Path) -> None:
     write_octree(tmp_path / "run", AnchorOptions(anchors=3, iteration=40000, united=True))
     words = ("--checkpoint", "run", "--iteration", "7", "-o", "x.onnx")
-    ran = gsgen_here("export", "octree-gs", *words, cwd=tmp_path)
-    assert ran.code == 2, ran.err
-    assert "There are: 40000." in ran.err
-    assert "Traceback" not in ran.err
+    completed = gsgen_here("export", "octree-gs", *words, cwd=tmp_path)
+    assert completed.code == 2, completed.err
+    assert "There are: 40000." in completed.err
+    assert "Traceback" not in completed.err
     assert not (tmp_path / "x.onnx").exists()
 
 

@@ -17,9 +17,9 @@ EXPECTED_NAMES = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs"
 
 
 def listed(*words: str) -> list[dict]:
-    ran = CliRunner().invoke(build(), ["plugins", "--json", *words])
-    assert ran.exit_code == 0, ran.output
-    facts: list[dict] = json.loads(ran.output)
+    completed = CliRunner().invoke(build(), ["plugins", "--json", *words])
+    assert completed.exit_code == 0, completed.output
+    facts: list[dict] = json.loads(completed.output)
     return facts
 
 

@@ -37,15 +37,15 @@ def mesh_reference(
             weights = np.moveaxis(areas / areas.sum(axis=0), 0, -1)
             depth = (weights * np.moveaxis(z, 0, -1)).sum(axis=-1)
             inside = (weights >= 0).all(axis=-1) & (depth > uniform["near"])
-        nearer = inside & (depth < image[..., 7])
-        toward = ray[nearer] @ upright / size
+        is_nearer = inside & (depth < image[..., 7])
+        toward = ray[is_nearer] @ upright / size
         facing = upright / size * np.where(toward > 0, -1, 1)[:, None]
-        color = _surface_color(data, face, weights[nearer], int(uniform["conversion"]))
+        color = _surface_color(data, face, weights[is_nearer], int(uniform["conversion"]))
         if uniform["shaded"]:
-            slant = np.abs(toward) / np.linalg.norm(ray[nearer], axis=-1)
+            slant = np.abs(toward) / np.linalg.norm(ray[is_nearer], axis=-1)
             color = color * (AMBIENT + (1 - AMBIENT) * slant)[:, None]
         ones = np.ones((len(color), 1))
-        image[nearer] = np.concatenate([color, ones, facing, depth[nearer][:, None]], -1)
+        image[is_nearer] = np.concatenate([color, ones, facing, depth[is_nearer][:, None]], -1)
     return image
 
 
@@ -100,8 +100,8 @@ def _surface_color(
             sums += share[:, None] * data.texture[row, column, :3] / 255
         color = color * sums
     if conversion == TO_LINEAR:
-        curved = ((color + 0.055) / 1.055) ** 2.4
-        return np.asarray(np.where(color <= 0.04045, color / 12.92, curved))
+        gamma_encoded = ((color + 0.055) / 1.055) ** 2.4
+        return np.asarray(np.where(color <= 0.04045, color / 12.92, gamma_encoded))
     return srgb_of_linear(color) if conversion == TO_SRGB else color
 
 
@@ -120,9 +120,9 @@ def import_reference(
     width = int(picture["size"][0])
     color, value = halves[:, :width].astype(np.float64), values[:, :width].astype(np.float64)
     alpha = np.clip(color[..., 3:], 0, 1)
-    straight = np.clip(color[..., :3] / np.maximum(alpha, 1e-6), 0, 1)
-    curve = 1.055 * straight ** (1 / 2.4) - 0.055
-    encoded = np.where(straight <= 0.0031308, 12.92 * straight, curve)
+    straight_color = np.clip(color[..., :3] / np.maximum(alpha, 1e-6), 0, 1)
+    curve = 1.055 * straight_color ** (1 / 2.4) - 0.055
+    encoded = np.where(straight_color <= 0.0031308, 12.92 * straight_color, curve)
     with np.errstate(divide="ignore"):
         depth = picture["offset"] / (value + picture["slope"])
     depth = np.where(values[:, :width] == picture["empty"], 0.5 * NOWHERE, depth)

@@ -121,8 +121,8 @@ def _straight(
     """Project points to a plane (pinhole, orthographic): depths, slopes and Jacobians."""
     divisor = np.ones((len(position), 1)) if flat else position[:, 2:]
     slope = position[:, :2] / divisor
-    bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
-    moved = (linear[:2] - bent[:, :, None] * linear[2]) / divisor[:, :, None]
+    clipped_slope = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
+    moved = (linear[:2] - clipped_slope[:, :, None] * linear[2]) / divisor[:, :, None]
     return position[:, 2], slope, moved
 
 
@@ -138,9 +138,9 @@ def _unrolled(
     zero = np.zeros(len(position))
     width = np.maximum(level / distance, POLE)
     high = position[:, 1] / distance
-    across = np.stack([cos / width, zero, -sin / width], 1)
+    tile_columns = np.stack([cos / width, zero, -sin / width], 1)
     down = np.stack([-sin * high, level / distance, -cos * high], 1)
-    return distance, angles, np.stack([across, down], 1) @ linear / distance[:, None, None]
+    return distance, angles, np.stack([tile_columns, down], 1) @ linear / distance[:, None, None]
 
 
 def normals_reference(
@@ -202,11 +202,12 @@ def box_reference(
 
     ``mean``, ``radius`` and the image ``size`` are in pixels; panoramas are not covered.
     """
-    across, down = (np.arange(-(-side // TILE)) for side in size)
+    tile_columns, down = (np.arange(-(-side // TILE)) for side in size)
     low = np.floor((mean - 0.5 - radius) / TILE)
     high = np.floor((mean - 0.5 + radius + TILE - 1) / TILE)
     columns, rows = (
-        (along >= low[axis]) & (along < high[axis]) for axis, along in enumerate((across, down))
+        (along >= low[axis]) & (along < high[axis])
+        for axis, along in enumerate((tile_columns, down))
     )
     return np.asarray(rows[:, None] & columns)
 
@@ -250,11 +251,11 @@ def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"
     """Unpack Gaussians of 32 bytes each, as the shader ``page.wgsl`` does."""
     rows = np.empty((len(packed), layout.ROW), np.float32)
     rows[:, :4] = packed[:, :4].view(np.float32)
-    fixed = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / 32_767
+    fixed_point = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / 32_767
     scale = packed[:, 7:].view(np.float32)
     factor = np.zeros((len(packed), 3, 3), np.float32)
     columns, lines = np.triu_indices(3)
-    factor[:, lines, columns] = fixed * scale
+    factor[:, lines, columns] = fixed_point * scale
     full = factor @ factor.transpose(0, 2, 1)
     rows[:, layout.COVARIANCE] = full[:, columns, lines]
     return rows

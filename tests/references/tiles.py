@@ -33,15 +33,17 @@ def touched_reference(
         period: Pixels of a full turn of a panorama; 0 for other images.
         tile: Edge of a tile, in pixels.
     """
-    across, down = (-(-side // tile) for side in size)
+    horizontal_coverage, down = (-(-side // tile) for side in size)
     dx = np.arange(size[0]) + 0.5 - mean[0]
     if period:
         dx = dx - period * np.round(dx / period)
     dy = np.arange(size[1])[:, None] + 0.5 - mean[1]
     power = 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) + conic[1] * dx * dy
-    reached = np.zeros((down * tile, across * tile), bool)
-    reached[: size[1], : size[0]] = power <= strength
-    return np.asarray(reached.reshape(down, tile, across, tile).any(axis=(1, 3)))
+    is_window_pixel = np.zeros((down * tile, horizontal_coverage * tile), bool)
+    is_window_pixel[: size[1], : size[0]] = power <= strength
+    return np.asarray(
+        is_window_pixel.reshape(down, tile, horizontal_coverage, tile).any(axis=(1, 3))
+    )
 
 
 def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.ndarray, "t 2"]:
@@ -52,16 +54,18 @@ def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.n
     return np.where(bounds[:, :1] < bounds[:, 1:], bounds, 0).astype(np.uint32)
 
 
-def window_tiles(word: int, across: int) -> list[int]:
+def window_tiles(word: int, horizontal_coverage: int) -> list[int]:
     """Return the image tiles that a packed word encodes, in order: as ``tile_window.wgsl`` does.
 
     Args:
         word: The word, which is not ABSENT.
         across: Number of tiles in a row of the image.
     """
-    first, touched = word >> _WINDOW_BITS, word & ((1 << _WINDOW_BITS) - 1)
-    bits = [bit for bit in range(_WINDOW_BITS) if touched >> bit & 1]
-    return [first + bit // _WINDOW_WIDTH * across + bit % _WINDOW_WIDTH for bit in bits]
+    first, touched_bits = word >> _WINDOW_BITS, word & ((1 << _WINDOW_BITS) - 1)
+    bits = [bit for bit in range(_WINDOW_BITS) if touched_bits >> bit & 1]
+    return [
+        first + bit // _WINDOW_WIDTH * horizontal_coverage + bit % _WINDOW_WIDTH for bit in bits
+    ]
 
 
 def blend_reference(
@@ -88,10 +92,10 @@ def blend_reference(
     def meet(reach: float) -> None:
         nonlocal through, color
         for number, (layer_color, depth) in enumerate(layers):
-            met = waiting[number] & (depth < reach)
-            waiting[number] = waiting[number] & ~met
-            color = color + np.where(met, through, 0)[..., None] * layer_color[..., :3]
-            through = np.where(met, through * (1 - layer_color[..., 3]), through)
+            is_covered = waiting[number] & (depth < reach)
+            waiting[number] = waiting[number] & ~is_covered
+            color = color + np.where(is_covered, through, 0)[..., None] * layer_color[..., :3]
+            through = np.where(is_covered, through * (1 - layer_color[..., 3]), through)
 
     for mean, conic, strength, splat_color, far in zip(
         splats.mean, splats.conic, splats.strength, splats.color, splats.depth, strict=True
@@ -130,21 +134,23 @@ def blend_wsr_reference(
     (divisor, behind), (width, height) = factors, size
     x = np.arange(width) + 0.5 - origin[0]
     y = np.arange(height)[:, None] + 0.5 - origin[1]
-    through, total = np.ones((height, width)), np.zeros((height, width))
+    transmittance, total = np.ones((height, width)), np.zeros((height, width))
     color = np.zeros((height, width, 3))
     for members, tiles in cells:
         inside = np.kron(tiles, np.ones((TILE, TILE), bool))[:height, :width]
-        entered = np.where(inside & (through >= FINISHED), through, 0)
+        visible_transmittance = np.where(inside & (transmittance >= FINISHED), transmittance, 0)
         for i in np.flatnonzero(splats.drawn[members]) + members.start:
             dx, dy = x - splats.mean[i, 0], y - splats.mean[i, 1]
             xx, xy, yy = splats.conic[i]
             above = splats.strength[i] - 0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
             alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA) / divisor
-            hit = (entered > 0) & (above >= 0) & (dx**2 + dy**2 <= radius[i] ** 2)
-            alpha = np.where(hit, alpha, 0)
-            through *= np.maximum(1 - alpha, 0)
-            total += alpha * entered
-            color += (alpha * entered)[..., None] * splats.color[i]
-    backdrop = np.where(through < FINISHED, 0, behind * through)
+            is_covered = (
+                (visible_transmittance > 0) & (above >= 0) & (dx**2 + dy**2 <= radius[i] ** 2)
+            )
+            alpha = np.where(is_covered, alpha, 0)
+            transmittance *= np.maximum(1 - alpha, 0)
+            total += alpha * visible_transmittance
+            color += (alpha * visible_transmittance)[..., None] * splats.color[i]
+    backdrop = np.where(transmittance < FINISHED, 0, behind * transmittance)
     scale = np.where(total > 0, total + backdrop, 1)
     return np.concatenate([color, total[..., None]], axis=-1) / scale[..., None]

@@ -17,8 +17,8 @@ def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     monkeypatch.setattr(doctor, "check_package", package)
 
 
-def told(monkeypatch: pytest.MonkeyPatch, said: object) -> None:
-    monkeypatch.setattr(doctor, "_child_result", lambda *_: said)
+def told(monkeypatch: pytest.MonkeyPatch, expected_message: object) -> None:
+    monkeypatch.setattr(doctor, "_child_result", lambda *_: expected_message)
 
 
 def named(name: str) -> Check:

@@ -34,8 +34,8 @@ def project(tmp_path: Path) -> Path:
 
 
 def git(folder: Path, *words: str) -> None:
-    who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
-    subprocess.run(["git", *who, *words], cwd=folder, check=True)
+    identity_options = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    subprocess.run(["git", *identity_options, *words], cwd=folder, check=True)
 
 
 def change(path: Path, before: str, after: str) -> None:

@@ -54,11 +54,11 @@ def test_an_error_in_one_row_is_found_and_placed(reference: Reference, field: st
     value = getattr(reference.gaussians, field).copy()
     value[123] += {"position": 0.01, "opacity": 0.01, "covariance": 0.01, "sh": 0.05}[field]
     parity = against(reference, replace(reference.gaussians, **{field: value}))
-    worst = max(parity.fields, key=lambda entry: entry.excess)
+    worst_field = max(parity.fields, key=lambda entry: entry.excess)
     assert not parity.holds
-    assert worst.field == {"sh": "appearance"}.get(field, field)
-    assert worst.row == 123
-    assert worst.probe == "here"
+    assert worst_field.field == {"sh": "appearance"}.get(field, field)
+    assert worst_field.row == 123
+    assert worst_field.probe == "here"
 
 
 @pytest.mark.parametrize("field", ["position", "opacity", "covariance", "sh"])
@@ -115,11 +115,11 @@ def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
 # ---- Rows that jump at a threshold -------------------------------------------------------------
 
 
-def culled(n: int, gone: list[int]) -> Reference:
+def culled(n: int, missing_rows: list[int]) -> Reference:
     """A cloud of which some rows are transparent."""
     rng = np.random.default_rng(3)
     opacity = np.full(n, 0.8)
-    opacity[gone] = 0
+    opacity[missing_rows] = 0
     upper = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (n, 1))
     decoded_gaussians = layout.DecodedGaussians(
         position=rng.normal(size=(n, 3)), opacity=opacity, covariance=upper, rgb=rng.random((n, 3))
@@ -135,16 +135,19 @@ def compared_nearby(known: Reference, outputs: list[ModelOutput], near: list[Ref
 
 
 @pytest.mark.parametrize(
-    ("n", "gone", "holds"), [(100, [5], True), (100, [5, 6], False), (30_000, [5, 9, 20_000], True)]
+    ("n", "missing_rows", "holds"),
+    [(100, [5], True), (100, [5, 6], False), (30_000, [5, 9, 20_000], True)],
 )
-def test_few_rows_may_match_torch_at_perturbed_inputs(n: int, gone: list[int], holds: bool) -> None:
-    known, model = culled(n, []), culled(n, gone)
+def test_few_rows_may_match_torch_at_perturbed_inputs(
+    n: int, missing_rows: list[int], holds: bool
+) -> None:
+    known, model = culled(n, []), culled(n, missing_rows)
     outputs = [ModelOutput(*layout.encode(model.gaussians), n)]
     assert not compare([known], outputs, Tolerances()).holds
-    near = [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]
+    near = [culled(n, []), culled(n, missing_rows[:1]), culled(n, missing_rows[1:] or missing_rows)]
     parity = compared_nearby(known, outputs, near)
     assert parity.holds is holds
-    assert parity.rows_at_threshold == (len(gone) if holds else 0)
+    assert parity.rows_at_threshold == (len(missing_rows) if holds else 0)
     assert ("at a threshold" in parity.describe()) is holds
 
 
@@ -154,8 +157,8 @@ def test_row_unreachable_by_torch_is_not_a_discontinuity() -> None:
     near = [culled(100, []), culled(100, [8])]
     parity = compared_nearby(known, outputs, near)
     assert not parity.holds
-    (worst,) = [field for field in parity.fields if field.excess > 1]
-    assert (worst.field, worst.row) == ("opacity", 7)
+    (worst_field,) = [field for field in parity.fields if field.excess > 1]
+    assert (worst_field.field, worst_field.row) == ("opacity", 7)
 
 
 def test_inputs_are_perturbed_slightly_to_both_sides() -> None:
@@ -298,8 +301,8 @@ def test_an_error_in_one_cell_is_found_and_placed(column: int, field: str, dtype
     assert compare([known], [model_output], Tolerances()).holds
     cells[42, column] += 0.02
     parity = compare([known], [model_output], Tolerances())
-    (worst,) = [field for field in parity.fields if not field.excess <= 1]
-    assert (worst.field, worst.row) == (field, 42)
+    (worst_field,) = [field for field in parity.fields if not field.excess <= 1]
+    assert (worst_field.field, worst_field.row) == (field, 42)
     cells[42, column] = np.nan
     assert not compare([known], [model_output], Tolerances()).holds
 

@@ -102,7 +102,7 @@ def test_a_scene_of_a_file_has_no_module_to_draw(tmp_path):
     points = np.random.default_rng(0).normal(size=(9, 3)).astype(np.float32)
     np.savez(tmp_path / "points.npz", points=points, colors=np.abs(np.tanh(points)))
     words = ("export", "static", "points.npz", "-o", "a.onnx", "--pictures", "1")
-    done = gsgen_here(*words, cwd=tmp_path)
-    assert (done.code, done.out) == (2, "")
-    assert "--pictures: only a generator in torch has an eager module to draw" in done.err
+    completed = gsgen_here(*words, cwd=tmp_path)
+    assert (completed.code, completed.out) == (2, "")
+    assert "--pictures: only a generator in torch has an eager module to draw" in completed.err
     assert not (tmp_path / "a.onnx").exists()

@@ -62,8 +62,8 @@ with open(sys.argv[1], "w") as record:
 
 def gsgen(*words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None) -> Ran:
     """Run the command line in a process of its own, as a user does."""
-    done = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env)
-    return Ran(done.returncode, done.stdout, done.stderr)
+    completed = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env)
+    return Ran(completed.returncode, completed.stdout, completed.stderr)
 
 
 def measured_gsgen(*words: str | Path) -> MeasuredRun:

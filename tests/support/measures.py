@@ -21,6 +21,6 @@ def print_line(text: str) -> None:
 
 def process_seconds(action: Callable[[], object]) -> float:
     """Return seconds of the processor: others may be at work on the machine."""
-    began = time.process_time()
+    start_time = time.process_time()
     action()
-    return time.process_time() - began
+    return time.process_time() - start_time

@@ -109,7 +109,7 @@ def test_the_person_stands_upright_and_walks(article: Any, tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
-    touch = article.context.new_cdp_session(article)
+    touch_session = article.context.new_cdp_session(article)
     box = article.locator("gsgen-model").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 3
 
@@ -119,8 +119,8 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
             ("touchStart", *["touchMove"] * len(offsets)), offsets, strict=False
         ):
             points = [{"x": x + dx, "y": y + dy, "id": i} for i, (dx, dy) in enumerate(fingers)]
-            touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-        touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            touch_session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        touch_session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
         settled(article)
 
     before = article.evaluate(f"[...{_ELEMENT}._orbit.turn, {_ELEMENT}._orbit.distance]")

@@ -141,8 +141,12 @@ def test_a_tile_may_hold_another_tileset(folder: Path, site: WebSite, tmp_path: 
         "refine": "REPLACE",
         "content": {"uri": "inner/tileset.json"},
     }
-    outer = {"asset": inner["asset"], "geometricError": inner["geometricError"], "root": root}
-    (tmp_path / "tileset.json").write_text(json.dumps(outer), "utf-8")
+    outer_tileset = {
+        "asset": inner["asset"],
+        "geometricError": inner["geometricError"],
+        "root": root,
+    }
+    (tmp_path / "tileset.json").write_text(json.dumps(outer_tileset), "utf-8")
     with served(tmp_path) as address, served(folder) as alone:
         [frame] = frames_of(site, address, [moved])["frames"]
         [expected] = frames_of(site, alone, CAMERAS[:1])["frames"]
@@ -177,13 +181,15 @@ def foreign_tree(folder: Path, rng: np.random.Generator, dimensions: int) -> Pat
     """Write a random implicit tree of two to three subtrees of two levels, without metadata."""
     names = "".join(f".{{{axis}}}" for axis in "xyz"[:dimensions])
     branching = 2**dimensions
-    below = [int(k) for k in rng.permutation(branching)[:2]]  # tiles of the second level
-    hanging = {branching * k + int(rng.integers(branching)) for k in below}
-    tiles = {0} | {1 + k for k in below}
+    child_numbers = [int(k) for k in rng.permutation(branching)[:2]]  # tiles of the second level
+    hanging_nodes = {branching * k + int(rng.integers(branching)) for k in child_numbers}
+    tiles = {0} | {1 + k for k in child_numbers}
     files: dict[str, bytes] = {
-        f"s/0{'.0' * dimensions}.subtree": foreign.subtree(2, branching, tiles, tiles, hanging)
+        f"s/0{'.0' * dimensions}.subtree": foreign.subtree(
+            2, branching, tiles, tiles, hanging_nodes
+        )
     }
-    for number in hanging:
+    for number in hanging_nodes:
         cells = [
             2 * (number // branching >> axis & 1) + (number % branching >> axis & 1)
             for axis in range(dimensions)

@@ -68,10 +68,10 @@ def frame_seconds(parts_path: str, size: str, frames: int, picture: str) -> None
     scene = Scene([SplatData(rows, parts["color"], "sh")])
     seconds = []
     for number in range(WARM + frames):
-        began = time.process_time()
+        start_time = time.process_time()
         frame = renderer.render(scene, camera, background=(0, 0, 0, 1))
         if number >= WARM:
-            seconds.append(time.process_time() - began)
+            seconds.append(time.process_time() - start_time)
     if picture != "-":
         np.save(picture, frame.srgb[..., :3])
     sys.stdout.write(json.dumps({"device": renderer.device.name, "seconds": seconds}) + "\n")
@@ -79,15 +79,15 @@ def frame_seconds(parts_path: str, size: str, frames: int, picture: str) -> None
 
 def child(environment: dict[str, str], *words: str) -> dict[str, object]:
     """Run this file's worker, and return what it prints last."""
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-P", __file__, "--worker", *words],
         capture_output=True,
         text=True,
         env=environment,
     )
-    if done.returncode:
-        sys.exit(done.stderr)
-    return json.loads(done.stdout.splitlines()[-1])
+    if completed.returncode:
+        sys.exit(completed.stderr)
+    return json.loads(completed.stdout.splitlines()[-1])
 
 
 def on_driver(description: Path, checkout: Path) -> dict[str, str]:
@@ -154,19 +154,19 @@ def compare(words: argparse.Namespace, folder: Path) -> None:
                         str(picture) if name == "now" else "-",
                     )  # fmt: skip
                     seconds[name].append(min(message["seconds"]))  # type: ignore[type-var]
-            least = {name: min(values) for name, values in seconds.items()}
+            min_costs = {name: min(values) for name, values in seconds.items()}
             text = f"{message['device']}, {words.gaussians:,} Gaussians, {size}: "
-            text += ", ".join(f"{name} {value:.3f} CPU-s" for name, value in least.items())
-            if "before" in least:
-                each = [a / b for a, b in zip(seconds["now"], seconds["before"], strict=True)]
-                text += f"; ratio {least['now'] / least['before']:.3f}"
-                text += f" (median of rounds {statistics.median(each):.3f})"
+            text += ", ".join(f"{name} {value:.3f} CPU-s" for name, value in min_costs.items())
+            if "before" in min_costs:
+                ratios = [a / b for a, b in zip(seconds["now"], seconds["before"], strict=True)]
+                text += f"; ratio {min_costs['now'] / min_costs['before']:.3f}"
+                text += f" (median of rounds {statistics.median(ratios):.3f})"
             if words.splat_transform:
                 other, computed = transform_seconds(
                     words.splat_transform, driver_info, ply, size, folder
                 )
                 error = np.square(computed - np.load(picture)).mean()
-                text += f"; splat-transform {other:.2f} CPU-s, {other / least['now']:.1f} times"
+                text += f"; splat-transform {other:.2f} CPU-s, {other / min_costs['now']:.1f} times"
                 text += f" ({-10 * np.log10(error):.0f} dB from it)"
             print_line(text)
 

@@ -84,9 +84,9 @@ def main() -> None:
     )
     print_line(f"  {peak():.2f} GiB before the first frame")
     for _ in range(words.frames):
-        began, cpu_began = time.perf_counter(), time.process_time()
+        start_time, cpu_began = time.perf_counter(), time.process_time()
         frame = renderer.render(scene, camera)
-        seconds, cpu = time.perf_counter() - began, time.process_time() - cpu_began
+        seconds, cpu = time.perf_counter() - start_time, time.process_time() - cpu_began
         assert frame.rgba is not None
         covered = frame.alpha.mean(dtype=np.float64)
         print_line(

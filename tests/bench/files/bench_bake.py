@@ -82,9 +82,9 @@ class Turning(Moving):
 
 def _seconds(action: Callable[[], object]) -> np.ndarray:
     """Return the wall seconds and the CPU seconds of an action."""
-    began = time.perf_counter(), time.process_time()
+    start_time = time.perf_counter(), time.process_time()
     action()
-    return np.array([time.perf_counter(), time.process_time()]) - began
+    return np.array([time.perf_counter(), time.process_time()]) - start_time
 
 
 def _resident() -> int:

@@ -38,9 +38,9 @@ def seconds(run: Callable[[], object], rounds: int = _ROUNDS) -> float:
     run()
     times = []
     for _ in range(rounds):
-        began = time.process_time()
+        start_time = time.process_time()
         run()
-        times.append(time.process_time() - began)
+        times.append(time.process_time() - start_time)
     return statistics.median(times)
 
 

@@ -80,13 +80,15 @@ def measure(
         torch.set_num_threads(threads)
     outputs = session.run(None, inputs)
     target = np.empty(sum(output.nbytes for output in outputs) // 4, np.float32)
-    floor = min(process_seconds(lambda: target.fill(1)) for _ in range(ROUNDS))
+    min_seconds = min(process_seconds(lambda: target.fill(1)) for _ in range(ROUNDS))
     weights = sum(len(weight.raw_data) for weight in onnx.load(path).graph.initializer)
     ratio, size = min(graph) / min(eager), path.stat().st_size
     print_figure(
         f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, "
     )
-    print_figure(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) / floor:.1f} × writing the outputs, ")
+    print_figure(
+        f"ratio {ratio:.2f} (bar {BAR}); {min(graph) / min_seconds:.1f} × writing the outputs, "
+    )
     print_figure(f"{1e9 * min(graph) / rows:.0f} ns a Gaussian; file {size / 1e6:.1f} MB, ")
     print_figure(
         f"{size / needed:.3f} × the tensors that it needs (bar {SIZE_BAR}), {weights} B stored"
@@ -100,11 +102,13 @@ def bench_gauhuman(tmp_path: Path) -> None:
     options = PersonOptions(count=40_000, vertices=SMPL, nets=True, width=128)
     read = read_gauhuman(write_gauhuman(tmp_path / "run", options))
     parts = (read.canonical, read.body, read.nets)
-    needed = needed_tensors.of_gauhuman(*parts)
-    measurement = measure(GauHuman(*parts), tmp_path, needed, GauHuman(*parts, bake="always"))
+    minimum_bytes = needed_tensors.of_gauhuman(*parts)
+    measurement = measure(
+        GauHuman(*parts), tmp_path, minimum_bytes, GauHuman(*parts, bake="always")
+    )
     baked = GauHuman(*parts, bodies=5, bake="always")
-    few = measure(GauHuman(*parts, bodies=5), tmp_path, needed, baked)
-    print_figure(f"5 instances cost {few / measurement:.2f} × one")
+    few_bodies = measure(GauHuman(*parts, bodies=5), tmp_path, minimum_bytes, baked)
+    print_figure(f"5 instances cost {few_bodies / measurement:.2f} × one")
 
 
 def bench_lhm(tmp_path: Path) -> None:

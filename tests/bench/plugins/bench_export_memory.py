@@ -48,20 +48,20 @@ def write_person(folder: Path) -> list[str]:
 @pytest.mark.parametrize("write", [write_anchors, write_4dgaussians, write_person])
 def bench_export_memory(write, dtype: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     words = ["export", *write(tmp_path / "run"), "-o", str(tmp_path / "out.onnx")]
-    began, used = time.perf_counter(), child_seconds()
+    start_time, used = time.perf_counter(), child_seconds()
     with (tmp_path / "log").open("w") as log:
         command = [sys.executable, "-m", "gsgen.cli", *words, "--dtype", dtype]
         process = subprocess.Popen(command, stdout=log, stderr=log)
-        together, own = watch_memory(process)
-    seconds, used = time.perf_counter() - began, child_seconds() - used
+        total_memory, own = watch_memory(process)
+    seconds, used = time.perf_counter() - start_time, child_seconds() - used
     assert process.returncode == 0, (tmp_path / "log").read_text()
     size = (tmp_path / "out.onnx").stat().st_size
     print_figure(
-        f"{words[1]} {dtype}: peak {together / 1e9:.2f} GB with child processes (bar "
+        f"{words[1]} {dtype}: peak {total_memory / 1e9:.2f} GB with child processes (bar "
         f"{BAR / 1e9:g}; the export alone {own / 1e9:.2f}), {seconds:.0f} s, "
         f"{used:.0f} CPU-s, {size / 1e6:.0f} MB"
     )
-    assert together <= BAR
+    assert total_memory <= BAR
 
 
 def watch_memory(process: subprocess.Popen[bytes]) -> tuple[int, int]:
@@ -69,13 +69,13 @@ def watch_memory(process: subprocess.Popen[bytes]) -> tuple[int, int]:
 
     The kernel's own figure for children begins with the size of the process that starts them.
     """
-    together = own = 0
+    total_memory = own = 0
     while process.poll() is None:
         sizes = [resident_bytes(pid) for pid in descendants(process.pid)]
         own = max(own, sizes[0][1])
-        together = max(together, own, sum(size for size, _ in sizes))
+        total_memory = max(total_memory, own, sum(size for size, _ in sizes))
         time.sleep(_PAUSE)
-    return together, own
+    return total_memory, own
 
 
 def descendants(pid: int) -> list[int]:

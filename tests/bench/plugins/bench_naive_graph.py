@@ -101,8 +101,8 @@ def bench_hexplane_beside_the_naive_graph(tmp_path: Path) -> None:
     export(generator, paths[1], settings=Settings(level=Level.STATIC))
     sessions = [_session(path) for path in paths]
     feeds = {"time": np.array([0.37], np.float32)}
-    naive, ours = (session.run(None, feeds) for session in sessions)
-    for expected, actual in zip(naive, ours, strict=False):  # the third output is the count
+    naive_seconds, ours = (session.run(None, feeds) for session in sessions)
+    for expected, actual in zip(naive_seconds, ours, strict=False):  # the third output is the count
         np.testing.assert_allclose(actual.reshape(expected.shape), expected, atol=2e-4, rtol=2e-4)
     seconds = np.array(
         [

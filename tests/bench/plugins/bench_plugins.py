@@ -106,14 +106,18 @@ def _measure(
             eager.append(process_seconds(lambda: packed(*tensors)))
             graph.append(process_seconds(lambda: session.run(None, feeds)))
     outputs = session.run(None, feeds)
-    ratio, each = min(graph) / min(eager), 1e9 / rows
-    floor = _floor(path, sum(value.nbytes for value in outputs))
+    ratio, nanoseconds_per_row = min(graph) / min(eager), 1e9 / rows
+    min_seconds = _floor(path, sum(value.nbytes for value in outputs))
     size, weights = path.stat().st_size, _weights(path)
     print_figure(
         f"{rows:,} Gaussians: graph {1e3 * min(graph):.1f} ms, eager {1e3 * min(eager):.1f} ms, "
     )
-    print_figure(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) * each:.0f} ns a Gaussian, ")
-    print_figure(f"{min(graph) / floor:.1f} × the floor of {floor * each:.0f} ns")
+    print_figure(
+        f"ratio {ratio:.2f} (bar {BAR}); {min(graph) * nanoseconds_per_row:.0f} ns a Gaussian, "
+    )
+    print_figure(
+        f"{min(graph) / min_seconds:.1f} × the floor of {min_seconds * nanoseconds_per_row:.0f} ns"
+    )
     print_figure(f"file {size / 1e6:.1f} MB, {size / weights:.3f} × its weights (bar 1.05)")
     assert ratio <= BAR
     assert size <= 1.05 * weights
@@ -223,7 +227,7 @@ def newer(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
 
 def bench_sizes(tmp_path: Path) -> None:
     """Print bytes of files over bytes of the tensors that models need; nothing is timed."""
-    for name, generator, needed in chain(sized(tmp_path), newer(tmp_path)):
+    for name, generator, minimum_bytes in chain(sized(tmp_path), newer(tmp_path)):
         sizes = []
         for dtype in ("float32", "float16"):
             path = tmp_path / f"{dtype}.onnx"
@@ -231,9 +235,11 @@ def bench_sizes(tmp_path: Path) -> None:
             export(generator, path, dtype=dtype, settings=settings)  # type: ignore[arg-type]
             sizes.append(path.stat().st_size)
         full, half = sizes
-        print_figure(f"{name:14} {full / 1e6:7.2f} MB, {full / needed:.3f} × the tensors needed; ")
+        print_figure(
+            f"{name:14} {full / 1e6:7.2f} MB, {full / minimum_bytes:.3f} × the tensors needed; "
+        )
         print_figure(f"{'':14} {half / 1e6:7.2f} MB in float16, {half / full:.3f} × that")
-        assert full <= SIZE_BAR * needed, name
+        assert full <= SIZE_BAR * minimum_bytes, name
         assert half <= HALF_BAR * full, name
 
 
@@ -264,8 +270,8 @@ def sized(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
     yield "deformable", warped, needed_tensors.of_deformation(deformed)
     people = PersonOptions(count=20_000, vertices=6_890, nets=True, width=128)
     person = read_gauhuman(write_gauhuman(folder / "gauhuman", people))
-    needed = needed_tensors.of_gauhuman(person.canonical, person.body, person.nets)
-    yield "gauhuman", GauHuman(person.canonical, person.body, person.nets), needed
+    minimum_bytes = needed_tensors.of_gauhuman(person.canonical, person.body, person.nets)
+    yield "gauhuman", GauHuman(person.canonical, person.body, person.nets), minimum_bytes
     drawn = read_lhm(write_lhm(folder / "lhm", PersonOptions(count=20_000, vertices=10_475)))
     yield "lhm", LHM(drawn), needed_tensors.of_lhm(drawn)
     people = PersonOptions(

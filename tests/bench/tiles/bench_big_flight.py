@@ -39,13 +39,13 @@ def path(center: np.ndarray, half: np.ndarray, up: np.ndarray, frames: int) -> l
     """Along the longest side, at the height of the scene's thickness, looking left and right."""
     vertical = int(np.argmax(np.abs(up)))
     along = int(np.argmax(np.where(np.arange(3) == vertical, 0, half)))
-    ahead, aside = np.eye(3)[along], np.eye(3)[3 - along - vertical]
+    ahead, lateral = np.eye(3)[along], np.eye(3)[3 - along - vertical]
     height = 2.5 * half[vertical]
     cameras = []
     for share in np.linspace(0, 1, frames):
         eye = center + (0.6 * share - 0.3) * half[along] * ahead + height * up
         yaw = 0.4 * np.sin(2 * np.pi * share)
-        target = eye + 4 * height * (np.cos(yaw) * ahead + np.sin(yaw) * aside) - height * up
+        target = eye + 4 * height * (np.cos(yaw) * ahead + np.sin(yaw) * lateral) - height * up
         cameras.append(
             Camera.look_at(tuple(eye), tuple(target), up=tuple(up), width=SIZE[0], height=SIZE[1])
         )
@@ -66,18 +66,18 @@ def fly(address: str, folder: Path) -> dict[str, object]:
     cameras = path(tree.center[0], half, up, FRAMES)
     wall, cpu, own, rows, resident, missing, uploaded, drawn = ([] for _ in range(8))
     root_at, holes_at_root = None, 0
-    warm = 0
+    warm_frames = 0
     for number in range(_MOST_WARM + len(cameras)):
         is_complete = source._last is not None and source._last.is_complete
-        if warm == 0 and (is_complete or number == _MOST_WARM):
-            warm = number  # the flight begins
-        if warm and number == warm + len(cameras):
+        if warm_frames == 0 and (is_complete or number == _MOST_WARM):
+            warm_frames = number  # the flight begins
+        if warm_frames and number == warm_frames + len(cameras):
             break
-        camera = cameras[number - warm if warm else 0]
-        start, spent, thread = time.perf_counter(), time.process_time(), time.thread_time()
+        camera = cameras[number - warm_frames if warm_frames else 0]
+        start, cpu_start, thread = time.perf_counter(), time.process_time(), time.thread_time()
         player.render(FrameRequest(camera))
         wall.append(time.perf_counter() - start)
-        cpu.append(time.process_time() - spent)
+        cpu.append(time.process_time() - cpu_start)
         own.append(time.thread_time() - thread)
         uploaded.append(sum(arrival.upload_bytes for arrival in source._last.arrivals))
         drawn.append(len(source._last.drawn))
@@ -91,7 +91,7 @@ def fly(address: str, folder: Path) -> dict[str, object]:
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "tiles": len(tree),
-        "warm": warm,
+        "warm": warm_frames,
         "splats": int(tree.splats[tree.is_leaf].sum()),
         "root_at": root_at,
         "holes_after_root": metrics.hole_frames - holes_at_root,
@@ -120,14 +120,14 @@ def bench_flight_through_a_scene_that_does_not_fit() -> None:
         thread.start()
         try:
             words = [sys.executable, __file__, f"{server.address}tileset.json", SCENE]
-            done = subprocess.run(
+            completed = subprocess.run(
                 [sys.executable, "-S", "-c", launcher, *words], capture_output=True, text=True
             )
         finally:
             server.shutdown()
             thread.join()
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout.splitlines()[-1])
+    assert completed.returncode == 0, completed.stderr
+    report = json.loads(completed.stdout.splitlines()[-1])
     cpu = np.array(report["cpu"][report["warm"] :])
     wall = np.array(report["wall"][report["warm"] :])
     slowest = float(cpu.max() / np.median(cpu))
@@ -147,7 +147,7 @@ def bench_flight_through_a_scene_that_does_not_fit() -> None:
         f"CPU a frame: median {1e3 * np.median(cpu):.0f} ms, slowest {1e3 * cpu.max():.0f} "
         f"({slowest:.2f} × median, bar {SLOWEST_BAR:g}); wall: median {1e3 * np.median(wall):.0f}, "
         f"slowest {1e3 * wall.max():.0f} ({wall.max() / np.median(wall):.2f} ×)\n"
-        f"reports on stderr: {done.stderr.count(chr(10))}"
+        f"reports on stderr: {completed.stderr.count(chr(10))}"
     )
     assert report["memory"] <= MEMORY_BAR
     assert report["holes_after_root"] == 0

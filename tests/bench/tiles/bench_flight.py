@@ -134,17 +134,17 @@ def bench_bytes_of_the_flight(tmp_path: Path) -> None:
     for quality in parameters.qualities:
         store, index = open_store(str(tmp_path / "town" / f"tileset-q{quality}.json"))
         ladders.append(Ladder(f"quality {quality}", store, index))
-    finest = ladders[0]
-    leaves = finest.bytes_of(set(np.flatnonzero(finest.tree.is_leaf).tolist()))
+    finest_ladder = ladders[0]
+    leaves = finest_ladder.bytes_of(set(np.flatnonzero(finest_ladder.tree.is_leaf).tolist()))
     print_figure(
-        f"{COUNT:,} splats, {len(finest.tree)} tiles; SOG {whole / 1e6:.2f} MB, "
+        f"{COUNT:,} splats, {len(finest_ladder.tree)} tiles; SOG {whole / 1e6:.2f} MB, "
         f"all leaves {leaves / 1e6:.2f} MB; {WIDTH} × {HEIGHT}"
     )
     print_figure("frame: pixels of error, tiles, SSIM, kB that are new, at each quality")
     failed: set[str] = set()
     for number in chosen.tolist():
         camera = camera_of(poses[number])
-        expected = finest.picture(renderer, camera, finest.drawn(camera, 0))
+        expected = finest_ladder.picture(renderer, camera, finest_ladder.drawn(camera, 0))
         columns = []
         for ladder in ladders:
             cut = coarsest_cut(ladder, renderer, camera, expected)

@@ -57,7 +57,7 @@ def stream(
     link = SimulatedLink(clock, trace, size, rtt=0.05, connections=6)
     view = ViewSettings(width=640, height=360)
     held_levels, in_flight = np.full(len(tree), -1), {}
-    utilities, holes = [], 0
+    utilities, hole_count = [], 0
     first_quality = 0 if order == "finest files" else len(ladder.worth) - 1
 
     def request(cut: Cut, drawn: np.ndarray, eye: np.ndarray) -> None:
@@ -79,8 +79,8 @@ def stream(
 
     cut = drawn = pose = None
     for pose in path:
-        while (delivery := link.advance(pose.time)) is not None:
-            held_levels[delivery.tile] = in_flight.pop(delivery.tile)
+        while (delivered := link.advance(pose.time)) is not None:
+            held_levels[delivered.tile] = in_flight.pop(delivered.tile)
             if cut is not None:
                 request(cut, drawn, pose.position)
         cut = cut_tree(tree, view.frustum(pose.position, pose.quaternion), 8.0)
@@ -90,13 +90,13 @@ def stream(
         covered = drawn.copy()
         for rows in tree.rows_of_level[1:]:
             covered[rows] |= covered[tree.parent[rows]]
-        below = drawn.copy()
+        good_share = drawn.copy()
         for row in range(len(tree) - 1, 0, -1):
-            below[tree.parent[row]] |= below[row]
-        holes += bool((cut.wanted & ~covered & ~below).any())
+            good_share[tree.parent[row]] |= good_share[row]
+        hole_count += bool((cut.wanted & ~covered & ~good_share).any())
         utilities.append(utility(tree, ladder, cut, held_levels, drawn, pose.position))
         request(cut, drawn, pose.position)
-    return utilities, holes
+    return utilities, hole_count
 
 
 def bench_request_order(tmp_path: Path) -> None:
@@ -104,18 +104,18 @@ def bench_request_order(tmp_path: Path) -> None:
     sizes = tree.size[:, None] * _SHARES
     ladder = QualityLadder(tiles=(), size=sizes, worth=np.array([SSIM[q] for q in (0, 2, 4)]))
     print(f"\n{len(tree)} tiles: mean utility, frames below {_GOOD}, frames with holes")
-    means = {}
+    mean_worths = {}
     for order in ORDERS:
-        frames, holes = [], []
+        frames, hole_count = [], []
         for rows in journeys().values():
             path = read_path(write_rows(tmp_path / "path.csv", PATH_HEADER, rows))
             for mbps in NETWORKS:
                 values, count = stream(tree, ladder, path, mbps, order)
                 frames += values
-                holes.append(count)
-        means[order] = np.mean(frames), np.mean(holes)
-        below = np.mean(np.array(frames) < _GOOD)
-        print(f"{order:32} {np.mean(frames):.3f}  {below:.3f}  {np.mean(holes):.1f}")
-    finest, coarsest, alone = (means[order] for order in ORDERS)
-    assert coarsest[0] > finest[0]
+                hole_count.append(count)
+        mean_worths[order] = np.mean(frames), np.mean(hole_count)
+        good_share = np.mean(np.array(frames) < _GOOD)
+        print(f"{order:32} {np.mean(frames):.3f}  {good_share:.3f}  {np.mean(hole_count):.1f}")
+    finest_mean, coarsest, alone = (mean_worths[order] for order in ORDERS)
+    assert coarsest[0] > finest_mean[0]
     assert alone[1] <= coarsest[1]

@@ -49,12 +49,12 @@ def bench_journeys(tmp_path: Path, connections: int) -> None:
                 ).metrics
                 for policy in POLICIES
             ]
-            hits = " ".join(f"{entry.hit_rate:6.1%}" for entry in results)
+            hit_rates = " ".join(f"{entry.hit_rate:6.1%}" for entry in results)
             waste = " ".join(f"{entry.waste:5.1%}" for entry in results)
             delay = " ".join(f"{entry.p95_delay_s:6.2f}" for entry in results)
-            holes = " ".join(f"{entry.hole_frames:3}" for entry in results)
+            hole_count = " ".join(f"{entry.hole_frames:3}" for entry in results)
             print(
-                f"{journey:8} {network:7} hits {hits}  waste {waste}  p95 {delay} s  holes {holes}"
+                f"{journey:8} {network:7} hits {hit_rates}  waste {waste}  p95 {delay} s  holes {hole_count}"
             )
 
 
@@ -77,7 +77,7 @@ def bench_frames_with_arrivals() -> None:
         arrive(tile)
     camera = Camera(np.eye(4), width=640, height=360, fx=500.0, fy=500.0, cx=320.0, cy=180.0)
     renderer, scene = Renderer(rasteriser="tiles"), Scene([], pools=[pool])
-    spent: dict[str, list[float]] = {"steady": [], "arrivals": []}
+    seconds_by_kind: dict[str, list[float]] = {"steady": [], "arrivals": []}
     newest = tiles - 1
     for number in range(44):
         kind = "arrivals" if number % 2 else "steady"
@@ -92,10 +92,12 @@ def bench_frames_with_arrivals() -> None:
         pool.draw(dict.fromkeys(pool.tiles, 1.0))
         renderer.render(scene, camera)
         if number >= 4:
-            spent[kind].append(time.process_time() - start)
-    steady, arrivals = (float(np.median(spent[kind])) for kind in ("steady", "arrivals"))
-    print(
-        f"\n{tiles} tiles of {rows_of_tile:,} splats at 640×360: steady {1e3 * steady:.0f} CPU-ms, "
-        f"with arrivals {1e3 * arrivals:.0f} ({arrivals / steady:.3f}; bar {ARRIVALS_BAR})"
+            seconds_by_kind[kind].append(time.process_time() - start)
+    steady_seconds, arrivals = (
+        float(np.median(seconds_by_kind[kind])) for kind in ("steady", "arrivals")
     )
-    assert arrivals <= ARRIVALS_BAR * steady
+    print(
+        f"\n{tiles} tiles of {rows_of_tile:,} splats at 640×360: steady {1e3 * steady_seconds:.0f} CPU-ms, "
+        f"with arrivals {1e3 * arrivals:.0f} ({arrivals / steady_seconds:.3f}; bar {ARRIVALS_BAR})"
+    )
+    assert arrivals <= ARRIVALS_BAR * steady_seconds

@@ -253,11 +253,11 @@ def costs(folder: Path) -> dict[str, tuple[Cost, Cost]]:
         for engine, scene in names:
             entry = cost(folder / f"{scene}.ply", folder / f"{scene}-tiles", engine)
             measured[engine, scene].append(entry)
-    least = {
+    min_costs = {
         name: Cost(min(e.seconds for e in entries), max(e.memory for e in entries))
         for name, entries in measured.items()
     }
-    return {engine: (least[engine, "small"], least[engine, "town"]) for engine in ENGINES}
+    return {engine: (min_costs[engine, "small"], min_costs[engine, "town"]) for engine in ENGINES}
 
 
 def cost(scene: Path, output: Path, engine: str) -> Cost:
@@ -265,9 +265,9 @@ def cost(scene: Path, output: Path, engine: str) -> Cost:
     words = ["-m", "gsgen.cli", "tiles", "build", str(scene), "-o", str(output), "--fresh"]
     words += ["--engine", engine, "--workers", "2"]
     launcher = [sys.executable, "-S", "-c", _LAUNCHER, sys.executable, *words]
-    done = subprocess.run(launcher, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    seconds, memory = done.stdout.split()
+    completed = subprocess.run(launcher, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
+    seconds, memory = completed.stdout.split()
     return Cost(float(seconds), int(memory))
 
 
@@ -277,18 +277,18 @@ def bench_building(tmp_path: Path) -> None:
     script = next(block for block in blocks(GUIDE) if block.mark == "town.py")
     words = [sys.executable, "-c", script.text, str(COUNT)]
     subprocess.run(words, cwd=tmp_path, check=True)
-    spent: dict[str, float] = {}
+    seconds_by_kind: dict[str, float] = {}
     print_figure(f"the guide's town of {COUNT:,} splats of degree 0, two workers")
     for engine, (start, whole) in costs(tmp_path).items():
-        spent[engine] = whole.seconds - start.seconds
+        seconds_by_kind[engine] = whole.seconds - start.seconds
         print_figure(
             f"{engine:10s} {whole.seconds:6.1f} CPU-s, {start.seconds:4.1f} of them to start, "
             f"{whole.seconds / COUNT * 1e6:5.2f} a million, "
-            f"{spent[engine] / spent['serial']:.2f} × serial beyond it, "
+            f"{seconds_by_kind[engine] / seconds_by_kind['serial']:.2f} × serial beyond it, "
             f"{whole.memory / 1e6:5.0f} MB at most in a process"
         )
         assert whole.memory <= MEMORY_BAR
         if engine == "serial":
             assert whole.seconds <= CPU_BAR * COUNT / 1e6 + start.seconds
-    assert spent["processes"] <= PROCESSES_BAR * spent["serial"]
-    assert spent["dask"] <= DASK_BAR * spent["serial"]
+    assert seconds_by_kind["processes"] <= PROCESSES_BAR * seconds_by_kind["serial"]
+    assert seconds_by_kind["dask"] <= DASK_BAR * seconds_by_kind["serial"]

@@ -21,10 +21,10 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_range_of_times_becomes_a_folder_of_files(models: Path, tmp_path: Path) -> None:
     pattern = tmp_path / "seq" / "%04d.spz"
-    ran = gsgen("bake", models / "drift.onnx", "-o", pattern, "--time", "0:1:3")
-    assert (ran.code, ran.err) == (0, "")
-    assert "3 frames" in ran.out
-    assert "0000.spz … " in ran.out
+    completed = gsgen("bake", models / "drift.onnx", "-o", pattern, "--time", "0:1:3")
+    assert (completed.code, completed.err) == (0, "")
+    assert "3 frames" in completed.out
+    assert "0000.spz … " in completed.out
     names = sorted(path.name for path in (tmp_path / "seq").iterdir())
     assert names == ["0000.spz", "0001.spz", "0002.spz"]
     first, last = (open_splats(tmp_path / "seq" / name) for name in (names[0], names[2]))
@@ -34,24 +34,26 @@ def test_a_range_of_times_becomes_a_folder_of_files(models: Path, tmp_path: Path
 
 def test_the_report_is_json(models: Path, tmp_path: Path) -> None:
     file = tmp_path / "column.ply"
-    ran = gsgen_here("bake", models / "fade_column.onnx", "-o", file, "--json", "--views", "20")
-    assert ran.code == 0
-    document = json.loads(ran.out)
+    completed = gsgen_here(
+        "bake", models / "fade_column.onnx", "-o", file, "--json", "--views", "20"
+    )
+    assert completed.code == 0
+    document = json.loads(completed.out)
     (frame,) = document["frames"]
     assert frame["file"] == str(file)
     assert frame["count"] == len(open_splats(file))
     assert frame["bytes"] == file.stat().st_size
     assert frame["psnr"] > 40
     assert document["view_dependence"].startswith("rows")
-    assert document["notes"][0] in ran.err
+    assert document["notes"][0] in completed.err
 
 
 def test_pose_file_gives_one_frame_per_pose(models: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "walk.npy", np.random.default_rng(0).normal(0, 0.2, (2, 4, 3)))
     words = ("-o", tmp_path / "%d.glb", "--pose", tmp_path / "walk.npy", "--json")
-    ran = gsgen_here("bake", models / "avatar.onnx", *words)
-    assert ran.code == 0, ran.err
-    assert len(json.loads(ran.out)["frames"]) == 2
+    completed = gsgen_here("bake", models / "avatar.onnx", *words)
+    assert completed.code == 0, completed.err
+    assert len(json.loads(completed.out)["frames"]) == 2
     a, b = (open_splats(tmp_path / f"{number}.glb") for number in range(2))
     assert not np.array_equal(a.position, b.position)
 
@@ -86,9 +88,9 @@ def test_invalid_options_are_reported_with_a_hint(
     parts: tuple[str, ...],
 ) -> None:
     (tmp_path / "file").touch()
-    ran = gsgen_here("bake", models / f"{model}.onnx", *words, cwd=tmp_path)
-    assert ran.code == code, ran.err
-    assert "Traceback" not in ran.err
+    completed = gsgen_here("bake", models / f"{model}.onnx", *words, cwd=tmp_path)
+    assert completed.code == code, completed.err
+    assert "Traceback" not in completed.err
     for part in parts:
-        assert part in ran.err
+        assert part in completed.err
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -124,6 +124,6 @@ def test_json_report_and_exit_codes_of_invalid_input(scenes: list[Path]) -> None
     wrong = CliRunner().invoke(app, [str(scenes[1]), "--size", "J=2"]).exception
     assert isinstance(wrong, ConfigInvalid)
     assert "--size: unknown open dimension 'J'" in str(wrong)
-    itself = CliRunner().invoke(app, [str(scenes[1]), "-o", str(scenes[1])]).exception
-    assert isinstance(itself, ConfigInvalid)
-    assert "is also an input file" in str(itself)
+    overwrite_result = CliRunner().invoke(app, [str(scenes[1]), "-o", str(scenes[1])]).exception
+    assert isinstance(overwrite_result, ConfigInvalid)
+    assert "is also an input file" in str(overwrite_result)

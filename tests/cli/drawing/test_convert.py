@@ -20,9 +20,9 @@ def source(tmp_path_factory) -> Path:
 
 def test_lossy_conversion_reports_its_losses(source, tmp_path):
     target = tmp_path / "scene.spz"
-    ran = gsgen("convert", source, target, "--sh-degree", "1")
-    assert (ran.code, ran.err) == (0, "")
-    lines = ran.out.splitlines()
+    completed = gsgen("convert", source, target, "--sh-degree", "1")
+    assert (completed.code, completed.err) == (0, "")
+    lines = completed.out.splitlines()
     assert lines[0].startswith(f"{target}: 50 splats of SH degree 1, spz, 0.01 MiB → 0.00 MiB")
     assert lines[1] == "lost: harmonics above degree 1"
     assert [line.split()[0] for line in lines[3:]] == [
@@ -32,17 +32,17 @@ def test_lossy_conversion_reports_its_losses(source, tmp_path):
 
 
 def test_lossless_conversion_is_reported_as_exact(source, tmp_path):
-    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--encoding", "ascii")
-    assert ran.code == 0
-    assert ran.out.splitlines()[1:] == ["nothing was lost"]
+    completed = gsgen_here("convert", source, tmp_path / "a.ply", "--encoding", "ascii")
+    assert completed.code == 0
+    assert completed.out.splitlines()[1:] == ["nothing was lost"]
 
 
 def test_conversion_report_is_valid_json(source, tmp_path):
     target = tmp_path / "new" / "folder" / "a"
-    ran = gsgen_here("convert", source, target, "--format", "splat", "--json")
-    assert ran.code == 0, ran.err
+    completed = gsgen_here("convert", source, target, "--format", "splat", "--json")
+    assert completed.code == 0, completed.err
     assert target.is_file()
-    document = json.loads(ran.out)
+    document = json.loads(completed.out)
     assert document["degree"] == [2, 0]
     assert document["lost"] == ["harmonics above degree 0"]
     assert {entry["name"] for entry in document["differences"]} >= {"position", "opacity"}
@@ -84,18 +84,20 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
     ],
 )
 def test_impossible_conversion_exits_with_a_code(source, tmp_path, words, code, message):
-    ran = gsgen_here("convert", source, *words, cwd=tmp_path)
-    assert ran.code == code
-    assert ran.err.startswith(f"gsgen: {message}")
+    completed = gsgen_here("convert", source, *words, cwd=tmp_path)
+    assert completed.code == code
+    assert completed.err.startswith(f"gsgen: {message}")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_source_that_cannot_be_read_exits_4(tmp_path):
-    invalid = tmp_path / "bad.ply"
-    invalid.write_bytes(b"ply\nnonsense\nend_header\n")
-    ran = gsgen_here("convert", invalid, tmp_path / "a.spz")
-    assert ran.code == 4
-    assert ran.err.startswith(f"gsgen: {invalid}: header line 2: 'nonsense'\n  expected format, ")
+    broken_ply = tmp_path / "bad.ply"
+    broken_ply.write_bytes(b"ply\nnonsense\nend_header\n")
+    completed = gsgen_here("convert", broken_ply, tmp_path / "a.spz")
+    assert completed.code == 4
+    assert completed.err.startswith(
+        f"gsgen: {broken_ply}: header line 2: 'nonsense'\n  expected format, "
+    )
 
 
 @pytest.fixture
@@ -116,17 +118,17 @@ TEXT = "2 of 50 rows cannot be drawn and are left out; row 7 is the first, where
 
 def test_rows_that_cannot_be_drawn_are_left_out_where_asked(trained: Path) -> None:
     target = trained.with_name("kept.ply")
-    ran = gsgen_here("convert", trained, target)
-    assert ran.code == 4
-    assert "property x: 1 of 50 rows are invalid: row 7 is nan" in ran.err
-    assert "--drop-invalid" in ran.err
+    completed = gsgen_here("convert", trained, target)
+    assert completed.code == 4
+    assert "property x: 1 of 50 rows are invalid: row 7 is nan" in completed.err
+    assert "--drop-invalid" in completed.err
     assert not target.exists()
-    ran = gsgen_here("convert", trained, target, "--drop-invalid")
-    assert ran.code == 0, ran.err
-    assert ran.err == f"note: {trained}: {TEXT}\n"
-    assert ran.out.splitlines()[0].startswith(f"{target}: 48 splats")
-    ran = gsgen_here("convert", trained, target, "--drop-invalid", "--json")
-    assert json.loads(ran.out)["notes"] == [f"{trained}: {TEXT}"]
+    completed = gsgen_here("convert", trained, target, "--drop-invalid")
+    assert completed.code == 0, completed.err
+    assert completed.err == f"note: {trained}: {TEXT}\n"
+    assert completed.out.splitlines()[0].startswith(f"{target}: 48 splats")
+    completed = gsgen_here("convert", trained, target, "--drop-invalid", "--json")
+    assert json.loads(completed.out)["notes"] == [f"{trained}: {TEXT}"]
     assert len(open_splats(target)) == 48
     assert gsgen_here("convert", target, trained.with_name("again.spz")).err == ""
 
@@ -137,27 +139,29 @@ def test_a_few_rows_do_not_keep_a_scene_from_being_used(trained: Path, command: 
         "render": ("render", trained, "-o", trained.with_name("a.png"), "--width", "64"),
         "export": ("export", "static", trained, "-o", trained.with_name("a.onnx")),
     }[command]
-    ran = gsgen_here(*words)
-    assert ran.code == 0, ran.err
-    assert f"note: {trained}: {TEXT}" in ran.err
-    assert "48" in (ran.out if command == "render" else ran.err)
+    completed = gsgen_here(*words)
+    assert completed.code == 0, completed.err
+    assert f"note: {trained}: {TEXT}" in completed.err
+    assert "48" in (completed.out if command == "render" else completed.err)
 
 
-@pytest.mark.parametrize("way", ["itself", "another spelling", "a symlink", "a hard link"])
-def test_source_is_not_overwritten_without_force(source: Path, tmp_path: Path, way: str) -> None:
+@pytest.mark.parametrize("path_kind", ["itself", "another spelling", "a symlink", "a hard link"])
+def test_source_is_not_overwritten_without_force(
+    source: Path, tmp_path: Path, path_kind: str
+) -> None:
     file = tmp_path / "a.ply"
     file.write_bytes(source.read_bytes())
-    target = file if way == "itself" else tmp_path / "b.ply"
-    if way == "another spelling":
+    target = file if path_kind == "itself" else tmp_path / "b.ply"
+    if path_kind == "another spelling":
         target = tmp_path / ".." / tmp_path.name / "a.ply"
-    elif way == "a symlink":
+    elif path_kind == "a symlink":
         target.symlink_to(file)
-    elif way == "a hard link":
+    elif path_kind == "a hard link":
         target.hardlink_to(file)
-    ran = gsgen_here("convert", file, target, "--sh-degree", "0")
-    assert ran.code == 2
-    assert f"gsgen: {target}: is also an input file, which would be overwritten" in ran.err
-    assert "--force" in ran.err
+    completed = gsgen_here("convert", file, target, "--sh-degree", "0")
+    assert completed.code == 2
+    assert f"gsgen: {target}: is also an input file, which would be overwritten" in completed.err
+    assert "--force" in completed.err
     assert file.read_bytes() == source.read_bytes()
     assert gsgen_here("convert", file, target, "--sh-degree", "0", "--force").code == 0
     assert open_splats(target).degree == 0
@@ -179,23 +183,23 @@ def test_edits_are_applied_in_the_order_typed(source: Path, tmp_path: Path) -> N
 
 def test_several_sources_are_merged(source: Path, tmp_path: Path) -> None:
     write_ply(tmp_path / "other.ply", scene(30, 0, seed=1))
-    ran = gsgen_here("convert", source, tmp_path / "other.ply", tmp_path / "all.ply")
-    assert ran.code == 0, ran.err
+    completed = gsgen_here("convert", source, tmp_path / "other.ply", tmp_path / "all.ply")
+    assert completed.code == 0, completed.err
     merged = open_splats(tmp_path / "all.ply")
     assert (len(merged), merged.degree) == (80, 2)
     np.testing.assert_array_equal(merged.position[:50], open_splats(source).position)
     assert not merged.sh[50:, 1:].any()
     write_ply(tmp_path / "mip.ply", scene(3, 0, antialiased=True))
-    ran = gsgen_here("convert", source, tmp_path / "mip.ply", tmp_path / "no.ply")
-    assert ran.code == 1
-    assert "antialiased: the value differs between the sources: False and True" in ran.err
+    completed = gsgen_here("convert", source, tmp_path / "mip.ply", tmp_path / "no.ply")
+    assert completed.code == 1
+    assert "antialiased: the value differs between the sources: False and True" in completed.err
 
 
 def test_statistics_are_printed_and_drawn(source: Path, tmp_path: Path) -> None:
     words = ("convert", source, tmp_path / "a.ply", "--where", "x>0", "--statistics")
-    ran = gsgen_here(*words, "--histograms", tmp_path / "a.png", "--json")
-    assert ran.code == 0, ran.err
-    (summary,) = json.loads(ran.out)["statistics"]
+    completed = gsgen_here(*words, "--histograms", tmp_path / "a.png", "--json")
+    assert completed.code == 0, completed.err
+    (summary,) = json.loads(completed.out)["statistics"]
     assert summary[0]["name"] == "x"
     assert summary[0]["low"] > 0
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -203,19 +207,19 @@ def test_statistics_are_printed_and_drawn(source: Path, tmp_path: Path) -> None:
 
 
 def test_invalid_edits_are_refused(source: Path, tmp_path: Path) -> None:
-    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--translate", "1,2")
-    assert ran.code == 2
-    assert ran.err.startswith("gsgen: --translate: is '1,2', expected finite numbers X,Y,Z")
-    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--where", "opacity>2")
-    assert ran.code == 1
-    assert "--where opacity>2 leaves none of 50 splats" in ran.err
+    completed = gsgen_here("convert", source, tmp_path / "a.ply", "--translate", "1,2")
+    assert completed.code == 2
+    assert completed.err.startswith("gsgen: --translate: is '1,2', expected finite numbers X,Y,Z")
+    completed = gsgen_here("convert", source, tmp_path / "a.ply", "--where", "opacity>2")
+    assert completed.code == 1
+    assert "--where opacity>2 leaves none of 50 splats" in completed.err
     assert not (tmp_path / "a.ply").exists()
 
 
 def test_axes_of_spz_are_those_of_the_option(source: Path, tmp_path: Path) -> None:
     words = ("convert", source, tmp_path / "a.spz", "--spz-axes", "RDF")
-    ran = gsgen_here(*words)
-    assert ran.code == 0, ran.err
+    completed = gsgen_here(*words)
+    assert completed.code == 0, completed.err
     position = open_splats(source).position
     turned = open_splats(tmp_path / "a.spz").position * np.float32([1, -1, -1])
     np.testing.assert_allclose(turned, position, atol=2e-4)
@@ -226,31 +230,33 @@ def test_axes_of_spz_are_those_of_the_option(source: Path, tmp_path: Path) -> No
 
 
 def test_half_of_the_splats_are_left(source: Path, tmp_path: Path) -> None:
-    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%")
-    assert ran.code == 0, ran.err
+    completed = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%")
+    assert completed.code == 0, completed.err
     assert 15 <= len(open_splats(tmp_path / "a.ply")) <= 25
-    assert "nothing was lost by the format" in ran.out
+    assert "nothing was lost by the format" in completed.out
     left = len(open_splats(tmp_path / "a.ply"))
-    loss = f"--decimate merged {len(open_splats(source))} splats into {left}: detail is lost"
-    assert ran.out.rstrip().endswith(loss)
-    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%", "--json")
-    assert json.loads(ran.out)["notes"] == [loss]
+    merge_message = (
+        f"--decimate merged {len(open_splats(source))} splats into {left}: detail is lost"
+    )
+    assert completed.out.rstrip().endswith(merge_message)
+    completed = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%", "--json")
+    assert json.loads(completed.out)["notes"] == [merge_message]
 
 
 def test_a_fraction_of_the_splats_is_a_percentage(source: Path, tmp_path: Path) -> None:
-    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "0.1")
-    assert ran.code == 2
-    assert "expected a number of splats, or a percentage such as 25%" in ran.err
-    ran = gsgen_here("convert", tmp_path / "sourse.ply", tmp_path / "a.ply")
-    assert ran.err.startswith("gsgen: ")
-    assert "\n" not in ran.err.strip().replace("\n  ", "")
+    completed = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "0.1")
+    assert completed.code == 2
+    assert "expected a number of splats, or a percentage such as 25%" in completed.err
+    completed = gsgen_here("convert", tmp_path / "sourse.ply", tmp_path / "a.ply")
+    assert completed.err.startswith("gsgen: ")
+    assert "\n" not in completed.err.strip().replace("\n  ", "")
 
 
 @pytest.mark.parametrize(("words", "missing"), [(["garden.ply"], "target"), ([], "SOURCE…")])
 def test_the_argument_that_was_left_out_is_named(tmp_path, words, missing):
-    ran = gsgen_here("convert", *words, cwd=tmp_path)
-    assert ran.code == 2
-    assert f"Missing argument '{missing}'" in ran.err
+    completed = gsgen_here("convert", *words, cwd=tmp_path)
+    assert completed.code == 2
+    assert f"Missing argument '{missing}'" in completed.err
 
 
 MESH = """ply
@@ -279,8 +285,8 @@ def test_mesh_is_refused_as_a_mesh(
     tmp_path: Path, name: str, text: str, before: tuple[str, ...], after: tuple[str, ...]
 ) -> None:
     (tmp_path / name).write_text(text, "utf-8")
-    ran = gsgen_here(*before, name, *after, cwd=tmp_path)
-    assert ran.code == 4
-    assert f"gsgen: {name}: is a mesh, expected splats" in ran.err
-    assert f"`gsgen render {name} -o picture.png` draws it" in ran.err
-    assert ran.err.count("\n") == 2
+    completed = gsgen_here(*before, name, *after, cwd=tmp_path)
+    assert completed.code == 4
+    assert f"gsgen: {name}: is a mesh, expected splats" in completed.err
+    assert f"`gsgen render {name} -o picture.png` draws it" in completed.err
+    assert completed.err.count("\n") == 2

@@ -37,9 +37,9 @@ def _cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("frame", [0, 2])
 def test_a_lost_device_ends_a_command(command: str, frame: int) -> None:
     with lost_at(frame):
-        ran = gsgen_here(*DRAWING[command])
-    assert ran.code == 2, ran.err
-    message = ran.err[ran.err.index("gsgen:") :].splitlines()
+        completed = gsgen_here(*DRAWING[command])
+    assert completed.code == 2, completed.err
+    message = completed.err[completed.err.index("gsgen:") :].splitlines()
     assert message[0].startswith("gsgen: the graphics device was lost: ")
     assert "smaller image" in message[1]
     assert not list(Path().glob("out.*"))
@@ -48,14 +48,14 @@ def test_a_lost_device_ends_a_command(command: str, frame: int) -> None:
 @pytest.mark.parametrize("command", DRAWING)
 def test_out_of_memory_error_names_the_request_and_its_size(command: str) -> None:
     with memory_of(400_000):
-        ran = gsgen_here(*DRAWING[command])
-    assert ran.code == 2, ran.err
+        completed = gsgen_here(*DRAWING[command])
+    assert completed.code == 2, completed.err
     # Rows have 40 bytes, their 27 numbers 112; packed, and in float16, 32 and 64.
-    assert f"{ROWS:,} Gaussians take {ROWS * (40 + 112):,} bytes" in ran.err
-    assert f"With `--compact` (`compact=True`) they take {ROWS * (32 + 64):,}." in ran.err
-    assert "needs 336,000 bytes, but the memory of" in ran.err
-    assert "gsgen: appearance: " in ran.err
-    assert "--sh-degree 0" in ran.err
+    assert f"{ROWS:,} Gaussians take {ROWS * (40 + 112):,} bytes" in completed.err
+    assert f"With `--compact` (`compact=True`) they take {ROWS * (32 + 64):,}." in completed.err
+    assert "needs 336,000 bytes, but the memory of" in completed.err
+    assert "gsgen: appearance: " in completed.err
+    assert "--sh-degree 0" in completed.err
     assert not list(Path().glob("out.*"))
 
 
@@ -63,8 +63,8 @@ def test_suggested_options_take_less_memory() -> None:
     with memory_of(ENOUGH):
         assert gsgen_here(*DRAWING["render"]).code == 2
     with memory_of(ENOUGH):
-        ran = gsgen_here(*DRAWING["render"], "--compact")
-    assert ran.code == 0, ran.err
+        completed = gsgen_here(*DRAWING["render"], "--compact")
+    assert completed.code == 0, completed.err
     assert Path("out.gif").exists()
 
 
@@ -78,17 +78,19 @@ def test_a_level_that_a_device_fails_at_is_skipped_with_the_reason(
 ) -> None:
     model = find("still_sh3").write(Path())
     with device:
-        ran = gsgen_here("validate", model, "--level", "render", "--format", "json")
-    assert ran.code == 0, ran.err
-    (level,) = (entry for entry in json.loads(ran.out)["levels"] if entry["level"] == "render")
+        completed = gsgen_here("validate", model, "--level", "render", "--format", "json")
+    assert completed.code == 0, completed.err
+    (level,) = (
+        entry for entry in json.loads(completed.out)["levels"] if entry["level"] == "render"
+    )
     assert level["status"] == "skipped"
     assert reason in level["reason"]
 
 
 def test_image_whose_tile_row_exceeds_a_binding_is_refused() -> None:
     with bindings_of(1 << 20):
-        ran = gsgen_here("render", "cloud.npz", "-o", "out.png", "--width", "4096")
-    assert ran.code == 2, ran.err
-    assert "color image: would take 2,097,152 bytes" in ran.err
-    assert len(ran.err.strip().splitlines()) == 2
+        completed = gsgen_here("render", "cloud.npz", "-o", "out.png", "--width", "4096")
+    assert completed.code == 2, completed.err
+    assert "color image: would take 2,097,152 bytes" in completed.err
+    assert len(completed.err.strip().splitlines()) == 2
     assert not Path("out.png").exists()

@@ -185,9 +185,9 @@ def test_invalid_render_options_are_reported(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     inputs = [places.get(word, word) for word in words]
-    got, _, err = ran(*inputs, *(() if "-o" in words else ("-o", "a.png")))
+    output_path, _, err = ran(*inputs, *(() if "-o" in words else ("-o", "a.png")))
     assert message in err
-    assert got == code
+    assert output_path == code
     assert not list(tmp_path.iterdir())
 
 
@@ -201,24 +201,24 @@ def test_a_generator_is_run_for_every_frame(
     renderer: Renderer, moving: Path, tmp_path: Path
 ) -> None:
     result, source = film(renderer, moving, frames=3)
-    watched: list[int] = []
-    result.write(tmp_path / "frames", watched.append)
+    watched_frames: list[int] = []
+    result.write(tmp_path / "frames", watched_frames.append)
     names = sorted(path.name for path in (tmp_path / "frames").iterdir())
     assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
-    assert watched == [1, 2, 3]
+    assert watched_frames == [1, 2, 3]
     first, last = (np.asarray(Image.open(tmp_path / "frames" / names[n])) for n in (0, 2))
     assert not np.array_equal(first, last)
     source.close()
 
 
 def test_time_advances_by_itself_or_sweeps_its_range(renderer: Renderer, moving: Path) -> None:
-    unmoving, source = film(renderer, moving, time=1.0, camera=FRONT)
+    still_sequence, source = film(renderer, moving, time=1.0, camera=FRONT)
     whole, second = film(renderer, moving, frames=2, camera=FRONT)
     declared = source.time
     assert declared is not None
     loops = bool(declared.loop)
-    at_end, half = unmoving.draw(0).rgba, whole.draw(1).rgba
-    assert np.array_equal(at_end, half) != loops
+    last_image, half = still_sequence.draw(0).rgba, whole.draw(1).rgba
+    assert np.array_equal(last_image, half) != loops
     source.close()
     second.close()
 
@@ -227,8 +227,8 @@ def test_an_orbit_turns_where_nothing_has_a_time(renderer: Renderer, file: Path)
     turning, _ = film(renderer, file, frames=4)
     views = [turning.draw(number).rgba for number in range(4)]
     assert not np.array_equal(views[0], views[2])
-    unmoving, _ = film(renderer, file, frames=2, turn=0.0)
-    assert np.array_equal(unmoving.draw(0).rgba, unmoving.draw(1).rgba)
+    still_sequence, _ = film(renderer, file, frames=2, turn=0.0)
+    assert np.array_equal(still_sequence.draw(0).rgba, still_sequence.draw(1).rgba)
 
 
 def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) -> None:
@@ -305,11 +305,11 @@ def test_film_equals_its_single_frames(renderer: Renderer, moving: Path, tmp_pat
 def test_orbit_encloses_all_frames_of_a_film(renderer: Renderer, moving: Path) -> None:
     result, source = film(renderer, moving, frames=5)
     center, reach = source.extent()
-    visited = []
+    visited_cameras = []
     for number in range(5):
         result.draw(number)
-        visited.append(source.data.rows[:, :3])
-    assert np.abs(np.concatenate(visited) - center).max() <= 1.05 * reach
+        visited_cameras.append(source.data.rows[:, :3])
+    assert np.abs(np.concatenate(visited_cameras) - center).max() <= 1.05 * reach
     source.close()
     alone = open_source(moving)
     assert alone.extent()[1] < reach
@@ -358,9 +358,9 @@ def test_an_orbit_goes_around_a_moving_model_where_it_stands(
     reference, source = film(renderer, moving, frames=3)
     placed = PlacedSource(open_source(moving), location)
     FrameSequence([placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer)
-    (center, reach), (expected, as_far) = placed.extent(), source.extent()
+    (center, reach), (expected, expected_reach) = placed.extent(), source.extent()
     np.testing.assert_allclose(center, expected + location[:3, 3])
-    assert reach == as_far
+    assert reach == expected_reach
     assert reference.frames == 3
     for entry in (placed, source):
         entry.close()
@@ -394,13 +394,13 @@ def test_transparency_handling_is_reported(
     file: Path, tmp_path: Path, name: str, message: str
 ) -> None:
     frames = "3" if name.startswith("film") else "1"
-    ran = gsgen_here(
+    completed = gsgen_here(
         "render", file, "-o", tmp_path / name, "--background", "transparent",
         "--frames", frames, "--width", "48", "--height", "32",
     )  # fmt: skip
-    assert ran.code == 0, ran.err
-    assert message in ran.err
-    assert bool(ran.err) is bool(message)
+    assert completed.code == 0, completed.err
+    assert message in completed.err
+    assert bool(completed.err) is bool(message)
     if name.endswith((".gif", ".png")):
         with Image.open(tmp_path / name) as image:
             alpha = np.asarray(image.convert("RGBA"))[..., 3]
@@ -409,16 +409,18 @@ def test_transparency_handling_is_reported(
 
 def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
     model = find("weighted_sum").write(tmp_path)
-    source, behind = open_source(model), (0.9, 0.6, 0.3, 1.0)
+    source, background_color = open_source(model), (0.9, 0.6, 0.3, 1.0)
     scene = Scene([source.splats(None, None)])
     source.close()
-    visited = viewpoint(FRONT, width=48, height=32).camera(source, 0, 0.0)
+    visited_cameras = viewpoint(FRONT, width=48, height=32).camera(source, 0, 0.0)
     result = {}
     for form in ("contract", "published"):
         result[form] = tmp_path / f"{form}.npy"
         words = (str(model), "-o", str(result[form]), "--wsr", form, "--camera", FRONT, *SMALL)
         assert ran(*words, "--background", "0.9,0.6,0.3")[0] == 0
-        expected = oracle.render(scene, visited, background=behind, published=form == "published")
+        expected = oracle.render(
+            scene, visited_cameras, background=background_color, published=form == "published"
+        )
         np.testing.assert_allclose(
             np.load(result[form])[..., :3], expected.rgba[..., :3], atol=2e-5
         )
@@ -426,12 +428,14 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
 
 
 def test_the_size_of_the_image_is_one_option(file: Path, tmp_path: Path) -> None:
-    done = gsgen_here("render", file, "-o", tmp_path / "a.png", "--size", "64x48", "--json")
-    assert done.code == 0, done.err
-    assert (json.loads(done.out)["width"], json.loads(done.out)["height"]) == (64, 48)
-    twice = gsgen_here("render", file, "-o", tmp_path / "b.png", "--size", "64x48", "--width", "9")
-    assert twice.code == 2
-    assert "the size of the image is given twice" in twice.err
+    completed = gsgen_here("render", file, "-o", tmp_path / "a.png", "--size", "64x48", "--json")
+    assert completed.code == 0, completed.err
+    assert (json.loads(completed.out)["width"], json.loads(completed.out)["height"]) == (64, 48)
+    doubled_output = gsgen_here(
+        "render", file, "-o", tmp_path / "b.png", "--size", "64x48", "--width", "9"
+    )
+    assert doubled_output.code == 2
+    assert "the size of the image is given twice" in doubled_output.err
 
 
 @pytest.mark.parametrize(
@@ -459,9 +463,9 @@ def test_a_film_of_one_frame_is_noted(file: Path, moving: Path, tmp_path: Path) 
     note = "note: one frame; --frames 100 "
     assert f"{note}makes a turntable\n" in gsgen_here("render", file, *film).err
     assert f"{note}goes through the range" in gsgen_here("render", moving, *film).err
-    fixed = gsgen_here("render", file, *film, "--camera", FRONT, "--json")
-    assert f"{note}makes a turntable with `--camera orbit`" in fixed.err
-    assert json.loads(fixed.out)["frames"] == 1
+    fixed_camera_run = gsgen_here("render", file, *film, "--camera", FRONT, "--json")
+    assert f"{note}makes a turntable with `--camera orbit`" in fixed_camera_run.err
+    assert json.loads(fixed_camera_run.out)["frames"] == 1
     assert note not in gsgen_here("render", file, *film, "--frames", "2").err
 
 

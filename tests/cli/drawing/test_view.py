@@ -30,7 +30,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Viewer, str, tuple[int
     """What windows would have been opened with."""
     result: list[tuple[Viewer, str, tuple[int, int]]] = []
     monkeypatch.setattr(window, "require_display", lambda: None)
-    monkeypatch.setattr(window, "open_window", lambda *words, after_draw: result.append(words))
+    monkeypatch.setattr(window, "open_window", lambda *words, draw_callbacks: result.append(words))
     return result
 
 
@@ -114,8 +114,8 @@ def test_invalid_view_options_are_named(
 
 def test_the_guide_has_the_keys_that_the_window_shows() -> None:
     guide = (DOCS / "guides/view-a-scene.md").read_text("utf-8")
-    for keys, meaning in HELP:
-        assert f"| {keys} | {meaning} |" in guide
+    for keys, key_action in HELP:
+        assert f"| {keys} | {key_action} |" in guide
 
 
 def test_exported_page_is_refused_as_a_scene(tmp_path: Path) -> None:

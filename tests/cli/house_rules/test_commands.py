@@ -22,9 +22,9 @@ def raised_by(
     command: Command, words: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> ExtensionUnusable:
     monkeypatch.setattr(command_group, "find_command", lambda _: command)
-    ran = CliRunner().invoke(build(), [command.name, *words])
-    assert isinstance(ran.exception, ExtensionUnusable)
-    return ran.exception
+    completed = CliRunner().invoke(build(), [command.name, *words])
+    assert isinstance(completed.exception, ExtensionUnusable)
+    return completed.exception
 
 
 def test_a_command_that_cannot_be_imported_says_so_when_it_is_run(
@@ -51,13 +51,17 @@ def test_commands_without_their_extra_are_listed_by_what_installs_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(_entry_points, "_installed", lambda name: name not in ("torch", "wgpu"))
-    lacking = [command("validate", "x"), command("fix", "x [sdk]"), command("rewrite", "x [sdk]")]
-    lacking.append(command("render", "x [runtime]"))
-    assert missing_note(lacking) == (
+    unavailable_commands = [
+        command("validate", "x"),
+        command("fix", "x [sdk]"),
+        command("rewrite", "x [sdk]"),
+    ]
+    unavailable_commands.append(command("render", "x [runtime]"))
+    assert missing_note(unavailable_commands) == (
         "Not installed here: fix, rewrite: pip install 'gsgen[sdk]'; "
         "render: pip install 'gsgen[runtime]'"
     )
-    assert missing_note(lacking[:1]) == ""
+    assert missing_note(unavailable_commands[:1]) == ""
 
 
 @pytest.mark.parametrize("entry", OURS, ids=lambda entry: entry.name)

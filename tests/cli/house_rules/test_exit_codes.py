@@ -49,9 +49,9 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_unreadable_file_exits_4(words: tuple[str, ...], suffix: str, file: str) -> None:
     Path(f"text{suffix}").write_text("this is nothing of the sort", encoding="utf-8")
     by_name = f"{file}{suffix}"
-    ran = gsgen_here(*(by_name if word == "MODEL" else word for word in words))
-    assert ran.code == 4, ran.err
-    assert by_name in ran.err
+    completed = gsgen_here(*(by_name if word == "MODEL" else word for word in words))
+    assert completed.code == 4, completed.err
+    assert by_name in completed.err
     assert not list(Path.cwd().glob("out.*"))
 
 
@@ -59,9 +59,9 @@ def test_unreadable_file_exits_4(words: tuple[str, ...], suffix: str, file: str)
 @pytest.mark.parametrize("folder", ["gone", "empty"])
 def test_unreadable_checkpoint_exits_4(method: str, folder: str) -> None:
     Path("empty").mkdir()
-    ran = gsgen_here("export", method, "--checkpoint", folder, "-o", "out.onnx")
-    assert ran.code == 4, ran.err
-    assert ran.err.rpartition("gsgen: ")[2].startswith(folder)
+    completed = gsgen_here("export", method, "--checkpoint", folder, "-o", "out.onnx")
+    assert completed.code == 4, completed.err
+    assert completed.err.rpartition("gsgen: ")[2].startswith(folder)
     assert not Path("out.onnx").exists()
 
 
@@ -74,5 +74,5 @@ def test_invalid_options_exit_2() -> None:
         ("validate", "text.onnx", "--target", "core2"),
         ("explain", "GV03"),
     ):
-        ran = gsgen_here(*words)
-        assert ran.code == 2, (words, ran.err)
+        completed = gsgen_here(*words)
+        assert completed.code == 2, (words, completed.err)

@@ -76,16 +76,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_an_input_file_keeps_its_bytes(folder: Path, line: str, name: str) -> None:
     files = [path for path in folder.rglob("*") if path.is_file()]
     before = {path: path.read_bytes() for path in files}
-    ran = gsgen_here(*line.split(), cwd=folder)
-    assert ran.code == 2, ran
-    assert f"{name}: is also an input file, which would be overwritten" in ran.err
+    completed = gsgen_here(*line.split(), cwd=folder)
+    assert completed.code == 2, completed
+    assert f"{name}: is also an input file, which would be overwritten" in completed.err
     assert {path for path in folder.rglob("*") if path.is_file()} == set(files)
     assert {path: path.read_bytes() for path in files} == before
 
 
 @pytest.mark.parametrize("output", ["page.ply", "page", "frames"])
 def test_page_output_requires_an_html_suffix(folder: Path, output: str) -> None:
-    ran = gsgen_here("export", "html", "src.ply", "-o", output, cwd=folder)
-    assert ran.code == 2
-    assert ("frames/page.html" if output == "frames" else "expected .html or .htm") in ran.err
+    completed = gsgen_here("export", "html", "src.ply", "-o", output, cwd=folder)
+    assert completed.code == 2
+    assert ("frames/page.html" if output == "frames" else "expected .html or .htm") in completed.err
     assert not (folder / output).is_file()

@@ -121,7 +121,7 @@ def test_crash_exits_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
         "end_header\n0 0 1 9 9 9\n"
     )
-    ran = gsgen_here("render", tmp_path / "dots.ply", "-o", tmp_path / "dots.png")
-    assert ran.code == 3
-    assert "ZeroDivisionError: by zero" in ran.err
-    assert ran.err.strip().splitlines()[-1].startswith("gsgen: internal error")
+    completed = gsgen_here("render", tmp_path / "dots.ply", "-o", tmp_path / "dots.png")
+    assert completed.code == 3
+    assert "ZeroDivisionError: by zero" in completed.err
+    assert completed.err.strip().splitlines()[-1].startswith("gsgen: internal error")

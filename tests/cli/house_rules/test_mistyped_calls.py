@@ -120,19 +120,25 @@ def answers(folder: Path) -> dict[str, Ran]:
 
 @pytest.mark.parametrize("line", LINES)
 def test_a_mistyped_call_ends_in_one_message(line: str, answers: dict[str, Ran]) -> None:
-    ran = answers[line]
-    assert ran.code in (2, 4), ran
-    assert ran.out == "" or "export [OPTIONS] TARGET" in ran.out  # a group alone prints its help
-    assert "Traceback" not in ran.err
-    assert "internal error" not in ran.err
-    messages = ran.err.count("gsgen: ") + ran.err.count("─ Error ─")
-    assert messages == (0 if ran.out else 1), ran.err
+    completed = answers[line]
+    assert completed.code in (2, 4), completed
+    assert (
+        completed.out == "" or "export [OPTIONS] TARGET" in completed.out
+    )  # a group alone prints its help
+    assert "Traceback" not in completed.err
+    assert "internal error" not in completed.err
+    messages = completed.err.count("gsgen: ") + completed.err.count("─ Error ─")
+    assert messages == (0 if completed.out else 1), completed.err
 
 
 def test_nine_of_ten_messages_suggest_a_fix(answers: dict[str, Ran]) -> None:
-    without = [line for line, ran in answers.items() if not WAY_ON.search(ran.err + ran.out)]
+    unhelpful_lines = [
+        line
+        for line, completed in answers.items()
+        if not WAY_ON.search(completed.err + completed.out)
+    ]
     assert len(answers) >= 60
-    assert len(without) <= len(answers) // 10, without
+    assert len(unhelpful_lines) <= len(answers) // 10, unhelpful_lines
 
 
 @pytest.mark.parametrize(
@@ -148,9 +154,9 @@ def test_nine_of_ten_messages_suggest_a_fix(answers: dict[str, Ran]) -> None:
     ],
 )
 def test_the_call_that_was_meant_is_printed(folder: Path, line: str, hint: str) -> None:
-    ran = gsgen_here(*shlex.split(line), cwd=folder)
-    assert ran.code == 2
-    assert hint in ran.err
+    completed = gsgen_here(*shlex.split(line), cwd=folder)
+    assert completed.code == 2
+    assert hint in completed.err
 
 
 def test_no_mistyped_call_writes_a_file(folder: Path, answers: dict[str, Ran]) -> None:

@@ -39,57 +39,63 @@ def test_outputs_do_not_overwrite_inputs(logits: Path, words: tuple[str, ...]) -
     head += "".join(f"property float {name}\n" for name in names)
     Path("splats.ply").write_text(f"{head}end_header\n0 0 0 1 1 1\n", encoding="utf-8")
     before = {path: path.read_bytes() for path in Path().iterdir()}
-    ran = gsgen_here(*(str(logits) if word == "MODEL" else word for word in words))
-    assert ran.code == 2
-    assert "would be overwritten" in ran.err or "the output is not a model" in ran.err
+    completed = gsgen_here(*(str(logits) if word == "MODEL" else word for word in words))
+    assert completed.code == 2
+    assert "would be overwritten" in completed.err or "the output is not a model" in completed.err
     assert {path: path.read_bytes() for path in Path().iterdir()} == before
 
 
 def test_report_does_not_overwrite_a_model(logits: Path) -> None:
-    ran = gsgen_here("validate", logits, "-o", "copy.onnx")
-    assert ran.code == 2
-    assert ran.err == (
+    completed = gsgen_here("validate", logits, "-o", "copy.onnx")
+    assert completed.code == 2
+    assert completed.err == (
         "gsgen: copy.onnx: ends in .onnx, but the output is not a model\n"
         "  Name another file, such as copy.txt.\n"
     )
 
 
 def test_a_file_is_no_folder_for_dumps(logits: Path) -> None:
-    ran = gsgen_here("conformance", logits, "--dump", logits)
-    assert (ran.code, ran.err) == (2, f"gsgen: {logits}: is a file, expected a folder\n")
+    completed = gsgen_here("conformance", logits, "--dump", logits)
+    assert (completed.code, completed.err) == (
+        2,
+        f"gsgen: {logits}: is a file, expected a folder\n",
+    )
 
 
 @pytest.mark.parametrize("command", ["validate", "conformance"])
 def test_json_is_an_option_of_every_command_that_reports(command: str, logits: Path) -> None:
-    short = gsgen_here(command, logits, "--level", "static", "--json")
+    short_json = gsgen_here(command, logits, "--level", "static", "--json")
     long = gsgen_here(command, logits, "--level", "static", "--format", "json")
-    assert short.code == long.code == 0
-    assert json.loads(short.out).keys() == json.loads(long.out).keys()
+    assert short_json.code == long.code == 0
+    assert json.loads(short_json.out).keys() == json.loads(long.out).keys()
 
 
 def test_numbers_are_numbers_in_json(logits: Path, good: Path) -> None:
-    ran = gsgen_here("diff", good, good, "--json")
-    assert {entry["largest"] for entry in json.loads(ran.out)["outputs"]} == {0.0}
+    completed = gsgen_here("diff", good, good, "--json")
+    assert {entry["largest"] for entry in json.loads(completed.out)["outputs"]} == {0.0}
 
 
 def test_a_model_without_inputs_has_one_vector(logits: Path) -> None:
-    ran = gsgen_here("vectors", logits, "--count", "2")
-    assert (ran.code, "2 test vectors, but the model has only 1 probe\n" in ran.err) == (2, True)
+    completed = gsgen_here("vectors", logits, "--count", "2")
+    assert (
+        completed.code,
+        "2 test vectors, but the model has only 1 probe\n" in completed.err,
+    ) == (2, True)
     model = find("still_rgb").write(Path())
     assert gsgen_here("vectors", model).code == 0
     assert [path.name for path in Path("still_rgb-vectors").glob("test*")] == ["test_data_set_0"]
 
 
 def test_several_rules_are_explained() -> None:
-    ran = gsgen_here("explain", "GV003", "rows-finite")
-    assert ran.out.count("\n## How to repair it") == 2
+    completed = gsgen_here("explain", "GV003", "rows-finite")
+    assert completed.out.count("\n## How to repair it") == 2
 
 
 @pytest.mark.parametrize("words", [("help",), ("help", "validate")])
 def test_help_command_prints_help(words: tuple[str, ...]) -> None:
-    ran = gsgen_here(*words)
-    assert ran.code == 0
-    assert f"gsgen {' '.join(words[1:])}".strip() in ran.out
+    completed = gsgen_here(*words)
+    assert completed.code == 0
+    assert f"gsgen {' '.join(words[1:])}".strip() in completed.out
 
 
 def test_every_command_is_listed_once_in_its_panel() -> None:
@@ -116,8 +122,10 @@ def test_a_shell_completes_commands_and_options(words: str, expected: list[str])
     env = {"_GSGEN_COMPLETE": "complete_bash", "COMP_WORDS": words}
     env |= {"COMP_CWORD": str(words.count(" "))}
     program = Path(sys.executable).with_name("gsgen")  # the variable is named after the program
-    ran = subprocess.run(program, env=os.environ | env, capture_output=True, text=True, timeout=60)
-    assert (ran.returncode, ran.stdout.split()) == (0, expected), ran.stderr
+    completed = subprocess.run(
+        program, env=os.environ | env, capture_output=True, text=True, timeout=60
+    )
+    assert (completed.returncode, completed.stdout.split()) == (0, expected), completed.stderr
 
 
 @pytest.mark.parametrize(
@@ -137,19 +145,19 @@ def test_a_missing_splat_file_gets_the_nearest_name(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "garden.ply").touch()
     for words in (("convert", "gardn.ply", "x.spz"), ("render", "gardn.ply", "-o", "x.png")):
-        ran = gsgen_here(*words)
-        assert ran.code == 4
-        assert ran.err.count("Did you mean 'garden.ply'?") == 1, ran.err
+        completed = gsgen_here(*words)
+        assert completed.code == 4
+        assert completed.err.count("Did you mean 'garden.ply'?") == 1, completed.err
 
 
 def test_python_m_gsgen_is_gsgen() -> None:
     words = [sys.executable, "-m", "gsgen", "--version"]
-    ran = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert (ran.returncode, ran.stdout) == (0, gsgen("--version").out)
+    completed = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (completed.returncode, completed.stdout) == (0, gsgen("--version").out)
 
 
 @pytest.mark.parametrize(
-    ("content", "visited"),
+    ("content", "visited_cameras"),
     [
         (b"# Models\n\nare \xc3\xa4 here\n", "text"),
         (b"\x10\x00\x00\x00\x00\x00\x00\x00{}        ", "weights in safetensors"),
@@ -157,17 +165,19 @@ def test_python_m_gsgen_is_gsgen() -> None:
         (b"\x80\x05\x95\x00\x00", "a pickle"),
     ],
 )
-def test_a_file_of_another_kind_is_named(content: bytes, visited: str, tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_named(
+    content: bytes, visited_cameras: str, tmp_path: Path
+) -> None:
     path = tmp_path / "some.onnx"
     path.write_bytes(content)
-    ran = gsgen_here("validate", path)
-    assert ran.code == 4
-    assert f"some.onnx: is not an ONNX model but {visited}" in ran.err
+    completed = gsgen_here("validate", path)
+    assert completed.code == 4
+    assert f"some.onnx: is not an ONNX model but {visited_cameras}" in completed.err
 
 
 def test_mistyped_rule_suggests_the_nearest_rule(logits: Path) -> None:
-    ran = gsgen_here("validate", logits, "--severity", "GV003")
-    assert "Write it as GV003=error." in ran.err
+    completed = gsgen_here("validate", logits, "--severity", "GV003")
+    assert "Write it as GV003=error." in completed.err
 
 
 def test_a_dry_run_may_be_added_to_any_command_line(good: Path, tmp_path: Path) -> None:
@@ -180,8 +190,8 @@ def test_a_dry_run_may_be_added_to_any_command_line(good: Path, tmp_path: Path) 
 
 
 def test_folder_of_models_lists_its_models(logits: Path) -> None:
-    ran = gsgen_here("inspect", Path())
-    assert (ran.code, ran.err) == (
+    completed = gsgen_here("inspect", Path())
+    assert (completed.code, completed.err) == (
         4,
         "gsgen: .: is a folder, expected an ONNX file\n"
         "  It holds 1: name opacity_is_logits.onnx, or ./*.onnx.\n",
@@ -196,16 +206,16 @@ def test_a_folder_of_models_is_validated(logits: Path) -> None:
 
 def test_setting_outside_its_table_names_the_table(logits: Path) -> None:
     Path("gsgen.toml").write_text('target = "webgpu"\n', encoding="utf-8")
-    ran = gsgen_here("validate", logits)
-    assert ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
+    completed = gsgen_here("validate", logits)
+    assert completed.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
 
 
 def test_suggested_commands_can_be_pasted(logits: Path, tmp_path: Path) -> None:
     folder = tmp_path / "my models"
     folder.mkdir()
     model = find("still_rgb").write(folder)
-    ran = gsgen_here("vectors", model, cwd=tmp_path)
-    assert f"`gsgen validate '{folder}/still_rgb-vectors/model.onnx'` runs them" in ran.out
+    completed = gsgen_here("vectors", model, cwd=tmp_path)
+    assert f"`gsgen validate '{folder}/still_rgb-vectors/model.onnx'` runs them" in completed.out
     unlabelled = find("no_manifest").write(folder)
     assert (
         f"`gsgen inspect '{unlabelled}' --emit-manifest`" in gsgen_here("vectors", unlabelled).err
@@ -221,5 +231,5 @@ def test_rules_are_found_by_family_and_word() -> None:
         for entry in cells
     )
     assert len(gsgen_here("rules", "gv").out) < len(all_entries) / 2
-    ran = gsgen_here("rules", "opacty-range")
-    assert (ran.code, "Did you mean 'opacity-range'?" in ran.err) == (2, True)
+    completed = gsgen_here("rules", "opacty-range")
+    assert (completed.code, "Did you mean 'opacity-range'?" in completed.err) == (2, True)

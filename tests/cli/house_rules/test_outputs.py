@@ -55,10 +55,10 @@ class FullDisk(tempfile.TemporaryDirectory[str]):
 
 def trouble(name: str, output: str) -> tuple[int, list[str]]:
     before, suffix, after, _ = WRITING[name]
-    ran = gsgen_here(*before, f"{output}{suffix}", *after)
-    return ran.code, [
-        line for line in ran.err.splitlines() if line.startswith("gsgen: ")
-    ] if "Traceback" not in ran.err else [ran.err]
+    completed = gsgen_here(*before, f"{output}{suffix}", *after)
+    return completed.code, [
+        line for line in completed.err.splitlines() if line.startswith("gsgen: ")
+    ] if "Traceback" not in completed.err else [completed.err]
 
 
 @pytest.mark.parametrize("name", WRITING)

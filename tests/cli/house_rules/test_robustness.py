@@ -144,15 +144,15 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_hostile_file_ends_in_a_clear_message(judge: Judge, name: str) -> None:
-    path, ran = judge(name)
-    words = ran.out + ran.err
-    assert ran.code in (1, 4), words
+    path, completed = judge(name)
+    words = completed.out + completed.err
+    assert completed.code in (1, 4), words
     assert "Traceback" not in words
     assert "internal" not in words
     assert str(path) in words
     assert len(words) < 20_000
-    assert ran.seconds < SECONDS
-    assert ran.peak_bytes < BYTES
+    assert completed.seconds < SECONDS
+    assert completed.peak_bytes < BYTES
 
 
 @pytest.mark.parametrize(
@@ -171,9 +171,9 @@ def test_a_hostile_file_ends_in_a_clear_message(judge: Judge, name: str) -> None
     ],
 )
 def test_hostile_file_message_names_the_fault(judge: Judge, name: str, rule: str) -> None:
-    _, ran = judge(name)
-    assert ran.code == 1
-    assert f"{rule} error" in ran.out
+    _, completed = judge(name)
+    assert completed.code == 1
+    assert f"{rule} error" in completed.out
 
 
 @pytest.mark.parametrize(
@@ -188,13 +188,13 @@ def test_hostile_file_message_names_the_fault(judge: Judge, name: str, rule: str
     ],
 )
 def test_non_model_file_is_named(judge: Judge, name: str, words: str) -> None:
-    _, ran = judge(name)
-    assert ran.code == 4
-    assert words in ran.err
+    _, completed = judge(name)
+    assert completed.code == 4
+    assert words in completed.err
 
 
 def test_a_missing_file_and_a_folder_are_no_models(tmp_path: Path) -> None:
     for path, code in ((tmp_path / "none.onnx", 4), (tmp_path, 2)):
-        ran = gsgen_here("validate", path)
-        assert ran.code == code
-        assert str(path) in ran.err
+        completed = gsgen_here("validate", path)
+        assert completed.code == code
+        assert str(path) in completed.err

@@ -72,8 +72,8 @@ finally:
 
 def modules_of(*words: str) -> set[str]:
     command = [sys.executable, "-c", MODULES, *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return set(done.stderr.splitlines()[-1].split())
+    completed = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(completed.stderr.splitlines()[-1].split())
 
 
 def modules_of_gsgen(*words: str) -> set[str]:

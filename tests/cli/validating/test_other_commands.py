@@ -10,16 +10,16 @@ from support.commands import ROOT, gsgen, gsgen_here
 
 
 def test_help_lists_every_command() -> None:
-    ran = gsgen("--help")
-    assert ran.code == 0
+    completed = gsgen("--help")
+    assert completed.code == 0
     for name in ("validate", "inspect", "explain", "rules", "doctor", "export"):
-        assert name in ran.out
+        assert name in completed.out
 
 
 def test_version_is_the_distribution_s() -> None:
-    ran = gsgen("--version")
-    assert ran.code == 0
-    assert ran.out.startswith("gsgen 0.")
+    completed = gsgen("--version")
+    assert completed.code == 0
+    assert completed.out.startswith("gsgen 0.")
 
 
 def test_explain_takes_ids_and_names_in_any_case() -> None:
@@ -49,9 +49,9 @@ def test_published_rule_pages_are_current(tmp_path: Path) -> None:
 
 
 def test_inspect_prints_the_manifest_and_interface(good: Path) -> None:
-    ran = gsgen_here("inspect", good)
-    assert ran.code == 0
-    assert "output  gaussians: float32 [40, 10]" in ran.out
+    completed = gsgen_here("inspect", good)
+    assert completed.code == 0
+    assert "output  gaussians: float32 [40, 10]" in completed.out
     facts = json.loads(gsgen_here("inspect", good, "--json").out)
     assert facts["manifest"]["outputs"]["gaussians"]["capacity"] == 40
 
@@ -65,10 +65,10 @@ def test_inspect_derives_a_manifest_that_validates(good: Path, tmp_path: Path) -
     model = onnx.load(good)
     del model.metadata_props[:]
     onnx.save(model, good)
-    ran = gsgen_here("inspect", good, "--emit-manifest")
-    assert ran.code == 0
-    assert "Confirm:" in ran.err
-    write_manifest(good, loads(ran.out), tmp_path / "with.onnx")
+    completed = gsgen_here("inspect", good, "--emit-manifest")
+    assert completed.code == 0
+    assert "Confirm:" in completed.err
+    write_manifest(good, loads(completed.out), tmp_path / "with.onnx")
     assert gsgen_here("validate", tmp_path / "with.onnx").code == 0
 
 
@@ -84,20 +84,20 @@ def test_inspect_of_no_model_exits_4(tmp_path: Path) -> None:
 
 def test_doctor_finds_the_software_driver_that_tests_need() -> None:
     """A missing driver fails here, and is not skipped: `make drivers` installs it."""
-    ran = gsgen_here("doctor", "--json")
-    rooms = json.loads(ran.out)
+    completed = gsgen_here("doctor", "--json")
+    rooms = json.loads(completed.out)
     adapters = [c for c in rooms["runtime"] if c["name"] == "adapter" and c["state"] == "ok"]
     vulkan = [c["detail"] for c in adapters if "Vulkan" in c["detail"]]
     assert vulkan, f"no Vulkan adapter: {rooms['runtime']}"
-    assert ran.code == 0
+    assert completed.code == 0
 
 
 def test_doctor_names_the_command_that_repairs(tmp_path: Path) -> None:
-    ran = gsgen_here(
+    completed = gsgen_here(
         "doctor", env={"VK_DRIVER_FILES": str(tmp_path / "none.json"), "WGPU_BACKEND": "Vulkan"}
     )
-    assert "contract" in ran.out
-    assert "sandbox" in ran.out
+    assert "contract" in completed.out
+    assert "sandbox" in completed.out
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float16"])
@@ -111,8 +111,8 @@ def test_export_static_passes_packed_rows_through(tmp_path: Path, dtype: str) ->
     packed[:, [4, 7, 9]] = 0.01
     color = rng.normal(size=(9, 48)).astype(dtype) * np.asarray(0.1, dtype)
     np.savez(tmp_path / "rows.npz", gaussians=packed, appearance=color)
-    ran = gsgen_here("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
-    assert ran.code == 0, ran.err
+    completed = gsgen_here("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
+    assert completed.code == 0, completed.err
     session = onnxruntime.InferenceSession(tmp_path / "m.onnx")
     gaussians, appearance, count = session.run(["gaussians", "color_sh", "num_points"], {})
     assert gaussians.dtype == packed.dtype
@@ -124,9 +124,9 @@ def test_export_static_passes_packed_rows_through(tmp_path: Path, dtype: str) ->
 def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> None:
     packed = np.full((4, 10), np.nan, np.float32)
     np.savez(tmp_path / "rows.npz", gaussians=packed, appearance=np.zeros((4, 3), np.float32))
-    ran = gsgen_here("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
-    assert "does NOT conform" in ran.out
-    assert "GV001" in ran.out
+    completed = gsgen_here("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
+    assert "does NOT conform" in completed.out
+    assert "GV001" in completed.out
     assert gsgen_here("validate", tmp_path / "m.onnx").code == 1
 
 
@@ -145,10 +145,10 @@ def test_export_static_of_a_bad_file_exits_4_and_writes_nothing(
     path = tmp_path / "in.ply"
     if content is not None:
         path.write_bytes(content)
-    ran = gsgen_here("export", "static", path, "-o", tmp_path / "m.onnx")
-    assert ran.code == 4
-    assert words in ran.err
-    assert "Traceback" not in ran.err
+    completed = gsgen_here("export", "static", path, "-o", tmp_path / "m.onnx")
+    assert completed.code == 4
+    assert words in completed.err
+    assert "Traceback" not in completed.err
     assert {entry.name for entry in tmp_path.iterdir()} <= {"in.ply"}
 
 
@@ -157,11 +157,11 @@ def test_export_static_takes_the_options_of_every_export(tmp_path: Path) -> None
     rows[:, 3], rows[:, [4, 7, 9]] = 0.5, 0.01
     np.savez(tmp_path / "rows.npz", gaussians=rows, appearance=np.zeros((4, 48), "f4"))
     words = ("--opset", "17", "--target", "visionary", "--no-rewrite", "--capacity", "256")
-    ran = gsgen(
+    completed = gsgen(
         *("export", "static", "rows.npz", "-o", "m.onnx", "--report", "r.json", *words),
         cwd=tmp_path,
     )
-    assert ran.code == 0, ran.err
+    assert completed.code == 0, completed.err
     document = json.loads((tmp_path / "r.json").read_text())
     assert (document["schema"], document["source"]) == ("gsgen-export/1", "static")
     assert (document["written"], document["options"]["opset"]) == (True, 17)

@@ -71,9 +71,9 @@ def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None
     source = find("drift").write(tmp_path)
     before = source.read_bytes()
     copy = tmp_path / "promised" / "drift.onnx"
-    ran = gsgen_here("references", source, "-o", copy, "--width", str(WIDTH))
-    assert ran.code == 0, ran.err
-    assert f"gsgen validate {copy} --level render" in ran.out
+    completed = gsgen_here("references", source, "-o", copy, "--width", str(WIDTH))
+    assert completed.code == 0, completed.err
+    assert f"gsgen validate {copy} --level render" in completed.out
     assert source.read_bytes() == before
     folder = copy.with_name("drift-references")
     assert sorted(entry.name for entry in folder.iterdir()) == ["0.png", "1.png", "2.png"]
@@ -91,19 +91,19 @@ def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None
     weight.CopyFrom(onnx.numpy_helper.from_array(result, "center"))
     onnx.save(model, copy)
     words = ("validate", copy, "--level", "render", "--fail-on", "warning")
-    ran = gsgen_here(*words)
-    assert ran.code == 1
-    assert "GB021" in ran.out
-    assert "dB" in ran.out
+    completed = gsgen_here(*words)
+    assert completed.code == 1
+    assert "GB021" in completed.out
+    assert "dB" in completed.out
 
     # What was meant to change is recorded anew, in place.
     second_run = ("references", copy, "-o", copy, "--width", str(WIDTH), "--count", "1")
     refused = gsgen_here(*second_run)
     assert refused.code == 2
     assert "the folder already holds 0.png" in refused.err
-    ran = gsgen_here(*second_run, "--force", "--json")
-    assert ran.code == 0, ran.err
-    assert len(json.loads(ran.out)["reference_images"]) == 1
+    completed = gsgen_here(*second_run, "--force", "--json")
+    assert completed.code == 0, completed.err
+    assert len(json.loads(completed.out)["reference_images"]) == 1
     assert [entry.name for entry in folder.iterdir()] == ["0.png"]
 
 
@@ -156,12 +156,12 @@ def test_count_out_of_range_is_refused_and_the_maximum_is_valid(
     source = find("drift").write(tmp_path)
     with pytest.raises(ConfigInvalid, match="--count: is 17, expected from 1 to 8"):
         record_references(source, tmp_path / "a.onnx", count=17, renderer=renderer)
-    few = replace(RENDER, seed=3)
+    few_settings = replace(RENDER, seed=3)
     result = record_references(
-        source, tmp_path / "a.onnx", count=8, width=16, settings=few, renderer=renderer
+        source, tmp_path / "a.onnx", count=8, width=16, settings=few_settings, renderer=renderer
     )
     assert len(result.images) == 8
-    report = validate(result.model, few)
+    report = validate(result.model, few_settings)
     assert report.outcome("GB021").status == "pass"
     for words in (("--count", "0"), ("--width", "5000"), ("--psnr", "0")):
         assert gsgen_here("references", source, "-o", tmp_path / "b.onnx", *words).code == 2

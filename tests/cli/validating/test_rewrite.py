@@ -12,22 +12,22 @@ def test_a_model_is_rewritten_and_validates_for_the_viewer(tmp_path: Path) -> No
     path, result = find("largest_of_two_on_jsep").write(tmp_path), tmp_path / "made.onnx"
     before = gsgen_here("validate", path, "--target", "visionary", "--level", "static")
     assert "GG006" in before.out
-    ran = gsgen_here("rewrite", path, "-o", result, "--target", "visionary")
-    assert ran.code == 0, ran.err
-    assert "select-extremes: 1× " in ran.out
-    assert ran.err == ""
+    completed = gsgen_here("rewrite", path, "-o", result, "--target", "visionary")
+    assert completed.code == 0, completed.err
+    assert "select-extremes: 1× " in completed.out
+    assert completed.err == ""
     after = gsgen_here("validate", result, "--target", "visionary", "--level", "static")
     assert "GG006" not in after.out
 
 
 def test_mistake_is_reported_without_a_traceback(tmp_path: Path) -> None:
     path = find("drift").write(tmp_path)
-    ran = gsgen_here("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
-    assert ran.code == 2
-    assert "Did you mean 'chunk-concat'?" in ran.err
+    completed = gsgen_here("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
+    assert completed.code == 2
+    assert "Did you mean 'chunk-concat'?" in completed.err
     resolved = gsgen_here("rewrite", tmp_path / "gone.onnx", "--dry-run")
     assert resolved.code == 4
-    assert "Traceback" not in ran.err + resolved.err
+    assert "Traceback" not in completed.err + resolved.err
 
 
 def test_rewriting_needs_no_torch() -> None:

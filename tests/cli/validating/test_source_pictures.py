@@ -74,9 +74,9 @@ def judged(path: Path) -> tuple[str, int]:
 
 
 def test_pictures_of_the_training_code_are_declared_and_compared(trained: Path) -> None:
-    ran = recorded(trained, "--json")
-    assert ran.code == 0, ran.err
-    document = json.loads(ran.out)
+    completed = recorded(trained, "--json")
+    assert completed.code == 0, completed.err
+    document = json.loads(completed.out)
     images = loads(open_model(trained / "copy.onnx").manifest_text).reference_images
     assert [image.from_ for image in images] == ["source"] * 3
     assert [entry["from"] for entry in document["reference_images"]] == ["source"] * 3
@@ -89,9 +89,9 @@ def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> Non
     spec = find("still_sh1").draw()
     colors = spec.weights["colors"].reshape(-1, 4, 3)[..., ::-1].reshape(-1, 12)
     spec.weighing(colors=np.ascontiguousarray(colors)).write(trained / "still_sh1.onnx")
-    ran = recorded(trained)
-    assert ran.code == 0, ran.err
-    assert "less than the declared 35" in ran.out
+    completed = recorded(trained)
+    assert completed.code == 0, completed.err
+    assert "less than the declared 35" in completed.out
     status, count = judged(trained / "copy.onnx")
     assert (status, count > 0) == ("fail", True)
     own = gsgen_here(
@@ -104,10 +104,10 @@ def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> Non
 def test_pictures_are_laid_over_black_and_scale_their_cameras(trained: Path) -> None:
     for path in (trained / "renders").iterdir():
         with Image.open(path) as image:
-            large = image.resize((192, 128)).convert("RGBA")
-        large.save(path)
-    ran = recorded(trained)
-    assert ran.code == 0, ran.err
+            large_picture = image.resize((192, 128)).convert("RGBA")
+        large_picture.save(path)
+    completed = recorded(trained)
+    assert completed.code == 0, completed.err
     images = loads(open_model(trained / "copy.onnx").manifest_text).reference_images
     assert images[0].center == (96.0, 64.0)
     with Image.open(trained / images[0].path) as image:
@@ -116,15 +116,15 @@ def test_pictures_are_laid_over_black_and_scale_their_cameras(trained: Path) -> 
 
 def test_pictures_without_a_camera_are_named_and_none_at_all_is_an_error(trained: Path) -> None:
     Image.new("RGB", (96, 64)).save(trained / "renders" / "other.png")
-    ran = recorded(trained, "--count", "2")
-    assert ran.code == 0
-    assert "no camera is named like other.png" in ran.err
+    completed = recorded(trained, "--count", "2")
+    assert completed.code == 0
+    assert "no camera is named like other.png" in completed.err
     assert len(loads(open_model(trained / "copy.onnx").manifest_text).reference_images) == 2
     for path in (trained / "renders").glob("view_*"):
         path.unlink()
-    ran = recorded(trained, "--force")
-    assert ran.code == 2
-    assert "holds 1 pictures, and none is named like a camera (view_0" in ran.err
+    completed = recorded(trained, "--force")
+    assert completed.code == 2
+    assert "holds 1 pictures, and none is named like a camera (view_0" in completed.err
 
 
 @pytest.mark.parametrize(
@@ -140,15 +140,15 @@ def test_pictures_without_a_camera_are_named_and_none_at_all_is_an_error(trained
 )
 def test_wrong_options_are_named(trained: Path, options: tuple[str, ...], words: str) -> None:
     model = trained / "still_sh1.onnx"
-    ran = gsgen_here("references", model, "-o", trained / "c.onnx", *options, cwd=trained)
-    assert ran.code in (2, 4)
-    assert words in ran.err
+    completed = gsgen_here("references", model, "-o", trained / "c.onnx", *options, cwd=trained)
+    assert completed.code in (2, 4)
+    assert words in completed.err
     assert not (trained / "c.onnx").exists()
 
 
 def test_a_model_of_the_camera_is_refused(trained: Path) -> None:
     source = find("fade_column").write(trained)
     words = ("--from", trained / "renders", "--cameras", trained / "transforms.json")
-    ran = gsgen_here("references", source, "-o", trained / "c.onnx", *words)
-    assert ran.code == 2
-    assert "depends on the camera (view)" in ran.err
+    completed = gsgen_here("references", source, "-o", trained / "c.onnx", *words)
+    assert completed.code == 2
+    assert "depends on the camera (view)" in completed.err

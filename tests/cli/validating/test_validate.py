@@ -7,24 +7,24 @@ from support.commands import gsgen, gsgen_here
 
 
 def test_a_good_model_conforms(good: Path) -> None:
-    ran = gsgen("validate", good)
-    assert ran.code == 0
-    assert "conforms: " in ran.out
-    assert ran.err == ""
+    completed = gsgen("validate", good)
+    assert completed.code == 0
+    assert "conforms: " in completed.out
+    assert completed.err == ""
 
 
 def test_broken_model_exits_1_with_location_and_hint(nan: Path) -> None:
-    ran = gsgen_here("validate", nan)
-    assert ran.code == 1
-    assert "GV001 error rows-finite" in ran.out
-    assert "output gaussians: 1 of 40 rows (2.5 %), first row 7" in ran.out
-    assert "hint: " in ran.out
-    assert "Traceback" not in ran.out + ran.err
+    completed = gsgen_here("validate", nan)
+    assert completed.code == 1
+    assert "GV001 error rows-finite" in completed.out
+    assert "output gaussians: 1 of 40 rows (2.5 %), first row 7" in completed.out
+    assert "hint: " in completed.out
+    assert "Traceback" not in completed.out + completed.err
 
 
 def test_json_has_the_same_verdict(nan: Path) -> None:
-    ran = gsgen_here("validate", nan, "--format", "json")
-    document = json.loads(ran.out)
+    completed = gsgen_here("validate", nan, "--format", "json")
+    document = json.loads(completed.out)
     assert document["verdict"] == "invalid"
     assert [finding["rule"] for finding in document["findings"]] == ["GV001"]
     assert document["findings"][0]["stats"]["examples"][0]["row"] == 7
@@ -35,17 +35,17 @@ def test_json_has_the_same_verdict(nan: Path) -> None:
 def test_output_goes_to_a_file_whole(nan: Path, tmp_path: Path) -> None:
     target = tmp_path / "reports" / "report.json"
     target.parent.mkdir()
-    ran = gsgen_here("validate", nan, "--format", "json", "-o", target)
-    assert ran.code == 1
-    assert ran.out == ""
+    completed = gsgen_here("validate", nan, "--format", "json", "-o", target)
+    assert completed.code == 1
+    assert completed.out == ""
     assert json.loads(target.read_text())["verdict"] == "invalid"
     assert [path.name for path in target.parent.iterdir()] == ["report.json"]
 
 
 def test_several_models_give_several_reports(good: Path, nan: Path) -> None:
-    ran = gsgen_here("validate", good, nan, "--format", "json")
-    assert ran.code == 1
-    assert [r["verdict"] for r in json.loads(ran.out)["reports"]] == ["conforms", "invalid"]
+    completed = gsgen_here("validate", good, nan, "--format", "json")
+    assert completed.code == 1
+    assert [r["verdict"] for r in json.loads(completed.out)["reports"]] == ["conforms", "invalid"]
 
 
 def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
@@ -53,10 +53,10 @@ def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
 ) -> None:
     empty = tmp_path / "empty.onnx"
     empty.touch()
-    ran = gsgen_here("validate", empty, good)
-    assert ran.code == 4
-    assert f"gsgen: {empty}: is empty" in ran.err
-    assert "conforms" in ran.out
+    completed = gsgen_here("validate", empty, good)
+    assert completed.code == 4
+    assert f"gsgen: {empty}: is empty" in completed.err
+    assert "conforms" in completed.out
 
 
 @pytest.mark.parametrize(
@@ -94,16 +94,16 @@ def test_fail_on_sets_the_failing_severity(dim: Path, options: tuple[str, ...], 
 def test_a_wrong_option_exits_2_and_names_itself(
     good: Path, options: tuple[str, ...], words: str
 ) -> None:
-    ran = gsgen_here("validate", good, *options)
-    assert ran.code == 2
-    assert words in ran.err
-    assert "Traceback" not in ran.err
+    completed = gsgen_here("validate", good, *options)
+    assert completed.code == 2
+    assert words in completed.err
+    assert "Traceback" not in completed.err
 
 
 def test_an_unknown_command_names_the_nearest() -> None:
-    ran = gsgen_here("validat")
-    assert ran.code == 2
-    assert ran.err == "gsgen: unknown command 'validat'\n  Did you mean 'validate'?\n"
+    completed = gsgen_here("validat")
+    assert completed.code == 2
+    assert completed.err == "gsgen: unknown command 'validat'\n  Did you mean 'validate'?\n"
 
 
 def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Path) -> None:
@@ -111,18 +111,18 @@ def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Pat
     assert gsgen_here("validate", dim, cwd=dim.parent).code == 1
     assert gsgen_here("validate", dim, "--fail-on", "error", cwd=dim.parent).code == 0
     (dim.parent / "gsgen.toml").write_text('[validate]\nfail-on = "warning"\n')
-    ran = gsgen_here("validate", dim, cwd=dim.parent)
-    assert ran.code == 2
-    assert "unknown key 'fail-on'" in ran.err
-    assert "'fail_on'" in ran.err
+    completed = gsgen_here("validate", dim, cwd=dim.parent)
+    assert completed.code == 2
+    assert "unknown key 'fail-on'" in completed.err
+    assert "'fail_on'" in completed.err
 
 
 def test_levels_that_cannot_run_are_named_and_do_not_pass_in_silence(good: Path) -> None:
     none = {"WGPUPY_WGPU_ADAPTER_NAME": "an adapter that is not here"}
-    ran = gsgen_here("validate", good, "--level", "render", env=none)
-    assert ran.code == 0
-    assert "level render did not run" in ran.out
-    assert "no graphics adapter" in ran.out
+    completed = gsgen_here("validate", good, "--level", "render", env=none)
+    assert completed.code == 0
+    assert "level render did not run" in completed.out
+    assert "no graphics adapter" in completed.out
 
 
 def test_a_model_without_manifest_is_judged_all_the_same(good: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_model_without_manifest_is_judged_all_the_same(good: Path) -> None:
     model = onnx.load(good)
     del model.metadata_props[:]
     onnx.save(model, good)
-    ran = gsgen_here("validate", good)
-    assert ran.code == 1
-    assert "GM001 error manifest-present" in ran.out
-    assert "GV003" not in ran.out  # values are judged by what is inferred, and hold
+    completed = gsgen_here("validate", good)
+    assert completed.code == 1
+    assert "GM001 error manifest-present" in completed.out
+    assert "GV003" not in completed.out  # values are judged by what is inferred, and hold

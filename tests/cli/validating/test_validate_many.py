@@ -18,42 +18,42 @@ def folder(good: Path, nan: Path, tmp_path: Path) -> Path:
     return root
 
 
-def subjects(ran) -> list[str]:
-    document = json.loads(ran.out)
+def subjects(completed) -> list[str]:
+    document = json.loads(completed.out)
     reports = document.get("reports", [document])
     return [report["subject"]["uri"] for report in reports]
 
 
 def test_a_folder_is_every_visible_model_in_it(folder: Path) -> None:
-    ran = gsgen_here("validate", folder, "--level", "static", "--format", "json")
-    assert subjects(ran) == [str(folder / "a.onnx"), str(folder / "deep" / "b.onnx")]
+    completed = gsgen_here("validate", folder, "--level", "static", "--format", "json")
+    assert subjects(completed) == [str(folder / "a.onnx"), str(folder / "deep" / "b.onnx")]
 
 
 def test_a_glob_that_the_shell_left_is_expanded_and_no_file_is_validated_twice(
     folder: Path,
 ) -> None:
     words = (f"{folder}/**/*.onnx", folder / "a.onnx", "--level", "static", "--format", "json")
-    ran = gsgen_here("validate", *words)
-    assert subjects(ran) == [str(folder / "a.onnx"), str(folder / "deep" / "b.onnx")]
+    completed = gsgen_here("validate", *words)
+    assert subjects(completed) == [str(folder / "a.onnx"), str(folder / "deep" / "b.onnx")]
 
 
 def test_a_file_whose_name_looks_like_a_glob_is_that_file(folder: Path) -> None:
     odd = folder / "a[1].onnx"
     shutil.copy(folder / "a.onnx", odd)
-    ran = gsgen_here("validate", odd, "--level", "static", "--format", "json")
-    assert subjects(ran) == [str(odd)]
+    completed = gsgen_here("validate", odd, "--level", "static", "--format", "json")
+    assert subjects(completed) == [str(odd)]
 
 
 def test_no_match_is_an_error_not_a_pass(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    ran = gsgen_here("validate", f"{folder}/*.ort")
-    assert (ran.code, ran.err.split("\n")[0]) == (
+    completed = gsgen_here("validate", f"{folder}/*.ort")
+    assert (completed.code, completed.err.split("\n")[0]) == (
         2,
         f"gsgen: {folder}/*.ort: the pattern matches no file",
     )
-    ran = gsgen_here("validate", tmp_path / "empty")
-    assert ran.code == 2
-    assert "the folder holds no ONNX model" in ran.err
+    completed = gsgen_here("validate", tmp_path / "empty")
+    assert completed.code == 2
+    assert "the folder holds no ONNX model" in completed.err
 
 
 def test_several_jobs_give_the_report_of_one(folder: Path) -> None:
@@ -68,9 +68,9 @@ def test_several_jobs_give_the_report_of_one(folder: Path) -> None:
 
 @pytest.mark.parametrize("jobs", ["0", "-1"])
 def test_fewer_than_one_job_are_refused(folder: Path, jobs: str) -> None:
-    ran = gsgen_here("validate", folder, "--jobs", jobs)
-    assert ran.code == 2
-    assert "--jobs" in ran.err
+    completed = gsgen_here("validate", folder, "--jobs", jobs)
+    assert completed.code == 2
+    assert "--jobs" in completed.err
 
 
 def test_two_runs_give_equal_reports_and_times_only_where_asked(nan: Path) -> None:
@@ -86,9 +86,9 @@ def test_two_runs_give_equal_reports_and_times_only_where_asked(nan: Path) -> No
 
 
 def test_only_checks_a_rule_and_what_it_needs(nan: Path, dim: Path) -> None:
-    ran = gsgen_here("validate", dim, "--only", "GV003", "--fail-on", "warning", "--json")
-    document = json.loads(ran.out)
-    assert (ran.code, document["verdict"]) == (0, "conforms")
+    completed = gsgen_here("validate", dim, "--only", "GV003", "--fail-on", "warning", "--json")
+    document = json.loads(completed.out)
+    assert (completed.code, document["verdict"]) == (0, "conforms")
     checked = {rule["id"] for rule in document["rules"]}
     assert {"GV003", "GV025", "GM002"} <= checked
     assert "GV004" not in checked  # which this model breaks
@@ -98,10 +98,10 @@ def test_only_checks_a_rule_and_what_it_needs(nan: Path, dim: Path) -> None:
 def test_a_required_rule_that_was_not_checked_fails_and_says_why(good: Path) -> None:
     words = ("validate", good, "--level", "static", "--require-rules")
     assert gsgen_here(*words, "GM002,GO001").code == 0
-    ran = gsgen_here(*words, "GM002,GV003")
-    assert ran.code == 1
-    assert "GV003 required, but skipped: opacity-range" in ran.out
-    assert "level values was not requested" in ran.out
+    completed = gsgen_here(*words, "GM002,GV003")
+    assert completed.code == 1
+    assert "GV003 required, but skipped: opacity-range" in completed.out
+    assert "level values was not requested" in completed.out
     document = json.loads(gsgen_here(*words, "GV003", "--json").out)
     reason = "level values was not requested"
     assert document["unchecked"] == [{"rule": "GV003", "status": "skipped", "reason": reason}]
@@ -112,15 +112,15 @@ def test_a_required_rule_that_was_not_checked_fails_and_says_why(good: Path) -> 
 
 
 def test_a_required_rule_outside_of_only_is_a_contradiction(good: Path) -> None:
-    ran = gsgen_here("validate", good, "--only", "GV003", "--require-rules", "GB011")
-    assert ran.code == 2
-    assert "GB011 is required, but not among the rules to check" in ran.err
+    completed = gsgen_here("validate", good, "--only", "GV003", "--require-rules", "GB011")
+    assert completed.code == 2
+    assert "GB011 is required, but not among the rules to check" in completed.err
 
 
 def test_an_output_in_an_unknown_folder_is_refused_before_the_work(good: Path) -> None:
-    ran = gsgen_here("validate", good, "-o", good.parent / "nowhere" / "report.txt")
-    assert ran.code == 2
-    assert "the output is in a folder that does not exist" in ran.err
+    completed = gsgen_here("validate", good, "-o", good.parent / "nowhere" / "report.txt")
+    assert completed.code == 2
+    assert "the output is in a folder that does not exist" in completed.err
     assert not (good.parent / "nowhere").exists()
 
 
@@ -129,9 +129,9 @@ def test_a_project_file_holds_the_settings(dim: Path) -> None:
     project.write_text('[tool.gsgen.validate]\nfail_on = "warning"\n')
     assert gsgen_here("validate", dim, cwd=dim.parent).code == 1
     project.write_text('[tool.gsgen.validate]\nfail-on = "warning"\n')
-    ran = gsgen_here("validate", dim, cwd=dim.parent)
-    assert ran.code == 2
-    assert "pyproject.toml, tool.gsgen, validate: unknown key 'fail-on'" in ran.err
+    completed = gsgen_here("validate", dim, cwd=dim.parent)
+    assert completed.code == 2
+    assert "pyproject.toml, tool.gsgen, validate: unknown key 'fail-on'" in completed.err
     project.write_text('[project]\nname = "x"\n')
     assert gsgen_here("validate", dim, cwd=dim.parent).code == 0
     (dim.parent / "gsgen.toml").write_text('[validate]\nfail_on = "warning"\n')
@@ -141,9 +141,9 @@ def test_a_project_file_holds_the_settings(dim: Path) -> None:
 def test_the_settings_name_gates_and_the_documentation(good: Path) -> None:
     text = 'level = "static"\nrequire_rules = ["GV003"]\ndocs_url = "https://docs.example/en"\n'
     (good.parent / "gsgen.toml").write_text(f"[validate]\n{text}")
-    ran = gsgen_here("validate", good, "--format", "sarif", cwd=good.parent)
-    assert ran.code == 1
-    driver = json.loads(ran.out)["runs"][0]["tool"]["driver"]
+    completed = gsgen_here("validate", good, "--format", "sarif", cwd=good.parent)
+    assert completed.code == 1
+    driver = json.loads(completed.out)["runs"][0]["tool"]["driver"]
     assert [rule["id"] for rule in driver["rules"]] == ["GV003"]
     assert driver["rules"][0]["helpUri"] == "https://docs.example/en/rules/GV003/"
 

@@ -28,9 +28,9 @@ from support.commands import gsgen, gsgen_here
 
 def written(folder: Path, name: str, **declared: object) -> Path:
     """Write a fixture; ``declared`` replaces fields of its manifest."""
-    sketch: ModelSpec = find(name).draw()
+    spec: ModelSpec = find(name).draw()
     path = folder / f"{name}.onnx"
-    (sketch.declaring(**declared) if declared else sketch).write(path)
+    (spec.declaring(**declared) if declared else spec).write(path)
     return path
 
 
@@ -42,10 +42,10 @@ def told_of_vectors(path: Path, **settings: object) -> list[str]:
 
 def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -> None:
     source = written(tmp_path, "drift")
-    ran = gsgen("vectors", "drift.onnx", "--count", "4", cwd=tmp_path)
-    assert ran.code == 0, ran.err
+    completed = gsgen("vectors", "drift.onnx", "--count", "4", cwd=tmp_path)
+    assert completed.code == 0, completed.err
     result = tmp_path / "drift-vectors"
-    assert "drift-vectors/test_data_set_0: all inputs zero\n" in ran.out
+    assert "drift-vectors/test_data_set_0: all inputs zero\n" in completed.out
     assert sorted(path.name for path in result.iterdir()) == [
         "model.onnx",
         *(f"test_data_set_{index}" for index in range(4)),
@@ -65,12 +65,14 @@ def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -
     changed[3, 1] += 1e-3
     speed.CopyFrom(onnx.numpy_helper.from_array(changed, "speed"))
     onnx.save(model, result / "changed.onnx")
-    invalid = gsgen_here("validate", "changed.onnx", cwd=result)
-    assert invalid.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
-    assert invalid.out.count("    manifest test_vectors") == 3
-    assert "manifest test_vectors.0" not in invalid.out  # while time is zero, speed is not felt
+    failed_validation = gsgen_here("validate", "changed.onnx", cwd=result)
+    assert failed_validation.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
+    assert failed_validation.out.count("    manifest test_vectors") == 3
+    assert (
+        "manifest test_vectors.0" not in failed_validation.out
+    )  # while time is zero, speed is not felt
     for index in (1, 2, 3):
-        assert f"manifest test_vectors.{index}: sha256" in invalid.out
+        assert f"manifest test_vectors.{index}: sha256" in failed_validation.out
 
 
 class _Backend:
@@ -133,19 +135,19 @@ def test_another_seed_is_kept_and_probed(tmp_path: Path) -> None:
 
 
 def test_vectors_that_cannot_be_run_are_named(tmp_path: Path) -> None:
-    many = tuple(
+    many_vectors = tuple(
         Vector(inputs="no inputs", expected_sha256="0" * 64, seed=seed) for seed in range(1, 7)
     )
-    messages = " ".join(told_of_vectors(written(tmp_path, "still_sh0", test_vectors=many)))
+    messages = " ".join(told_of_vectors(written(tmp_path, "still_sh0", test_vectors=many_vectors)))
     assert f"seed {MOST_SEEDS + 1}; expected {MOST_SEEDS} other seeds at most" in messages
-    stranger = (Vector(inputs="noon", expected_sha256="0" * 64, seed=3),)
-    document = told_of_vectors(written(tmp_path, "drift", test_vectors=stranger))
+    unknown_vector = (Vector(inputs="noon", expected_sha256="0" * 64, seed=3),)
+    document = told_of_vectors(written(tmp_path, "drift", test_vectors=unknown_vector))
     assert "no probe 'noon' with seed 3" in document[0]
 
 
 def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
-    sketch = find("weights_beside").draw()
-    studio = sketch.rewritten(lambda document: document.update({"x-studio": {"take": 3}}))
+    spec = find("weights_beside").draw()
+    studio = spec.rewritten(lambda document: document.update({"x-studio": {"take": 3}}))
     studio.write(tmp_path / "m.onnx")
     result = record_vectors(tmp_path / "m.onnx", tmp_path / "out", count=1)
     text = open_model(result.model).manifest_text
@@ -155,11 +157,11 @@ def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
 
 def test_a_copy_is_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights in a folder of their own are written beside their place, as the model is."""
-    sketch = find("weights_beside").draw()
-    (retained,) = sketch.beside.values()
-    where = {name: replace(entry, location="w/c.bin") for name, entry in sketch.external.items()}
+    spec = find("weights_beside").draw()
+    (retained,) = spec.beside.values()
+    where = {name: replace(entry, location="w/c.bin") for name, entry in spec.external.items()}
     (tmp_path / "w").mkdir()
-    moved = replace(sketch, external=where, beside={"w/c.bin": retained})
+    moved = replace(spec, external=where, beside={"w/c.bin": retained})
     moved.write(tmp_path / "m.onnx")
     target = tmp_path / "there" / "m.onnx"
     record_vectors(tmp_path / "m.onnx", tmp_path / "out", target, count=1)
@@ -213,10 +215,10 @@ def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
     second_run = gsgen_here("vectors", source, "--into", tmp_path / "out")
     assert second_run.code == 2
     assert "the folder already holds test_data_set_0" in second_run.err
-    forced = gsgen_here(
+    forced_run = gsgen_here(
         "vectors", source, "--into", tmp_path / "out", "--count", "1", "--force", "--json"
     )
-    (entry,) = json.loads(forced.out)["vectors"]
+    (entry,) = json.loads(forced_run.out)["vectors"]
     assert entry["inputs"] == "all inputs zero"
     sets = sorted(path.name for path in (tmp_path / "out").glob("test_data_set_*"))
     assert sets == ["test_data_set_0"]

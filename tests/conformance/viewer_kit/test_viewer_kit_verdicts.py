@@ -45,10 +45,10 @@ def pictures(kit: Path, tmp_path: Path) -> Path:
 
 def _script(kit: Path, *words: str | Path, cwd: Path) -> Ran:
     command = [sys.executable, str(kit / "check_viewer.py"), *map(str, words)]
-    done = subprocess.run(
+    completed = subprocess.run(
         command, capture_output=True, encoding="utf-8", cwd=cwd, env={"PYTHONUTF8": "1"}
     )
-    return Ran(done.returncode, done.stdout, done.stderr)
+    return Ran(completed.returncode, completed.stdout, completed.stderr)
 
 
 @pytest.mark.parametrize("rounding", ROUNDINGS)
@@ -73,8 +73,8 @@ def test_the_reason_is_the_limit_that_failed() -> None:
     assert entry["message"] == "mean difference 0.00197, expected at most 0.001"
     assert (entry["limit"], entry["expected"]) == ("mean", 0.001)
     assert entry["actual"] == pytest.approx(0.00197)
-    (barely,) = compare(right, right + 0.00100001, TOLERANCE)["exceeded"]
-    assert barely["message"] == "mean difference 0.00100001, expected at most 0.001"
+    (just_failing,) = compare(right, right + 0.00100001, TOLERANCE)["exceeded"]
+    assert just_failing["message"] == "mean difference 0.00100001, expected at most 0.001"
     spotted = right.copy()
     spotted[0, :3, 1] += 0.1
     (entry,) = compare(right, spotted, TOLERANCE)["exceeded"]
@@ -179,10 +179,10 @@ def test_a_damaged_index_is_an_unreadable_kit(
     damaged.mkdir()
     document = edit(json.loads((kit / "index.json").read_text("utf-8")))
     (damaged / "index.json").write_text(json.dumps(document), "utf-8")
-    ran = gsgen_here("viewer-kit", "check", "kit", "kit/..", cwd=tmp_path)
-    assert (ran.code, ran.out) == (4, "")
-    assert words in ran.err
-    assert "internal error" not in ran.err
+    completed = gsgen_here("viewer-kit", "check", "kit", "kit/..", cwd=tmp_path)
+    assert (completed.code, completed.out) == (4, "")
+    assert words in completed.err
+    assert "internal error" not in completed.err
 
 
 def test_the_script_ends_with_the_codes_of_the_command(
@@ -201,10 +201,10 @@ def test_the_script_ends_with_the_codes_of_the_command(
         script = _script(kit, folder, "--kit", kit_folder, cwd=tmp_path)
         assert (command.code, script.code) == (code, code)
         assert command.out == script.out
-        for ran in (command, script):
-            assert words in " ".join(ran.err.split())
-            assert "Errno" not in ran.err
-            assert "Traceback" not in ran.err
+        for completed in (command, script):
+            assert words in " ".join(completed.err.split())
+            assert "Errno" not in completed.err
+            assert "Traceback" not in completed.err
 
 
 def test_the_verdict_is_printed_although_the_page_cannot_be_written(
@@ -214,16 +214,18 @@ def test_the_verdict_is_printed_although_the_page_cannot_be_written(
     page = ("--html", "file/page.html")
     command = gsgen_here("viewer-kit", "check", kit, pictures, *page, cwd=tmp_path)
     script = _script(kit, pictures, *page, cwd=tmp_path)
-    for ran in (command, script):
-        assert ran.code == 2
-        assert ran.out == f"passed: {len(kit_cases())} passed, 0 failed\n"
-        assert "page.html" in ran.err or "file" in ran.err
-        assert "Traceback" not in ran.err
+    for completed in (command, script):
+        assert completed.code == 2
+        assert completed.out == f"passed: {len(kit_cases())} passed, 0 failed\n"
+        assert "page.html" in completed.err or "file" in completed.err
+        assert "Traceback" not in completed.err
 
 
 def test_the_script_makes_the_folder_of_its_page(kit: Path, pictures: Path, tmp_path: Path) -> None:
-    ran = _script(kit, pictures, "--html", "new/page.html", "--json", "new/r.json", cwd=tmp_path)
-    assert (ran.code, ran.err) == (0, "")
+    completed = _script(
+        kit, pictures, "--html", "new/page.html", "--json", "new/r.json", cwd=tmp_path
+    )
+    assert (completed.code, completed.err) == (0, "")
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"page.html", "r.json"}
 
 

@@ -160,8 +160,8 @@ def trajectory(
         normalise: Whether quaternions are normalised.
     """
     graph = GraphBuilder()
-    past = graph.input("past", [4, state])
-    last, before = graph.gather(past, [3], 0), graph.gather(past, [2], 0)
+    past_poses = graph.input("past", [4, state])
+    last, before = graph.gather(past_poses, [3], 0), graph.gather(past_poses, [2], 0)
     speed = graph.op("Sub", last, before)
     ahead = graph.constant(np.arange(1, steps + 1)[:, None])
     future = graph.op("Add", last, graph.op("Mul", speed, ahead))

@@ -84,10 +84,10 @@ def generator(
     """
     outputs = manifest["outputs"]
     capacity, dtype = outputs["gaussians"]["capacity"], outputs["gaussians"]["dtype"]
-    look = outputs["appearance"]
+    appearance = outputs["appearance"]
     if channels is None:
-        channels = 3 * (look["degree"] + 1) ** 2 if look["space"] == "sh" else 3
-        if look["space"] == "rgb" and dtype == "float16":
+        channels = 3 * (appearance["degree"] + 1) ** 2 if appearance["space"] == "sh" else 3
+        if appearance["space"] == "rgb" and dtype == "float16":
             channels = 4
     graph.output("gaussians", gaussians, [capacity, 10], dtype)
     graph.output("color", color, [capacity, channels], dtype)

@@ -128,14 +128,14 @@ def _sum_up(case: Fault | RightModel, judgement: Judgement, promises: list[str])
 
 def _broken_promises(case: Fault | RightModel, path: Path) -> list[str]:
     """Compare what a model claims of onnx.checker and ONNX Runtime with what they say."""
-    claims = {"checker": (_check, True), "loads": (_load, True)}
+    checks_by_name = {"checker": (_check, True), "loads": (_load, True)}
     if isinstance(case, Fault):
-        claims = {"checker": (_check, case.checker), "loads": (_load, case.loads)}
+        checks_by_name = {"checker": (_check, case.checker), "loads": (_load, case.loads)}
     broken = []
-    for name, (attempt, claimed) in claims.items():
+    for name, (attempt, claimed_success) in checks_by_name.items():
         complaint = attempt(path)
-        if (not complaint) is not claimed:
-            broken.append(_BROKEN_PROMISE.format(case.name, claimed, name, complaint[:300]))
+        if (not complaint) is not claimed_success:
+            broken.append(_BROKEN_PROMISE.format(case.name, claimed_success, name, complaint[:300]))
     return broken
 
 
@@ -224,6 +224,6 @@ def _line(model: Measured) -> str:
         fine = not model.refused and not model.warnings
     else:
         fine = model.cause_first and (model.refused or model.sort == "heuristic")
-    mark = "ok  " if fine else "MISS"
-    speaking = ", ".join([*model.errors, *model.warnings]) or "no finding"
-    return f"{mark} {model.sort:<10}{model.name:<54}{model.verdict:<10}{speaking}"
+    status_mark = "ok  " if fine else "MISS"
+    reported_rules = ", ".join([*model.errors, *model.warnings]) or "no finding"
+    return f"{status_mark} {model.sort:<10}{model.name:<54}{model.verdict:<10}{reported_rules}"

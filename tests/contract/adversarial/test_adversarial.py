@@ -64,7 +64,9 @@ def test_the_violated_sentence_is_in_the_specification(case) -> None:
 
 
 def test_models_load_and_pass_the_checker_where_they_claim_to(measurement: Measurement) -> None:
-    broken = [promise for model in measurement.models for promise in model.broken_promises]
+    broken = [
+        broken_promise for model in measurement.models for broken_promise in model.broken_promises
+    ]
     assert not broken, "\n".join(broken)
 
 
@@ -93,8 +95,10 @@ def test_right_models_expect_few_warnings() -> None:
 def test_decidable_faults_are_refused_with_the_right_cause_first(measurement: Measurement) -> None:
     counts = summary(measurement)
     right_cause, decidable = "decidable_refused_with_right_cause_first", counts["decidable"]
-    missed = [m.name for m in measurement.of("decidable") if not (m.refused and m.cause_first)]
-    assert counts[right_cause] >= BAR * decidable, missed
+    missed_models = [
+        m.name for m in measurement.of("decidable") if not (m.refused and m.cause_first)
+    ]
+    assert counts[right_cause] >= BAR * decidable, missed_models
 
 
 def test_heuristic_faults_are_named(

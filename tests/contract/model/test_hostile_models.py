@@ -55,9 +55,9 @@ def test_links_in_a_circle_are_a_finding(tmp_path):
 
 
 def test_colours_without_channels_are_no_crash(tmp_path):
-    sketch = find("nan_row").draw()
-    none = np.zeros((len(sketch.weights["colors"]), 0), np.float32)
-    proto = sketch.weighing(colors=none).build()
+    spec = find("nan_row").draw()
+    none = np.zeros((len(spec.weights["colors"]), 0), np.float32)
+    proto = spec.weighing(colors=none).build()
     (color,) = (tensor for tensor in proto.graph.output if tensor.name == "color")
     color.type.tensor_type.shape.dim[1].dim_value = 0
     report = validate(save(tmp_path / "a.onnx", proto), Settings(level=Level.VALUES))
@@ -67,10 +67,10 @@ def test_colours_without_channels_are_no_crash(tmp_path):
 
 def test_a_vector_of_two_thousand_million_is_looked_at_in_a_moment(tmp_path):
     text = "g (float[2147483648] t) => (float[N] y) { a = Mul (t, t) y = Concat <axis = 0> (a, a) }"
-    began = time.monotonic()
+    start_time = time.monotonic()
     graph = read_graph(open_model(save(tmp_path / "a.onnx", model(text))))
     assert graph.outputs[0].dims == (1 << 32,)
-    assert time.monotonic() - began < 10  # it used to take hours, and all memory
+    assert time.monotonic() - start_time < 10  # it used to take hours, and all memory
 
 
 COMPUTED = """
@@ -108,12 +108,12 @@ def doubling(depth):
 def test_functions_that_double_and_double_are_not_expanded(tmp_path):
     _, fault = infer(doubling(8))
     assert fault == ""
-    began = time.monotonic()
+    start_time = time.monotonic()
     _, fault = infer(doubling(40))
     assert fault == "its functions expand to more than 20000 nodes"
     report = validate(save(tmp_path / "a.onnx", doubling(40)), STATIC)
     assert report.verdict == "invalid"
-    assert time.monotonic() - began < 20  # it used to take days
+    assert time.monotonic() - start_time < 20  # it used to take days
 
 
 def test_a_function_that_calls_itself_is_a_fault():

@@ -38,8 +38,8 @@ def test_a_newer_operator_set_than_the_data_file_names_is_supported(tmp_path: Pa
     path.write_bytes(still().build().SerializeToString())  # operator set 18
     settings = Settings(target=OLD, level=Level.STATIC)
     assert validate(path, settings).outcome("GG001").status == "pass"
-    fixed = replace(settings, target=replace(OLD, follows_runtime=False))
-    assert validate(path, fixed).outcome("GG001").status == "fail"
+    followed_settings = replace(settings, target=replace(OLD, follows_runtime=False))
+    assert validate(path, followed_settings).outcome("GG001").status == "fail"
 
 
 def test_bounds_that_suffice_and_those_of_other_targets_stay() -> None:

@@ -202,9 +202,9 @@ def hidden(name):
         info.algorithm.initializer.append(tensor)
         proto.training_info.append(info)
     else:
-        many = name in ("tensors", "sparse_tensors")
+        is_repeated = name in ("tensors", "sparse_tensors")
         value = sparse if name.startswith("sparse") else tensor
-        node.attribute.append(attribute(**{name: [value] if many else value}))
+        node.attribute.append(attribute(**{name: [value] if is_repeated else value}))
     return proto
 
 
@@ -273,10 +273,10 @@ def test_only_the_manifest_changes_when_one_is_written(tmp_path):
 
 def test_bytes_that_no_reader_knows_are_kept(tmp_path):
     source = tmp_path / "a.onnx"
-    strange = b"\xba\x3e\x03abc"  # field 999, of no version of ONNX
-    source.write_bytes(strange + SMALL.SerializeToString() + strange)
+    unknown_field = b"\xba\x3e\x03abc"  # field 999, of no version of ONNX
+    source.write_bytes(unknown_field + SMALL.SerializeToString() + unknown_field)
     write_manifest(source, manifest_of(1), source)
-    assert source.read_bytes().startswith(strange + SMALL.SerializeToString() + strange)
+    assert source.read_bytes().startswith(unknown_field + SMALL.SerializeToString() + unknown_field)
     assert open_model(source).manifest_text
 
 
@@ -368,7 +368,7 @@ def weights_at(*ranges):
 
 
 @pytest.mark.parametrize(
-    ("ranges", "beside"),
+    ("ranges", "with_external_data"),
     [
         ([("w.bin",)], 1000),
         ([("w.bin", None, 10**12)] * 50, 1000),
@@ -380,9 +380,11 @@ def weights_at(*ranges):
         ([("absent.bin", 0, 100), ("", 0, 1), ("x" * 5000, 0, 1), ("a\0b", 0, 1)], 0),
     ],
 )
-def test_weights_count_as_far_as_there_are_bytes_and_each_byte_once(tmp_path, ranges, beside):
+def test_weights_count_as_far_as_there_are_bytes_and_each_byte_once(
+    tmp_path, ranges, with_external_data
+):
     (tmp_path / "w.bin").write_bytes(bytes(1000))
     (tmp_path / "v.bin").write_bytes(bytes(50))
     path = save(tmp_path / "m.onnx", weights_at(*ranges))
     file = open_model(path)
-    assert file.weight_bytes == path.stat().st_size + beside
+    assert file.weight_bytes == path.stat().st_size + with_external_data

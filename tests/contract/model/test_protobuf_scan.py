@@ -166,8 +166,8 @@ def test_a_small_tensor_is_kept_whole():
 
 
 def test_unknown_fields_are_kept():
-    strange = protobuf_scan._header(999, 3) + b"abc"
-    assert skeleton(strange).data == strange
+    unknown_field = protobuf_scan._header(999, 3) + b"abc"
+    assert skeleton(unknown_field).data == unknown_field
 
 
 @pytest.mark.parametrize(

@@ -72,22 +72,22 @@ def test_consecutive_times_differ_by_a_sixtieth_of_a_second():
 
 
 @pytest.mark.parametrize(
-    ("frames", "visited"), [(1, 0), (2, 2), (12, 12), (64, 64), (65, 32), (500, 32)]
+    ("frames", "visited_cameras"), [(1, 0), (2, 2), (12, 12), (64, 64), (65, 32), (500, 32)]
 )
-def test_times_within_frames_are_probed(frames, visited):
+def test_times_within_frames_are_probed(frames, visited_cameras):
     _, result = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
-    assert len(result["frames"]) == visited
+    assert len(result["frames"]) == visited_cameras
     for probe in result["frames"]:
         number = int(probe.label.split()[1])
         assert int(probe.inputs["time"][0] * frames) == number
 
 
-@pytest.mark.parametrize(("frames", "visited"), [(2, 2), (64, 64), (65, 8)])
-def test_frame_numbers_are_probed_from_first_to_last(frames, visited):
+@pytest.mark.parametrize(("frames", "visited_cameras"), [(2, 2), (64, 64), (65, 8)])
+def test_frame_numbers_are_probed_from_first_to_last(frames, visited_cameras):
     entry = Input(name="frame", role="frame_index", range=(10.0, 9.0 + frames), frames=frames)
     _, result = trials(entry)
     numbers = values(result["frames"], "frame")
-    assert len(numbers) == len(set(numbers)) == visited
+    assert len(numbers) == len(set(numbers)) == visited_cameras
     assert 10 <= min(numbers) <= max(numbers) <= 9 + frames
 
 

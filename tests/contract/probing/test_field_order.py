@@ -120,8 +120,8 @@ def test_every_order_of_parts_and_entries_is_found(parts, order):
 
 def test_an_opacity_behind_thin_covariances_is_found():
     gaussians = cloud(200, seed=3)
-    hair = 1e-6 * gaussians.covariance
-    rows = np.concatenate([gaussians.position, hair, gaussians.opacity[:, None]], axis=1)
+    perturbation = 1e-6 * gaussians.covariance
+    rows = np.concatenate([gaussians.position, perturbation, gaussians.opacity[:, None]], axis=1)
     assert suspect_order(rows).name == "x y z, the covariance, opacity last"
 
 

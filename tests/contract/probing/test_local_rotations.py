@@ -11,9 +11,9 @@ COUNT = 60
 
 
 def moved_rows(rows: np.ndarray, position: np.ndarray) -> np.ndarray:
-    later = rows.astype(np.float64)
-    later[:, :3] = position
-    return later
+    moved_sample = rows.astype(np.float64)
+    moved_sample[:, :3] = position
+    return moved_sample
 
 
 def sample_of(seed: int):
@@ -29,12 +29,12 @@ def sample_of(seed: int):
 def test_each_rotation_is_the_one_that_scipy_fits(seed, noise):
     sample, rng = sample_of(seed), np.random.default_rng(seed)
     turn = Rotation.random(random_state=seed).as_matrix()
-    later = moved_rows(sample.rows, sample.rows[:, :3] @ turn.T + [3, -1, 2])
-    later[:, :3] += noise * rng.normal(size=(len(later), 3))
-    fitted = fit_local_rotations(sample, later)
+    moved_sample = moved_rows(sample.rows, sample.rows[:, :3] @ turn.T + [3, -1, 2])
+    moved_sample[:, :3] += noise * rng.normal(size=(len(moved_sample), 3))
+    fitted = fit_local_rotations(sample, moved_sample)
     for index, row in enumerate(sample.inner):
         before = sample.rows[sample.neighbours[index], :3] - sample.rows[row, :3]
-        after = later[sample.neighbours[index], :3] - later[row, :3]
+        after = moved_sample[sample.neighbours[index], :3] - moved_sample[row, :3]
         expected, _ = Rotation.align_vectors(after, before)
         np.testing.assert_allclose(fitted.rotation[index], expected.as_matrix(), atol=1e-6)
         assert fitted.angle[index] == pytest.approx(expected.magnitude(), abs=1e-5)
@@ -50,9 +50,9 @@ def test_a_mirrored_neighbourhood_gets_a_rotation_and_is_not_rigid():
 def test_neighbours_on_a_line_leave_the_rotation_open():
     sample = sample_of(8)
     line = np.outer(np.arange(len(sample.rows)), [1.0, 2.0, 3.0])
-    straight = sample_of_line(sample, line)
+    collinear_sample = sample_of_line(sample, line)
     assert not fit_local_rotations(
-        straight, moved_rows(straight.rows, line @ np.eye(3))
+        collinear_sample, moved_rows(collinear_sample.rows, line @ np.eye(3))
     ).is_rigid.any()
 
 

@@ -17,12 +17,12 @@ def subject(tmp_path_factory):
 
 
 def emission(subject, rows=4, **outputs):
-    usual = {
+    defaults = {
         "gaussians": good_rows(rows),
         "color": np.zeros((rows, 3), np.float32),
         "num_points": np.array([rows], np.int32),
     }
-    return read_outputs(subject, "test", usual | outputs)
+    return read_outputs(subject, "test", defaults | outputs)
 
 
 def test_outputs_are_sorted_by_what_the_manifest_says(subject):
@@ -79,8 +79,8 @@ def test_rows_come_in_chunks_that_cover_all(subject):
         (CHUNK, CHUNK),
         (2 * CHUNK, 5),
     ]
-    together = np.concatenate([part.packed for part in parts])
-    np.testing.assert_array_equal(together, result.gaussians)
+    joined_rows = np.concatenate([part.packed for part in parts])
+    np.testing.assert_array_equal(joined_rows, result.gaussians)
 
 
 def test_rows_before_the_count_are_live_across_chunks(subject):

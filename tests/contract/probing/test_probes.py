@@ -84,8 +84,8 @@ def test_every_probe_feeds_every_input_in_its_shape_and_dtype(count):
 
 
 def test_the_same_seed_gives_the_same_probes_and_another_gives_others():
-    once, again, other = (sampled(asking(*SHAPES), seed=seed) for seed in (0, 0, 1))
-    for a, b, c in zip(once, again, other, strict=True):
+    first_probes, again, other = (sampled(asking(*SHAPES), seed=seed) for seed in (0, 0, 1))
+    for a, b, c in zip(first_probes, again, other, strict=True):
         assert a.label == b.label
         for name in SHAPES:
             np.testing.assert_array_equal(a.inputs[name], b.inputs[name])
@@ -156,12 +156,12 @@ def test_matrices_are_laid_out_in_the_declared_order():
     np.testing.assert_array_equal(values("view", column), values("view", row).transpose(0, 2, 1))
 
 
-@pytest.mark.parametrize(("order", "bottom"), [("row", [0, 0, 0, 1]), ("column", [1, 2, 3, 1])])
-def test_column_order_holds_the_transpose(order, bottom):
+@pytest.mark.parametrize(("order", "last_row"), [("row", [0, 0, 0, 1]), ("column", [1, 2, 3, 1])])
+def test_column_order_holds_the_transpose(order, last_row):
     matrix = look_at(np.zeros(3), np.array([0.0, 0, 1]), np.array([0.0, -1, 0]))
     matrix[:3, 3] = [1, 2, 3]
     result = as_tensor(matrix, order)
-    assert result[3].tolist() == bottom
+    assert result[3].tolist() == last_row
     assert result.dtype == np.float32
     assert result.flags.c_contiguous
 

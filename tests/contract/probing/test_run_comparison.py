@@ -98,9 +98,9 @@ def test_reading_an_unfinished_extra_run_notes_it():
     )
     behaviour = read_behaviour(ProbeRuns(None, execution, plan))
     first, second = behaviour.for_a_rule(), behaviour.for_a_rule()
-    assert [visit.probe.label for visit in first.visits("edges")] == ["probe 2"]
+    assert [edge_run.probe.label for edge_run in first.visits("edges")] == ["probe 2"]
     assert first.unfinished_probes == [("probe 3", "memory")]
-    assert [visit.error for visit in second.visits("outside")] == ["bad"]  # it did run
+    assert [edge_run.error for edge_run in second.visits("outside")] == ["bad"]  # it did run
     assert second.unfinished_probes == behaviour.unfinished_probes == []
 
 

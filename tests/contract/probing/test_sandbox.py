@@ -175,16 +175,16 @@ def test_a_model_that_takes_too_much_memory_is_a_fault_of_memory(folder):
     assert len(execution.runs) == 1
 
 
-def acting(monkeypatch, act):
+def acting(monkeypatch, action):
     """Let ``act(child, folder)`` stand for the first wait; the child itself is the real one."""
 
     class Acting(subprocess.Popen):
-        acted = False
+        has_acted = False
 
         def wait(self, timeout=None):
             if not self.acted:
                 self.acted = True
-                act(self, Path(self.args[-1]))
+                action(self, Path(self.args[-1]))
             return super().wait(timeout)
 
     monkeypatch.setattr(sandbox.subprocess, "Popen", Acting)
@@ -313,10 +313,10 @@ with execute(Path(sys.argv[1]), ["y"], [], Limits()) as execution:
 @pytest.mark.skipif(os.name != "posix", reason="no resource limits on this system")
 def test_a_limit_of_the_system_below_ours_is_no_fault_of_the_model(folder):
     path = save(folder / "a.onnx", DOUBLE)
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", _UNDER_A_LIMIT, path], capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (completed.returncode, completed.stderr) == (0, "")
 
 
 def test_limit_beyond_the_system_range_means_unlimited(folder):
@@ -382,9 +382,9 @@ def test_an_extra_probe_that_fails_is_no_fault_of_the_model(folder):
         assert execution.fault.stage == "run"
 
 
-@pytest.mark.parametrize(("seconds", "lacked"), [(1e-9, "time"), (60.0, "memory")])
+@pytest.mark.parametrize(("seconds", "missing_extra"), [(1e-9, "time"), (60.0, "memory")])
 def test_an_extra_probe_that_a_limit_does_not_allow_has_no_outputs(
-    seconds, lacked, folder, monkeypatch
+    seconds, missing_extra, folder, monkeypatch
 ):
     path = save(folder / "a.onnx", DOUBLE)
     extra = replace(pair(3, 4), label="extra", extra=True)
@@ -405,7 +405,7 @@ def test_an_extra_probe_that_a_limit_does_not_allow_has_no_outputs(
     sandbox_worker._work(job_folder, job, lambda event, **facts: events.append((event, facts)))
     runs = [facts for event, facts in events if event == "run"]
     assert [(facts["probe"], facts["sample"]) for facts in runs] == [(0, 0), (1, -1)]
-    assert runs[1]["lacked"] == lacked
+    assert runs[1]["lacked"] == missing_extra
     assert "error" not in runs[1]  # it says nothing about the model
 
 

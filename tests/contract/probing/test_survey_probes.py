@@ -52,9 +52,9 @@ def test_cameras_stand_inside_far_away_and_on_twenty_sides(order):
     cosine = sides @ sides.T - 2 * np.eye(20)
     assert cosine.max() == pytest.approx(np.sqrt(5) / 3, abs=1e-5)
     for view in [view for view, is_inside in zip(views, inside, strict=True) if not is_inside]:
-        looked_at = view[:3, :3] @ center + view[:3, 3]
-        np.testing.assert_allclose(looked_at[:2], 0, atol=1e-3)
-        assert looked_at[2] > 0
+        view_target = view[:3, :3] @ center + view[:3, 3]
+        np.testing.assert_allclose(view_target[:2], 0, atol=1e-3)
+        assert view_target[2] > 0
 
 
 def test_labels_say_whether_a_camera_stands_within_the_bounds():

@@ -56,10 +56,10 @@ def test_causes_name_the_rules_that_they_blocked(reports):
     (finding,) = (finding for finding in document["findings"] if finding["rule"] == "GO005")
     assert by_rule["GO005"]["findings"] == [finding["fingerprint"]]
     blocked = [id for cause in by_rule.values() for id in cause["blocked"]]
-    because = [
+    dependents = [
         finding["id"] for finding in document["rules"] if "because" in finding.get("reason", "")
     ]
-    assert sorted(blocked) == sorted(because)
+    assert sorted(blocked) == sorted(dependents)
 
 
 def test_report_states_its_rule_set(reports):

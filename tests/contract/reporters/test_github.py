@@ -42,8 +42,8 @@ def test_severities_become_commands_and_possible_findings_warnings(reports):
         *("::error", "::error", "::warning", "gsgen:")
     ]
     first, *_ = reports["broken"].findings
-    doubtful = replace(first, certainty="possible")
-    line, _ = to_github([replace(reports["broken"], findings=(doubtful,))]).splitlines()
+    possible_finding = replace(first, certainty="possible")
+    line, _ = to_github([replace(reports["broken"], findings=(possible_finding,))]).splitlines()
     assert line.startswith("::warning ")
 
 

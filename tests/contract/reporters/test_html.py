@@ -82,8 +82,10 @@ def test_a_finding_shows_where_actual_expected_and_hint(reports):
 
 def test_texts_of_a_model_are_escaped(reports):
     (first, *others) = reports["broken"].findings
-    evil = replace(first, where=Location("output <script>alert(1)</script>\x1b[2J"))
-    report = replace(reports["broken"], path='a"><b>.onnx', name="<i>", findings=(evil, *others))
+    injected_finding = replace(first, where=Location("output <script>alert(1)</script>\x1b[2J"))
+    report = replace(
+        reports["broken"], path='a"><b>.onnx', name="<i>", findings=(injected_finding, *others)
+    )
     parsed = page(report)
     assert not parsed.all("script")
     assert not parsed.all("i")
@@ -158,8 +160,8 @@ def test_a_number_stands_within_or_beside_its_limits(low, high, inside):
         tuple(map(float, pair))
         for pair in re.findall(r'x="([0-9.]+)" y="[0-9.]+" width="([0-9.]+)"', svg)
     ]
-    (left, width), (mark, _) = edges
-    assert (left <= mark + 1.5 <= left + width) is inside
+    (left, width), (marker_position, _) = edges
+    assert (left <= marker_position + 1.5 <= left + width) is inside
     assert "mean degree: 2.04" in svg
 
 

@@ -64,8 +64,8 @@ def test_names_cannot_end_a_code_span(text, span):
 
 def test_tensor_names_cannot_inject_markdown(reports):
     first, *_ = reports["broken"].findings
-    evil = replace(first, where=Location("output `</code>**@a** [x](http://b)\n# c"))
-    page = to_markdown([replace(reports["broken"], findings=(evil,))])
+    injected_finding = replace(first, where=Location("output `</code>**@a** [x](http://b)\n# c"))
+    page = to_markdown([replace(reports["broken"], findings=(injected_finding,))])
     outside = re.sub(r"(`+)(?!`).+?(?<!`)\1(?!`)", "", page)
     assert "@a" not in outside
     assert "</code>" not in outside

@@ -70,8 +70,8 @@ def test_severities_become_levels(reports):
 
 def test_possible_finding_is_not_an_error(reports):
     (first, *_) = reports["broken"].findings
-    doubtful = replace(first, certainty="possible")
-    (result,) = run_of(replace(reports["broken"], findings=(doubtful,)))["results"]
+    possible_finding = replace(first, certainty="possible")
+    (result,) = run_of(replace(reports["broken"], findings=(possible_finding,)))["results"]
     assert (result["level"], result["properties"]["certainty"]) == ("warning", "possible")
 
 

@@ -54,8 +54,8 @@ def test_the_verdict_and_errors_have_a_style(reports):
 
 def test_a_finding_says_whether_it_is_possible_and_where_it_comes_from(reports):
     (finding, *_) = reports["broken"].findings
-    doubtful = replace(finding, certainty="possible", source="webgpu@1.0")
-    text = text_of(replace(reports["broken"], findings=(doubtful,)))
+    possible_finding = replace(finding, certainty="possible", source="webgpu@1.0")
+    text = text_of(replace(reports["broken"], findings=(possible_finding,)))
     assert f"  {finding.rule} error (possible) {finding.slug} [webgpu@1.0]\n" in text
 
 
@@ -76,16 +76,18 @@ def test_the_last_line_counts_in_the_plural_where_there_are_several(reports):
 
 
 def test_sizes_are_shown_in_mebibytes_from_one_on(reports):
-    big = replace(reports["good"], size=5 << 19, settings="gsgen.toml")
-    first, second = text_of(big).splitlines()[:2]
+    large_report = replace(reports["good"], size=5 << 19, settings="gsgen.toml")
+    first, second = text_of(large_report).splitlines()[:2]
     assert first.endswith(", 8 rows, 2.5 MiB")
     assert second.endswith(", settings from gsgen.toml")
 
 
 def test_model_names_cannot_inject_terminal_codes(reports):
     (finding, *_) = reports["broken"].findings
-    evil = replace(finding, where=Location("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07")
-    lines = render(replace(reports["broken"], findings=(evil,)))
+    injected_finding = replace(
+        finding, where=Location("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07"
+    )
+    lines = render(replace(reports["broken"], findings=(injected_finding,)))
     assert Line(r"    output \x1b[2J\x9b1m\ud800é: a b\x07") in lines
     assert all(line.text.isprintable() for line in lines)
 
@@ -100,8 +102,8 @@ def test_finding_lists_the_rules_that_it_blocked(reports):
 def test_many_blocked_rules_are_counted(reports, monkeypatch, most):
     monkeypatch.setattr("gsgen.contract.reporters.text._MOST_BLOCKED", most)
     report = reports["foreign"]
-    short = "so 11 rules could not be checked, which `gsgen validate -v` lists\n"
-    assert (short in text_of(report)) == (most < 11)
+    expected_line = "so 11 rules could not be checked, which `gsgen validate -v` lists\n"
+    assert (expected_line in text_of(report)) == (most < 11)
     assert "so 11 rules could not be checked: GV001, " in text_of(report, verbose=True)
 
 
@@ -172,5 +174,5 @@ def test_a_requested_rule_that_does_not_apply_is_named_with_the_reason(tmp_path)
     texts = [line.text for line in render(validate(path, Settings(only=frozenset({"GB050"}))))]
     index = next(k for k, text in enumerate(texts) if text.startswith("  GB050 not applicable: "))
     assert texts[index + 1].strip() == "only for kind trajectory-predictor"
-    everything = [line.text for line in render(validate(path, Settings(level=Level.STATIC)))]
-    assert not any("GB050" in text for text in everything)
+    complete_lines = [line.text for line in render(validate(path, Settings(level=Level.STATIC)))]
+    assert not any("GB050" in text for text in complete_lines)

@@ -49,7 +49,7 @@ def test_each_rule_comes_with_all_that_it_needs():
     for rule in registry.rules.values():
         part = registry.with_needs([rule.id]).rules
         assert rule.id in part
-        assert all(need in part for entry in part.values() for need in entry.needs)
+        assert all(needed_rule in part for entry in part.values() for needed_rule in entry.needs)
 
 
 def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():

@@ -82,7 +82,7 @@ def test_cells_are_judged_one_by_one(seed: int, dtype: type) -> None:
     outputs = emission(seed, dtype)
     assert outputs.cells is not None
     half = dtype is np.float16
-    slack, floor = (2.0**-10, 3 * 2.0**-25) if half else (1e-5, 0.0)
+    tolerance, min_scale = (2.0**-10, 3 * 2.0**-25) if half else (1e-5, 0.0)
     expected: dict[str, set[int]] = {name: set() for name in ("26", "27", "28", "30")}
     for cell, row in enumerate(outputs.cells.astype(np.float64).tolist()):
         if not finite(row, half):
@@ -91,7 +91,7 @@ def test_cells_are_judged_one_by_one(seed: int, dtype: type) -> None:
             expected["27"].add(cell)
         if finite(row, half) and row[3] > 0:
             size = abs(row[4]) + abs(row[7]) + abs(row[9])
-            if smallest(row) < -slack * size - floor:
+            if smallest(row) < -tolerance * size - min_scale:
                 expected["28"].add(cell)
         if cell * PER_CELL >= outputs.count and math.isfinite(row[3]) and row[3] != 0:
             expected["30"].add(cell)

@@ -46,11 +46,11 @@ each_broken = pytest.mark.parametrize(
 def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, judge):
     report = judge(fixture)
     assert {finding.rule for finding in report.findings} == {fixture.rule}
-    proven = any(
+    is_confirmed = any(
         finding.severity is Severity.ERROR and finding.certainty == "confirmed"
         for finding in report.findings
     )
-    assert report.verdict == ("invalid" if proven else "conforms")
+    assert report.verdict == ("invalid" if is_confirmed else "conforms")
 
 
 # Rules that compare one number with limits; other statistical rules weigh several.

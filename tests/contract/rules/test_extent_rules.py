@@ -47,14 +47,14 @@ def bad_rows(rule, rows: Rows) -> set[int]:
 
 
 def coarse(row: list[float]) -> bool:
-    farthest = max(map(abs, row[:3]))
-    step = 2.0 ** (math.floor(math.log2(max(farthest, 2.0**-14))) - 10)
+    max_coordinate = max(map(abs, row[:3]))
+    step = 2.0 ** (math.floor(math.log2(max(max_coordinate, 2.0**-14))) - 10)
     return step * step > max(row[4], row[7], row[9]) > 0
 
 
 def outside(row: list[float]) -> bool:
-    slack = 1e-3 * math.sqrt(48) + (2 * 2.0**-10)
-    return not all(abs(value) <= 2 + slack for value in row[:3])
+    tolerance = 1e-3 * math.sqrt(48) + (2 * 2.0**-10)
+    return not all(abs(value) <= 2 + tolerance for value in row[:3])
 
 
 ORACLES = {

@@ -63,9 +63,9 @@ def sh_of_12() -> ModelSpec:
 
 
 def half_rgb_of_3() -> ModelSpec:
-    four = still(ROWS, degree=None, dtype="float16")
-    three = four.weights["colors"][:, :3]
-    return four.reworded("[256,4]", "[256,3]").weighing(colors=three)
+    four_channel_model = still(ROWS, degree=None, dtype="float16")
+    three = four_channel_model.weights["colors"][:, :3]
+    return four_channel_model.reworded("[256,4]", "[256,3]").weighing(colors=three)
 
 
 def mixed_precision() -> ModelSpec:
@@ -190,9 +190,9 @@ def case(request: pytest.FixtureRequest) -> Case:
     return request.param
 
 
-def judged(sketch: ModelSpec, folder: Path) -> Report:
+def judged(spec: ModelSpec, folder: Path) -> Report:
     path = folder / "model.onnx"
-    sketch.write(path)
+    spec.write(path)
     return validate(path, Settings(target=load_target("visionary")))
 
 

@@ -120,13 +120,15 @@ def emissions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, int]:
     """Draw packed rows, RGB colours and a count, with edges and wild values here and there."""
     dtype = DTYPES[draw(st.sampled_from((16, 32)))]
     number = draw(st.integers(0, 6))
-    tame = st.sampled_from(EDGES)
-    cells = draw(st.lists(tame, min_size=14 * number, max_size=14 * number))
+    edge_values = st.sampled_from(EDGES)
+    cells = draw(st.lists(edge_values, min_size=14 * number, max_size=14 * number))
     table = np.asarray(cells).reshape(number, 14)
     if number:
         spots = st.tuples(st.integers(0, number - 1), st.integers(0, 13))
-        for spot, value in draw(st.lists(st.tuples(spots, st.sampled_from(WILD)), max_size=2)):
-            table[spot] = value
+        for element_index, value in draw(
+            st.lists(st.tuples(spots, st.sampled_from(WILD)), max_size=2)
+        ):
+            table[element_index] = value
         for row in draw(st.sets(st.integers(0, number - 1), max_size=2)):
             table[row, 4:10] = 0
     table = table.astype(dtype)
@@ -168,17 +170,19 @@ def packed_with(upper: np.ndarray) -> np.ndarray:
 
 def check_psd(upper: np.ndarray) -> None:
     """Compare GV006 with numpy.linalg.eigvalsh, a hair's breadth around the tolerance left out."""
-    slack = SLACK[upper.dtype.type]
+    tolerance = SLACK[upper.dtype.type]
     matrices = symmetric(upper)
     diagonal = np.diagonal(matrices, axis1=1, axis2=2)
     trace = np.abs(diagonal).sum(axis=1)
-    floor = FLOOR[upper.dtype.type]
-    margin = np.linalg.eigvalsh(matrices)[:, 0] + slack * trace + floor
+    min_scale = FLOOR[upper.dtype.type]
+    margin = np.linalg.eigvalsh(matrices)[:, 0] + tolerance * trace + min_scale
     checked = (diagonal >= 0).all(axis=1)  # a negative variance is GV005's
     expected = set(np.flatnonzero(checked & (margin < 0)).tolist())
-    close = np.abs(margin) <= 1e-7 * np.abs(matrices).max(axis=(1, 2))
-    invalid = bad_rows(covariance.covariance_psd, rows_of(packed_with(upper), None, len(upper)))
-    assert invalid ^ expected <= set(np.flatnonzero(close).tolist())
+    is_close = np.abs(margin) <= 1e-7 * np.abs(matrices).max(axis=(1, 2))
+    invalid_rows = bad_rows(
+        covariance.covariance_psd, rows_of(packed_with(upper), None, len(upper))
+    )
+    assert invalid_rows ^ expected <= set(np.flatnonzero(is_close).tolist())
 
 
 def uppers(matrices: np.ndarray, dtype: Any) -> np.ndarray:
@@ -200,17 +204,19 @@ def test_symmetric_matrices_are_judged_as_by_eigvalsh(dtype: Any, seed: int, sca
 @given(
     seed=st.integers(0, 2**32 - 1),
     scale=st.integers(-8, 6),
-    thin=st.floats(0, 1),
-    beyond=st.floats(0.5, 1.5),
+    thickness=st.floats(0, 1),
+    excess_factor=st.floats(0.5, 1.5),
 )
 @settings(max_examples=200)
 def test_documented_tolerance_is_the_limit(
-    dtype: Any, seed: int, scale: int, thin: float, beyond: float
+    dtype: Any, seed: int, scale: int, thickness: float, excess_factor: float
 ):
     rng = np.random.default_rng(seed)
     turned = np.linalg.qr(rng.normal(size=(64, 3, 3)))[0]
-    lowest = -beyond * SLACK[dtype] * (1 + thin)  # from half to one and a half times allowed
-    sigma = turned * np.asarray([1.0, thin, lowest]) @ turned.transpose(0, 2, 1)
+    lowest = (
+        -excess_factor * SLACK[dtype] * (1 + thickness)
+    )  # from half to one and a half times allowed
+    sigma = turned * np.asarray([1.0, thickness, lowest]) @ turned.transpose(0, 2, 1)
     check_psd(uppers(10.0**scale * sigma, dtype))
 
 
@@ -266,13 +272,15 @@ def test_rgb_lies_in_the_declared_range(value: float, valid: bool, tmp_path: Pat
     assert messages == [] if valid else "-0.5 <= rgb <= 1.5" in messages[0]
 
 
-@pytest.mark.parametrize(("guessed", "certainty"), [(True, "possible"), (False, "confirmed")])
-def test_three_channels_without_a_manifest_may_be_sh(guessed: bool, certainty: str, tmp_path: Path):
+@pytest.mark.parametrize(("is_inferred", "certainty"), [(True, "possible"), (False, "confirmed")])
+def test_three_channels_without_a_manifest_may_be_sh(
+    is_inferred: bool, certainty: str, tmp_path: Path
+):
     scene = still(degree=0).altered("colors", np.s_[0], -0.4)
-    unlabelled = replace(scene, manifest=None if guessed else scene.manifest)
+    unlabelled = replace(scene, manifest=None if is_inferred else scene.manifest)
     rgb = AppearanceOutput("color", "rgb")
-    model = unlabelled if guessed else unlabelled.declaring_outputs(appearance=rgb)
+    model = unlabelled if is_inferred else unlabelled.declaring_outputs(appearance=rgb)
     model.write(tmp_path / "m.onnx")
     report = validate(tmp_path / "m.onnx")
-    (invalid,) = (finding for finding in report.findings if finding.rule == "GV012")
-    assert invalid.certainty == certainty
+    (is_invalid,) = (finding for finding in report.findings if finding.rule == "GV012")
+    assert is_invalid.certainty == certainty

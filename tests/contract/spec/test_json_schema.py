@@ -73,16 +73,16 @@ def mutated(draw):
     """The JSON of a manifest with one thing changed."""
     document = to_json(draw(manifests()))
     *path, last = draw(st.sampled_from([p for p in places(document) if p]))
-    holder = document
+    container = document
     for key in path:
-        holder = holder[key]
+        container = container[key]
     change = draw(st.sampled_from(["delete", "replace", "add"]))
     if change == "delete":
-        del holder[last]
-    elif change == "add" and isinstance(holder, dict):
-        holder[draw(st.text(max_size=6))] = draw(JSON)
+        del container[last]
+    elif change == "add" and isinstance(container, dict):
+        container[draw(st.text(max_size=6))] = draw(JSON)
     else:
-        holder[last] = draw(JSON)
+        container[last] = draw(JSON)
     return document
 
 
@@ -177,9 +177,9 @@ def test_a_schema_is_made_from_types_and_hints():
     }
 
 
-@pytest.mark.parametrize("either", [None, 2.5, "zeros", (), (1.0, 2.0)])
-def test_a_union_is_read_by_the_form_of_its_value(either):
-    outer = Outer("ab", Inner(), either=either)
+@pytest.mark.parametrize("union_value", [None, 2.5, "zeros", (), (1.0, 2.0)])
+def test_a_union_is_read_by_the_form_of_its_value(union_value):
+    outer = Outer("ab", Inner(), either=union_value)
     assert from_json(Outer, json.loads(json.dumps(to_json(outer)))) == outer
 
 

@@ -123,8 +123,8 @@ def test_appearance_has_the_channels_of_its_space(space, degree, itemsize, chann
 
 
 def parts(n=2, **changes):
-    usual = {"position": (n, 3), "opacity": (n,), "covariance": (n, 6), "rgb": (n, 3)}
-    shapes = usual | changes
+    defaults = {"position": (n, 3), "opacity": (n,), "covariance": (n, 6), "rgb": (n, 3)}
+    shapes = defaults | changes
     return {name: np.zeros(shape) for name, shape in shapes.items() if shape is not None}
 
 

@@ -45,9 +45,9 @@ def test_a_manifest_survives_a_round_trip_through_text(manifest):
 @given(st.text() | st.tuples(st.integers(0, 150), st.integers(0, 9), st.text(max_size=3)))
 def test_no_text_makes_the_reader_raise(document):
     if isinstance(document, tuple):  # a good one with something else in one place
-        offset, gone, put = document
+        offset, removed, inserted = document
         good = text(bounds={"min": [0, 0, 0], "max": [1, 1, 1]}, blend="alpha")
-        document = good[:offset] + put + good[offset + gone :]
+        document = good[:offset] + inserted + good[offset + removed :]
     parsed = parse(document)
     assert (parsed.manifest is None) == bool(parsed.complaints)
 
@@ -261,8 +261,8 @@ def test_cells_and_their_weights_are_read():
     assert document.outputs.cells == CellsOutput("cells", 5, "float32")
     assert document.weighted_sum == WeightedSum(0.1, 12.5, 1.0)
     assert loads(dumps(document)) == document
-    endless = loads(text(weighted_sum={"background": 0}))
-    assert endless.weighted_sum.depth_range is None
+    open_ended = loads(text(weighted_sum={"background": 0}))
+    assert open_ended.weighted_sum.depth_range is None
 
 
 @pytest.mark.parametrize(

@@ -128,17 +128,17 @@ def test_a_third_party_can_add_a_target(registered, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "expected_message"),
     [
         ("absent", "the target runtime's definition cannot be loaded: KeyError('absent')"),
         ("make_nothing", "the entry point returns None, expected a Target"),
     ],
 )
-def test_a_third_partys_target_that_does_not_load_is_named(registered, name, said):
+def test_a_third_partys_target_that_does_not_load_is_named(registered, name, expected_message):
     registered(name)
     with pytest.raises(ConfigInvalid) as caught:
         known_targets()
-    assert str(caught.value) == f"target acme = {__name__}:{name}: {said}"
+    assert str(caught.value) == f"target acme = {__name__}:{name}: {expected_message}"
 
 
 def test_our_own_targets_load_whatever_a_third_partys_does(registered):

@@ -18,11 +18,11 @@ def execution(outputs: list[np.ndarray]) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("gaps", "label", "rows"),
+    ("differences", "label", "rows"),
     [([0.5, 2, 1], "probe 1", 1), ([3, 2, 1], "probe 0", 1), ([0, 0, 0], "", 0)],
 )
 def test_the_probe_of_the_largest_difference_is_named(
-    gaps: list[float], label: str, rows: int
+    differences: list[float], label: str, rows: int
 ) -> None:
     subject = cast(
         Any,
@@ -33,12 +33,12 @@ def test_the_probe_of_the_largest_difference_is_named(
             declared_cells=None,
         ),
     )
-    first = [np.zeros((4, 10), np.float32) for _ in gaps]
+    first = [np.zeros((4, 10), np.float32) for _ in differences]
     second = [array.copy() for array in first]
-    for array, gap in zip(second, gaps, strict=True):
-        array[2, 5] = gap
-    labels = [f"probe {index}" for index in range(len(gaps))]
+    for array, difference in zip(second, differences, strict=True):
+        array[2, 5] = difference
+    labels = [f"probe {index}" for index in range(len(differences))]
     runs = [execution(first), execution(second)]
-    (worst,) = _output_differences(subject, subject, runs, labels)
-    assert (worst.largest, worst.rows) == (max(gaps), rows)
-    assert worst == type(worst)("gaussians", max(gaps), rows, label)
+    (worst_difference,) = _output_differences(subject, subject, runs, labels)
+    assert (worst_difference.largest, worst_difference.rows) == (max(differences), rows)
+    assert worst_difference == type(worst_difference)("gaussians", max(differences), rows, label)

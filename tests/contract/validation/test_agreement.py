@@ -227,7 +227,7 @@ def four_cells() -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("cell", "column", "by", "field"),
+    ("cell", "column", "factor", "field"),
     [
         (0, 1, 0.01, "position"),
         (1, 8, 0.01, "covariance"),
@@ -241,24 +241,24 @@ def four_cells() -> np.ndarray:
     ],
 )
 def test_cells_are_compared_in_the_units_of_rows(
-    cell: int, column: int, by: float, field: str
+    cell: int, column: int, factor: float, field: str
 ) -> None:
     known, changed = four_cells(), four_cells()
-    changed[cell, column] += by
+    changed[cell, column] += factor
     errors = list(field_errors(in_cells(known), in_cells(changed), tolerances(1e-4)))
     expected = f"cell {'visibility' if field == 'opacity' else field}"
     assert [(error.field, error.row) for error in errors] == ([(expected, cell)] if field else [])
     assert all(tolerance_of(error, tolerances(0)).field == field for error in errors)
     trace = known[cell, [4, 7, 9]].sum()
     unit = {"position": (trace / 3) ** 0.5, "covariance": trace}.get(field, 1.0)
-    if errors and np.isfinite(by):
-        assert errors[0].error == pytest.approx(by / unit, rel=1e-3)
+    if errors and np.isfinite(factor):
+        assert errors[0].error == pytest.approx(factor / unit, rel=1e-3)
 
 
 def test_cells_of_another_number_cannot_be_compared() -> None:
     assert parts(in_cells(four_cells()), in_cells(four_cells())) == (True, True, True)
     for cells in (four_cells()[:2], None):
-        fewer = in_cells(four_cells())
-        changed = replace(fewer, count=12, declared=None, cells=cells)
-        assert parts(fewer, changed) == (True, True, False)
-        assert not list(field_errors(fewer, changed, tolerances(0.0)))
+        fewer_cells = in_cells(four_cells())
+        changed = replace(fewer_cells, count=12, declared=None, cells=cells)
+        assert parts(fewer_cells, changed) == (True, True, False)
+        assert not list(field_errors(fewer_cells, changed, tolerances(0.0)))

@@ -52,15 +52,15 @@ def test_new_finding_fails(reports, saved):
 def test_more_rows_of_a_known_finding_stay_known(reports, saved):
     baseline = read_baseline(saved(reports["broken"]))
     first, *_ = reports["broken"].findings
-    worse = replace(first, count=9, total=10, message="9 of 10 rows")
-    report = baseline.apply(replace(reports["broken"], findings=(worse,)))
+    worse_finding = replace(first, count=9, total=10, message="9 of 10 rows")
+    report = baseline.apply(replace(reports["broken"], findings=(worse_finding,)))
     assert report.findings[0].known
 
 
 def test_possible_finding_that_becomes_confirmed_is_new(reports, saved):
     first, *_ = reports["broken"].findings
-    guess = replace(first, certainty="possible")
-    baseline = read_baseline(saved(replace(reports["broken"], findings=(guess,))))
+    possible_finding = replace(first, certainty="possible")
+    baseline = read_baseline(saved(replace(reports["broken"], findings=(possible_finding,))))
     report = baseline.apply(replace(reports["broken"], findings=(first,)))
     assert not report.findings[0].known
 
@@ -70,8 +70,8 @@ def test_baseline_distinguishes_its_models(reports, saved):
     assert set(baseline.known) == {"good.onnx", "broken.onnx", "foreign.onnx"}
     renamed = replace(reports["broken"], path="good.onnx")
     assert baseline.apply(renamed).verdict == "invalid"
-    elsewhere = replace(reports["broken"], path="/ci/models/broken.onnx")
-    assert baseline.apply(elsewhere).verdict == "conforms"
+    relocated_report = replace(reports["broken"], path="/ci/models/broken.onnx")
+    assert baseline.apply(relocated_report).verdict == "conforms"
 
 
 def test_baseline_of_one_model_applies_after_renaming(reports, saved):
@@ -121,8 +121,8 @@ def test_unchecked_rule_is_not_counted_as_fixed(reports, saved):
         else finding
         for finding in broken.outcomes
     )
-    later = replace(broken, findings=tuple(remaining), outcomes=skipped)
-    assert read_baseline(saved(broken)).apply(later).resolved == ()
+    later_report = replace(broken, findings=tuple(remaining), outcomes=skipped)
+    assert read_baseline(saved(broken)).apply(later_report).resolved == ()
 
 
 def test_waived_finding_is_not_counted_as_fixed(reports, saved):

@@ -115,7 +115,13 @@ def test_levels_that_nothing_checks_are_reported_as_not_run(good):
             made_up("acme/AC001", level=Level.LIVE), made_up("acme/AC002", level=Level.RENDER)
         ),
     )
-    assert [ran for ran, _ in levels(report).values()] == [True, True, True, False, False]
+    assert [completed for completed, _ in levels(report).values()] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]
     assert levels(report)[Level.LIVE][1].startswith("no installed package checks it")
     assert "gsgen[runtime]" in levels(report)[Level.RENDER][1]
     for name, level in {"acme/AC001": "live", "acme/AC002": "render"}.items():
@@ -365,11 +371,11 @@ def test_a_rule_that_fails_by_the_probes_that_did_run_fails(good, monkeypatch):
 
 
 def test_only_the_child_is_granted_memory_for_weights(tmp_path, monkeypatch):
-    granted = []
+    memory_limits = []
 
     @contextmanager
     def noted(path, names, probes, limits, *arguments, **options):
-        granted.append(limits.memory)
+        memory_limits.append(limits.memory)
         with execute(path, names, probes, limits, *arguments, **options) as execution:
             yield execution
 
@@ -377,7 +383,7 @@ def test_only_the_child_is_granted_memory_for_weights(tmp_path, monkeypatch):
     path = save_moving(tmp_path / "a.onnx", good_rows(8))
     limits = Limits(memory=512 << 20)
     report = validate(path, Settings(level=Level.VALUES, limits=limits))
-    assert granted == [limits.memory + 5 * path.stat().st_size]
+    assert memory_limits == [limits.memory + 5 * path.stat().st_size]
     assert report.outcome("GS002").status == "pass"
 
 

@@ -61,10 +61,10 @@ def test_without_magnitudes_there_is_no_worst_row():
     assert tally(rows([1])).worst is None
 
 
-@pytest.mark.parametrize(("invalid_rows", "fails"), [(89, False), (90, False), (91, True)])
-def test_fraction_fails_only_above_its_minimum(invalid_rows, fails):
+@pytest.mark.parametrize(("invalid_rows", "is_failing"), [(89, False), (90, False), (91, True)])
+def test_fraction_fails_only_above_its_minimum(invalid_rows, is_failing):
     counter = tally(rows([1] * invalid_rows + [0] * (100 - invalid_rows), min_fraction=0.9))
-    assert counter.fails is fails
+    assert counter.fails is is_failing
 
 
 def test_fraction_is_taken_over_all_chunks():

@@ -47,8 +47,8 @@ def test_rules_of_the_level_receive_the_prepared_context(good):
         yield LevelContext(context=CONTEXT, items=3, environment={"device": "made up"}, seconds=100)
         arguments.append("closed")
 
-    needing = made_up("acme/AC001", over="live", needs=("acme/AC002",))
-    report = judged(good, prepare, needing, made_up("acme/AC002", told, over="live"))
+    dependent_rule = made_up("acme/AC001", over="live", needs=("acme/AC002",))
+    report = judged(good, prepare, dependent_rule, made_up("acme/AC002", told, over="live"))
     assert (arguments[0] > 8, arguments[1:]) == (True, ["closed"])
     assert of_level(report).ran
     assert report.outcome("acme/AC001").reason == "because acme/AC002 does not hold"
@@ -151,8 +151,8 @@ def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
     settings = Settings(level=Level.LIVE, target=load_target(target))
     report = validate(good, settings, registry=registry)
     assert report.outcome("acme/AC001").status == status
-    remains = any(finding.rule == "acme/AC001" for finding in report.findings)
-    assert remains is (status == "fail")
+    has_finding = any(finding.rule == "acme/AC001" for finding in report.findings)
+    assert has_finding is (status == "fail")
 
 
 def test_a_prediction_stands_where_the_level_live_did_not_run(good):

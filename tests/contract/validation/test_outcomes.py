@@ -219,8 +219,10 @@ def test_a_severity_that_a_target_sets_comes_from_it():
 
 def test_rows_of_several_probes_add_up():
     def odd(chunk):
-        invalid = chunk % 2 == 1
-        yield Violation.rows(Location("output g"), invalid, chunk, "even", checked=len(invalid))
+        is_invalid = chunk % 2 == 1
+        yield Violation.rows(
+            Location("output g"), is_invalid, chunk, "even", checked=len(is_invalid)
+        )
 
     rule = made_up("GV901", odd, over="rows")
     results = board(rule)
@@ -241,8 +243,10 @@ def test_rows_of_several_probes_add_up():
 
 def test_arithmetic_on_a_models_numbers_does_not_warn():
     def overflow(_):
-        huge = np.array([np.finfo(np.float32).max, np.inf], np.float32)
-        yield Violation.at("output g", str(huge * huge - huge), "something smaller")
+        extreme_values = np.array([np.finfo(np.float32).max, np.inf], np.float32)
+        yield Violation.at(
+            "output g", str(extreme_values * extreme_values - extreme_values), "something smaller"
+        )
 
     rule = made_up("GV901", overflow)
     with warnings.catch_warnings():

@@ -183,9 +183,9 @@ ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 
 
 
 @pytest.mark.parametrize(
-    ("typed", "hint"),
+    ("typed_id", "hint"),
     [
-        *((typed, "Did you mean 'GV003'?") for typed in ("GV03", "gv3", "GV-003", "GV0003")),
+        *((typed_id, "Did you mean 'GV003'?") for typed_id in ("GV03", "gv3", "GV-003", "GV0003")),
         ("GV903", "Did you mean 'GV003'?"),
         ("GV013", "Did you mean 'GV003' or 'GV012' or 'GV031'?"),
         ("GV011", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
@@ -194,9 +194,9 @@ ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 
         ("GV777", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
     ],
 )
-def test_only_ids_that_exist_are_suggested(typed, hint):
+def test_only_ids_that_exist_are_suggested(typed_id, hint):
     with pytest.raises(UnknownName) as caught:
-        ALL.find(typed)
+        ALL.find(typed_id)
     assert caught.value.hint == hint
 
 

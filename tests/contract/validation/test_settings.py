@@ -221,8 +221,8 @@ def test_a_missing_manifest_is_an_error_unless_the_target_reads_none_or_settings
     assert Settings().severity_of(missing) == Severity.ERROR
     visionary = load_target("visionary")
     assert Settings(target=visionary).severity_of(missing) == Severity.WARNING
-    strict = Settings(target=visionary, strict=True)
-    assert strict.severity_of(missing) == Severity.ERROR
+    strict_settings = Settings(target=visionary, strict=True)
+    assert strict_settings.severity_of(missing) == Severity.ERROR
     lenient = Settings(strict=True, severities={"GM001": Severity.INFO})
     assert lenient.severity_of(missing) == Severity.INFO
 

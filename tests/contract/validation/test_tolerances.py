@@ -108,8 +108,8 @@ def told_of_the_optimiser(path, **settings):
 
 
 def test_comparing_rules_use_the_tolerances(tmp_path):
-    sketch = find("optimised_wrongly").draw()
-    sketch.write(tmp_path / "m.onnx")
+    spec = find("optimised_wrongly").draw()
+    spec.write(tmp_path / "m.onnx")
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
     assert message.startswith("output gaussians, position: row ")
     unit = "in standard deviations of the Gaussian"
@@ -117,7 +117,7 @@ def test_comparing_rules_use_the_tolerances(tmp_path):
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 0.5})
     assert f"expected 0.5 at most, {unit} (by the configuration)" in message
     assert not told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 1e3})
-    sketch.declaring(tolerances=Tolerances(position=0.25)).write(tmp_path / "m.onnx")
+    spec.declaring(tolerances=Tolerances(position=0.25)).write(tmp_path / "m.onnx")
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
     assert "expected 0.25 at most" in message
     assert "(by the manifest)" in message

@@ -43,17 +43,17 @@ def test_a_waiver_covers_findings_of_its_rule_at_its_place(rule, where, covers):
 
 
 @pytest.mark.parametrize(
-    ("until", "holds"), [(None, True), (date(2026, 6, 1), True), (date(2026, 5, 31), False)]
+    ("last_day", "holds"), [(None, True), (date(2026, 6, 1), True), (date(2026, 5, 31), False)]
 )
-def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
+def test_a_waiver_holds_on_its_last_day_and_not_after(last_day, holds):
     (finding,) = apply_waivers(
-        [FINDING], [Waiver(rule="GV003", reason="Known.", until=until)], TODAY
+        [FINDING], [Waiver(rule="GV003", reason="Known.", until=last_day)], TODAY
     )
     assert finding.waived is holds
 
 
 @pytest.mark.parametrize(
-    ("model", "speaks"),
+    ("model", "is_applicable"),
     [
         ("", True),
         ("a.onnx", True),
@@ -64,9 +64,9 @@ def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
         ("n/a.onnx", False),
     ],
 )
-def test_waiver_applies_to_all_models_or_the_named_ones(model, speaks):
+def test_waiver_applies_to_all_models_or_the_named_ones(model, is_applicable):
     settings = Settings(waivers=(Waiver(rule="GV003", reason="Known.", model=model),))
-    assert bool(settings.for_model(Path("m/a.onnx")).waivers) is speaks
+    assert bool(settings.for_model(Path("m/a.onnx")).waivers) is is_applicable
 
 
 @pytest.fixture
@@ -115,8 +115,10 @@ def test_waiver_of_an_unchecked_rule_is_not_reported(judge):
 
 
 def test_waiver_rules_can_be_waived(judge):
-    unneeded = Waiver(rule="GV004", reason="For later.")
+    unneeded_waiver = Waiver(rule="GV004", reason="For later.")
     report = judge(
-        Waiver(rule="GV003", reason="Known."), unneeded, Waiver(rule="GW001", reason="I know.")
+        Waiver(rule="GV003", reason="Known."),
+        unneeded_waiver,
+        Waiver(rule="GW001", reason="I know."),
     )
     assert rules_of(report) == [("GV003", True), ("GW001", True)]

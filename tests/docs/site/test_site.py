@@ -101,8 +101,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("contract", "sdk", "reference_plugins", "runtime"):
         (folder / name).symlink_to(ROOT / name)
     command = [sys.executable, "-c", _ZENSICAL, "build", "--clean"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stdout + done.stderr
+    completed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
+    assert completed.returncode == 0, completed.stdout + completed.stderr
     return folder / "site"
 
 
@@ -189,7 +189,7 @@ def test_no_link_of_the_site_is_broken(measured: dict[str, dict[str, Any]], site
 
 
 def test_the_search_finds_the_terms_of_the_field(site: Path, browser: Any) -> None:
-    missed = {}
+    missed_terms = {}
     with serving({"site": site}, {}) as address:
         page = browser.new_page(viewport={"width": DESKTOP[0], "height": DESKTOP[1]})
         page.goto(f"{address}/site/")
@@ -207,6 +207,6 @@ def test_the_search_finds_the_terms_of_the_field(site: Path, browser: Any) -> No
                     break
                 page.wait_for_timeout(100)
             else:
-                missed[term] = first
+                missed_terms[term] = first
         page.close()
-    assert missed == {}
+    assert missed_terms == {}

@@ -48,10 +48,10 @@ def test_scenes_are_moved_and_scaled():
     splats = scene(20, 1)
     moved = parse_edit("translate", "1,-2,0.5")(splats)
     np.testing.assert_allclose(moved.position, splats.position + np.float32([1, -2, 0.5]))
-    grown = parse_edit("scale", "3")(splats)
-    np.testing.assert_allclose(grown.position, 3 * splats.position, rtol=1e-6)
-    np.testing.assert_allclose(covariance(grown), 9 * covariance(splats), rtol=1e-5)
-    for edited in (moved, grown):
+    scaled_scene = parse_edit("scale", "3")(splats)
+    np.testing.assert_allclose(scaled_scene.position, 3 * splats.position, rtol=1e-6)
+    np.testing.assert_allclose(covariance(scaled_scene), 9 * covariance(splats), rtol=1e-5)
+    for edited in (moved, scaled_scene):
         np.testing.assert_array_equal(edited.sh, splats.sh)
         np.testing.assert_array_equal(edited.logit_opacity, splats.logit_opacity)
 
@@ -84,12 +84,12 @@ def test_filters_keep_matching_splats(seed):
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), size=st.floats(0.3, 5), least=st.integers(0, 6))
-def test_floaters_have_too_few_neighbours(seed, size, least):
+@given(seed=st.integers(0, 2**32 - 1), size=st.floats(0.3, 5), min_neighbours=st.integers(0, 6))
+def test_floaters_have_too_few_neighbours(seed, size, min_neighbours):
     splats = scene(40, 0, seed)
     cells = np.floor((splats.position.astype(float) - splats.position.min(axis=0)) / size)
-    near = [sum(np.abs(a - b).max() <= 1 for b in cells) - 1 >= least for a in cells]
-    left = without_floaters(splats, size, least).position
+    near = [sum(np.abs(a - b).max() <= 1 for b in cells) - 1 >= min_neighbours for a in cells]
+    left = without_floaters(splats, size, min_neighbours).position
     np.testing.assert_array_equal(left, splats.position[np.flatnonzero(near)])
 
 

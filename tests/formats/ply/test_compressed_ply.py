@@ -95,15 +95,18 @@ def test_splat_transform_reads_its_file_alike():
 def test_splat_transform_packs_alike(tmp_path):
     """Its order differs from ours, so the rows are matched by their rotations' words."""
     write_compressed_ply(tmp_path / "a.ply", read_ply(GOLDENS / "scene.ply"))
-    ours, theirs = read_ply(tmp_path / "a.ply"), read_ply(GOLDENS / "scene.compressed.ply")
+    ours, reference_splats = (
+        read_ply(tmp_path / "a.ply"),
+        read_ply(GOLDENS / "scene.compressed.ply"),
+    )
     assert isinstance(ours, Splats)
-    assert isinstance(theirs, Splats)
-    a, b = (np.lexsort(array.sh[:, 1].T) for array in (ours, theirs))
-    np.testing.assert_array_equal(ours.rotation[a], theirs.rotation[b])
-    np.testing.assert_array_equal(ours.sh[a, 1:], theirs.sh[b, 1:])
-    np.testing.assert_allclose(ours.sh[a, 0], theirs.sh[b, 0], atol=1e-6)
-    np.testing.assert_allclose(ours.position[a], theirs.position[b], atol=1e-6)
-    np.testing.assert_allclose(ours.log_scale[a], theirs.log_scale[b], atol=1e-6)
+    assert isinstance(reference_splats, Splats)
+    a, b = (np.lexsort(array.sh[:, 1].T) for array in (ours, reference_splats))
+    np.testing.assert_array_equal(ours.rotation[a], reference_splats.rotation[b])
+    np.testing.assert_array_equal(ours.sh[a, 1:], reference_splats.sh[b, 1:])
+    np.testing.assert_allclose(ours.sh[a, 0], reference_splats.sh[b, 0], atol=1e-6)
+    np.testing.assert_allclose(ours.position[a], reference_splats.position[b], atol=1e-6)
+    np.testing.assert_allclose(ours.log_scale[a], reference_splats.log_scale[b], atol=1e-6)
 
 
 @settings(max_examples=20, deadline=None)
@@ -116,24 +119,24 @@ def test_round_trip_error_is_within_half_a_step(tmp_path_factory, seed, degree, 
     splats = scene(count, degree, seed)
     file = tmp_path_factory.getbasetemp() / "round.ply"
     write_compressed_ply(file, splats)
-    back, order = read_ply(file), compressed_order(splats)
-    assert isinstance(back, Splats)
+    restored, order = read_ply(file), compressed_order(splats)
+    assert isinstance(restored, Splats)
     assert sorted(order) == list(range(count))
     steps = np.array([2047, 1023, 2047])
     for name in ("position", "log_scale"):
-        before, after = getattr(splats, name)[order].astype(float), getattr(back, name)
+        before, after = getattr(splats, name)[order].astype(float), getattr(restored, name)
         for index in range(0, count, 256):
             part = slice(index, index + 256)
             half = np.ptp(before[part], axis=0) / steps / 2
             assert (np.abs(before[part] - after[part]) <= half + 2e-6).all()
-    assert np.abs(opacity(splats)[order] - opacity(back)).max() <= 1 / 509
-    assert turn_between(splats.rotation[order], back.rotation) <= 2 * math.sqrt(2) / 1023
+    assert np.abs(opacity(splats)[order] - opacity(restored)).max() <= 1 / 509
+    assert turn_between(splats.rotation[order], restored.rotation) <= 2 * math.sqrt(2) / 1023
     color = splats.sh[order, 0]
     for index in range(0, count, 256):
         part = slice(index, index + 256)
         half = np.ptp(color[part], axis=0) / 255 / 2
-        assert (np.abs(color[part] - back.sh[part, 0]) <= half + 2e-6).all()
-    assert np.abs(splats.sh[order, 1:] - back.sh[:, 1:]).max(initial=0) <= 1 / 64 + 1e-6
+        assert (np.abs(color[part] - restored.sh[part, 0]) <= half + 2e-6).all()
+    assert np.abs(splats.sh[order, 1:] - restored.sh[:, 1:]).max(initial=0) <= 1 / 64 + 1e-6
 
 
 def test_a_point_and_a_plane_have_boxes_without_size(tmp_path):
@@ -146,11 +149,11 @@ def test_a_point_and_a_plane_have_boxes_without_size(tmp_path):
         sh=original.sh,
     )
     write_compressed_ply(tmp_path / "a.ply", flat)
-    back = read_ply(tmp_path / "a.ply")
-    assert isinstance(back, Splats)
-    np.testing.assert_array_equal(back.position, flat.position)
-    np.testing.assert_array_equal(back.log_scale, [[-20, -20, 20]] * 3)
-    np.testing.assert_array_equal(back.logit_opacity[:2], [np.inf, -np.inf])
+    restored = read_ply(tmp_path / "a.ply")
+    assert isinstance(restored, Splats)
+    np.testing.assert_array_equal(restored.position, flat.position)
+    np.testing.assert_array_equal(restored.log_scale, [[-20, -20, 20]] * 3)
+    np.testing.assert_array_equal(restored.logit_opacity[:2], [np.inf, -np.inf])
 
 
 def test_old_files_have_no_boxes_of_colours(tmp_path):

@@ -22,8 +22,8 @@ def test_boxes_beyond_those_of_the_splats_are_ignored(tmp_path):
 def test_too_few_boxes_are_refused(tmp_path):
     write_compressed_ply(tmp_path / "a.ply", scene(300, 1))
     head, end, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
-    fewer = head.replace(b"element chunk 2\n", b"element chunk 1\n")
-    (tmp_path / "b.ply").write_bytes(fewer + end + body[72:])
+    shortened_header = head.replace(b"element chunk 2\n", b"element chunk 1\n")
+    (tmp_path / "b.ply").write_bytes(shortened_header + end + body[72:])
     with pytest.raises(HeaderMalformed, match="the element has 1 rows") as caught:
         read_ply(tmp_path / "b.ply")
     assert caught.value.expected == "2 or more"

@@ -31,16 +31,18 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path):
     size = np.random.default_rng(1).uniform(0, 0.05, 50).astype(np.float32)
     size[:3] = 0
     with_columns(tmp_path / "a.ply", splats, {"filter_3D": size})
-    back = read_ply(tmp_path / "a.ply")
-    assert isinstance(back, Splats)
-    assert back.antialiased
+    restored = read_ply(tmp_path / "a.ply")
+    assert isinstance(restored, Splats)
+    assert restored.antialiased
     variance = np.exp(splats.log_scale.astype(float)) ** 2
-    grown = variance + size[:, None].astype(float) ** 2
-    np.testing.assert_allclose(np.exp(back.log_scale.astype(float)) ** 2, grown, rtol=2e-5)
-    expected = opacity(splats) * np.sqrt(variance.prod(axis=1) / grown.prod(axis=1))
-    np.testing.assert_allclose(opacity(back), expected, rtol=1e-5, atol=1e-7)
-    np.testing.assert_array_equal(back.logit_opacity[:3], splats.logit_opacity[:3])
-    np.testing.assert_array_equal(back.log_scale[:3], splats.log_scale[:3])
+    filtered_variance = variance + size[:, None].astype(float) ** 2
+    np.testing.assert_allclose(
+        np.exp(restored.log_scale.astype(float)) ** 2, filtered_variance, rtol=2e-5
+    )
+    expected = opacity(splats) * np.sqrt(variance.prod(axis=1) / filtered_variance.prod(axis=1))
+    np.testing.assert_allclose(opacity(restored), expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(restored.logit_opacity[:3], splats.logit_opacity[:3])
+    np.testing.assert_array_equal(restored.log_scale[:3], splats.log_scale[:3])
 
 
 @pytest.mark.parametrize(
@@ -70,9 +72,9 @@ def test_other_properties_are_named(tmp_path):
 def test_antialiased_splats_stay_so(tmp_path, write, antialiased):
     write(tmp_path / "a.ply", scene(300, 1, antialiased=antialiased))
     assert (b"comment SplatRenderMode: mip" in (tmp_path / "a.ply").read_bytes()) is antialiased
-    back = read_ply(tmp_path / "a.ply")
-    assert isinstance(back, Splats)
-    assert back.antialiased is antialiased
+    restored = read_ply(tmp_path / "a.ply")
+    assert isinstance(restored, Splats)
+    assert restored.antialiased is antialiased
 
 
 @pytest.mark.parametrize(
@@ -94,6 +96,6 @@ def test_comments_of_other_programs_are_understood(tmp_path, comments, antialias
     lines = "".join(f"comment {comment}\n" for comment in comments).encode()
     content = (tmp_path / "a.ply").read_bytes().replace(b"element", lines + b"element", 1)
     (tmp_path / "a.ply").write_bytes(content)
-    back = read_ply(tmp_path / "a.ply")
-    assert isinstance(back, Splats)
-    assert back.antialiased is antialiased
+    restored = read_ply(tmp_path / "a.ply")
+    assert isinstance(restored, Splats)
+    assert restored.antialiased is antialiased

@@ -212,8 +212,8 @@ def test_other_elements_are_passed_over_before_and_after_the_points(tmp_path, en
     other = (FACES + CAMERA, faces(encoding))
     rows: list[list[float]] = [[1.0, 2.0, 3.0, 0, 0, 255], [4.0, 5.0, 6.0, 255, 0, 0]]
     around = naive_ply(types, rows, encoding, before=other, after=("element sky 0\n", b""))
-    behind = naive_ply(types, rows, encoding, after=other)
-    for content in (around, behind):
+    trailing_element = naive_ply(types, rows, encoding, after=other)
+    for content in (around, trailing_element):
         file = tmp_path / "mesh.ply"
         file.write_bytes(content)
         cloud = read_ply(file)

@@ -141,14 +141,14 @@ def test_a_file_that_does_not_begin_with_ply_is_not_recognised(tmp_path, content
 
 
 @pytest.mark.parametrize(
-    "gone", [["opacity"], ["f_dc_1", "rot_3"], ["x", "z"], ["scale_1", "scale_2"]]
+    "removed", [["opacity"], ["f_dc_1", "rot_3"], ["x", "z"], ["scale_1", "scale_2"]]
 )
-def test_missing_properties_of_splats_are_named_and_no_others(tmp_path, gone):
-    retained = [name for name in CORE.split() if name not in gone]
+def test_missing_properties_of_splats_are_named_and_no_others(tmp_path, removed):
+    retained = [name for name in CORE.split() if name not in removed]
     text = refusal(tmp_path, ply(floats(" ".join(retained))), PropertyMissing)
     first, second = text.splitlines()
     assert first.startswith(
-        f"element 'vertex': the properties {', '.join(gone)} are missing; found "
+        f"element 'vertex': the properties {', '.join(removed)} are missing; found "
     )
     assert second == "expected all properties of a 3DGS PLY"
 
@@ -365,8 +365,8 @@ def test_every_truncated_file_is_refused(tmp_path, encoding):
 )
 def test_a_mutated_file_is_read_or_refused_but_never_crashes(tmp_path_factory, encoding, edits):
     content = VALID[encoding]
-    for offset, gone, put in edits:
-        content = content[:offset] + put + content[offset + gone :]
+    for offset, removed, inserted in edits:
+        content = content[:offset] + inserted + content[offset + removed :]
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.ply", content or b"-")
 
 

@@ -139,10 +139,10 @@ def test_points_of_byte_colours_come_back_exactly(tmp_path, encoding, count):
     cloud = some_points(count)
     file = tmp_path / "points.ply"
     write_ply(file, cloud, format=encoding)
-    back = read_ply(file)
-    assert isinstance(back, PointCloud)
-    np.testing.assert_array_equal(back.position, cloud.position)
-    np.testing.assert_array_equal(back.color, cloud.color)
+    restored = read_ply(file)
+    assert isinstance(restored, PointCloud)
+    np.testing.assert_array_equal(restored.position, cloud.position)
+    np.testing.assert_array_equal(restored.color, cloud.color)
     assert naive_read(file.read_bytes())["blue"][:2] == [2, 5][:count]
 
 
@@ -150,9 +150,9 @@ def test_other_colours_come_back_to_within_half_a_step(tmp_path):
     color = np.linspace(0, 1, 300, dtype=np.float32).reshape(100, 3)
     file = tmp_path / "points.ply"
     write_ply(file, PointCloud(np.zeros((100, 3), np.float32), color))
-    back = read_ply(file)
-    assert isinstance(back, PointCloud)
-    np.testing.assert_allclose(back.color, color, atol=1 / 510 + 1e-6, rtol=0)
+    restored = read_ply(file)
+    assert isinstance(restored, PointCloud)
+    np.testing.assert_allclose(restored.color, color, atol=1 / 510 + 1e-6, rtol=0)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,10 @@ def assert_decomposed(covariance: np.ndarray) -> None:
     largest = np.abs(expected).max(axis=1, keepdims=True)
     assert (np.abs(scales**2 - np.maximum(expected, 0)) <= 1e-14 * largest + 1e-300).all()
     again = covariance_upper(scales, quaternions.astype(np.float64))
-    lost = np.maximum(-expected.min(axis=1, keepdims=True), 0)  # the negative eigenvalues
-    assert (np.abs(again - covariance) <= 5e-7 * largest + 2 * lost).all()
+    negative_eigenvalue = np.maximum(
+        -expected.min(axis=1, keepdims=True), 0
+    )  # the negative eigenvalues
+    assert (np.abs(again - covariance) <= 5e-7 * largest + 2 * negative_eigenvalue).all()
     assert (np.diff(scales, axis=1) >= 0).all()
     assert (quaternions[:, :1] >= np.abs(quaternions)).all()
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1, atol=1e-6)

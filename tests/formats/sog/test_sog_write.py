@@ -36,20 +36,21 @@ def test_the_slow_decoder_gets_the_splats_back(tmp_path, count, degree):
     splats = scene(count, degree, seed=count)
     file = tmp_path / "a.sog"
     write_sog(file, splats)
-    back, expected = naive_read(members(file)), ordered(splats)
-    assert_near(read_sog(file), back, position=1e-5, rotation=1e-6)
+    restored, expected = naive_read(members(file)), ordered(splats)
+    assert_near(read_sog(file), restored, position=1e-5, rotation=1e-6)
     stored = [
-        np.sign(p) * np.log1p(np.abs(p.astype(float))) for p in (back.position, expected.position)
+        np.sign(p) * np.log1p(np.abs(p.astype(float)))
+        for p in (restored.position, expected.position)
     ]
     step = np.ptp(stored[1], axis=0) / 65535
     assert (np.abs(stored[0] - stored[1]) <= 0.51 * step + 1e-6).all()
     # A component is off by half of √2/255, and the angle by twice the length of that.
-    assert turn_between(back.rotation, expected.rotation) <= 0.01
-    assert np.abs(opacity(back) - opacity(expected)).max() <= 0.5 / 255 + 1e-6
+    assert turn_between(restored.rotation, expected.rotation) <= 0.01
+    assert np.abs(opacity(restored) - opacity(expected)).max() <= 0.5 / 255 + 1e-6
     spread = np.ptp(expected.log_scale)
-    assert np.sqrt(np.mean(np.square(back.log_scale - expected.log_scale))) <= spread / 256
+    assert np.sqrt(np.mean(np.square(restored.log_scale - expected.log_scale))) <= spread / 256
     if degree:
-        error = np.sqrt(np.mean(np.square(back.sh[:, 1:] - expected.sh[:, 1:])))
+        error = np.sqrt(np.mean(np.square(restored.sh[:, 1:] - expected.sh[:, 1:])))
         # Up to 1024 splats have an entry each; more have half as many, here of mere noise.
         assert error <= (0.02 if count <= 1024 else 0.5) * expected.sh[:, 1:].std()
 
@@ -69,9 +70,9 @@ def test_the_files_of_a_sog_lie_beside_its_meta(tmp_path):
     (tmp_path / "a.sog").unlink()
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == archived
     assert list(archived)[-1] == "meta.json"
-    back = open_splats(tmp_path / "meta.json")
-    assert isinstance(back, Splats)
-    assert back.degree == 1
+    restored = open_splats(tmp_path / "meta.json")
+    assert isinstance(restored, Splats)
+    assert restored.degree == 1
 
 
 @pytest.mark.parametrize(
@@ -107,13 +108,15 @@ def test_ends_of_the_ranges_are_kept(tmp_path):
         logit_opacity=np.float32([np.inf, -np.inf, 0, 1]),
     )
     write_sog(tmp_path / "a.sog", splats)
-    back, expected = read_sog(tmp_path / "a.sog"), ordered(splats)
-    np.testing.assert_array_equal(back.logit_opacity[[0, 1]].shape, (2,))
-    assert (back.position[:, 0] == 1).all()
-    assert np.abs(opacity(back) - opacity(expected)).max() <= 0.002
+    restored, expected = read_sog(tmp_path / "a.sog"), ordered(splats)
+    np.testing.assert_array_equal(restored.logit_opacity[[0, 1]].shape, (2,))
+    assert (restored.position[:, 0] == 1).all()
+    assert np.abs(opacity(restored) - opacity(expected)).max() <= 0.002
     is_flat = np.isneginf(expected.log_scale)
-    assert (back.log_scale[is_flat] == -30).all()
-    np.testing.assert_allclose(back.log_scale[~is_flat], expected.log_scale[~is_flat], rtol=1e-6)
+    assert (restored.log_scale[is_flat] == -30).all()
+    np.testing.assert_allclose(
+        restored.log_scale[~is_flat], expected.log_scale[~is_flat], rtol=1e-6
+    )
     write_sog(
         tmp_path / "flat.sog", replace(original, log_scale=np.full((4, 3), -np.inf, np.float32))
     )
@@ -147,11 +150,11 @@ def optimal_error(values: np.ndarray, size: int) -> float:
     start, end = np.meshgrid(np.arange(count), np.arange(1, count + 1), indexing="ij")
     with np.errstate(divide="ignore", invalid="ignore"):
         sums = first[end] - first[start]
-        within = second[end] - second[start] - sums**2 / (end - start)
-    within[end <= start] = np.inf
+        variance_in_range = second[end] - second[start] - sums**2 / (end - start)
+    variance_in_range[end <= start] = np.inf
     cost = np.append(0, np.full(count, np.inf))
     for _ in range(size):
-        cost = np.append(0, (cost[:-1, None] + within).min(axis=0))
+        cost = np.append(0, (cost[:-1, None] + variance_in_range).min(axis=0))
     return float(cost[-1])
 
 
@@ -230,7 +233,7 @@ def test_rows_follow_mortons_curve(seed, bits):
 
     def code(cell: np.ndarray) -> int:
         digits = (f"{int(number):021b}" for number in cell)
-        return int("".join("".join(trio) for trio in zip(*digits, strict=True)), 2)
+        return int("".join("".join(digit_triple) for digit_triple in zip(*digits, strict=True)), 2)
 
     expected = sorted(range(40), key=lambda row: code(cells[row]))
     np.testing.assert_array_equal(grid_order(cells), expected)

@@ -169,9 +169,9 @@ def test_a_streamed_sog_has_every_splat_once_in_the_box_of_its_leaf(tmp_path: Pa
 def test_a_written_streamed_sog_reads_as_one_file_does(tmp_path: Path) -> None:
     splats = scene(300, 2, seed=6)
     write_sog(tmp_path / "lod-meta.json", splats)
-    back = read_sog(tmp_path / "lod-meta.json")
+    restored = read_sog(tmp_path / "lod-meta.json")
     write_sog(tmp_path / "one.sog", splats)
-    assert_near(back, read_sog(tmp_path / "one.sog"))
+    assert_near(restored, read_sog(tmp_path / "one.sog"))
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"lod-meta.json", "one.sog", "0_0", "1_0", "2_0", "3_0"}
 

@@ -29,10 +29,12 @@ def _fields(data: bytes, rng: random.Random) -> list[Field]:
         if not inside:
             break
         results = inside
-        deeper = [entry for entry in inside if entry.wire == BYTES and entry.end > entry.value]
-        if not deeper:
+        nested_fields = [
+            entry for entry in inside if entry.wire == BYTES and entry.end > entry.value
+        ]
+        if not nested_fields:
             break
-        field = rng.choice(deeper)
+        field = rng.choice(nested_fields)
         start, end = field.value, field.end
     return results
 

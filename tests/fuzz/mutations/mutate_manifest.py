@@ -49,9 +49,9 @@ def replace_a_value(text: str, rng: random.Random) -> str:
     """Put anything in the place of a value."""
 
     def edit(_: Any, places: list[Place]) -> None:
-        holder, key = rng.choice(places)
+        container, key = rng.choice(places)
         pool = rng.choice((_ODD, NUMBERS, TEXTS, tuple(ROLES), KINDS))
-        holder[key] = rng.choice(pool)
+        container[key] = rng.choice(pool)
 
     return _edited(text, edit)
 
@@ -60,8 +60,8 @@ def drop_a_key(text: str, rng: random.Random) -> str:
     """Leave something out."""
 
     def edit(_: Any, places: list[Place]) -> None:
-        holder, key = rng.choice(places)
-        del holder[key]
+        container, key = rng.choice(places)
+        del container[key]
 
     return _edited(text, edit)
 
@@ -71,8 +71,8 @@ def add_a_key(text: str, rng: random.Random) -> str:
 
     def edit(document: Any, places: list[Place]) -> None:
         objects = [document, *(h[k] for h, k in places if isinstance(h[k], dict))]
-        holder = rng.choice([entry for entry in objects if isinstance(entry, dict)] or [{}])
-        holder[rng.choice((*_KEYS, *TEXTS))] = rng.choice((*_ODD, *TEXTS))
+        container = rng.choice([entry for entry in objects if isinstance(entry, dict)] or [{}])
+        container[rng.choice((*_KEYS, *TEXTS))] = rng.choice((*_ODD, *TEXTS))
 
     return _edited(text, edit)
 
@@ -81,8 +81,8 @@ def move_a_value(text: str, rng: random.Random) -> str:
     """Put a copy of one value in the place of another: two of a role, a box for a range."""
 
     def edit(_: Any, places: list[Place]) -> None:
-        (holder, key), (source, name) = rng.choice(places), rng.choice(places)
-        holder[key] = json.loads(json.dumps(source[name]))
+        (container, key), (source, name) = rng.choice(places), rng.choice(places)
+        container[key] = json.loads(json.dumps(source[name]))
 
     return _edited(text, edit)
 
@@ -102,8 +102,8 @@ def repeat_an_entry(text: str, rng: random.Random) -> str:
 def bury(text: str, rng: random.Random) -> str:
     """Nest a value deeper than a reader's stack goes."""
     depth = rng.choice((10, 300, 900, 3000, 200_000))
-    opening, closing = rng.choice((("[", "]"), ('{"a":', "}")))
-    deep = opening * depth + "1" + closing * depth
+    opening, closing_bracket = rng.choice((("[", "]"), ('{"a":', "}")))
+    deep = opening * depth + "1" + closing_bracket * depth
     offset = text.find(":")
     if offset < 0 or rng.random() < 0.3:
         return deep

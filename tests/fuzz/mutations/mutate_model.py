@@ -363,15 +363,15 @@ def nest(model: ModelProto, rng: random.Random) -> None:
         del graph.node[2:]
         graph.ClearField("initializer")
     for _ in range(depth):
-        outer = GraphProto(name="outer", output=model.graph.output)
-        node = outer.node.add(op_type=rng.choice(("If", "Loop", "Scan", "Acme")))
+        outer_graph = GraphProto(name="outer", output=model.graph.output)
+        node = outer_graph.node.add(op_type=rng.choice(("If", "Loop", "Scan", "Acme")))
         node.input.extend([rng.choice(("", "time", "live", "c"))])
         node.output.extend(value.name for value in graph.output)
         for name in rng.choice((("then_branch", "else_branch"), ("body",))):
             node.attribute.add(name=name, type=AttributeProto.GRAPH, g=graph)
             if depth > 5:
                 break
-        graph = outer
+        graph = outer_graph
     model.graph.node.extend(graph.node)
 
 

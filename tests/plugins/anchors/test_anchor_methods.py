@@ -130,8 +130,12 @@ def test_the_prefilter_is_that_of_the_published_renderer(case: str) -> None:
         view = torch.from_numpy(golden["in_world_view_transform"][index])
         visible = test(view, lens, torch.from_numpy(golden["in_size"][index]).float())
         expected = golden[f"out{index}_prefilter"]
-        looked_at = golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(expected), True)
-        np.testing.assert_array_equal(visible.numpy().ravel()[looked_at] > 0, expected[looked_at])
+        expected_mask = (
+            golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(expected), True)
+        )
+        np.testing.assert_array_equal(
+            visible.numpy().ravel()[expected_mask] > 0, expected[expected_mask]
+        )
 
 
 def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path) -> None:
@@ -189,15 +193,15 @@ def test_decoding_fewer_anchors_gives_the_same_rows_in_front(kind: str, tmp_path
     arrays = (camera(rng, 1.5), lens(64, 48, 1.2)[0], np.array([1], np.int32))
     tensors = [torch.from_numpy(array) for array in arrays]
     with torch.no_grad():
-        everything = make(Selection("frustum"))(*tensors)
-        hidden = everything.opacity.reshape(-1, k).amax(dim=1) == 0
+        all_anchors = make(Selection("frustum"))(*tensors)
+        hidden = all_anchors.opacity.reshape(-1, k).amax(dim=1) == 0
         for most in (250, 40):
             limited = make(Selection("frustum", most))(*tensors)
             count = int(limited.count)
             assert count % k == 0
             assert limited.position.shape == (most * k, 3)
             # Anchors that are decoded, found again by where their Gaussians are.
-            where = {tuple(p): i for i, p in enumerate(everything.position[::k].tolist())}
+            where = {tuple(p): i for i, p in enumerate(all_anchors.position[::k].tolist())}
             order = [where[tuple(p)] for p in limited.position[:count:k].tolist()]
             assert order == sorted(order)
             unfinished_probes = set(range(len(hidden))) - set(order)
@@ -205,7 +209,7 @@ def test_decoding_fewer_anchors_gives_the_same_rows_in_front(kind: str, tmp_path
             assert len(order) == most or all(hidden[i] for i in unfinished_probes)
             rows = (torch.tensor(order)[:, None] * k + torch.arange(k)).reshape(-1)
             for name in ("opacity", "covariance", "rgb"):
-                a, b = getattr(limited, name)[:count], getattr(everything, name)[rows]
+                a, b = getattr(limited, name)[:count], getattr(all_anchors, name)[rows]
                 torch.testing.assert_close(a, b, atol=1e-6, rtol=1e-5)
 
 

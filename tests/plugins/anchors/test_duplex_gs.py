@@ -69,18 +69,18 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
     level = cloud.level.double().numpy()
     level_of_distance = np.log(cloud.info[1].item() / d[:, 0]) / np.log(cfg.values["fork"])
     level_of_distance = level_of_distance + cloud.extra_level.double().numpy()
-    top, fade = level.max() - level.min(), np.ones(n)
+    top_level, fade = level.max() - level.min(), np.ones(n)
     if cfg.values["dist2level"] == "progressive":
         shifted = level_of_distance + 1
-        clamped = shifted.clip(0.9999, top + 0.9999)
+        clamped = shifted.clip(0.9999, top_level + 0.9999)
         whole = np.floor(clamped)
         fade = np.where(level == whole, clamped - whole, 1.0)
     else:
         shifted = level_of_distance + (0.5 if cfg.values["dist2level"] == "round" else 0)
         whole = {"round": np.round, "floor": np.floor, "ceil": np.ceil}[cfg.values["dist2level"]](
             level_of_distance
-        ).clip(0, top)
-    doubtful = np.abs(shifted - shifted.round()) < 1e-4
+        ).clip(0, top_level)
+    is_ambiguous = np.abs(shifted - shifted.round()) < 1e-4
 
     def head(net: Mlp) -> np.ndarray:
         parts = [cloud.feature.double().numpy(), v]
@@ -107,7 +107,7 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
         opacity.ravel()[retained],
         covariance_upper(scale.reshape(-1, 3)[retained], shape[:, :, 3:].reshape(-1, 4)[retained]),
         sigmoid(head(nets.color)).reshape(-1, 3)[retained],
-        np.repeat(doubtful, k),
+        np.repeat(is_ambiguous, k),
     )
 
 
@@ -234,17 +234,17 @@ def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
 def test_decoding_a_subset_of_cells_agrees_with_all(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
-    few = DuplexGS(read, levels, blend="wsr", selection=Selection("none", 29))
-    all_ = DuplexGS(read, levels, blend="wsr")
+    few_anchors = DuplexGS(read, levels, blend="wsr", selection=Selection("none", 29))
+    all_cells = DuplexGS(read, levels, blend="wsr")
     with torch.no_grad():
-        outputs, complete = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
+        outputs, complete = few_anchors(torch.from_numpy(view)), all_cells(torch.from_numpy(view))
     live = int(outputs.count) // read.anchors.cloud.per_anchor
     retained = complete.cells.visibility.ravel() > 0
     assert 0 < live < 30
     for field in ("position", "visibility", "covariance"):
-        limited, all_of_them = (getattr(result.cells, field) for result in (outputs, complete))
-        torch.testing.assert_close(limited[:live], all_of_them[retained])
-    packed = PackedGenerator(few, Packed(torch.float32, 29 * 5))
+        limited, complete_cells = (getattr(result.cells, field) for result in (outputs, complete))
+        torch.testing.assert_close(limited[:live], complete_cells[retained])
+    packed = PackedGenerator(few_anchors, Packed(torch.float32, 29 * 5))
     with torch.no_grad():
         _, _, _, cells = packed(torch.from_numpy(view))
     assert (cells[:live, 3] > 0).all()
@@ -255,11 +255,14 @@ def test_max_cells_limits_the_decoded_cells(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     settings = {"opacity": "weighted", "selection": Selection("none", 29)}
-    few, all_ = (DuplexGS(read, levels, **settings), DuplexGS(read, levels, opacity="weighted"))  # type: ignore[arg-type]
+    few_anchors, all_cells = (
+        DuplexGS(read, levels, **settings),
+        DuplexGS(read, levels, opacity="weighted"),
+    )  # type: ignore[arg-type]
     with torch.no_grad():
-        outputs, complete = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
+        outputs, complete = few_anchors(torch.from_numpy(view)), all_cells(torch.from_numpy(view))
     count = int(outputs.count)
-    visible = (all_.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]) > 0).ravel()
+    visible = (all_cells.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]) > 0).ravel()
     retained = visible.repeat_interleave(read.anchors.cloud.per_anchor)
     assert 0 < count < len(complete.opacity)
     torch.testing.assert_close(outputs.opacity[:count], complete.opacity[retained])
@@ -349,11 +352,11 @@ def test_the_model_is_drawn_as_the_method_draws_it(
     summed: Exported, published: Renderer, number: int
 ) -> None:
     """From the checkpoint to the picture, over the background that it was made with."""
-    seen_by, image = golden_view(number)
+    view_camera, image = golden_view(number)
     source = GeneratorSource(summed.path)
-    source.update(seen_by, {})
+    source.update(view_camera, {})
     scene = Scene([source.splats(None, None)])
-    picture = published.render(scene, seen_by, background=BACKDROP)
+    picture = published.render(scene, view_camera, background=BACKDROP)
     source.close()
     assert np.abs(picture.rgba[..., :3] - image).max() <= 5e-5
 

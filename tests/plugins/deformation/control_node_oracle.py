@@ -95,12 +95,12 @@ def control_nodes(folder: Path, time: float, options: dict[str, Any]) -> Expecte
 
         shift = blend("warp")
         if options.get("local_frame"):
-            carried = [
+            blended_positions = [
                 w * (rotation_matrix(moved[j]["local"] + identity) @ (x - c) + c + moved[j]["warp"])
                 for w, j in pairs
                 for c in [nodes[j, :3]]
             ]
-            shift = np.asarray(sum(carried)) - x
+            shift = np.asarray(sum(blended_positions)) - x
         turn = mask * blend("rotation")
         if not residual:
             turn = mask * (blend("rotation") + identity - identity) + identity

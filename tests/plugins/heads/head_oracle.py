@@ -26,15 +26,15 @@ def face_vertices(
     joints = body.regressor @ shaped
     turns = [_turn(vector) for vector in pose.astype(np.float64)]
     feature = np.concatenate([(turn - np.eye(3)).ravel() for turn in turns[1:]])
-    posed = shaped + body.pose_dirs @ feature
+    posed_points = shaped + body.pose_dirs @ feature
     globals_: list[np.ndarray] = []
     for joint, parent in enumerate(body.parents):
         local = np.eye(4)
         local[:3, :3] = turns[joint]
         local[:3, 3] = joints[joint] - (joints[parent] if parent >= 0 else 0)
         globals_.append(local if parent < 0 else globals_[parent] @ local)
-    vertices = np.zeros_like(posed)
-    for vertex, point in enumerate(posed):
+    vertices = np.zeros_like(posed_points)
+    for vertex, point in enumerate(posed_points):
         for joint, matrix in enumerate(globals_):
             moved = matrix[:3, :3] @ (point - joints[joint]) + matrix[:3, 3]
             vertices[vertex] += body.weights[vertex, joint] * moved

@@ -213,8 +213,10 @@ def test_noise_is_removed_by_the_closed_form(prediction: str, tmp_path: Path) ->
     }[prediction].clamp(-1, 1)
     actual = Denoiser(read, Step(timestep=t, size=(8, 8)))(x)
     torch.testing.assert_close(actual.double(), expected, atol=2e-6, rtol=0)
-    steered = Denoiser(read, Step(timestep=0, size=(8, 8), timestep_is_input=True))
-    torch.testing.assert_close(steered(x, torch.tensor([float(t)])), actual, atol=2e-6, rtol=0)
+    steered_model = Denoiser(read, Step(timestep=0, size=(8, 8), timestep_is_input=True))
+    torch.testing.assert_close(
+        steered_model(x, torch.tensor([float(t)])), actual, atol=2e-6, rtol=0
+    )
     unit = Denoiser(read, Step(timestep=t, size=(8, 8), is_unit_range=True))
     torch.testing.assert_close(unit(x / 2 + 0.5), actual / 2 + 0.5, atol=2e-6, rtol=0)
 

@@ -102,16 +102,16 @@ def spelled_out(base: Path, change: dict[str, Any], gamma: float = 1.0) -> torch
     for name in LAYERS:
         layer = coder.get_submodule(name)
         layer.register_forward_hook(_branch(vae, name))
-    entered: list[torch.Tensor] = []
+    recorded_inputs: list[torch.Tensor] = []
     for level in coder.encoder.down_blocks:
-        level.register_forward_pre_hook(lambda _, inputs: entered.append(inputs[0]))
+        level.register_forward_pre_hook(lambda _, inputs: recorded_inputs.append(inputs[0]))
 
     def skip(index: int) -> Callable:
         name = f"decoder.skip_conv_{index + 1}"
         kernel = vae[f"{name}.base_layer.weight"]
 
         def add(_: nn.Module, inputs: tuple) -> torch.Tensor:
-            features = gamma * entered[len(entered) - 1 - index]
+            features = gamma * recorded_inputs[len(recorded_inputs) - 1 - index]
             out = F.conv2d(features, kernel)
             return inputs[0] + _branch(vae, name)(nn.Conv2d(1, 1, 1), (features,), out)
 
@@ -207,10 +207,10 @@ def test_a_unet_may_be_given_in_part(base: Path, change: dict[str, Any], tmp_pat
     """As img2img-turbo does: one layer as it is, and a LoRA for others."""
     whole = read_safetensors(base / "unet" / WEIGHTS)
     name = "mid_block.resnets.0.conv1"
-    thin = _thin(name, whole[f"{name}.weight"].shape)
-    down, up = thin.values()
+    thinned = _thin(name, whole[f"{name}.weight"].shape)
+    down, up = thinned.values()
     part = {"conv_in.weight": whole["conv_in.weight"] * 2} | {
-        key.replace("vae_skip", "default"): value for key, value in thin.items()
+        key.replace("vae_skip", "default"): value for key, value in thinned.items()
     }
     merged = whole[f"{name}.weight"] + SHARE * torch.einsum("orxy,rihw->oihw", up, down)
     names = {"conv_in.weight": part["conv_in.weight"], f"{name}.weight": merged}
@@ -258,9 +258,9 @@ def test_incompatible_networks_are_refused(
         read_diffusion(base / "unet", difix=path)
     with pytest.raises(CheckpointInvalid, match=r"(?s)is a safetensors file.*--lora"):
         read_diffusion(base, difix=base / "vae" / WEIGHTS)
-    without = published(base, change, tmp_path / "run", ignore_skip=True)
+    without_branches = published(base, change, tmp_path / "run", ignore_skip=True)
     with pytest.raises(CheckpointInvalid, match="ignore_skip is true"):
-        read_diffusion(without)
+        read_diffusion(without_branches)
 
 
 # ===== From a checkpoint to pictures
@@ -273,8 +273,8 @@ def test_artifacts_are_removed_and_edges_stay(tmp_path: Path) -> None:
     step = (torch.arange(32) >= 16).float().expand(1, 3, 32, 32)  # an edge between blocks
     torch.testing.assert_close(model(step), step, atol=2e-3, rtol=0)
     small = 0.03 * torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
-    blotches = 0.5 + F.interpolate(small, scale_factor=2)
-    before, after = ((picture - 0.5).square().mean() for picture in (blotches, model(blotches)))
+    artifacts = 0.5 + F.interpolate(small, scale_factor=2)
+    before, after = ((picture - 0.5).square().mean() for picture in (artifacts, model(artifacts)))
     assert after < 0.6 * before
     without = command.build(run, size="32x32", values="unit")  # sd-turbo alone
     assert (without(step) - step).abs().max() > 0.1

@@ -51,10 +51,10 @@ def test_stylised_drawing_has_colors_and_dark_outline_on_white(tmp_path: Path) -
     image = disc()
     drawn = model.eval()(image, torch.ones(1))[0]
     assert (drawn[:, 2:6, 2:6] > 0.85).all()  # paper
-    for columns, strong, weak in ((slice(20, 24), 0, 2), (slice(40, 44), 2, 0)):
+    for columns, strong_colors, weak_colors in ((slice(20, 24), 0, 2), (slice(40, 44), 2, 0)):
         color = drawn[:, 30:34, columns].mean(dim=(1, 2))
-        assert color[strong] > 0.9
-        assert color[weak] < 0.3
+        assert color[strong_colors] > 0.9
+        assert color[weak_colors] < 0.3
     edge = drawn[:, 30:34, 8:20].amax(dim=0).amin()
     assert edge < 0.5  # darker than both sides of it
     assert torch.equal(model(image, torch.zeros(1)), image)

@@ -244,9 +244,11 @@ def test_layers_of_the_autoencoder_have_names_too(tmp_path: Path) -> None:
 def test_every_layer_goes_by_names_of_its_own(run: Path) -> None:
     read = read_diffusion(run)
     layers = [m for m in read.unet.modules() if isinstance(m, nn.Linear | nn.Conv2d)]
-    homes = layers_by_name(read.unet, None)
-    assert {id(home) for home in homes.values()} == {id(layer) for layer in layers}
-    kohya = [name for name in homes if name.startswith("lora_unet_")]
+    layer_names = layers_by_name(read.unet, None)
+    assert {id(layer_name) for layer_name in layer_names.values()} == {
+        id(layer) for layer in layers
+    }
+    kohya = [name for name in layer_names if name.startswith("lora_unet_")]
     assert len(kohya) == 2 * len(layers)  # as diffusers and as the original code counts
 
 

@@ -204,7 +204,7 @@ def test_text_other_than_a_namespace_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("take", "words"),
+    ("original_frame", "words"),
     [
         (lambda c: c.flag("a"), "a is 1, expected True or False"),
         (lambda c: c.integer("b", 0), "b is 'x', expected a whole number"),
@@ -212,10 +212,12 @@ def test_text_other_than_a_namespace_is_refused(
         (lambda c: c.word("b", "y", ("y", "z")), "b is 'x', expected 'y' or 'z'"),
     ],
 )
-def test_an_option_of_another_kind_is_refused(take: Callable, words: str, tmp_path: Path) -> None:
+def test_an_option_of_another_kind_is_refused(
+    original_frame: Callable, words: str, tmp_path: Path
+) -> None:
     cfg = read(tmp_path, "Namespace(a=1, b='x', d=True)")
     with pytest.raises(CheckpointInvalid, match=words):
-        take(cfg)
+        original_frame(cfg)
 
 
 def test_unused_options_are_warned_about_by_name(

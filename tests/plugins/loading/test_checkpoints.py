@@ -48,10 +48,10 @@ class Evil:
 
 def test_networks_that_no_method_has_are_named(tmp_path: Path) -> None:
     run = write_scaffold(tmp_path, AnchorOptions(anchors=4, united=True))
-    (united,) = run.rglob("checkpoints.pth")
-    change(united, lambda nets: nets.update(vi_mlp=nets["cov_mlp"]))
+    (united_options,) = run.rglob("checkpoints.pth")
+    change(united_options, lambda nets: nets.update(vi_mlp=nets["cov_mlp"]))
     read_anchors(run)
-    change(united, lambda nets: nets.update(mystery=nets["cov_mlp"]))
+    change(united_options, lambda nets: nets.update(mystery=nets["cov_mlp"]))
     with pytest.raises(CheckpointInvalid, match=r"unexpected: mystery; expected only"):
         read_anchors(run)
 
@@ -111,9 +111,9 @@ def test_file_inside_a_run_selects_the_run(
         next(last.glob("*.p*")): number,
     }
     parts |= {run / "deform/iteration_7/deform.pth": 7} if (run / "deform").is_dir() else {}
-    for path, meant in parts.items():
+    for path, expected_path in parts.items():
         checkpoint = read(path)
-        assert (checkpoint.run.iteration, checkpoint.run.folder.resolve()) == (meant, run)
+        assert (checkpoint.run.iteration, checkpoint.run.folder.resolve()) == (expected_path, run)
     assert read(Path(), 7).run.iteration == 7
     with pytest.raises(NotInCheckpoint, match=rf"is iteration 7, not {number}"):
         read(run / "point_cloud/iteration_7", number)
@@ -180,14 +180,14 @@ def test_a_script_archive_is_read_as_torch_reads_it(tmp_path: Path) -> None:
 
 def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
     options = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2)
-    many = read_anchors(write_scaffold(tmp_path / "many", options)).nets
-    united = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2, united=True)
-    first = read_anchors(write_scaffold(tmp_path / "one", united)).nets
-    assert many.bank is not None
+    many_files = read_anchors(write_scaffold(tmp_path / "many", options)).nets
+    united_options = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2, united=True)
+    first = read_anchors(write_scaffold(tmp_path / "one", united_options)).nets
+    assert many_files.bank is not None
     assert first.bank is not None
-    assert torch.equal(many.bank.hidden, first.bank.hidden)
-    assert torch.equal(many.color.out, first.color.out)
-    assert torch.equal(many.embedding, first.embedding)  # type: ignore[arg-type]
+    assert torch.equal(many_files.bank.hidden, first.bank.hidden)
+    assert torch.equal(many_files.color.out, first.color.out)
+    assert torch.equal(many_files.embedding, first.embedding)  # type: ignore[arg-type]
 
 
 def _as_first(nets: dict, folder: Path) -> None:
@@ -227,10 +227,10 @@ def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Pat
     if first:
         cfg(tmp_path, "Namespace(feat_dim=16, n_offsets=5, use_feat_bank=True, lod=0)")
         expected = read_anchors(tmp_path).nets
-    (united,) = tmp_path.rglob("checkpoints.pth")
-    nets = torch.load(united, weights_only=True)
-    united.unlink()
-    save(nets, united.parent)
+    (united_options,) = tmp_path.rglob("checkpoints.pth")
+    nets = torch.load(united_options, weights_only=True)
+    united_options.unlink()
+    save(nets, united_options.parent)
     actual = read_anchors(tmp_path).nets
     assert expected.color.distance
     for net in ("opacity", "covariance", "color", "bank"):
@@ -263,8 +263,8 @@ def test_modules_that_share_modules_are_refused(tmp_path: Path) -> None:
     inner = module + b"}b"
     for index in range(40):
         name = b"X\x01\0\0\0"
-        put, get = b"q" + bytes([index]), b"h" + bytes([index])
-        inner += put + module + b"}(" + name + b"a" + get + name + b"b" + get + b"ub"
+        put_opcode, get = b"q" + bytes([index]), b"h" + bytes([index])
+        inner += put_opcode + module + b"}(" + name + b"a" + get + name + b"b" + get + b"ub"
     with pytest.raises(CheckpointInvalid, match="part of two others"):
         read_script_state(_archive(tmp_path / "a.pt", b"\x80\x02" + inner + b"."))
 

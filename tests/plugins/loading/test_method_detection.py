@@ -18,8 +18,8 @@ ALIKE = {name: both for name, both in METHODS.items() if name not in ("lhm", "ro
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    home = tmp_path_factory.mktemp("runs")
-    folders = {name: write(home / name) for name, (write, _) in ALIKE.items()}
+    runs_folder = tmp_path_factory.mktemp("runs")
+    folders = {name: write(runs_folder / name) for name, (write, _) in ALIKE.items()}
     # Training of R3-Avatar writes the files of GauHuman, too; they are not enough for it.
     for subfolder in ("point_cloud", "mlp_ckpt"):
         target = folders["r3-avatar"] / subfolder
@@ -42,13 +42,13 @@ def test_checkpoint_names_the_matching_plugin(plugin: str, runs: dict[str, Path]
 @pytest.mark.parametrize("name", ALIKE)
 def test_one_plugin_recognises_a_run(name: str, runs: dict[str, Path]) -> None:
     iterations = runs[name].glob("point_cloud/iteration_*")
-    recognising = {
+    recognising_plugins = {
         plugin.name
         for iteration in iterations
         for plugin in installed_plugins()
         if plugin.recognises is not None and plugin.recognises(runs[name], iteration)
     }
-    assert recognising == {name}
+    assert recognising_plugins == {name}
 
 
 def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(runs: dict[str, Path]) -> None:

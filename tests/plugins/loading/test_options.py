@@ -9,7 +9,7 @@ from gsgen.reference_plugins.loading.options import warn_unsupported
 
 
 @pytest.mark.parametrize(
-    ("values", "warned"),
+    ("values", "expected_warnings"),
     [
         ({}, []),
         ({"ratio": 1, "deep": True}, []),
@@ -18,10 +18,10 @@ from gsgen.reference_plugins.loading.options import warn_unsupported
     ],
 )
 def test_each_other_value_is_warned_of(
-    values: dict[str, Any], warned: list[str], capsys: pytest.CaptureFixture[str]
+    values: dict[str, Any], expected_warnings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     expected = {"ratio": (1, "fewer offsets"), "deep": (True, "a smaller network")}
     warn_unsupported(SimpleNamespace(values=values), expected)  # type: ignore[arg-type]
     lines = capsys.readouterr().err.splitlines()
-    assert [line.split()[1] for line in lines] == warned
+    assert [line.split()[1] for line in lines] == expected_warnings
     assert all(line.startswith("warning: ") and "is not supported: " in line for line in lines)

@@ -40,7 +40,7 @@ def expected_gaussians(run: Path, camera: np.ndarray, uid: int | None = None) ->
     columns = raw_columns(files / "point_cloud.ply")
     centre = np.linalg.inv(camera.astype(np.float64).T)[:3, 3]
     anchor = np.stack([columns[axis] for axis in "xyz"], axis=1)
-    visible, fade, doubtful = _levels(columns, config, files, anchor, centre)
+    visible, fade, is_ambiguous = _levels(columns, config, files, anchor, centre)
     offset = _table(columns, "f_offset_")
     k = offset.shape[1] // 3
     offset = offset.reshape(-1, 3, k).transpose(0, 2, 1)
@@ -70,7 +70,7 @@ def expected_gaussians(run: Path, camera: np.ndarray, uid: int | None = None) ->
         opacity[drawn],
         covariance_upper(base[drawn], rotation[drawn]),
         color[drawn],
-        np.repeat(doubtful, k),
+        np.repeat(is_ambiguous, k),
     )
 
 
@@ -89,16 +89,16 @@ def _levels(
     distance = np.sqrt(((anchor - centre) ** 2).sum(axis=1))
     predicted = np.log2(infos["standard_dist"] / distance) / np.log2(config["fork"])
     predicted = predicted + columns["extra_level"]
-    top, mode = round(infos["levels"]) - 1, config["dist2level"]
+    top_level, mode = round(infos["levels"]) - 1, config["dist2level"]
     fade = np.ones(count)
     if mode == "progressive":
-        clamped = np.clip(predicted + 1, 0.9999, top + 0.9999)
+        clamped = np.clip(predicted + 1, 0.9999, top_level + 0.9999)
         whole = np.floor(clamped)
         fade = np.where(columns["level"] == whole, clamped - whole, 1.0)
         near = predicted
     else:
         function = {"round": np.round, "floor": np.floor, "ceil": np.ceil}[mode]
-        whole = np.clip(function(predicted), 0, top)
+        whole = np.clip(function(predicted), 0, top_level)
         near = predicted + (0.5 if mode == "round" else 0.0)
     return columns["level"] <= whole, fade, np.abs(near - np.round(near)) < 1e-4
 
@@ -135,12 +135,12 @@ def _networks(
             + feature * weight[:, 2:]
         )
     inputs = np.concatenate([feature, view], axis=1) if config["view_dim"] else feature
-    look = inputs
+    network_input = inputs
     if config["appearance_dim"]:
         (table,) = _state(files / "embedding_appearance.pt").values()
         rows = np.repeat(table[uid][None], len(inputs), axis=0)
-        look = np.concatenate([inputs, rows], axis=1)
-    color = 1 / (1 + np.exp(-ask("color_mlp", look)))
+        network_input = np.concatenate([inputs, rows], axis=1)
+    color = 1 / (1 + np.exp(-ask("color_mlp", network_input)))
     return (
         np.tanh(ask("opacity_mlp", inputs)),
         color.reshape(-1, 3),

@@ -96,9 +96,9 @@ def refined(nets: PoseNets | None, pose: np.ndarray) -> np.ndarray:
             np.eye(3), axis
         )  # row j is e_j × axis, which is row j of the matrix [axis]×
         c, s = np.cos(angle), np.sin(angle)
-        outer = np.outer(axis, axis)
+        outer_product = np.outer(axis, axis)
         # Written for a unit axis; this one is not quite: its diagonal is r² + (1 − r²) c.
-        rotation = outer * (1 - c) + s * cross
+        rotation = outer_product * (1 - c) + s * cross
         rotation[np.diag_indices(3)] = axis**2 + (1 - axis**2) * c
         offsets.append(rotation)
     return np.concatenate([turns[:1], turns[1:] @ np.stack(offsets)])
@@ -137,10 +137,12 @@ def followed(
     covariance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move Gaussians from the big pose: steps 1 to 7 of GauHuman."""
-    big = turns_of(spread(body))
+    big_pose_rotations = turns_of(spread(body))
     none = np.zeros(0)
-    big_pose_transforms = chain(body, big, none)
-    vertices = skinned(big_pose_transforms, body.weights, body.template + blendshapes(body, big))
+    big_pose_transforms = chain(body, big_pose_rotations, none)
+    vertices = skinned(
+        big_pose_transforms, body.weights, body.template + blendshapes(body, big_pose_rotations)
+    )
     vid = nearest(moved, vertices)
     weights = corrected(nets, body.weights[vid], canonical)
     blend = np.einsum("nj,jab->nab", weights, big_pose_transforms)
@@ -148,10 +150,10 @@ def followed(
     point = np.einsum("nab,nb->na", back, moved - blend[:, :3, 3])
     turns = refined(nets, pose_inputs.pose)
     shaped = body.shape_dirs[:, :, : len(pose_inputs.shape)] @ pose_inputs.shape
-    point += (blendshapes(body, turns) - blendshapes(body, big) + shaped)[vid]
+    point += (blendshapes(body, turns) - blendshapes(body, big_pose_rotations) + shaped)[vid]
     transforms = chain(body, turns, pose_inputs.shape)
-    posed = skinned(transforms, weights, point)
-    world = posed @ np.linalg.inv(pose_inputs.turn) + pose_inputs.shift
+    posed_points = skinned(transforms, weights, point)
+    world = posed_points @ np.linalg.inv(pose_inputs.turn) + pose_inputs.shift
     now = np.einsum("nj,jab->nab", weights, transforms)[:, :3, :3]
     whole = pose_inputs.turn @ now @ back
     return world, whole @ covariance @ whole.transpose(0, 2, 1)
@@ -266,12 +268,12 @@ def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
 
 def r3_novel(read: R3Checkpoint, pose_inputs: PoseInputs, pose_ids: list[int]) -> ExpectedGaussians:
     """Yifever20002/R3Avatars: `render_nops`, with a training pose for each part of the body."""
-    looks = [decoded(read, pose_id) for pose_id in pose_ids]
+    decoded_looks = [decoded(read, pose_id) for pose_id in pose_ids]
     canonical = read.canonical.position.double().numpy()
     transforms = chain(read.body, turns_of(spread(read.body)), np.zeros(0))
     template = read.body.template + blendshapes(read.body, turns_of(spread(read.body)))
     vertices = skinned(transforms, read.body.weights, template)
-    vid = nearest(canonical + looks[-1]["warp"], vertices)
+    vid = nearest(canonical + decoded_looks[-1]["warp"], vertices)
     weights = corrected(read.nets, read.body.weights[vid], canonical)
     legs = ([1, 4, 7, 10], [2, 5, 8, 11])
     if read.body.joints == 24:
@@ -281,8 +283,10 @@ def r3_novel(read: R3Checkpoint, pose_inputs: PoseInputs, pose_ids: list[int]) -
         remaining = ([0, 3, 6, 9, 12, 15, 22, 23, 24], left, right)
     shares = np.stack([weights[:, part].sum(axis=1) for part in (*legs, *remaining)], axis=1)
     mixed = {
-        name: np.einsum("np,pnc->nc", shares, np.stack([look[name] for look in looks]))
-        for name in looks[0]
+        name: np.einsum(
+            "np,pnc->nc", shares, np.stack([decoded_look[name] for decoded_look in decoded_looks])
+        )
+        for name in decoded_looks[0]
     }
     return r3_posed(read, pose_inputs, mixed)
 

@@ -147,9 +147,11 @@ def test_avatar_runs_in_webgpu_without_stale_replays(case: Case) -> None:
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     model = onnx.load(case.exported.path)
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
-    needed = sum(buffer.numel() * buffer.element_size() for buffer in case.generator.buffers())
+    weight_bytes = sum(
+        buffer.numel() * buffer.element_size() for buffer in case.generator.buffers()
+    )
     graph = 80_000  # nodes, names and the manifest: the same for any number of Gaussians
-    assert weights <= 1.05 * needed + 20_000
+    assert weights <= 1.05 * weight_bytes + 20_000
     assert case.exported.path.stat().st_size <= weights + graph
 
 
@@ -238,11 +240,11 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
         ]
         for share in (0.0, 0.3, 0.99)
     }
-    for later in (0.3, 0.99):
-        np.testing.assert_array_equal(frames_shown[0.0], frames_shown[later])
+    for time_value in (0.3, 0.99):
+        np.testing.assert_array_equal(frames_shown[0.0], frames_shown[time_value])
     assert len({rows.tobytes() for rows in frames_shown[0.0]}) == frames
-    for beyond, frame in ((1.0, -1), (7.0, -1), (-3.0, 0)):
-        rows, _ = eager(generator, np.array([beyond], np.float32))
+    for requested_time, frame in ((1.0, -1), (7.0, -1), (-3.0, 0)):
+        rows, _ = eager(generator, np.array([requested_time], np.float32))
         np.testing.assert_array_equal(rows, frames_shown[0.0][frame])
 
 

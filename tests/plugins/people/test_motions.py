@@ -25,9 +25,9 @@ def test_poses_of_one_body_become_those_of_another(width: int, joints: int, tmp_
     assert motion.fps == 30
     flat = motion.pose.reshape(3, -1)
     np.testing.assert_allclose(flat[:, :66], poses[:, :66])
-    hands = width >= 156 and joints == 55
+    has_hands = width >= 156 and joints == 55
     tail = flat[:, -90:] if joints == 55 else flat[:, 66:]
-    if hands:
+    if has_hands:
         np.testing.assert_allclose(tail, poses[:, -90:])
     elif width == 72 and joints == 24:
         np.testing.assert_allclose(tail, poses[:, 66:])
@@ -139,8 +139,8 @@ def test_frames_of_zju_mocap_are_read_out_of_their_pickles(tmp_path: Path) -> No
 
 
 def test_a_frame_of_zju_mocap_runs_nothing(tmp_path: Path) -> None:
-    harm = {"poses": Harmful(tmp_path / "harmed")}
-    np.save(tmp_path / "0.npy", harm)  # type: ignore[arg-type]
+    harmful_pose = {"poses": Harmful(tmp_path / "harmed")}
+    np.save(tmp_path / "0.npy", harmful_pose)  # type: ignore[arg-type]
     with pytest.raises(CheckpointInvalid, match="which is not an array"):
         read_motion(tmp_path, 24)
     assert not (tmp_path / "harmed").exists()

@@ -38,8 +38,8 @@ def unpickled(path: Path, value: object) -> Path:
 
 @pytest.mark.parametrize("hidden", [False, True])
 def test_a_body_model_runs_nothing(hidden: bool, tmp_path: Path) -> None:
-    harm = Harmful(tmp_path / "harmed")
-    value = {"v_template": np.array([harm], object) if hidden else harm}
+    harmful_body = Harmful(tmp_path / "harmed")
+    value = {"v_template": np.array([harmful_body], object) if hidden else harmful_body}
     path = unpickled(tmp_path / "SMPL_NEUTRAL.pkl", value)
     with pytest.raises(CheckpointInvalid, match="system, which is not an array"):
         read_body(path, 24)
@@ -132,9 +132,9 @@ def chumpy(monkeypatch: pytest.MonkeyPatch) -> dict[str, type]:
     classes: dict[str, type] = {}
     for module, name in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select")):
         classes[name] = type(name, (), {"__module__": module})
-        home = ModuleType(module)
-        setattr(home, name, classes[name])
-        monkeypatch.setitem(sys.modules, module, home)
+        chumpy_module = ModuleType(module)
+        setattr(chumpy_module, name, classes[name])
+        monkeypatch.setitem(sys.modules, module, chumpy_module)
     monkeypatch.setitem(sys.modules, "chumpy", ModuleType("chumpy"))
     return classes
 

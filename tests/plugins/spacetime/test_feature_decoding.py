@@ -164,8 +164,8 @@ def test_the_page_exports_both_models_and_draws_with_them(
     write_spacetime(tmp_path / "DIR", count=30, full=True)
     monkeypatch.chdir(tmp_path)
     for line in BLOCKS["commands"].splitlines():
-        ran = gsgen_here(*shlex.split(line)[1:])
-        assert ran.code == 0, ran.err
+        completed = gsgen_here(*shlex.split(line)[1:])
+        assert completed.code == 0, completed.err
     exec(BLOCKS["program"], {"__name__": "__main__"})
     camera = Camera.orbit((0, 0, 0), 4, width=32, height=24)
     with GeneratorPlayer("features.onnx") as player, PostProcessor(Path("decoder.onnx")) as post:

@@ -74,17 +74,17 @@ def test_exported_splats_conform_to_every_target(tmp_path: Path) -> None:
 def test_harmonics_are_of_a_degree_that_is_taken(degree: int, words: str, tmp_path: Path) -> None:
     knot = torus_knot(7, degree=degree)
     write_ply(tmp_path / "knot.ply", knot)
-    ran = gsgen_here(
+    completed = gsgen_here(
         "export", "static", "knot.ply", "-o", "knot.onnx", *words.split(), cwd=tmp_path
     )
-    assert ran.code == 0, ran.err
+    assert completed.code == 0, completed.err
     _, color, _ = onnxruntime.InferenceSession(tmp_path / "knot.onnx").run(None, {})
     expected_width = 48 if "visionary" in words else (12, 12, 48, 48)[degree]
     assert color.shape == (7, expected_width)
     retained = knot.sh.reshape(7, -1)
     np.testing.assert_allclose(color[:, : retained.shape[1]], retained, atol=1e-3)
     assert (color[:, retained.shape[1] :] == 0).all()
-    assert ("are written as degree" in ran.err) == (degree in (0, 2) and "float16" in words)
+    assert ("are written as degree" in completed.err) == (degree in (0, 2) and "float16" in words)
 
 
 def test_padding_rows_are_zero(tmp_path: Path) -> None:
@@ -104,10 +104,12 @@ def test_points_become_gaussians_of_one_tenth_opacity(tmp_path: Path) -> None:
     variance = np.square(neighbour_scale(cloud.position))
     np.testing.assert_allclose(scene.rows[:, [4, 7, 9]], variance[:, None].repeat(3, 1), rtol=1e-5)
     np.testing.assert_array_equal(scene.appearance, cloud.color)
-    as_sh = from_content(cloud, sh_degree=2)
-    assert as_sh.appearance.shape == (100, 27)
-    np.testing.assert_allclose(0.5 + 0.28209479 * as_sh.appearance[:, :3], cloud.color, atol=1e-6)
-    assert not as_sh.appearance[:, 3:].any()
+    sh_scene = from_content(cloud, sh_degree=2)
+    assert sh_scene.appearance.shape == (100, 27)
+    np.testing.assert_allclose(
+        0.5 + 0.28209479 * sh_scene.appearance[:, :3], cloud.color, atol=1e-6
+    )
+    assert not sh_scene.appearance[:, 3:].any()
 
 
 @pytest.mark.parametrize("channels", [3, 4, 12, 27, 48])
@@ -139,10 +141,10 @@ def test_a_capacity_below_the_rows_is_refused(tmp_path: Path) -> None:
 
 def test_the_real_garden_exports_and_conforms(tmp_path: Path) -> None:
     garden = shared("data/garden/test_garden.npz")
-    ran = gsgen_here(
+    completed = gsgen_here(
         "export", "static", garden, "-o", tmp_path / "garden.onnx", "--dtype", "float16"
     )
-    assert ran.code == 0, ran.err
+    assert completed.code == 0, completed.err
     report = validate(tmp_path / "garden.onnx")
     assert report.verdict == "conforms"
     assert report.capacity == 138766
@@ -155,8 +157,8 @@ def test_the_real_garden_exports_and_conforms(tmp_path: Path) -> None:
 
 def test_the_real_splats_export_and_conform(tmp_path: Path) -> None:
     source = shared("data/twins/test-splat.3-points-from-train.ply")
-    ran = gsgen_here("export", "static", source, "-o", tmp_path / "three.onnx")
-    assert ran.code == 0, ran.err
+    completed = gsgen_here("export", "static", source, "-o", tmp_path / "three.onnx")
+    assert completed.code == 0, completed.err
     assert validate(tmp_path / "three.onnx").capacity == 3
 
 

@@ -44,15 +44,15 @@ def test_rows_that_break_a_rule_are_rejected_and_reported(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     np.savez("points.npz", points=points().position, colors=points().color)
-    ran = gsgen_here(
+    completed = gsgen_here(
         *("export", "static", "points.npz", "-o", "m.onnx", "--report", "r.json"),
         *("--level", "static", "--target", "visionary", "--json"),
     )
-    assert ran.code == 1
-    assert "gsgen: m.onnx was not written" in ran.err
+    assert completed.code == 1
+    assert "gsgen: m.onnx was not written" in completed.err
     assert not Path("m.onnx").exists()
     report = json.loads(Path("r.json").read_text(encoding="utf-8"))
-    assert json.loads(ran.out) == report
+    assert json.loads(completed.out) == report
     assert (report["written"], report["source"]) == (False, "static")
     assert report["error"]["kind"] == "ExportRejected"
     assert report["options"]["dtype"] == "float32"
@@ -101,9 +101,9 @@ def test_packed_rows_keep_their_dtype_unless_another_is_requested(
     np.savez("rows.npz", gaussians=rows.gaussians, appearance=rows.appearance)
     words = ("export", "static", "rows.npz", "-o", "m.onnx", "--level", "static")
     for options, expected in (((), dtype), (("--dtype", "float32"), "float32")):
-        ran = gsgen_here(*words, "--report", "r.json", *options)
-        assert ran.code == 0, ran.err
-        assert f"m.onnx: 4 packed rows, {expected}" in ran.out
+        completed = gsgen_here(*words, "--report", "r.json", *options)
+        assert completed.code == 0, completed.err
+        assert f"m.onnx: 4 packed rows, {expected}" in completed.out
         report = json.loads(Path("r.json").read_text(encoding="utf-8"))
         assert report["options"]["dtype"] == expected
         assert (report["parity"], report["rewrites"]) == (None, [])
@@ -134,7 +134,7 @@ def test_no_plugin_overwrites_the_file_that_it_reads(
     monkeypatch.chdir(tmp_path)
     write_ply("knot.ply", torus_knot(5))
     before = Path("knot.ply").read_bytes()
-    ran = gsgen_here("export", "static", "knot.ply", "-o", "knot.ply")
-    assert ran.code == 2
-    assert "would be overwritten" in ran.err
+    completed = gsgen_here("export", "static", "knot.ply", "-o", "knot.ply")
+    assert completed.code == 2
+    assert "would be overwritten" in completed.err
     assert Path("knot.ply").read_bytes() == before

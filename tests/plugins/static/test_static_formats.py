@@ -22,18 +22,18 @@ def manifest_of(path: Path) -> dict:
 )
 def test_spz_training_flags_are_kept(tmp_path, options, retained):
     model = tmp_path / "m.onnx"
-    ran = gsgen_here(
+    completed = gsgen_here(
         *("export", "static", GOLDENS / "degree-4.v4.spz", "-o", model, "--level", "static"),
         *options,
     )
-    assert ran.code == 0, ran.err
-    assert "note: SH degree 4 is cut to 3" in ran.err
+    assert completed.code == 0, completed.err
+    assert "note: SH degree 4 is cut to 3" in completed.err
     assert manifest_of(model).get("antialias", "classic") == retained
 
 
 def test_glb_color_space_is_kept(tmp_path):
     write_glb(tmp_path / "a.glb", scene(3, 1, color_space="linear"))
     model = tmp_path / "m.onnx"
-    ran = gsgen_here("export", "static", tmp_path / "a.glb", "-o", model, "--level", "static")
-    assert ran.code == 0, ran.err
+    completed = gsgen_here("export", "static", tmp_path / "a.glb", "-o", model, "--level", "static")
+    assert completed.code == 0, completed.err
     assert '"linear"' in json.dumps(manifest_of(model)["outputs"])

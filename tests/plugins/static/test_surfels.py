@@ -46,8 +46,8 @@ def test_gaussians_are_the_discs_of_the_method(seed: int, degree: int, tmp_path:
     trace = np.trace(covariance, axis1=1, axis2=2)
     assert (np.abs(rows[:, 4:] - upper).max(axis=1) <= 1e-6 * trace).all()
     matrix = rows[:, 4:][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).astype(float)
-    through = np.einsum("ni,nij,nj->n", normal, matrix, normal)
-    assert (np.abs(through) <= 1e-6 * trace).all()  # a disc has no thickness
+    normal_variance = np.einsum("ni,nij,nj->n", normal, matrix, normal)
+    assert (np.abs(normal_variance) <= 1e-6 * trace).all()  # a disc has no thickness
     np.testing.assert_array_equal(rows[:, :3], np.stack([columns[a] for a in "xyz"], axis=1))
     opacity = 1 / (1 + np.exp(-columns["opacity"].astype(float)))
     np.testing.assert_allclose(rows[:, 3], opacity, atol=1e-6)

@@ -115,7 +115,7 @@ def test_an_unchanged_covariance_is_not_decomposed_again(monkeypatch: pytest.Mon
     cloud = _cloud(20)
     covariance = cloud.covariance.copy()
     covariance[7, 3] += 1
-    sequence, every = FrameConverter(), np.ones(20, bool)
+    sequence, all_rows = FrameConverter(), np.ones(20, bool)
     for values in (cloud.covariance, cloud.covariance, covariance):
-        sequence.convert(_cloud(20, covariance=values), every)
+        sequence.convert(_cloud(20, covariance=values), all_rows)
     assert counts == [20, 0, 1]

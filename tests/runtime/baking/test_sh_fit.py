@@ -62,15 +62,21 @@ def test_gaussians_that_no_camera_sees_are_grey() -> None:
 def test_held_out_error_chooses_the_degree_of_the_colors(degree: int) -> None:
     positions, eyes, colors, _ = _seen(degree, seed=7)
     weights = np.ones((VIEWS, N))
-    fit, test = slice(0, 24), slice(24, None)
+    train_slice, test = slice(0, 24), slice(24, None)
     errors = [
         color_errors(
             positions,
             eyes[test],
             colors[test],
             weights[test],
-            fit_sh(positions, eyes[fit], colors[fit], weights[fit], tried),
+            fit_sh(
+                positions,
+                eyes[train_slice],
+                colors[train_slice],
+                weights[train_slice],
+                candidate_degree,
+            ),
         )
-        for tried in range(4)
+        for candidate_degree in range(4)
     ]
     assert best_degree(errors) == degree

@@ -267,8 +267,8 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
 def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> None:
     values = {"f": 40.0, "fx": 40.0, "fy": 50.0, "cx": 30.0, "cy": 20.0}
     names = MODELS[model].split()
-    for bending in (0.0, 0.01):
-        numbers = " ".join(str(values.get(name, bending)) for name in names)
+    for distortion in (0.0, 0.01):
+        numbers = " ".join(str(values.get(name, distortion)) for name in names)
         (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 {numbers}\n")
         (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
         if "FISHEYE" in model or model == "FOV":
@@ -279,7 +279,7 @@ def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> N
         camera = file.cameras[0].camera
         assert (camera.fx, camera.cx, camera.cy) == (40, 30, 20)
         assert camera.fy == (50 if "fy" in names else 40)
-        assert bool(file.notes) == (bending > 0 and "PINHOLE" not in model)
+        assert bool(file.notes) == (distortion > 0 and "PINHOLE" not in model)
     (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 1.0\n")
     with pytest.raises(
         ConfigInvalid, match=r"expected one that a pinhole|has 1 parameters, expected"
@@ -327,9 +327,9 @@ def test_picking_by_name_number_and_slice() -> None:
 def test_camera_option_selects_from_files(tmp_path: Path) -> None:
     cameras = some_cameras(4, centred=True)
     path = write_training(cameras, tmp_path)
-    picked = viewpoint(f"{path}#00002")
-    assert len(picked.cameras) == 1
-    np.testing.assert_allclose(picked.cameras[0].view, cameras[2].view, atol=1e-9)
+    picked_view = viewpoint(f"{path}#00002")
+    assert len(picked_view.cameras) == 1
+    np.testing.assert_allclose(picked_view.cameras[0].view, cameras[2].view, atol=1e-9)
     assert len(viewpoint(f"{tmp_path}#1:3").cameras) == 2  # a folder finds its cameras.json
     odd = tmp_path / "a#1"
     odd.write_text(cameras[0].to_json())
@@ -418,9 +418,9 @@ def test_damaged_files_are_refused_or_read_without_crash(name: str, tmp_path: Pa
                     [b"\xff" * 8, b"-1", b"1e999", b"nan", b"\0", b"[["]
                 )
             file.write_bytes(result)
-            said = trouble(path)
-            assert said is None or str(tmp_path) in said
-            refused += said is not None
+            expected_message = trouble(path)
+            assert expected_message is None or str(tmp_path) in expected_message
+            refused += expected_message is not None
         file.write_bytes(whole)
     assert refused >= 40
     assert len(open_cameras(path).cameras) == 3

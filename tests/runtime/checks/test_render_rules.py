@@ -70,8 +70,13 @@ def test_good_models_are_seen(name: str, tmp_path: Path) -> None:
     report = ran(validate(find(name).write(tmp_path), RENDER))
     empty = {"GV032"} if name == "nothing_live" else set()
     assert {finding.rule for finding in report.findings} == empty
-    alike = "skipped" if name == "weighted_sum" else "pass"
-    assert status(report) == {"GB018": "pass", "GB019": "pass", "GB020": alike, "GB021": "pass"}
+    expected_status = "skipped" if name == "weighted_sum" else "pass"
+    assert status(report) == {
+        "GB018": "pass",
+        "GB019": "pass",
+        "GB020": expected_status,
+        "GB021": "pass",
+    }
     assert "renderer" in report.environment
 
 
@@ -98,14 +103,14 @@ def drawn_reference(renderer: Renderer) -> bytes:
     return png_of(frame.srgb8[..., :3])
 
 
-def compared(sketch: ModelSpec, folder: Path, **changes: object) -> showing.ComparedReference:
+def compared(spec: ModelSpec, folder: Path, **changes: object) -> showing.ComparedReference:
     """Return what becomes of the picture of a sketch, without judging the model."""
     path = folder / "model.onnx"
-    sketch.write(path)
-    manifest = sketch.manifest
+    spec.write(path)
+    manifest = spec.manifest
     assert isinstance(manifest, GeneratorManifest)
-    outputs = {"gaussians": sketch.weights["rows"], "color": sketch.weights["colors"],
-               "num_points": sketch.weights["live"]}  # fmt: skip
+    outputs = {"gaussians": spec.weights["rows"], "color": spec.weights["colors"],
+               "num_points": spec.weights["live"]}  # fmt: skip
     trial = Mock(
         plan=Mock(probes=[Mock(label="no inputs")], values=1),
         execution=Mock(runs=[Mock(sample=0)], samples=[Mock(outputs=outputs)]),
@@ -142,8 +147,8 @@ def test_a_picture_that_the_model_draws_is_the_same(renderer: Renderer, tmp_path
 def test_a_picture_that_cannot_be_compared_says_why(
     renderer: Renderer, tmp_path: Path, changes: dict[str, object], problem: str
 ) -> None:
-    sketch = with_reference(still(), png_of(np.zeros((36, 64, 3), np.uint8)), **changes)
-    comparison = compared(sketch, tmp_path, renderer=renderer)
+    spec = with_reference(still(), png_of(np.zeros((36, 64, 3), np.uint8)), **changes)
+    comparison = compared(spec, tmp_path, renderer=renderer)
     assert comparison.psnr is None
     assert problem in comparison.problem
 
@@ -155,18 +160,18 @@ def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
         (png_of(np.zeros((1, 5000, 3), np.uint8)), "expected at most 4096×4096"),
         (png_of(noise)[:2000], "cannot be read as PNG"),
     ):
-        sketch = with_reference(still(), content)
-        sketch.write(tmp_path / "model.onnx")
+        spec = with_reference(still(), content)
+        spec.write(tmp_path / "model.onnx")
         with pytest.raises(ReferenceUnreadable, match=problem):
-            read_reference(tmp_path, sketch.manifest.reference_images[0])
+            read_reference(tmp_path, spec.manifest.reference_images[0])
     with (tmp_path / "reference.png").open("wb") as file:
         file.truncate(33 << 20)
     with pytest.raises(ReferenceUnreadable, match="more than 33,554,432 bytes"):
-        read_reference(tmp_path, sketch.manifest.reference_images[0])
+        read_reference(tmp_path, spec.manifest.reference_images[0])
     (tmp_path / "reference.png").unlink()
     (tmp_path / "reference.png").symlink_to("/etc/hostname")
     with pytest.raises(ReferenceUnreadable, match="is outside the model's folder"):
-        read_reference(tmp_path, sketch.manifest.reference_images[0])
+        read_reference(tmp_path, spec.manifest.reference_images[0])
 
 
 def test_decibels_are_those_of_colours() -> None:

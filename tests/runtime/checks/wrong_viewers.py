@@ -201,8 +201,8 @@ class _ForgetsRole(Viewer):
         self._role = role
 
     def fed(self, manifest: GeneratorManifest, values: dict[str, Any]) -> dict[str, Any]:
-        unfed = {entry.name for entry in manifest.inputs if entry.role == self._role}
-        return {name: value for name, value in values.items() if name not in unfed}
+        unfed_inputs = {entry.name for entry in manifest.inputs if entry.role == self._role}
+        return {name: value for name, value in values.items() if name not in unfed_inputs}
 
 
 class _ForgetsDefaults(Viewer):
@@ -261,8 +261,8 @@ class _MirrorsBehind(Viewer):
             (splat_set,) = scene.sets
             data = splat_set.data
             rows = np.array(data.rows, np.float32)
-            behind = (rows[:, :3] @ camera.view[2, :3] + camera.view[2, 3]) < 0
-            rows[behind, :3] = 2 * camera.eye - rows[behind, :3]
+            view_depth = (rows[:, :3] @ camera.view[2, :3] + camera.view[2, 3]) < 0
+            rows[view_depth, :3] = 2 * camera.eye - rows[view_depth, :3]
             moved = SplatData(
                 *(rows, data.appearance.astype(np.float32), data.space),
                 count=data.count,

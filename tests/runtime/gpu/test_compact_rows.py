@@ -37,9 +37,11 @@ def test_a_covariance_keeps_its_shape(unit: float) -> None:
     largest = np.abs(before).max(axis=(1, 2))
     assert (np.abs(after - before).max(axis=(1, 2)) <= 6.1 * LEAST * largest).all()
     assert (np.linalg.eigvalsh(after)[:, 0] >= -1e-6 * largest).all()
-    thick, thicker = (np.sqrt(np.maximum(np.linalg.eigvalsh(c)[:, 0], 0)) for c in (before, after))
+    thickness, expected_thickness = (
+        np.sqrt(np.maximum(np.linalg.eigvalsh(c)[:, 0], 0)) for c in (before, after)
+    )
     # A rounded covariance would be off by up to the root of a step, 4e-3.
-    assert (np.abs(thick - thicker) <= 1e-3 * np.sqrt(largest)).all()
+    assert (np.abs(thickness - expected_thickness) <= 1e-3 * np.sqrt(largest)).all()
 
 
 def test_flat_and_empty_covariances_are_kept() -> None:
@@ -79,8 +81,8 @@ def test_packed_rows_are_read_as_they_were_packed(device: Device, renderer: Rend
         assert first.visible == two.visible > 50
         for name in ("rgba", "depth", "normal"):
             here, reference = getattr(first, name), getattr(two, name)
-            close = np.isclose(here, reference, atol=2e-5, rtol=1e-5)
-            assert close.mean() > 0.995  # the rest is at thresholds
+            is_close = np.isclose(here, reference, atol=2e-5, rtol=1e-5)
+            assert is_close.mean() > 0.995  # the rest is at thresholds
         assert (first.ids == two.ids).mean() > 0.995
 
 

@@ -11,8 +11,8 @@ from gsgen.runtime.gpu import gpu_timer
 
 
 def test_passes_of_a_stage_are_added() -> None:
-    ticks = np.array([100, 350, 400, 1400, 2000, 2005], np.uint64)
-    read = MagicMock(return_value=ticks)
+    timestamps = np.array([100, 350, 400, 1400, 2000, 2005], np.uint64)
+    read = MagicMock(return_value=timestamps)
     device = cast(Any, SimpleNamespace(raw=MagicMock(), read=read))
     with patch.object(gpu_timer, "timestamp_period", lambda _: 2.0):  # ns a tick
         clock = gpu_timer.StageClock(device)
@@ -23,5 +23,5 @@ def test_passes_of_a_stage_are_added() -> None:
     assert clock.seconds() == pytest.approx({"sort": 510e-9, "blend": 2000e-9}, rel=1e-12)
     assert read.call_args.args[2] == 6
     clock.begin()
-    read.return_value = ticks[:0]
+    read.return_value = timestamps[:0]
     assert clock.seconds() == {}

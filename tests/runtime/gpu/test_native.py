@@ -71,7 +71,11 @@ def test_no_other_module_uses_private_names_of_wgpu() -> None:
 def test_range_of_wgpu_ends_before_versions_that_were_not_tested() -> None:
     """Catches a range without an end: the next release may rename what the module takes."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    needs = [need for need in project["optional-dependencies"]["runtime"] if "wgpu" in need]
+    needs = [
+        requirement
+        for requirement in project["optional-dependencies"]["runtime"]
+        if "wgpu" in requirement
+    ]
     assert len(needs) == 1
     assert re.fullmatch(r"wgpu>=[\d.]+,<[\d.]+", needs[0])
 
@@ -185,11 +189,11 @@ def test_pointers_to_all_types_are_known_without_parsing() -> None:
 
 
 def test_first_picture_parses_no_type() -> None:
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", _FIRST_PICTURE], capture_output=True, encoding="utf-8", timeout=120
     )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[-1]) == []
+    assert completed.returncode == 0, completed.stderr
+    assert json.loads(completed.stdout.splitlines()[-1]) == []
 
 
 def test_types_that_are_parsed_together_are_those_that_cffi_parses() -> None:

@@ -121,23 +121,23 @@ def test_order_is_recomputed_when_neighbours_separate(
         pytest.skip("rows that change have their own order on a card")
     monkeypatch.setattr(spatial_order, "_SERVES", 3)
     data = cloud(200, 8)
-    began, residency = data.rows, Residency(device)
+    start_time, residency = data.rows, Residency(device)
 
     def order() -> np.ndarray:
         residency.begin(data)
         return residency.pages(data)[0].rows_of
 
     assert order() is None
-    data.update(rows=1.5 * began)
+    data.update(rows=1.5 * start_time)
     first = order()
     np.testing.assert_array_equal(first, along_curve(data.rows[:, :3]))
     for _ in range(5):  # nobody moves far
         data.update(rows=data.rows + np.float32(0.01))
         assert order() is first
-    mixed = began[np.random.default_rng(0).permutation(200)]
+    mixed = start_time[np.random.default_rng(0).permutation(200)]
     data.update(rows=50 * mixed)
     np.testing.assert_array_equal(order(), along_curve(data.rows[:, :3]))
-    data.update(rows=began)  # the new one serves for a while, whatever comes
+    data.update(rows=start_time)  # the new one serves for a while, whatever comes
     np.testing.assert_array_equal(order(), along_curve(50 * mixed[:, :3]))
 
 

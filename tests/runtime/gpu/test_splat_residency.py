@@ -46,15 +46,15 @@ def test_unchanged_rows_are_not_written(device: Device, written: list) -> None:
         residency.pages(data)
         return list(written)
 
-    everything = [("rows", 0, 100 * ROW), ("appearance", 0, 100 * COLOR)]
-    assert uploaded() == everything
+    all_writes = [("rows", 0, 100 * ROW), ("appearance", 0, 100 * COLOR)]
+    assert uploaded() == all_writes
     assert uploaded() == []
     data.update(rows=other.rows)
-    assert uploaded() == everything[:1]
+    assert uploaded() == all_writes[:1]
     data.update(appearance=other.appearance)
-    assert uploaded() == everything[1:]
+    assert uploaded() == all_writes[1:]
     data.update(data.rows, data.appearance)
-    assert uploaded() == everything
+    assert uploaded() == all_writes
     data.update(count=30)
     assert uploaded() == []
     data.update(rows=other.rows, count=30)

@@ -28,8 +28,8 @@ def test_uploaded_rows_are_at_their_offsets(
     assert device.can_map(buffer) is maps
     target = Target(buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if result else None)
     upload(device, target, array, order)
-    some = array if order is None else array[order]
-    before[1234 : 1234 + len(some)] = some
+    ordered_rows = array if order is None else array[order]
+    before[1234 : 1234 + len(ordered_rows)] = ordered_rows
     read = device.read(buffer, np.float32, 4 * ROOM).reshape(-1, 4)
     np.testing.assert_array_equal(read, before)
 

@@ -71,11 +71,11 @@ def test_narrow_cells_draw_the_same_picture(
 ) -> None:
     """Drivers on CPUs whose subgroups have four invocations blend in cells of 4×4 pixels."""
     monkeypatch.setattr(blend_tiles, "lanes", lambda device: 4)
-    narrow = Renderer(device, rasteriser="tiles")
+    narrow_renderer = Renderer(device, rasteriser="tiles")
     scene, camera = SCENES[name]()
-    frame = narrow.render(scene, camera, outputs=("color", "depth"))
+    frame = narrow_renderer.render(scene, camera, outputs=("color", "depth"))
     assert (
-        narrow._kernels.blend(
+        narrow_renderer._kernels.blend(
             "color",
             panorama=bool(camera.period),
             layers=0,
@@ -108,6 +108,6 @@ def test_thin_splats_do_not_underflow_between_rows(device: Device, dilation: flo
 
 def test_subgroups_are_measured_where_there_are_any(device: Device) -> None:
     assert lanes(device) in ((0,) if not device.subgroups else (1, 2, 4, 8))
-    without = Device(device.raw)
-    without.subgroups = False
-    assert lanes(without) == 0
+    plain_device = Device(device.raw)
+    plain_device.subgroups = False
+    assert lanes(plain_device) == 0

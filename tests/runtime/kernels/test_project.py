@@ -65,24 +65,24 @@ ONE_SET = [
 
 @pytest.mark.parametrize("name", ONE_SET)
 def test_projected_splats_agree_with_the_reference(renderer: Renderer, name: str) -> None:
-    scene, seen_by = SCENES[name]()
+    scene, view_camera = SCENES[name]()
     scene = Scene(scene.sets[:1])
     n = len(scene)
-    plan = run(renderer, scene, seen_by, "project")
+    plan = run(renderer, scene, view_camera, "project")
     keys = words(renderer, plan, "keys of Gaussians a", n)
     shapes, weights, colors = (
         floats(renderer, plan, part, n) for part in ("shapes", "weights", "colors")
     )
-    expected = reference(scene.sets[0], seen_by)
+    expected = reference(scene.sets[0], view_camera)
     drawn = keys != ABSENT
     assert drawn.any()
     assert not (drawn & ~expected.drawn).any()
     # What the kernel leaves out beyond that is beside the image.
-    origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
+    origin = project.frame_uniform(view_camera, NOTHING_BEHIND)["origin"]
     for i in np.flatnonzero(expected.drawn & ~drawn):
         around = (expected.mean[i] + origin, expected.conic[i], expected.strength[i] - 1e-4)
-        size = (seen_by.width, seen_by.height)
-        assert not touched_reference(*around, size, seen_by.period).any()
+        size = (view_camera.width, view_camera.height)
+        assert not touched_reference(*around, size, view_camera.period).any()
     np.testing.assert_allclose(keys[drawn].view(np.float32), expected.depth[drawn], rtol=1e-5)
     np.testing.assert_array_equal(weights[drawn, 2], keys[drawn].view(np.float32))
     size = np.abs(expected.mean[drawn]).max() + 1
@@ -108,9 +108,9 @@ def tile_renderer(device: Device, lists: bool) -> Renderer:
 def test_tiles_list_every_splat_that_reaches_them(device: Device, name: str, lists: bool) -> None:
     renderer = tile_renderer(device, lists)
     scene, small = SCENES[name]()
-    seen_by = small.scaled(150, 90)
-    run(renderer, scene, seen_by)  # the plan may have to be made
-    plan = run(renderer, scene, seen_by, "project", "sort", "bin", "group")
+    view_camera = small.scaled(150, 90)
+    run(renderer, scene, view_camera)  # the plan may have to be made
+    plan = run(renderer, scene, view_camera, "project", "sort", "bin", "group")
     n, tiles = len(scene), 10 * 6
     counts = words(renderer, plan, "counts", 4)
     pairs, visible = int(counts[Counts.PAIRS]), int(counts[Counts.VISIBLE])
@@ -136,33 +136,35 @@ def test_tiles_list_every_splat_that_reaches_them(device: Device, name: str, lis
         for i in np.flatnonzero(drawn):
             rows, columns = np.divmod(np.flatnonzero(listed[i]), 10)
             if windows[i] == ABSENT:  # larger than a window, but for rows that it misses
-                assert seen_by.period or np.ptp(rows) > 1 or np.ptp(columns) > 3
+                assert view_camera.period or np.ptp(rows) > 1 or np.ptp(columns) > 3
             else:
                 assert window_tiles(int(windows[i]), 10) == np.flatnonzero(listed[i]).tolist()
     else:
-        touched = floats(renderer, plan, "colors", n)[:, 3]
-        np.testing.assert_array_equal(listed.sum(axis=1)[drawn], touched[drawn])
-    origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
-    needed = 0
+        touched_count = floats(renderer, plan, "colors", n)[:, 3]
+        np.testing.assert_array_equal(listed.sum(axis=1)[drawn], touched_count[drawn])
+    origin = project.frame_uniform(view_camera, NOTHING_BEHIND)["origin"]
+    required_count = 0
     assert drawn.sum() <= visible
     for i in np.flatnonzero(drawn):
         conic = np.float64([shapes[i, 2], shapes[i, 3], weights[i, 0]])
         mean = shapes[i, :2].astype(np.float64) + origin
         strength = float(weights[i, 1])
-        must = touched_reference(mean, conic, strength, (150, 90), seen_by.period)
-        assert not (must.ravel() & ~listed[i]).any()
-        needed += int(must.sum())
-    assert pairs <= 1.1 * needed + 5  # little is listed for nothing
+        required_tiles = touched_reference(mean, conic, strength, (150, 90), view_camera.period)
+        assert not (required_tiles.ravel() & ~listed[i]).any()
+        required_count += int(required_tiles.sum())
+    assert pairs <= 1.1 * required_count + 5  # little is listed for nothing
 
 
 @pytest.mark.parametrize("name", ["many", "huge", "panorama_seam", "nothing"])
 def test_lists_are_those_of_sorted_pairs(device: Device, name: str) -> None:
     """Pictures are the same, bit by bit, and so is what memory is read by 64 or 32 bits."""
-    scene, seen_by = SCENES[name]()
-    narrow = Device(device.raw)
-    narrow.wide = False
-    variants = [tile_renderer(device, True), tile_renderer(device, False), Renderer(narrow)]
-    frames = [variant.render(scene, seen_by, outputs=("color", "depth")) for variant in variants]
+    scene, view_camera = SCENES[name]()
+    narrow_device = Device(device.raw)
+    narrow_device.wide = False
+    variants = [tile_renderer(device, True), tile_renderer(device, False), Renderer(narrow_device)]
+    frames = [
+        variant.render(scene, view_camera, outputs=("color", "depth")) for variant in variants
+    ]
     assert (frames[0].visible > 0) == (name != "nothing")
     for other in frames[1:]:
         np.testing.assert_array_equal(frames[0].rgba, other.rgba)
@@ -172,40 +174,40 @@ def test_lists_are_those_of_sorted_pairs(device: Device, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["many", "huge", "same_depths"])
 def test_blended_image_agrees_with_the_reference(renderer: Renderer, name: str) -> None:
-    scene, seen_by = SCENES[name]()
-    image = renderer.render(scene, seen_by).rgba
-    all_of_them = reference(scene.sets[0], seen_by)
-    order = np.argsort(all_of_them.depth.astype(np.float32), kind="stable")
-    order = order[all_of_them.drawn[order]]
+    scene, view_camera = SCENES[name]()
+    image = renderer.render(scene, view_camera).rgba
+    all_splats = reference(scene.sets[0], view_camera)
+    order = np.argsort(all_splats.depth.astype(np.float32), kind="stable")
+    order = order[all_splats.drawn[order]]
     fields = Projected.__slots__
-    splats = Projected(**{field: getattr(all_of_them, field)[order] for field in fields})
-    origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
-    expected = blend_reference(splats, origin, (seen_by.width, seen_by.height))
+    splats = Projected(**{field: getattr(all_splats, field)[order] for field in fields})
+    origin = project.frame_uniform(view_camera, NOTHING_BEHIND)["origin"]
+    expected = blend_reference(splats, origin, (view_camera.width, view_camera.height))
     error = np.abs(image - expected)
     assert np.quantile(error, 0.999) <= 1e-5  # the rest is at thresholds
     assert error.max() <= 5e-3
 
 
 def test_projected_normals_agree_with_the_reference(renderer: Renderer) -> None:
-    scene, seen_by = SCENES["seen_from_elsewhere"]()
+    scene, view_camera = SCENES["seen_from_elsewhere"]()
     data, n = scene.sets[0].data, len(scene)
-    renderer.render(scene, seen_by, outputs=("normal",))
+    renderer.render(scene, view_camera, outputs=("normal",))
     placed = renderer.placed(scene)
-    plan = renderer.plan(placed, seen_by, frozenset(["normal"]))
-    plan.submit(placed, seen_by, NOTHING_BEHIND, only=["project"])
+    plan = renderer.plan(placed, view_camera, frozenset(["normal"]))
+    plan.submit(placed, view_camera, NOTHING_BEHIND, only=["project"])
     plan.collect()
     actual = floats(renderer, plan, "normals", n)[:, :3]
     drawn = words(renderer, plan, "keys of Gaussians a", n) != ABSENT
-    turn = seen_by.view[:3, :3]
+    turn = view_camera.view[:3, :3]
     upper = data.rows[:, 4:].astype(np.float64)
     sigma = turn @ upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) @ turn.T
-    view_positions = data.rows[:, :3] @ turn.T + seen_by.view[:3, 3]
+    view_positions = data.rows[:, :3] @ turn.T + view_camera.view[:3, 3]
     values = np.linalg.eigvalsh(sigma)
-    clear = drawn & (values[:, 1] > 1.3 * values[:, 0])
+    is_unambiguous = drawn & (values[:, 1] > 1.3 * values[:, 0])
     expected = normals_reference(sigma, view_positions)
     cosine = np.abs((actual * expected).sum(axis=1))  # edge-on, the side is a matter of rounding
-    assert clear.sum() > 100
-    assert cosine[clear].min() > 0.9999
+    assert is_unambiguous.sum() > 100
+    assert cosine[is_unambiguous].min() > 0.9999
     np.testing.assert_allclose(np.linalg.norm(actual[drawn], axis=1), 1, atol=1e-5)
 
 

@@ -118,9 +118,9 @@ def test_scan_agrees_with_cumulative_sum(device: Device, scan: Scan, n: int, mos
     counts, room = device.storage("counts", counting.BYTES), n + 5000
     buffer = device.storage("numbers", 4 * room)
     result = counting.initial(n, 77)
-    behind = np.full(room - n, 7, np.uint32)  # is neither added nor touched
+    trailing_values = np.full(room - n, 7, np.uint32)  # is neither added nor touched
     device.write(counts, result)
-    device.write(buffer, np.append(numbers, behind))
+    device.write(buffer, np.append(numbers, trailing_values))
     steps = scan.steps(counts, buffer, source=Counts.GAUSSIANS, block=1, total=Counts.PAIRS)
     if room > 100_000:  # many blocks, which one workgroup would take long for
         assert len(steps) == (1 if scan._device.software else 3)
@@ -129,7 +129,7 @@ def test_scan_agrees_with_cumulative_sum(device: Device, scan: Scan, n: int, mos
     device.raw.queue.submit([encoder.finish()])
     left = device.read(buffer, np.uint32, room)
     np.testing.assert_array_equal(left[:n], scan_reference(numbers))
-    np.testing.assert_array_equal(left[n:], behind)
+    np.testing.assert_array_equal(left[n:], trailing_values)
     after = device.read(counts, np.uint32, counting.BYTES // 4)
     total = min(int(numbers.sum(dtype=np.uint64)), 0x7FFFFFFF)
     assert after[Counts.WANTED_PAIRS] == total

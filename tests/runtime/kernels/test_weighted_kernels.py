@@ -52,13 +52,13 @@ class Run:
 
 def run(renderer: Renderer, name: str, *stages: str) -> Run:
     """Run all of a frame, so that all has a place, and then some stages of it."""
-    scene, seen_by = WEIGHTED[name]()
-    renderer.render(scene, seen_by)
+    scene, view_camera = WEIGHTED[name]()
+    renderer.render(scene, view_camera)
     placed = renderer.placed(scene)
-    plan = renderer.plan(placed, seen_by, frozenset(["color"]))
-    plan.submit(placed, seen_by, NOTHING_BEHIND, only=stages or None)
+    plan = renderer.plan(placed, view_camera, frozenset(["color"]))
+    plan.submit(placed, view_camera, NOTHING_BEHIND, only=stages or None)
     plan.collect()
-    return Run(renderer, plan, scene.sets[0], seen_by)
+    return Run(renderer, plan, scene.sets[0], view_camera)
 
 
 def splats(result: Run) -> Projected:
@@ -92,10 +92,10 @@ def whole(radius: np.ndarray, expected: np.ndarray, covariance: np.ndarray, reac
     middle = np.trace(covariance, axis1=1, axis2=2) / 2
     apart = np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     bare = reach * np.sqrt(middle + apart)
-    sure = np.abs(bare - np.round(bare)) > 1e-4 * bare
-    np.testing.assert_array_equal(radius[sure], expected[sure])
+    is_certain = np.abs(bare - np.round(bare)) > 1e-4 * bare
+    np.testing.assert_array_equal(radius[is_certain], expected[is_certain])
     assert np.abs(radius - expected).max() <= 1
-    assert sure.mean() > 0.9
+    assert is_certain.mean() > 0.9
 
 
 @pytest.mark.parametrize("name", ONE_SET)
@@ -181,9 +181,9 @@ def test_cells_are_listed_for_their_tiles(renderer: Renderer, name: str) -> None
 
 @pytest.mark.parametrize("name", ["many_cells", "divided_opacity", "finished_early"])
 def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -> None:
-    scene, seen_by = WEIGHTED[name]()
-    image = renderer.render(scene, seen_by).rgba
-    run = Run(renderer, renderer._plan, scene.sets[0], seen_by)
+    scene, view_camera = WEIGHTED[name]()
+    image = renderer.render(scene, view_camera).rgba
+    run = Run(renderer, renderer._plan, scene.sets[0], view_camera)
     actual, sums = cells(run), splats(run)
     radii = circle_reference(dilated(actual), CELL_REACH)
     per_cell = run.one.data.per_cell

@@ -49,12 +49,14 @@ def test_exr_has_linear_light_multiplied_by_alpha(
     assert drawn.rgba is not None
     rgba = drawn.rgba.astype(np.float64)
     alpha = rgba[..., 3:]
-    straight = np.clip(rgba[..., :3] / np.where(alpha > 0, alpha, 1), 0, 1)
+    straight_color = np.clip(rgba[..., :3] / np.where(alpha > 0, alpha, 1), 0, 1)
     if space == "srgb":  # IEC 61966-2-1, written down again
-        straight = np.where(
-            straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4
+        straight_color = np.where(
+            straight_color <= 0.04045,
+            straight_color / 12.92,
+            ((straight_color + 0.055) / 1.055) ** 2.4,
         )
-    np.testing.assert_allclose(pixels[..., :3], straight * alpha, atol=2e-6)
+    np.testing.assert_allclose(pixels[..., :3], straight_color * alpha, atol=2e-6)
     np.testing.assert_array_equal(pixels[..., 3:], np.float32(alpha))
 
 
@@ -80,8 +82,8 @@ def test_png_of_16_bits_reads_back_and_rounds_to_that_of_8(mode: str, tmp_path: 
     assert (width, height, info["bitdepth"]) == (4, 11, 16)
     values = np.vstack([np.asarray(row, np.uint16) for row in rows]).reshape(picture.shape)
     np.testing.assert_array_equal(values, picture)
-    eight = picture_of(drawn, mode).astype(float)  # type: ignore[arg-type]
-    assert np.abs(values / 257 - eight).max() <= 0.5 + 1 / 257
+    eight_bit = picture_of(drawn, mode).astype(float)  # type: ignore[arg-type]
+    assert np.abs(values / 257 - eight_bit).max() <= 0.5 + 1 / 257
 
 
 def test_srgb_and_linear_light_round_trip() -> None:

@@ -30,9 +30,9 @@ def pictures(count: int, colors: int = 200) -> list[np.ndarray]:
 def test_alpha_of_half_is_opaque_and_less_is_transparent(tmp_path: Path, count: int) -> None:
     expected = pictures(count)
     save_gif(tmp_path / "a.gif", expected, 10)
-    got = read(tmp_path / "a.gif")
-    assert len(got) == count
-    for decoded, picture in zip(got, expected, strict=True):
+    decoded_frames = read(tmp_path / "a.gif")
+    assert len(decoded_frames) == count
+    for decoded, picture in zip(decoded_frames, expected, strict=True):
         opaque = picture[..., 3] >= 128
         np.testing.assert_array_equal(decoded[..., 3], np.where(opaque, 255, 0))
         np.testing.assert_array_equal(decoded[opaque][:, :3], picture[opaque][:, :3])

@@ -54,17 +54,17 @@ def test_frame_rate_is_the_requested_one(fps: float) -> None:
     film = encode(_moving(3, (16, 16)), fps)
     header, times = film.index(b"mdhd") + 4, film.index(b"stts") + 4
     per_second = int.from_bytes(film[header + 12 : header + 16], "big")
-    each = int.from_bytes(film[times + 12 : times + 16], "big")
-    assert per_second / each == pytest.approx(fps, abs=1e-9)
+    frame_duration = int.from_bytes(film[times + 12 : times + 16], "big")
+    assert per_second / frame_duration == pytest.approx(fps, abs=1e-9)
 
 
 def test_key_frames_allow_seeking() -> None:
     film = encode(_moving(100, (16, 16)), 25)
     offset = film.index(b"stss") + 8
     count = int.from_bytes(film[offset : offset + 4], "big")
-    firsts = np.frombuffer(film[offset + 4 : offset + 4 + 4 * count], ">u4").tolist()
-    assert firsts[0] == 1
-    assert all(1 < after - before <= 50 for before, after in pairwise(firsts))
+    key_frame_numbers = np.frombuffer(film[offset + 4 : offset + 4 + 4 * count], ">u4").tolist()
+    assert key_frame_numbers[0] == 1
+    assert all(1 < after - before <= 50 for before, after in pairwise(key_frame_numbers))
 
 
 def test_frames_of_several_sizes_are_refused() -> None:

@@ -82,8 +82,8 @@ class Steps(Source):
         """There is nothing to close."""
 
 
-def requests(count: int, seen_by: Camera | None = None) -> list[FrameRequest]:
-    return [FrameRequest(seen_by or camera(), number=number) for number in range(count)]
+def requests(count: int, view_camera: Camera | None = None) -> list[FrameRequest]:
+    return [FrameRequest(view_camera or camera(), number=number) for number in range(count)]
 
 
 def sudden() -> list[SplatData]:
@@ -165,15 +165,15 @@ def test_sizes_and_bands_may_change_in_flight(
 ) -> None:
     cameras = [camera(61, 47), camera(61, 47), camera(80, 64), camera(80, 64), camera(40, 300)]
     cameras += [camera(40, 300), camera(61, 47), camera(61, 47)]
-    shots = [FrameRequest(seen_by, number=number) for number, seen_by in enumerate(cameras)]
+    shots = [FrameRequest(view_camera, number=number) for number, view_camera in enumerate(cameras)]
     player = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
     expected = [player.render(shot) for shot in shots]
     film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
     banded: list[int] = []
 
-    def rows(_renderer: Renderer, _scene: object, seen_by: Camera, _images: int) -> int:
-        banded.append(seen_by.height)
-        return 128 if seen_by.height == 300 else seen_by.height
+    def rows(_renderer: Renderer, _scene: object, view_camera: Camera, _images: int) -> int:
+        banded.append(view_camera.height)
+        return 128 if view_camera.height == 300 else view_camera.height
 
     monkeypatch.setattr(Renderer, "_band_rows", rows)
     for played, rendered in zip(film.play(shots), expected, strict=True):
@@ -220,9 +220,9 @@ def test_a_read_waits_for_its_own_frame_alone(device: Device) -> None:
         time.sleep(0.1)  # on a busy machine wgpu may begin to wait late, and then for both
         second = renderer.submit(film.scene, view)
         for number, submitted in enumerate((first, second)):
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             frame = renderer.collect(submitted)
-            waited[number] += time.perf_counter() - began
+            waited[number] += time.perf_counter() - start_time
             assert frame is not None
             np.testing.assert_array_equal(frame.rgba, expected)
     assert waited[0] < waited[1]
@@ -313,13 +313,16 @@ def test_film_can_be_closed_with_frames_in_flight(device: Device) -> None:
     source = Steps(sudden())
     film = Player([source], renderer=Renderer(device, rasteriser="tiles"))
     expected = [film.render(shot).rgba for shot in requests(10)]
-    for leave in (lambda frames: frames.close(), lambda frames: frames.throw(KeyboardInterrupt)):
+    for close_frames in (
+        lambda frames: frames.close(),
+        lambda frames: frames.throw(KeyboardInterrupt),
+    ):
         frames = film.play(requests(10))
         next(frames)
         next(frames)
         before = source.abandoned
         try:
-            leave(frames)
+            close_frames(frames)
         except KeyboardInterrupt:
             assert source.interrupted == 1
         assert source.abandoned > before

@@ -119,16 +119,16 @@ class Session:
 
 def test_models_of_fixed_size_run_in_tiles_and_others_at_once() -> None:
     image = np.random.default_rng(0).random((1, 3, 40, 40)).astype(np.float32)
-    fixed, half = Session([1, 3, 16, 16]), Session([1, 3, 16, 16], "tensor(float16)")
+    fixed_session, half = Session([1, 3, 16, 16]), Session([1, 3, 16, 16], "tensor(float16)")
     opened = Session([1, 3, "h", "w"])
-    np.testing.assert_array_equal(post_process(fixed, image), 2 * image)
+    np.testing.assert_array_equal(post_process(fixed_session, image), 2 * image)
     np.testing.assert_array_equal(post_process(opened, image), 2 * image)
     result = post_process(half, image)
     assert result.dtype == np.float16
     np.testing.assert_allclose(result, 2 * image, rtol=1e-3)
-    assert fixed.calls > 4
+    assert fixed_session.calls > 4
     assert opened.calls == 1
     with pytest.raises(ConfigInvalid, match="has 4 channels"):
-        post_process(fixed, np.zeros((1, 4, 40, 40), np.float32))
+        post_process(fixed_session, np.zeros((1, 4, 40, 40), np.float32))
     with pytest.raises(ConfigInvalid, match="no input 'frame'"):
-        post_process(fixed, image, name="frame")
+        post_process(fixed_session, image, name="frame")

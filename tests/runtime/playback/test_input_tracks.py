@@ -75,7 +75,7 @@ def test_array_files_become_tracks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected_message"),
     [
         ("x", "'x' has no name or no value"),
         ("=1", "has no name or no value"),
@@ -86,8 +86,8 @@ def test_array_files_become_tracks(tmp_path: Path) -> None:
         ("x=nowhere.npy", r"nowhere\.npy: cannot be read: No such file"),
     ],
 )
-def test_invalid_track_text_is_refused(text: str, said: str) -> None:
-    with pytest.raises(ConfigInvalid, match=said):
+def test_invalid_track_text_is_refused(text: str, expected_message: str) -> None:
+    with pytest.raises(ConfigInvalid, match=expected_message):
         input_track(text)
 
 

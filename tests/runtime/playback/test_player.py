@@ -194,14 +194,16 @@ def test_a_count_that_changes_alone_uploads_nothing(
     path = tmp_path / "counted.onnx"
     counted.write(path)
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
-        everything = player.render(CAMERA, time=1.0)
+        complete_frame = player.render(CAMERA, time=1.0)
         uploads = Uploads(monkeypatch)
-        fewer = [frame.visible for frame in player.play(CAMERA, times=(0.5, 0.9, 0.65, 1.0))]
+        visible_counts = [
+            frame.visible for frame in player.play(CAMERA, times=(0.5, 0.9, 0.65, 1.0))
+        ]
         again = player.render(CAMERA, time=1.0)
-    assert fewer == [2, 4, 3, 5]
+    assert visible_counts == [2, 4, 3, 5]
     assert uploads.runs == 4
     assert uploads.bytes == {"rows": 0, "appearance": 0}
-    assert np.array_equal(everything.rgba, again.rgba)
+    assert np.array_equal(complete_frame.rgba, again.rgba)
 
 
 def test_rows_behind_the_count_are_not_drawn_though_their_values_stay(

@@ -139,10 +139,10 @@ def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
     for number, frame in enumerate(frames):
         frame |= {"trans": [number, 2.5, 3], "expr": rng.normal(size=10).tolist()}
         (tmp_path / f"{number}.json").write_text(json.dumps(frame))
-    together = tmp_path / "all" / "motion.json"
-    together.parent.mkdir()
-    together.write_text(json.dumps(frames))
-    for path in (tmp_path, together):
+    combined_path = tmp_path / "all" / "motion.json"
+    combined_path.parent.mkdir()
+    combined_path.write_text(json.dumps(frames))
+    for path in (tmp_path, combined_path):
         actual = read(path, Body(55))
         assert actual["pose"].shape == (2, 55, 3)
         flat = np.concatenate([frames[1][name] for name in sizes])
@@ -150,13 +150,13 @@ def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
         np.testing.assert_array_equal(actual["shift"], [[0, 2.5, 3], [1, 2.5, 3]])
         np.testing.assert_array_equal(actual["face"], [frame["expr"] for frame in frames])
     frames[0]["body_pose"] = [0.0]
-    together.write_text(json.dumps(frames))
+    combined_path.write_text(json.dumps(frames))
     with pytest.raises(ConfigInvalid, match="frame 0, body_pose: has 1 numbers, expected 63"):
-        read(together, Body(55))
+        read(combined_path, Body(55))
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "expected_message"),
     [
         ("{", "cannot be read"),
         ("[]", r"float64 \[0\], expected numbers"),
@@ -173,10 +173,12 @@ def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_files_without_poses_are_refused(tmp_path: Path, content: str, said: str) -> None:
+def test_files_without_poses_are_refused(
+    tmp_path: Path, content: str, expected_message: str
+) -> None:
     path = tmp_path / "motion.json"
     path.write_text(content)
-    with pytest.raises(ConfigInvalid, match=said):
+    with pytest.raises(ConfigInvalid, match=expected_message):
         read(path)
 
 

@@ -27,8 +27,8 @@ def frame(seed: int = 0, *, space: str = "srgb", size: tuple[int, int] = (HEIGHT
     """Colours beyond 1 and below 0, and pixels that nothing covers."""
     rng = np.random.default_rng(seed)
     alpha = np.clip(rng.uniform(-0.3, 1.3, size), 0, 1).astype(np.float32)
-    straight = rng.uniform(-0.2, 1.2, (*size, 3)).astype(np.float32)
-    rgba = np.concatenate([straight * alpha[..., None], alpha[..., None]], axis=-1)
+    straight_color = rng.uniform(-0.2, 1.2, (*size, 3)).astype(np.float32)
+    rgba = np.concatenate([straight_color * alpha[..., None], alpha[..., None]], axis=-1)
     return Frame(
         rgba=rgba,
         alpha=alpha,
@@ -52,19 +52,17 @@ def straight(shown: Frame) -> np.ndarray:
     return np.where(low, 12.92 * color, 1.055 * np.maximum(color, 1e-9) ** (1 / 2.4) - 0.055)
 
 
-def write(folder: Path, sketch: ModelSpec, name: str = "model") -> Path:
+def write(folder: Path, spec: ModelSpec, name: str = "model") -> Path:
     path = folder / f"{name}.onnx"
-    sketch.write(path)
+    spec.write(path)
     return path
 
 
 def declared(
-    sketch: ModelSpec, *, input_range: tuple, output_range: tuple, space: str = "srgb"
+    spec: ModelSpec, *, input_range: tuple, output_range: tuple, space: str = "srgb"
 ) -> ModelSpec:
     outputs = PostProcessOutputs(ImageOutput("out", range=output_range, color_space=space))
-    return replace(
-        sketch, manifest=replace(sketch.manifest, image_range=input_range, outputs=outputs)
-    )
+    return replace(spec, manifest=replace(spec.manifest, image_range=input_range, outputs=outputs))
 
 
 @pytest.mark.parametrize("size", ["8,12", "height,width", "8,width", "40,50"])
@@ -85,13 +83,13 @@ def test_straight_colours_are_fed_and_alpha_is_reapplied(
 
 
 def test_ranges_and_the_colour_space_are_those_of_the_manifest(tmp_path: Path) -> None:
-    sketch = darken("height,width").reworded(
+    spec = darken("height,width").reworded(
         "out = Mul (image, amount)", "half = Mul (image, amount) out = Add (half, more)"
     )
-    sketch = sketch.weighing(amount=f32(40.0), more=f32(60.0))
-    sketch = declared(sketch, input_range=(-1, 1), output_range=(10, 110), space="linear")
+    spec = spec.weighing(amount=f32(40.0), more=f32(60.0))
+    spec = declared(spec, input_range=(-1, 1), output_range=(10, 110), space="linear")
     shown = frame(1)
-    with PostProcessor(write(tmp_path, sketch)) as model:
+    with PostProcessor(write(tmp_path, spec)) as model:
         result = model(shown)
     expected = (40 * (2 * straight(shown) - 1) + 60 - 10) / 100
     alpha = shown.rgba[..., 3:]
@@ -110,16 +108,16 @@ def test_a_model_of_four_channels_decides_on_alpha(tmp_path: Path) -> None:
 def test_other_inputs_have_their_defaults_and_can_be_given(tmp_path: Path) -> None:
     shown = frame(3)
     with PostProcessor(find("one_step_enhancer").write(tmp_path)) as model:
-        original, weak = model(shown).rgba, model(shown, {"strength": 0.0}).rgba
+        original, weak_result = model(shown).rgba, model(shown, {"strength": 0.0}).rgba
         retained = model(shown).rgba
         assert {entry.role for entry in model.inputs} == {"timestep", "conditioning", "control"}
         assert model.shape("words") == (1, 4)
         with pytest.raises(InputInvalid, match="strength"):
             model(shown, {"strength": 2.0})
     alpha = shown.rgba[..., 3:]
-    np.testing.assert_allclose(weak[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
-    np.testing.assert_array_equal(weak, retained)
-    assert not np.array_equal(original, weak)
+    np.testing.assert_allclose(weak_result[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
+    np.testing.assert_array_equal(weak_result, retained)
+    assert not np.array_equal(original, weak_result)
 
 
 def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
@@ -131,7 +129,7 @@ def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("body", "expected_message"),
     [
         (
             "none = Sub (image, image) out = Div (none, none)",
@@ -140,13 +138,13 @@ def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
         ("out = ReduceMean <axes = [1], keepdims = 1> (image)", r"returned \[1, 1, 21, 30\] for"),
     ],
 )
-def test_non_image_outputs_are_refused(tmp_path: Path, body: str, said: str) -> None:
-    sketch = darken("height,width").reworded("out = Mul (image, amount)", body)
-    sketch = replace(sketch, opset=13, ir=8, weights={}).reworded(
+def test_non_image_outputs_are_refused(tmp_path: Path, body: str, expected_message: str) -> None:
+    spec = darken("height,width").reworded("out = Mul (image, amount)", body)
+    spec = replace(spec, opset=13, ir=8, weights={}).reworded(
         "float[1,3,height,width] out", "float[1,C,height,width] out"
     )
-    path = write(tmp_path, sketch)
-    with PostProcessor(path) as model, pytest.raises(SceneInvalid, match=said):
+    path = write(tmp_path, spec)
+    with PostProcessor(path) as model, pytest.raises(SceneInvalid, match=expected_message):
         model(frame())
 
 
@@ -162,8 +160,8 @@ def test_other_kinds_of_model_are_refused(tmp_path: Path) -> None:
 
 def test_player_runs_post_process_models_in_order(tmp_path: Path) -> None:
     scene = find("drift").write(tmp_path)
-    brighter = darken("h,w").reworded("Mul (image, amount)", "Max (image, amount)")
-    paths = [write(tmp_path, darken(), "dark"), write(tmp_path, brighter, "floor")]
+    brightening_model = darken("h,w").reworded("Mul (image, amount)", "Max (image, amount)")
+    paths = [write(tmp_path, darken(), "dark"), write(tmp_path, brightening_model, "floor")]
     camera = Camera.orbit((0, 0, 0), 4, width=WIDTH, height=HEIGHT)
     renderer, white = Renderer(rasteriser="tiles"), (1.0, 1.0, 1.0, 1.0)
 

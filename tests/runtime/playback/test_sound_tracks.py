@@ -95,9 +95,9 @@ def test_a_film_is_as_long_as_its_sound(tmp_path: Path) -> None:
     heard().write(tmp_path / "mouth.onnx")
     write_wav(tmp_path / "speech.wav", noise(4000).tobytes(), rate=16000)
     words = ("render", "mouth.onnx", "-o", "talk", "--width", "24", "--height", "16", "--fps", "20")
-    ran = gsgen_here(*words, "--input", "audio=speech.wav", cwd=tmp_path)
-    assert ran.code == 0, ran.err
+    completed = gsgen_here(*words, "--input", "audio=speech.wav", cwd=tmp_path)
+    assert completed.code == 0, completed.err
     assert len(list((tmp_path / "talk").iterdir())) == 5  # a quarter of a second
-    ran = gsgen_here(*words, "--input", "speech=speech.wav", cwd=tmp_path)
-    assert ran.code == 2
-    assert "names the input 'speech', which no scene has" in ran.err
+    completed = gsgen_here(*words, "--input", "speech=speech.wav", cwd=tmp_path)
+    assert completed.code == 2
+    assert "names the input 'speech', which no scene has" in completed.err

@@ -195,15 +195,15 @@ def differing(frame: Frame, two: Frame) -> list[str]:
 def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
     """Several draw at once on one device, some without being waited for, or in vain."""
     changing, deep, arranged = Changing(seed), 0, 0
-    lived = [Renderer(eager, **kind) for kind in KINDS]  # type: ignore[arg-type]
+    long_lived_renderers = [Renderer(eager, **kind) for kind in KINDS]  # type: ignore[arg-type]
     for step in range(STEPS):
         for _ in range(changing.rng.integers(1, 4)):
             changing.change()
-        for other in lived:
+        for other in long_lived_renderers:
             if changing.rng.random() < 0.3:
                 other.draw(changing.scene, changing.camera, output=changing.outputs[0])
         number = changing.rng.integers(len(KINDS))
-        entry, kind = lived[number], KINDS[number]
+        entry, kind = long_lived_renderers[number], KINDS[number]
         if changing.rng.random() < 0.1:
             with memory_of(100), pytest.raises(MemoryFull):
                 entry.render(changing.scene, camera(9 + step, 7))

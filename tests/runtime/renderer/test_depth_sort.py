@@ -38,13 +38,13 @@ DEEP = {"tilted_less", "plane_of_rounded_rows", "several_models", "orthographic"
 ALL = ("color", "depth", "normal")
 
 
-def exact_depths(splat_set: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray]:
+def exact_depths(splat_set: SplatSet, view_camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return depths, as rational numbers, and distances."""
     turn, linear = (
         [[Fraction(x) for x in row] for row in matrix[:3, :3].tolist()]
-        for matrix in (seen_by.view, splat_set.transform)
+        for matrix in (view_camera.view, splat_set.transform)
     )
-    eye, location = seen_by.eye.tolist(), splat_set.transform[:3, 3].tolist()
+    eye, location = view_camera.eye.tolist(), splat_set.transform[:3, 3].tolist()
     depths, distances = [], []
     for row in np.nan_to_num(splat_set.data.rows[:, :3]).tolist():
         reference = [
@@ -55,7 +55,7 @@ def exact_depths(splat_set: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.n
         ]
         offset = [sum(a * x for a, x in zip(line, reference, strict=True)) for line in turn]
         distances.append(math.hypot(*map(float, offset)))
-        depths.append(Fraction(distances[-1]) if seen_by.period else Fraction(offset[2]))
+        depths.append(Fraction(distances[-1]) if view_camera.period else Fraction(offset[2]))
     return np.array(depths), np.array(distances)
 
 
@@ -64,15 +64,15 @@ def exact_depths(splat_set: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.n
              "panorama_seam", "panorama_poles", *NEAR_TIES]
 )  # fmt: skip
 def test_a_depth_is_two_floats(renderer: Renderer, name: str) -> None:
-    scene, seen_by = (SCENES | NEAR_TIES)[name]()
-    assert_two_floats(renderer, scene.sets[0], seen_by)
+    scene, view_camera = (SCENES | NEAR_TIES)[name]()
+    assert_two_floats(renderer, scene.sets[0], view_camera)
 
 
-def assert_two_floats(renderer: Renderer, splat_set: SplatSet, seen_by: Camera) -> None:
+def assert_two_floats(renderer: Renderer, splat_set: SplatSet, view_camera: Camera) -> None:
     """Assert that keys and what they leave are depths by rational numbers."""
     n, placed = len(splat_set.data), renderer.placed(Scene([splat_set]))
-    plan = renderer.plan(placed, seen_by, frozenset(["color"]))
-    plan.submit(placed, seen_by, np.zeros(3), only=["project"])
+    plan = renderer.plan(placed, view_camera, frozenset(["color"]))
+    plan.submit(placed, view_camera, np.zeros(3), only=["project"])
     plan.collect()
     keys, lows = (
         renderer.device.read(plan.buffers[part], np.uint32, n)
@@ -82,7 +82,7 @@ def assert_two_floats(renderer: Renderer, splat_set: SplatSet, seen_by: Camera) 
     assert drawn.any()
     np.testing.assert_array_equal(lows == ABSENT, ~drawn)
     high, low = keys.view(np.float32), decoded(lows)
-    depths, distances = exact_depths(splat_set, seen_by)
+    depths, distances = exact_depths(splat_set, view_camera)
     for i in np.flatnonzero(drawn):
         result = Fraction(float(high[i])) + Fraction(float(low[i]))
         assert abs(result - depths[i]) <= DEPTH_LEFT * distances[i]
@@ -96,10 +96,10 @@ def test_depths_may_be_enormous_or_vanishing(renderer: Renderer, size: float, ki
     transform, data = turned(0.5, (3, 1, 2)), plane(100)
     data.rows[:, 4:] = 0
     data.rows[:, :3] = size * data.rows[:, :3]
-    seen_by = seen_through(transform, near=size / 10)
+    view_camera = seen_through(transform, near=size / 10)
     if kind == "panorama":
-        seen_by = Camera.panorama((0, 0, 0), (1, 0, 1), width=96, near=size / 10)
-    assert_two_floats(renderer, SplatSet(data, transform), seen_by)
+        view_camera = Camera.panorama((0, 0, 0), (1, 0, 1), width=96, near=size / 10)
+    assert_two_floats(renderer, SplatSet(data, transform), view_camera)
 
 
 def test_bits_sort_as_depths_do() -> None:
@@ -179,8 +179,8 @@ def test_long_ties_out_of_order_are_announced(device: Device, walk: int, locatio
     before, n = 37, 301
     keys = np.append(np.arange(before), np.full(n, 50)).astype(np.uint32)
     order = origins = np.arange(len(keys), dtype=np.uint32)
-    same, rising = np.full(len(keys), 9, np.uint32), order + 5
-    for lows in (same, rising):
+    same, increasing = np.full(len(keys), 9, np.uint32), order + 5
+    for lows in (same, increasing):
         flags, result = ordered(device, walk, keys, lows, order, origins)
         assert flags == (False, False)
         np.testing.assert_array_equal(result, order)
@@ -202,23 +202,23 @@ def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
     chosen: SortConfig = cut_for(device) if cut == "own" else GPU
     sort = RadixSort(device, chosen, Scan(device, chosen.block, 64, 256))
     rng, n = np.random.default_rng(1), 20_000
-    few = 40 if deep else 5000
-    keys = rng.integers(0, few, n, np.uint32) << np.uint32(18)
+    count = 40 if deep else 5000
+    keys = rng.integers(0, count, n, np.uint32) << np.uint32(18)
     lows = rng.integers(0, 1 << 32, n, np.uint32, endpoint=False)
     lows[::3] = 1 << 31
     lows[rng.random(n) < 0.3] = keys[rng.random(n) < 0.3] = ABSENT
-    absent = (keys == ABSENT) | (lows == ABSENT)
-    keys[absent] = lows[absent] = ABSENT
+    is_absent = (keys == ABSENT) | (lows == ABSENT)
+    keys[is_absent] = lows[is_absent] = ABSENT
     counts = filled(device, counting.initial(n, 0))
     columns = tuple(Columns(*(filled(device, np.zeros(n)) for _ in "kv")) for _ in "ab")
     device.write(columns[0].keys, keys)
-    spare = filled(device, np.zeros(n)) if deep else None
+    spare_keys = filled(device, np.zeros(n)) if deep else None
     steps, offset = DepthOrder(device, chosen, sort).steps(
-        n, counts, columns, filled(device, lows), None, spare
+        n, counts, columns, filled(device, lows), None, spare_keys
     )
     submit(device, steps)
     message = device.read(counts, np.uint32, 8)
-    indices = np.flatnonzero(~absent)
+    indices = np.flatnonzero(~is_absent)
     assert message[Counts.VISIBLE] == len(indices)
     assert not message[[Counts.UNSORTED, Counts.TIED]].any()
     result = device.read(offset, np.uint32, len(indices))
@@ -246,26 +246,26 @@ def quads(device: Device) -> Renderer:
     return Renderer(device, rasteriser="quads")
 
 
-def confused(scene: Scene, seen_by: Camera) -> bool:
+def confused(scene: Scene, view_camera: Camera) -> bool:
     """Say whether depths as floats, even rounded but once, have another order."""
     rows = [(splat_set, splat_set.data.rows.astype(np.float64)) for splat_set in scene.sets]
-    depth = np.concatenate([ellipses(values, row, seen_by).depth for row, values in rows])
+    depth = np.concatenate([ellipses(values, row, view_camera).depth for row, values in rows])
     rounded = np.argsort(depth.astype(np.float32), kind="stable")
     return not np.array_equal(rounded, np.argsort(depth, kind="stable"))
 
 
 @pytest.mark.parametrize("name", NEAR_TIES)
 def test_near_ties_are_as_in_float64(renderer: Renderer, quads: Renderer, name: str) -> None:
-    scene, seen_by = NEAR_TIES[name]()
-    assert confused(scene, seen_by)
-    expected = oracle.render(scene, seen_by)
+    scene, view_camera = NEAR_TIES[name]()
+    assert confused(scene, view_camera)
+    expected = oracle.render(scene, view_camera)
     assert expected.fragile.mean() < 0.1  # or little was compared
-    frame = renderer.render(scene, seen_by, outputs=ALL)
+    frame = renderer.render(scene, view_camera, outputs=ALL)
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
     firm = ~expected.fragile_median
     np.testing.assert_array_equal(frame.ids[firm], expected.ids[firm])
     assert renderer._deep == (name in DEEP)
-    by_quads = quads.render(scene, seen_by).rgba
+    by_quads = quads.render(scene, view_camera).rgba
     open_still = ~expected.fragile & (expected.rgba[..., 3] < 0.99)
     assert open_still.any()
     assert np.abs(by_quads - expected.rgba)[open_still].max() <= 2e-5
@@ -288,13 +288,13 @@ def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
 def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
     """That a sort must be deep is noticed once, and not in every frame."""
-    scene, seen_by = NEAR_TIES[name]()
+    scene, view_camera = NEAR_TIES[name]()
     own_renderer, data = Renderer(device, rasteriser="tiles"), scene.sets[0].data
     plans = []
     for _ in range(3):
         data.update(rows=data.rows[::-1].copy())
-        frame = oracle.render(scene, seen_by)
-        actual = own_renderer.render(scene, seen_by).rgba
+        frame = oracle.render(scene, view_camera)
+        actual = own_renderer.render(scene, view_camera).rgba
         assert np.abs(actual - frame.rgba)[~frame.fragile].max() <= 2e-5
         plans.append(own_renderer._plan)
     assert plans[0] is plans[1] is plans[2]
@@ -307,12 +307,12 @@ def same(frame: Frame, two: Frame) -> bool:
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less", "sphere"])
 def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
-    scene, seen_by = NEAR_TIES[name]()
+    scene, view_camera = NEAR_TIES[name]()
     first = scene.sets[0]
     order = np.random.default_rng(3).permutation(len(first.data))
     other = SplatData(first.data.rows[order], first.data.appearance[order], "rgb")
     mixed = Scene([SplatSet(other, first.transform)])
-    frames = [renderer.render(entry, seen_by, outputs=ALL) for entry in (scene, mixed)]
+    frames = [renderer.render(entry, view_camera, outputs=ALL) for entry in (scene, mixed)]
     assert same(*frames)
     known = frames[1].ids >= 0
     np.testing.assert_array_equal(order[frames[1].ids[known]], frames[0].ids[known])
@@ -320,7 +320,7 @@ def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
 def test_split_models_sort_as_one(renderer: Renderer, name: str) -> None:
-    scene, seen_by = NEAR_TIES[name]()
+    scene, view_camera = NEAR_TIES[name]()
     entry = scene.sets[0]
     parts = [
         SplatSet(
@@ -328,8 +328,8 @@ def test_split_models_sort_as_one(renderer: Renderer, name: str) -> None:
         )
         for part in (slice(0, 110), slice(110, None))
     ]
-    apart = renderer.render(Scene(parts), seen_by, outputs=ALL)
-    assert same(renderer.render(scene, seen_by, outputs=ALL), apart)
+    apart = renderer.render(Scene(parts), view_camera, outputs=ALL)
+    assert same(renderer.render(scene, view_camera, outputs=ALL), apart)
 
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
@@ -337,10 +337,10 @@ def test_arranged_rows_are_in_order(
     device: Device, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
-    scene, seen_by = NEAR_TIES[name]()
+    scene, view_camera = NEAR_TIES[name]()
     own_renderer = Renderer(device, rasteriser="tiles")
-    before = own_renderer.render(scene, seen_by, outputs=ALL)
-    after = own_renderer.render(scene, seen_by, outputs=ALL)
+    before = own_renderer.render(scene, view_camera, outputs=ALL)
+    after = own_renderer.render(scene, view_camera, outputs=ALL)
     assert own_renderer.placed(scene)[0][1].rows_of is not None
     assert same(before, after)
 
@@ -355,10 +355,10 @@ def test_thousands_at_one_depth_are_sorted(renderer: Renderer) -> None:
 
 
 def test_other_scenes_are_not_sorted_deeply(renderer: Renderer) -> None:
-    scene, seen_by = NEAR_TIES["tilted_less"]()
-    renderer.render(scene, seen_by)
+    scene, view_camera = NEAR_TIES["tilted_less"]()
+    renderer.render(scene, view_camera)
     assert renderer._deep
-    renderer.render(scene, seen_by.scaled(30, 20))
+    renderer.render(scene, view_camera.scaled(30, 20))
     assert renderer._deep
     renderer.render(*NEAR_TIES["tilted"]())
     assert not renderer._deep

@@ -56,6 +56,6 @@ def test_reads_of_a_written_buffer_are_noticed() -> None:
 
 
 def test_more_splats_move_more_bytes() -> None:
-    few, many = Workload(visible=1_000_000, small_pairs=3_000_000), Workload()
-    fewer, more = map(frame_traffic.stage_bytes, (few, many))
-    assert all(fewer[name] < more[name] for name in more)
+    small_load, large_load = Workload(visible=1_000_000, small_pairs=3_000_000), Workload()
+    small_bytes, more = map(frame_traffic.stage_bytes, (small_load, large_load))
+    assert all(small_bytes[name] < more[name] for name in more)

@@ -46,16 +46,16 @@ def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
     own: Renderer, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own.draw(scene, moved(0), wait=False)  # the first one is waited for
-    begun: list[Staging] = []
+    started: list[Staging] = []
     read: list[int] = []
-    begin, read_words = Staging.begin, Staging.read_words
+    original_begin, read_words = Staging.begin, Staging.read_words
 
     def noted_begin(staging: Staging) -> None:
-        begun.append(staging)
-        begin(staging)
+        started.append(staging)
+        original_begin(staging)
 
     def noted_read(staging: Staging) -> dict[str, np.ndarray]:
-        read.append(max(i for i, entry in enumerate(begun) if entry is staging))
+        read.append(max(i for i, entry in enumerate(started) if entry is staging))
         return read_words(staging)
 
     monkeypatch.setattr(Staging, "begin", noted_begin)
@@ -64,7 +64,7 @@ def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
     for number in range(8):
         own.draw(scene, moved(number), wait=False)
         assert read == list(range(max(0, number + 1 - FRAMES_LATE)))
-    assert len(set(map(id, begun))) == FRAMES_LATE  # staging buffers are used again
+    assert len(set(map(id, started))) == FRAMES_LATE  # staging buffers are used again
 
 
 def test_pictures_are_those_of_frames_that_wait(own: Renderer, scene: Scene) -> None:

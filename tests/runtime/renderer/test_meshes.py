@@ -37,9 +37,9 @@ def decibels(a: np.ndarray, b: np.ndarray) -> float:
     return float(-10 * np.log10(max(np.square(a - b).mean(), 1e-20)))
 
 
-def compare(scene: Scene, seen_by: Camera, renderer: Renderer) -> None:
-    frame = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, seen_by, background=BEHIND)
+def compare(scene: Scene, view_camera: Camera, renderer: Renderer) -> None:
+    frame = renderer.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BEHIND)
     firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert firm.mean() > 0.7
     assert decibels(frame.rgba[firm], expected.rgba[firm]) >= 100
@@ -78,9 +78,9 @@ def quads(device: Device) -> Renderer:
     ["through_the_middle", "several", "flat_camera", "alone", "panorama_seam", "panorama_poles"],
 )
 def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
-    scene, seen_by = MESH_SCENES[name]()
-    frame = quads.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, seen_by, background=BEHIND)
+    scene, view_camera = MESH_SCENES[name]()
+    frame = quads.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BEHIND)
     error = np.where(expected.fragile, 0, np.abs(frame.rgba - expected.rgba).max(axis=-1))
     assert np.quantile(error, 0.9) <= 2e-5
     assert error.max() <= 1e-2  # what finished pixels leave out
@@ -91,20 +91,22 @@ def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
 def test_splat_is_occluded_only_by_nearer_meshes(renderer: Renderer) -> None:
     splat = single(depth=3.0, opacity=0.9)
     bare = renderer.render(Scene([splat]), camera())
-    behind = renderer.render(Scene([splat], meshes=[wall(3.01)]), camera(), outputs=EVERYTHING)
+    occluded_frame = renderer.render(
+        Scene([splat], meshes=[wall(3.01)]), camera(), outputs=EVERYTHING
+    )
     before = renderer.render(Scene([splat], meshes=[wall(2.99)]), camera(), outputs=EVERYTHING)
     middle = (23, 30)
     red = 0.9 * bare.alpha[middle]
-    assert behind.rgba[middle][0] == pytest.approx(
+    assert occluded_frame.rgba[middle][0] == pytest.approx(
         red + (1 - bare.alpha[middle]) * before.rgba[middle][0], abs=2e-3
     )
-    assert behind.ids[middle] == 0
-    assert behind.median_depth[middle] == pytest.approx(3)
+    assert occluded_frame.ids[middle] == 0
+    assert occluded_frame.median_depth[middle] == pytest.approx(3)
     assert before.ids[middle] == NOTHING
     assert before.median_depth[middle] == pytest.approx(2.99)
     assert before.depth[middle] == pytest.approx(2.99)
     np.testing.assert_allclose(before.normal[middle], [0, 0, -1], atol=1e-6)
-    assert behind.alpha[middle] == before.alpha[middle] == 1
+    assert occluded_frame.alpha[middle] == before.alpha[middle] == 1
 
 
 def test_of_equally_near_meshes_the_first_is_seen(renderer: Renderer) -> None:
@@ -131,11 +133,11 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     coarse = MeshData(points[ends], np.array([[0, 1, 2], [0, 2, 3]]), colors[ends])
     splats = cloud(100, 12)
     compare(Scene([splats], meshes=[coarse]), camera(), renderer)
-    many, two = (
+    many_triangles, two = (
         renderer.render(Scene([splats], meshes=[array]), camera()) for array in (fine, coarse)
     )
     edge = oracle.render(Scene([splats], meshes=[coarse]), camera()).fragile
-    assert np.abs(many.rgba - two.rgba)[~edge].max() <= 1e-4
+    assert np.abs(many_triangles.rgba - two.rgba)[~edge].max() <= 1e-4
 
 
 @pytest.mark.parametrize(
@@ -143,17 +145,17 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     ["several", "near_plane", "textured", "flat_camera", "panorama_poles", "panorama_textured"],
 )
 def test_mesh_kernel_agrees_with_its_reference(renderer: Renderer, name: str) -> None:
-    scene, seen_by = MESH_SCENES[name]()
+    scene, view_camera = MESH_SCENES[name]()
     scene = Scene([], color_space=scene.color_space, meshes=scene.meshes)
-    frame = renderer.render(scene, seen_by, outputs=EVERYTHING)
-    size = (seen_by.width, seen_by.height)
+    frame = renderer.render(scene, view_camera, outputs=EVERYTHING)
+    size = (view_camera.width, view_camera.height)
     best = np.full((*size[::-1], 8), NOWHERE)
     for placed in renderer.placed_meshes(scene):
-        location = mesh_uniform(placed, seen_by)
-        result = mesh_reference(placed.mesh.data, location, mesh_rays(seen_by))
+        location = mesh_uniform(placed, view_camera)
+        result = mesh_reference(placed.mesh.data, location, mesh_rays(view_camera))
         best = np.where(result[..., 7:] < best[..., 7:], result, best)
     reference = best[..., 7] < NOWHERE
-    edge = oracle.render(scene, seen_by).fragile
+    edge = oracle.render(scene, view_camera).fragile
     assert (reference == (frame.alpha == 1))[~edge].all()
     np.testing.assert_allclose(
         frame.rgba[reference & ~edge][:, :3], best[reference & ~edge][:, :3], atol=2e-5
@@ -161,7 +163,7 @@ def test_mesh_kernel_agrees_with_its_reference(renderer: Renderer, name: str) ->
     np.testing.assert_allclose(
         frame.depth[reference & ~edge], best[reference & ~edge][:, 7], rtol=1e-4
     )
-    normal = best[reference & ~edge][:, 4:7] @ seen_by.view[:3, :3]
+    normal = best[reference & ~edge][:, 4:7] @ view_camera.view[:3, :3]
     np.testing.assert_allclose(frame.normal[reference & ~edge], normal, atol=2e-3)
 
 
@@ -171,11 +173,11 @@ def test_two_mesh_layers_agree_with_the_reference(device: Device, variant: str) 
     other = Device(device.raw)
     if variant != "as it is":
         other.subgroups, other.software = False, variant == "without subgroups"
-    renderer, seen_by = Renderer(other, rasteriser="tiles"), camera()
+    renderer, view_camera = Renderer(other, rasteriser="tiles"), camera()
     scene = Scene([cloud(250, 15)])
-    image = renderer.render(scene, seen_by).rgba
+    image = renderer.render(scene, view_camera).rgba
     placed = renderer.placed(scene)
-    plan = renderer.plan(placed, seen_by, frozenset(["color"]))
+    plan = renderer.plan(placed, view_camera, frozenset(["color"]))
     rng = np.random.default_rng(16)
     shown = rng.uniform(size=(2, 47, 61, 4)).astype(np.float32)
     depths = np.stack([np.linspace(2.5, 6, 61 * 47).reshape(47, 61), np.full((47, 61), 6.5)])
@@ -196,8 +198,8 @@ def test_two_mesh_layers_agree_with_the_reference(device: Device, variant: str) 
     run(encoder, [step], "layers")
     other.raw.queue.submit([encoder.finish()])
     actual = other.read(plan.images["color"], np.float32, image.size).reshape(image.shape)
-    frame = frame_uniform(seen_by, np.zeros(3))
-    page = page_uniform(scene.sets[0], seen_by, 0, 250, 250)
+    frame = frame_uniform(view_camera, np.zeros(3))
+    page = page_uniform(scene.sets[0], view_camera, 0, 250, 250)
     splats = project_reference(scene.sets[0].data, frame, page)
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     order = order[splats.drawn[order]]
@@ -258,10 +260,10 @@ def test_vertices_may_move(renderer: Renderer) -> None:
 
 def test_added_and_removed_meshes_are_drawn_correctly(renderer: Renderer) -> None:
     splats = cloud(60, 14)
-    without = renderer.render(Scene([splats]), camera())
+    without_mesh = renderer.render(Scene([splats]), camera())
     renderer.render(Scene([splats], meshes=[wall(4)]), camera())
     again = renderer.render(Scene([splats]), camera())
-    assert np.array_equal(without.rgba, again.rgba)
+    assert np.array_equal(without_mesh.rgba, again.rgba)
 
 
 def test_nothing_shows_through_a_panorama_s_joints(renderer: Renderer) -> None:
@@ -273,8 +275,8 @@ def test_nothing_shows_through_a_panorama_s_joints(renderer: Renderer) -> None:
         room = Mesh(shape, np.diag([1.7, 1.9, 1.8, 1]))
         for path in places:
             for width, height in ((33, 17), (128, 64)):
-                seen_by = Camera.panorama(path, width=width, height=height)
-                frame = renderer.render(Scene([], meshes=[room]), seen_by)
+                view_camera = Camera.panorama(path, width=width, height=height)
+                frame = renderer.render(Scene([], meshes=[room]), view_camera)
                 assert (frame.alpha == 1).all(), (len(shape), path, width)
 
 
@@ -292,8 +294,8 @@ def test_a_panorama_s_mesh_is_where_a_splat_of_the_same_place_is(renderer: Rende
         for distance, hidden in ((3.05, True), (2.95, False)):
             rows[0, :3] = distance * ahead
             splat = SplatData(rows, np.ones((1, 3), np.float32), "rgb")
-            seen_by = Camera.panorama((0, 0, 0), width=96)
-            frame = renderer.render(Scene([splat], meshes=[shape]), seen_by)
+            view_camera = Camera.panorama((0, 0, 0), width=96)
+            frame = renderer.render(Scene([splat], meshes=[shape]), view_camera)
             assert frame.alpha.max() == 1
             brightest = frame.rgba[..., :3].max()
             assert brightest == pytest.approx(0.25) if hidden else brightest > 0.5
@@ -313,14 +315,14 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
     upright = rng.normal(size=(40, 1, 3))
     upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
     pixel, depth = (rng.uniform(0, (160, 120), (40, 3, 2)), np.exp(rng.uniform(0, 3, (40, 3))))
-    seen_by = Camera(np.eye(4), fx=100.0, fy=100.0, cx=80.0, cy=60.0, width=160, height=120)
+    view_camera = Camera(np.eye(4), fx=100.0, fy=100.0, cx=80.0, cy=60.0, width=160, height=120)
     points = np.concatenate([(pixel - (80, 60)) / 100, np.ones((40, 3, 1))], -1)
     points *= depth[..., None]
     apart = rng.choice([0.003, 0.01, 0.03], (40, 1, 1))
     points -= ((points * upright).sum(-1, keepdims=True) - apart) * upright
     colors = rng.uniform(size=(120, 3))
     shape = MeshData(points.reshape(-1, 3), np.arange(120).reshape(40, 3), colors)
-    for kind in (seen_by, seen_by.all_around(96, 48)):
+    for kind in (view_camera, view_camera.all_around(96, 48)):
         expected = meshes.cast([Mesh(shape)], kind, "srgb")
         frame = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
         firm = ~expected.fragile & np.isfinite(expected.depth)
@@ -331,37 +333,41 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
 
 def test_triangles_from_near_plane_to_horizon_are_drawn(renderer: Renderer) -> None:
     """Each has corners at distances from 0.05 to 1000, so that boxes and planes need all digits."""
-    close = [[3.57, 6.75, 35.87], [-433.0, -157.85, -1219.35], [0.124, -0.06, 0.604]]
+    near_triangle = [[3.57, 6.75, 35.87], [-433.0, -157.85, -1219.35], [0.124, -0.06, 0.604]]
     ahead = camera(fx=25.0, fy=25.0)
     around = Camera.panorama((0, 0, 0), width=44)
     seen_at_all = 0
     for seed in range(16):
         rng = np.random.default_rng(seed)
         points = rng.normal(size=(3, 3)) * np.exp(rng.uniform(-3, 7, (3, 1)))
-        shape = MeshData(np.array(close) if seed == 0 else points, FACE, np.eye(3))
-        for seen_by in (ahead, around):
-            expected = meshes.cast([Mesh(shape)], seen_by, "srgb")
-            frame = renderer.render(Scene([], meshes=[shape]), seen_by, outputs=EVERYTHING)
+        shape = MeshData(np.array(near_triangle) if seed == 0 else points, FACE, np.eye(3))
+        for view_camera in (ahead, around):
+            expected = meshes.cast([Mesh(shape)], view_camera, "srgb")
+            frame = renderer.render(Scene([], meshes=[shape]), view_camera, outputs=EVERYTHING)
             reference, firm = np.isfinite(expected.depth), ~expected.fragile
             assert ((frame.alpha == 1) == reference)[firm].all(), seed
-            met = reference & firm
-            seen_at_all += met.any()
-            np.testing.assert_allclose(frame.depth[met], expected.depth[met], rtol=1e-4)
-            np.testing.assert_allclose(frame.rgba[met][:, :3], expected.color[met], atol=1e-4)
+            is_covered = reference & firm
+            seen_at_all += is_covered.any()
+            np.testing.assert_allclose(
+                frame.depth[is_covered], expected.depth[is_covered], rtol=1e-4
+            )
+            np.testing.assert_allclose(
+                frame.rgba[is_covered][:, :3], expected.color[is_covered], atol=1e-4
+            )
     assert seen_at_all > 10
 
 
 @pytest.mark.parametrize("around", [False, True])
 def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(renderer: Renderer, around: bool) -> None:
     """Corners are kilometres away; the floor under the eye is not."""
-    floor = quad([[-9e3, 1, -9e3], [9e3, 1, -8e3], [9e3, 1, 9e3], [-8e3, 1, 9e3]])
-    seen_by = camera().all_around(64, 32) if around else camera(fx=20.0, fy=20.0)
-    placed = Mesh(floor, turned(0.6, (1, 2, 3)))
-    view = seen_by.view @ turned(0.6, (1, 2, 3)).T
+    floor_mesh = quad([[-9e3, 1, -9e3], [9e3, 1, -8e3], [9e3, 1, 9e3], [-8e3, 1, 9e3]])
+    view_camera = camera().all_around(64, 32) if around else camera(fx=20.0, fy=20.0)
+    placed = Mesh(floor_mesh, turned(0.6, (1, 2, 3)))
+    view = view_camera.view @ turned(0.6, (1, 2, 3)).T
     frame = renderer.render(
-        Scene([], meshes=[placed]), replace(seen_by, view=view), outputs=("depth",)
+        Scene([], meshes=[placed]), replace(view_camera, view=view), outputs=("depth",)
     )
-    rays = mesh_rays(seen_by).astype(float)[seen_by.width :]
+    rays = mesh_rays(view_camera).astype(float)[view_camera.width :]
     down = rays[:, 0]  # of the direction; the floor is one unit below
     reference = down > 0.03
     expected = np.broadcast_to(1 / down[reference, None], frame.depth[reference].shape)
@@ -384,20 +390,20 @@ def test_a_device_without_textures_of_floats_says_so(
     device: Device, monkeypatch: pytest.MonkeyPatch, known: bool
 ) -> None:
     """What else is wrong stays what it is."""
-    why = "Format Rgba32Float is not renderable" if known else "another bug"
+    reason = "Format Rgba32Float is not renderable" if known else "another bug"
 
     def refuse(self: object, **parts: object) -> None:
-        raise wgpu.GPUValidationError(f"Color state [0] is invalid\n  {why}")
+        raise wgpu.GPUValidationError(f"Color state [0] is invalid\n  {reason}")
 
     # A fake of a device that renders to no floats, as Mesa's OpenGL: by the words of wgpu.
     monkeypatch.setattr(type(device.raw), "create_render_pipeline", refuse)
     monkeypatch.setattr(device, "render_pipelines", {})
-    said = (
+    expected_message = (
         (DeviceUnavailable, "cannot render to textures .* which meshes need")
         if known
-        else (wgpu.GPUError, why)
+        else (wgpu.GPUError, reason)
     )
-    with pytest.raises(said[0], match=said[1]):
+    with pytest.raises(expected_message[0], match=expected_message[1]):
         DrawMeshes(device)
 
 

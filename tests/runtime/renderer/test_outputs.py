@@ -81,11 +81,11 @@ def test_each_set_has_its_own_normals(renderer: Renderer) -> None:
 
 
 def test_elongated_splat_normal_is_its_shortest_axis(renderer: Renderer) -> None:
-    needle = single(variance=(0.1, 3e-4, 2.7e-4))
+    elongated_splat = single(variance=(0.1, 3e-4, 2.7e-4))
     for angle in np.linspace(0.1, 1.3, 7):
         turn = turned(angle, (1, 0.3, 0.2))
         turn[:3, 3] = np.array([0, 0, 3]) - turn[:3, :3] @ [0, 0, 3]
-        scene = Scene([SplatSet(needle, turn)])
+        scene = Scene([SplatSet(elongated_splat, turn)])
         frame = renderer.render(scene, camera(), outputs=("normal",))
         np.testing.assert_allclose(frame.normal[23, 30], -turn[:3, 2], atol=5e-3)
 

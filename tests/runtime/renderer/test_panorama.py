@@ -132,9 +132,11 @@ def test_covariances_are_those_of_the_projection_s_derivative(renderer: Renderer
         center = data.rows[number, :3].astype(float)
         step = 1e-5 * np.linalg.norm(center - camera.eye)
         ends = [(seen(center + step * entry), seen(center - step * entry)) for entry in np.eye(3)]
-        across = np.stack([high - low for high, low in ends], 1)
-        across[0] -= camera.period * np.round(across[0] / camera.period)  # over the seam
-        jacobian = across / (2 * step)
+        tile_columns = np.stack([high - low for high, low in ends], 1)
+        tile_columns[0] -= camera.period * np.round(
+            tile_columns[0] / camera.period
+        )  # over the seam
+        jacobian = tile_columns / (2 * step)
         expected = jacobian @ sigma[number] @ jacobian.T
         xx, xy, yy = result.conic[number]
         actual = np.linalg.inv([[xx, xy], [xy, yy]]) - 0.3 * np.eye(2)
@@ -170,11 +172,11 @@ def test_a_gaussian_at_a_pole_is_seen_all_around(renderer: Renderer) -> None:
         alpha = renderer.render(Scene([ball((0, side, 0), size=0.1)]), camera).alpha
         assert alpha[row].min() > 0.8
         assert not alpha[16:48].any()
-    exactly = np.zeros(3)
+    center_offset = np.zeros(3)
     nothing = renderer.render(Scene([ball((1, 0, 0))]), camera)
     assert np.isfinite(nothing.rgba).all()
     at_the_eye = ball((0, 0, 1))
-    at_the_eye.rows[:, :3] = exactly
+    at_the_eye.rows[:, :3] = center_offset
     assert renderer.render(Scene([at_the_eye]), camera).visible == 0
 
 
@@ -192,12 +194,16 @@ def test_near_and_depth_are_distances(renderer: Renderer) -> None:
 def looked_up(image: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """What a full panorama has in the directions of rays, between pixels linearly."""
     height, width = image.shape[:2]
-    across = np.arctan2(rays[..., 0], rays[..., 2]) / (2 * np.pi) + 0.5
+    horizontal = np.arctan2(rays[..., 0], rays[..., 2]) / (2 * np.pi) + 0.5
     down = np.arcsin(rays[..., 1] / np.linalg.norm(rays, axis=-1)) / np.pi + 0.5
-    places = np.stack([down * height - 0.5, across * width - 0.5 + width])
-    twice = np.concatenate([image, image, image], axis=1)
+    places = np.stack([down * height - 0.5, horizontal * width - 0.5 + width])
+    doubled_output = np.concatenate([image, image, image], axis=1)
     return np.stack(
-        [map_coordinates(twice[..., c], places, order=1, mode="nearest") for c in range(4)], -1
+        [
+            map_coordinates(doubled_output[..., c], places, order=1, mode="nearest")
+            for c in range(4)
+        ],
+        -1,
     )
 
 
@@ -282,9 +288,9 @@ def test_camera_options_create_panoramas(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.view[2, :3], [1, 0, 0], atol=1e-9)
     file = tmp_path / "camera.json"
     file.write_text(Camera.look_at((1, 2, 3), (4, 5, 9)).to_json())
-    as_it_is = viewpoint(str(file), panorama=True).camera(source, 0, 0)
-    np.testing.assert_allclose(as_it_is.view, Camera.from_json(file.read_text()).view)
-    assert as_it_is.period == pytest.approx(as_it_is.width)
+    unpicked_camera = viewpoint(str(file), panorama=True).camera(source, 0, 0)
+    np.testing.assert_allclose(unpicked_camera.view, Camera.from_json(file.read_text()).view)
+    assert unpicked_camera.period == pytest.approx(unpicked_camera.width)
     level = viewpoint(str(file), up="+z", panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(level.eye, [1, 2, 3])
     np.testing.assert_allclose(level.view[1, :3], [0, 0, -1], atol=1e-9)

@@ -34,9 +34,9 @@ def tiles_of(data: SplatData, count: int) -> dict[int, tuple[np.ndarray, np.ndar
     return {key: (rows[part], appearance[part]) for key, part in enumerate(parts)}
 
 
-def filled(data: SplatData, count: int = 4, spare: int = 3) -> SplatPool:
+def filled(data: SplatData, count: int = 4, spare_slots: int = 3) -> SplatPool:
     tiles = tiles_of(data, count)
-    slots = sum(-(-len(rows) // SLOT) for rows, _ in tiles.values()) + spare
+    slots = sum(-(-len(rows) // SLOT) for rows, _ in tiles.values()) + spare_slots
     pool = SplatPool(slots * SLOT, data.appearance.shape[1], slot_rows=SLOT)
     for key, (rows, appearance) in tiles.items():
         pool.insert(key, rows, appearance, np.zeros(3))
@@ -96,11 +96,11 @@ def test_compact_pools_and_quads_are_close(device: Device) -> None:
 
 
 def test_a_pool_blends_with_sets_around_it(renderer: Renderer) -> None:
-    front, back = cloud(200, 7, degree=0), cloud(300, 8, degree=0)
-    both = renderer.render(Scene([front, back]), camera(), outputs=OUTPUTS)
-    mixed = renderer.render(Scene([front], pools=[filled(back)]), camera(), outputs=OUTPUTS)
+    front_set, back = cloud(200, 7, degree=0), cloud(300, 8, degree=0)
+    both = renderer.render(Scene([front_set, back]), camera(), outputs=OUTPUTS)
+    mixed = renderer.render(Scene([front_set], pools=[filled(back)]), camera(), outputs=OUTPUTS)
     assert_equal(mixed, both)
-    scene = Scene([front], pools=[filled(back)])
+    scene = Scene([front_set], pools=[filled(back)])
     assert scene.locate(199) == (0, 199)
     assert scene.locate(205) == (1, 5)
     with pytest.raises(IndexError):
@@ -115,9 +115,9 @@ def test_dilated_splats_beside_the_image_are_those_of_a_set(
     view = replace(camera(width=width), dilation=dilation)
     reach = np.sqrt(2 * np.log(255) * dilation)
     actual = 0
-    for beside in np.linspace(0.1, 1.1, 8) * reach:
+    for offset in np.linspace(0.1, 1.1, 8) * reach:
         rows = single(depth=4.0, opacity=1.0, variance=1e-8).rows.copy()
-        rows[:, 0] = 4 * (width + beside - view.cx) / view.fx
+        rows[:, 0] = 4 * (width + offset - view.cx) / view.fx
         data = SplatData(rows, np.ones((1, 3), np.float32), "sh")
         pooled = renderer.render(Scene([], pools=[filled(data, count=1)]), view).rgba
         expected = renderer.render(Scene([data]), view).rgba
@@ -338,7 +338,7 @@ def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -
     plan.collect()
     frame = project.frame_uniform(view, np.zeros(3))
     keys = renderer.device.read(plan.buffers["keys of Gaussians a"], np.uint32, len(pool))
-    absent = (keys.reshape(count, 64) == ABSENT).all(axis=1)
+    is_absent = (keys.reshape(count, 64) == ABSENT).all(axis=1)
     differences = total = 0
     for splat_set, page in placed:
         assert page.slots is not None
@@ -355,7 +355,7 @@ def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -
             np.count_nonzero(array != visible_slots_reference(table, frame, uniform))
         )
         total += len(listed)
-        assert absent[slots.first : slots.first + slots.count][~array].all()
+        assert is_absent[slots.first : slots.first + slots.count][~array].all()
     assert differences <= 1
     assert 20 < total < 300
 
@@ -402,8 +402,8 @@ def test_staged_rows_are_drawn_once_they_are_complete() -> None:
         for write in pool.take_writes():
             memory[write.first : write.first + len(write.rows)] = write.rows
         rows = [row for row in range(len(memory)) if row % SLOT < pool.live[row // SLOT]]
-        located = {pool.locate(row): row for row in rows}
-        return memory[[located[key] for key in sorted(located) if key[0] == 7]]
+        slots_by_row = {pool.locate(row): row for row in rows}
+        return memory[[slots_by_row[key] for key in sorted(slots_by_row) if key[0] == 7]]
 
     pool.insert(1, *rows_of(40), np.zeros(3))
     expected, colors = rows_of(200)

@@ -28,9 +28,9 @@ def published(device: Device) -> Renderer:
 
 @pytest.mark.parametrize("name", WEIGHTED)
 def test_weighted_sums_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
-    scene, seen_by = WEIGHTED[name]()
-    frame = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, seen_by, background=BEHIND)
+    scene, view_camera = WEIGHTED[name]()
+    frame = renderer.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BEHIND)
     assert np.isfinite(frame.rgba).all()
     firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert decibels(frame.rgba[firm], expected.rgba[firm]) >= 110
@@ -54,18 +54,18 @@ def test_weighted_sums_agree_with_the_oracle(renderer: Renderer, name: str) -> N
 
 @pytest.mark.parametrize("name", ["many_cells", "placed_cells", "finished_early"])
 def test_published_backgrounds_agree_with_the_oracle(published: Renderer, name: str) -> None:
-    scene, seen_by = WEIGHTED[name]()
-    frame = published.render(scene, seen_by, background=BEHIND)
-    expected = oracle.render(scene, seen_by, background=BEHIND, published=True)
+    scene, view_camera = WEIGHTED[name]()
+    frame = published.render(scene, view_camera, background=BEHIND)
+    expected = oracle.render(scene, view_camera, background=BEHIND, published=True)
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
 
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_golden_images_of_the_method_are_reproduced(published: Renderer, number: int) -> None:
     """They are float32 themselves: the oracle in float64 is as far from them as we are."""
-    scene, (seen_by, image) = golden_scene(number), golden_view(number)
-    frame = published.render(scene, seen_by, background=BACKDROP)
-    expected = oracle.render(scene, seen_by, background=BACKDROP, published=True)
+    scene, (view_camera, image) = golden_scene(number), golden_view(number)
+    frame = published.render(scene, view_camera, background=BACKDROP)
+    expected = oracle.render(scene, view_camera, background=BACKDROP, published=True)
     assert np.abs(expected.rgba[..., :3] - image).max() <= 5e-6
     assert np.abs(frame.rgba[..., :3] - image).max() <= 5e-6
     assert np.ptp(image, axis=(0, 1)).min() > 0.5  # there is something to see
@@ -73,7 +73,7 @@ def test_golden_images_of_the_method_are_reproduced(published: Renderer, number:
 
 def test_the_goldens_need_cells_and_their_tiles() -> None:
     """Larger cells, or a cell for each Gaussian, are other pictures."""
-    scene, (seen_by, image) = golden_scene(0), golden_view(0)
+    scene, (view_camera, image) = golden_scene(0), golden_view(0)
     entry = scene.sets[0]
     data = entry.data
     copy = data.cells.copy()
@@ -84,7 +84,7 @@ def test_the_goldens_need_cells_and_their_tiles() -> None:
     )
     for other in (larger, alone):
         changed = Scene([SplatSet(other, weighted=entry.weighted)])
-        frame = oracle.render(changed, seen_by, background=BACKDROP, published=True)
+        frame = oracle.render(changed, view_camera, background=BACKDROP, published=True)
         assert np.abs(frame.rgba[..., :3] - image).max() > 1e-3
 
 
@@ -118,14 +118,14 @@ def test_the_order_of_cells_counts_only_where_they_tie(renderer: Renderer) -> No
 def test_paging_does_not_change_the_picture(device: Device) -> None:
     """Pages that end within cells, and more pairs than there is room for at first."""
     scene = Scene([summed(celled(400, 5, 5, size=1.5)), summed(celled(90, 3, 6))])
-    seen_by = camera(width=400, height=300, fx=330.0, fy=330.0)
+    view_camera = camera(width=400, height=300, fx=330.0, fy=330.0)
     whole, paged = (
         Renderer(device, rasteriser="tiles"),
         Renderer(device, rasteriser="tiles", page_rows=64),
     )
     whole._pairs = paged._pairs = 512
     first, two = (
-        entry.render(scene, seen_by, outputs=("color", "depth")) for entry in (whole, paged)
+        entry.render(scene, view_camera, outputs=("color", "depth")) for entry in (whole, paged)
     )
     assert first.pairs > 512
     assert np.array_equal(first.rgba, two.rgba)
@@ -134,14 +134,14 @@ def test_paging_does_not_change_the_picture(device: Device) -> None:
 
 
 def test_values_change_without_new_buffers(device: Device) -> None:
-    renderer, seen_by = Renderer(device, rasteriser="tiles"), camera()
-    data, later = celled(60, seed=40), celled(60, seed=41)
-    first = renderer.render(Scene([summed(data)]), seen_by)
+    renderer, view_camera = Renderer(device, rasteriser="tiles"), camera()
+    data, later_cells = celled(60, seed=40), celled(60, seed=41)
+    first = renderer.render(Scene([summed(data)]), view_camera)
     plan = renderer._plan
-    data.update(later.rows, later.appearance, cells=later.cells)
-    second = renderer.render(Scene([summed(data, background=0.9)]), seen_by)
+    data.update(later_cells.rows, later_cells.appearance, cells=later_cells.cells)
+    second = renderer.render(Scene([summed(data, background=0.9)]), view_camera)
     assert renderer._plan is plan
-    fresh = renderer.render(Scene([summed(later, background=0.9)]), seen_by)
+    fresh = renderer.render(Scene([summed(later_cells, background=0.9)]), view_camera)
     assert np.array_equal(second.rgba, fresh.rgba)
     assert not np.array_equal(first.rgba, second.rgba)
 
@@ -150,10 +150,10 @@ def test_a_depth_range_follows_the_size_of_its_set(renderer: Renderer) -> None:
     """A model twice as large, seen from twice as far, is the same picture."""
     data = celled(80, seed=42)
     frame = renderer.render(Scene([summed(data, depth_range=9.0)]), camera())
-    doubled = summed(data, depth_range=9.0, transform=turned(0, (0, 0, 1), 2.0))
-    assert doubled.depth_range == pytest.approx(18)
-    large = renderer.render(Scene([doubled]), camera(near=0.02))
-    np.testing.assert_allclose(frame.rgba, large.rgba, atol=1e-5)
+    scaled_set = summed(data, depth_range=9.0, transform=turned(0, (0, 0, 1), 2.0))
+    assert scaled_set.depth_range == pytest.approx(18)
+    far_frame = renderer.render(Scene([scaled_set]), camera(near=0.02))
+    np.testing.assert_allclose(frame.rgba, far_frame.rgba, atol=1e-5)
 
 
 def test_the_same_data_is_sorted_or_summed(renderer: Renderer) -> None:

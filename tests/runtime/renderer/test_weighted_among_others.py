@@ -18,9 +18,9 @@ EVERYTHING = ("color", "depth", "normal")
 
 
 def compare(name: str, renderer: Renderer) -> None:
-    scene, seen_by = MIXED[name]()
-    frame = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, seen_by, background=BEHIND)
+    scene, view_camera = MIXED[name]()
+    frame = renderer.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BEHIND)
     firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert firm.mean() > 0.6
     error = np.square(frame.rgba - expected.rgba)[firm].mean()
@@ -49,9 +49,9 @@ def test_every_kernel_variant_sums_weights(
     other.subgroups = False
     other.software = variant == "without subgroups"
     cut = Renderer(other, rasteriser="tiles")
-    scene, seen_by = WEIGHTED["many_cells"]()
+    scene, view_camera = WEIGHTED["many_cells"]()
     first, two = (
-        entry.render(scene, seen_by, outputs=("color", "depth")) for entry in (renderer, cut)
+        entry.render(scene, view_camera, outputs=("color", "depth")) for entry in (renderer, cut)
     )
     np.testing.assert_allclose(first.rgba, two.rgba, atol=1e-6)
     assert np.array_equal(first.ids, two.ids)
@@ -63,15 +63,15 @@ def test_something_behind_the_camera_changes_nothing(renderer: Renderer) -> None
     """Alone or as a layer, the sums are the same; as a layer they have no ids."""
     sums = summed(celled(80, seed=60))
     unseen = single(depth=-3.0)
-    alone, among = (
+    alone, with_sets = (
         renderer.render(Scene(sets), camera(), background=BEHIND, outputs=EVERYTHING)
         for sets in ([sums], [sums, unseen])
     )
-    np.testing.assert_allclose(alone.rgba, among.rgba, atol=1e-6)
-    np.testing.assert_allclose(alone.depth, among.depth, rtol=1e-5)
-    np.testing.assert_allclose(alone.normal, among.normal, atol=1e-5)
+    np.testing.assert_allclose(alone.rgba, with_sets.rgba, atol=1e-6)
+    np.testing.assert_allclose(alone.depth, with_sets.depth, rtol=1e-5)
+    np.testing.assert_allclose(alone.normal, with_sets.normal, atol=1e-5)
     assert (alone.ids != NOTHING).any()
-    assert (among.ids == NOTHING).all()
+    assert (with_sets.ids == NOTHING).all()
 
 
 def test_mesh_occludes_weighted_sums_behind_it(renderer: Renderer) -> None:
@@ -106,8 +106,8 @@ def test_quads_leave_sums_to_compute_shaders(device: Device, renderer: Renderer)
         WEIGHTED["many_cells"](),
         WEIGHTED["cells_all_around"](),
     )
-    for scene, seen_by in scenes:
-        first, two = (entry.render(scene, seen_by) for entry in (quads, renderer))
+    for scene, view_camera in scenes:
+        first, two = (entry.render(scene, view_camera) for entry in (quads, renderer))
         assert np.array_equal(first.rgba, two.rgba)
 
 

@@ -125,8 +125,8 @@ def test_camera_options_create_cameras(tmp_path: Path) -> None:
     np.testing.assert_allclose(placed.eye, [1, 2, 10], atol=1e-9)
     flat = viewpoint(None, width=60, height=60, orthographic=True).camera(source, 0, 0)
     assert (flat.kind, flat.fx) == ("orthographic", pytest.approx(fitting.fx / distance))
-    looking = viewpoint("look-at:0,0,0,0,0,9", fov=30).camera(source, 0, 0)
-    np.testing.assert_allclose(looking.view[2], [0, 0, 1, 0], atol=1e-12)
+    look_at_view = viewpoint("look-at:0,0,0,0,0,9", fov=30).camera(source, 0, 0)
+    np.testing.assert_allclose(look_at_view.view[2], [0, 0, 1, 0], atol=1e-12)
     file = tmp_path / "cameras.json"
     file.write_text(json.dumps([GOOD, GOOD | {"width": 20}]))
     several = viewpoint(str(file))

@@ -24,8 +24,8 @@ def merged(*parts: SplatData) -> SplatData:
 def test_separate_sets_render_as_one(renderer: Renderer) -> None:
     parts = [cloud(n, seed, degree=3) for seed, n in enumerate((100, 1, 0, 63, 200))]
     apart = renderer.render(Scene(parts), camera())
-    together = renderer.render(Scene([merged(*parts)]), camera())
-    assert np.array_equal(apart.rgba, together.rgba)
+    combined_frame = renderer.render(Scene([merged(*parts)]), camera())
+    assert np.array_equal(apart.rgba, combined_frame.rgba)
 
 
 def test_the_order_of_rows_does_not_matter(renderer: Renderer) -> None:
@@ -71,8 +71,8 @@ def test_paging_does_not_change_the_picture(device: Device, renderer: Renderer) 
     small = Renderer(device, rasteriser="tiles", page_rows=64)
     first, two = (entry.render(Scene([data]), camera()) for entry in (renderer, small))
     assert np.array_equal(first.rgba, two.rgba)
-    fewer = Scene([SplatData(data.rows, data.appearance, "sh", count=70)])
-    first, two = (entry.render(fewer, camera()) for entry in (renderer, small))
+    fewer_rows_scene = Scene([SplatData(data.rows, data.appearance, "sh", count=70)])
+    first, two = (entry.render(fewer_rows_scene, camera()) for entry in (renderer, small))
     assert np.array_equal(first.rgba, two.rgba)
 
 

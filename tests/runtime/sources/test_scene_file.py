@@ -148,9 +148,9 @@ def test_options_override_the_view_of_the_file(folder: Path) -> None:
     assert scene_viewpoint([flat]).is_orthographic
     assert not scene_viewpoint([flat], panorama=True).is_orthographic
     assert scene_viewpoint([]).fov == 50
-    absent = read_scene(saved(folder, models=["a.npz"], camera="absent.json"))
+    missing_scene = read_scene(saved(folder, models=["a.npz"], camera="absent.json"))
     with pytest.raises(ConfigInvalid, match=r"scene\.json: camera: .*absent\.json"):
-        scene_viewpoint([absent])
+        scene_viewpoint([missing_scene])
 
 
 def test_render_command_draws_a_scene_file(folder: Path, tmp_path: Path) -> None:
@@ -162,10 +162,10 @@ def test_render_command_draws_a_scene_file(folder: Path, tmp_path: Path) -> None
         background="#102030",
     )
     out = tmp_path / "out.png"
-    done = gsgen_here("render", str(path), "-o", str(out), *SMALL, "--json")
-    assert done.code == 0, done.err
-    said = json.loads(done.out)
-    assert (said["gaussians"], said["triangles"]) == (60, 80)
+    completed = gsgen_here("render", str(path), "-o", str(out), *SMALL, "--json")
+    assert completed.code == 0, completed.err
+    expected_message = json.loads(completed.out)
+    assert (expected_message["gaussians"], expected_message["triangles"]) == (60, 80)
     with Image.open(out) as image:
         assert image.getpixel((0, 0)) == (16, 32, 48, 255)
         assert image.getpixel((24, 16))[:3] != (16, 32, 48)
@@ -180,10 +180,10 @@ def test_render_command_exit_codes_for_scene_files(
     broken.write_text("{")
     with pytest.raises(typer.Exit) as unreadable:
         read_scene_files([broken])
-    gone = saved(folder, models=["gone.ply"])
-    with pytest.raises(typer.Exit) as absent, open_scenes([gone]):
+    missing_source = saved(folder, models=["gone.ply"])
+    with pytest.raises(typer.Exit) as missing_scene, open_scenes([missing_source]):
         pass
-    assert unreadable.value.exit_code == absent.value.exit_code == 4
+    assert unreadable.value.exit_code == missing_scene.value.exit_code == 4
     assert "models[0].path: " in capsys.readouterr().err
 
 

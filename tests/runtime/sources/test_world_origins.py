@@ -63,8 +63,8 @@ def test_a_picture_is_that_of_a_scene_file_with_the_offset(tmp_path: Path) -> No
     (tmp_path / "scene.json").write_text(json.dumps(scene), "utf-8")
     options = ("--camera", "orbit:20,10,6", "--width", "48", "--height", "32")
     for words in (("a.onnx", "b.onnx", "-o", "origins.png"), ("scene.json", "-o", "scene.png")):
-        ran = gsgen_here("render", *words, *options, cwd=tmp_path)
-        assert ran.code == 0, ran.err
+        completed = gsgen_here("render", *words, *options, cwd=tmp_path)
+        assert completed.code == 0, completed.err
     pictures = [np.array(Image.open(tmp_path / f"{name}.png")) for name in ("origins", "scene")]
     assert len(np.unique(pictures[0].reshape(-1, pictures[0].shape[2]), axis=0)) > 20
     np.testing.assert_array_equal(*pictures)

@@ -30,10 +30,10 @@ def toward(camera: Camera, share: float) -> np.ndarray:
 
 
 def test_controls_start_at_the_given_camera() -> None:
-    home = orbit(azimuth=20, elevation=10)
-    camera = controls(home).camera(*SIZE)
-    np.testing.assert_allclose(camera.view, home.view, atol=1e-12)
-    assert (camera.fx, camera.cx, camera.near) == (home.fx, home.cx, home.near)
+    home_camera = orbit(azimuth=20, elevation=10)
+    camera = controls(home_camera).camera(*SIZE)
+    np.testing.assert_allclose(camera.view, home_camera.view, atol=1e-12)
+    assert (camera.fx, camera.cx, camera.near) == (home_camera.fx, home_camera.cx, home_camera.near)
 
 
 def test_resized_window_keeps_the_visible_region() -> None:
@@ -90,9 +90,9 @@ def test_no_drag_goes_over_the_pole_or_wears_the_rotation_out() -> None:
 
 def test_a_tilted_camera_goes_on_tilted() -> None:
     upright = orbit(azimuth=20)
-    tilted = orbit(azimuth=20)
+    tilted_camera = orbit(azimuth=20)
     roll = np.array([[0.8, 0.6, 0, 0], [-0.6, 0.8, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    tilted = Camera(
+    tilted_camera = Camera(
         roll @ upright.view,
         fx=upright.fx,
         fy=upright.fy,
@@ -102,10 +102,10 @@ def test_a_tilted_camera_goes_on_tilted() -> None:
         height=180,
         near=upright.near,
     )
-    controller = controls(tilted)
+    controller = controls(tilted_camera)
     controller.orbit(5, 0)
     side = controller.camera(*SIZE).view[0, :3] @ UP
-    assert side == pytest.approx(tilted.view[0, :3] @ UP, abs=0.05)
+    assert side == pytest.approx(tilted_camera.view[0, :3] @ UP, abs=0.05)
     assert abs(side) > 0.5
 
 
@@ -125,12 +125,12 @@ def test_the_wheel_comes_nearer_and_never_through() -> None:
 
 
 def test_a_flat_camera_is_magnified_in_place_of_coming_nearer() -> None:
-    home = orbit().flattened(4.0)
-    controller = controls(home)
+    home_camera = orbit().flattened(4.0)
+    controller = controls(home_camera)
     controller.wheel(-100)
     camera = controller.camera(*SIZE)
-    np.testing.assert_allclose(camera.eye, home.eye, atol=1e-9)
-    assert camera.fx > home.fx
+    np.testing.assert_allclose(camera.eye, home_camera.eye, atol=1e-9)
+    assert camera.fx > home_camera.fx
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -173,10 +173,10 @@ def test_framing_centres_the_scene_and_reset_restores_the_camera() -> None:
 
 
 def test_a_panorama_is_turned_in_its_place() -> None:
-    home = Camera.panorama(CENTER.tolist(), width=320)
-    controls = Controls(home, UP, CENTER, 1.0)
+    home_camera = Camera.panorama(CENTER.tolist(), width=320)
+    controls = Controls(home_camera, UP, CENTER, 1.0)
     controls.orbit(25, 10)
     camera = controls.camera(640, 200)
-    np.testing.assert_allclose(camera.eye, home.eye, atol=1e-3)
+    np.testing.assert_allclose(camera.eye, home_camera.eye, atol=1e-3)
     assert (camera.kind, camera.width, camera.height) == ("panorama", 640, 200)
-    assert not np.allclose(camera.view[:3, :3], home.view[:3, :3], atol=1e-3)
+    assert not np.allclose(camera.view[:3, :3], home_camera.view[:3, :3], atol=1e-3)

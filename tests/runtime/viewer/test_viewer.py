@@ -128,12 +128,12 @@ def test_double_click_focuses_the_surface_point(painter: SurfaceRenderer) -> Non
     hand = Hand(
         LivePlayback(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))), painter
     )
-    bright = hand.bare()[..., :3].sum(axis=-1)
-    y, x = np.unravel_index(bright.argmax(), bright.shape)
+    brightness = hand.bare()[..., :3].sum(axis=-1)
+    y, x = np.unravel_index(brightness.argmax(), brightness.shape)
     hand.send("double_click", x=float(x), y=float(y), button=1, modifiers=())
     np.testing.assert_allclose(hand.viewer.controls.pivot, row[0, :3], atol=0.02)
     after = hand.bare()[..., :3].sum(axis=-1)
-    assert after[60, 80] > 0.9 * bright.max()
+    assert after[60, 80] > 0.9 * brightness.max()
     hand.send("double_click", x=2.0, y=2.0, button=1, modifiers=())  # nothing is there
     np.testing.assert_allclose(hand.viewer.controls.pivot, row[0, :3], atol=1e-6)
 
@@ -229,8 +229,8 @@ def test_pictures_go_on_while_a_model_computes(
 ) -> None:
     """The camera follows the hand; the frame is taken when it is done."""
     moving.settled()
-    ready = [False]
-    monkeypatch.setattr(GeneratorSource, "ready", property(lambda self: ready[0]))
+    is_ready = [False]
+    monkeypatch.setattr(GeneratorSource, "ready", property(lambda self: is_ready[0]))
     before = moving.bare()
     moving.key("ArrowRight")
     moving.look()
@@ -241,7 +241,7 @@ def test_pictures_go_on_while_a_model_computes(
     assert np.abs(turned - before).mean() > 0.5
     assert moving.viewer.playback.busy
     assert moving.viewer.playback.version == version
-    ready[0] = True
+    is_ready[0] = True
     moving.look()
     assert moving.viewer.playback.version == version + 1
 
@@ -346,10 +346,10 @@ def test_viewer_does_not_wait_for_the_gpu(cloud: SplatData, painter: SurfaceRend
 def test_out_of_memory_is_shown(still: Hand) -> None:
     still.canvas.set_logical_size(400, 300)
     with memory_of(1 << 20):
-        black = still.look()
+        empty_picture = still.look()
     assert "memory of" in still.viewer.message
     assert "smaller image" in still.viewer.message
-    assert black[-1, :, :3].max() == 0  # nothing is behind the message
+    assert empty_picture[-1, :, :3].max() == 0  # nothing is behind the message
     still.key("i")
     assert still.look()[..., :3].max() > 60  # it is tried again
 
@@ -378,20 +378,20 @@ def test_events_are_passed_to_callbacks(
     cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
     events: list[dict[str, object]] = []
-    dropped = tmp_path / "again.ply"
+    dropped_file = tmp_path / "again.ply"
     options = {"folder": tmp_path, "on_event": events.append}
     options["open_files"] = lambda paths: LivePlayback(sources_of(cloud))
     hand = Hand(LivePlayback(sources_of(cloud)), painter, **options)
     hand.look()
     hand.key("p")
-    hand.viewer.drop([dropped])
+    hand.viewer.drop([dropped_file])
     assert events == [
         {
             "event": "picture",
             "path": str(tmp_path / "view_001.png"),
             "camera": str(tmp_path / "view_001.json"),
         },
-        {"event": "opened", "scenes": [str(dropped)]},
+        {"event": "opened", "scenes": [str(dropped_file)]},
     ]
     assert json.loads(json.dumps(events)) == events
     assert hand.said == []

@@ -72,16 +72,16 @@ def test_view_without_a_screen_raises_before_a_window_aborts_the_process() -> No
     )
     names = ("DISPLAY", "WAYLAND_DISPLAY")
     without_screen = {name: value for name, value in os.environ.items() if name not in names}
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", program],
         env=without_screen,
         capture_output=True,
         encoding="utf-8",
         timeout=120,
     )
-    assert done.returncode == 0, done.stderr
-    assert "no window can be opened" in done.stdout
-    assert "pip install anywidget" in done.stdout
+    assert completed.returncode == 0, completed.stderr
+    assert "no window can be opened" in completed.stdout
+    assert "pip install anywidget" in completed.stdout
 
 
 def test_files_that_are_dropped_on_a_window_are_opened(
@@ -89,8 +89,8 @@ def test_files_that_are_dropped_on_a_window_are_opened(
 ) -> None:
     """glfw gives what is dropped to who asked for it; there is no screen here to drop on."""
     glfw = pytest.importorskip("glfw")
-    asked: list[Any] = []
-    monkeypatch.setattr(glfw, "set_drop_callback", lambda *words: asked.append(words))
+    opened_windows: list[Any] = []
+    monkeypatch.setattr(glfw, "set_drop_callback", lambda *words: opened_windows.append(words))
     opened: list[Sequence[Path]] = []
 
     def reopen(paths: Sequence[Path]) -> LivePlayback:
@@ -99,9 +99,9 @@ def test_files_that_are_dropped_on_a_window_are_opened(
 
     hand = Hand(LivePlayback(sources_of(cloud)), painter, open_files=reopen)
     accept_drops(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
-    ((window, dropped),) = asked
+    ((window, dropped_callback),) = opened_windows
     assert window == "window"
-    dropped(window, [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])
+    dropped_callback(window, [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])
     assert opened == [[tmp_path / "a.ply", tmp_path / "b.ply"]]
 
 

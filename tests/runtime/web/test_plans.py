@@ -242,7 +242,9 @@ def test_formulas_give_the_buffers_and_dispatches_of_python(
         assert reading.buffer(row)[1] == plan.images[name].size
     for name, row in chosen["inputs"].items():
         assert reading.buffer(row)[:2] == (plan.inputs[name].label, plan.inputs[name].size)
-    assert reading.clears() == [(buffer.label, *clear) for buffer, *clear in plan.clears]
+    assert reading.clears() == [
+        (buffer.label, *clear_range) for buffer, *clear_range in plan.clears
+    ]
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -274,7 +276,9 @@ def test_formulas_of_pools_give_the_buffers_and_dispatches_of_python(
         outputs, sizes, kinds, capacities, pools=pools, slot_rows=slot_rows, **shape
     )
     assert reading.steps() == described(plan, pages)
-    assert reading.clears() == [(buffer.label, *clear) for buffer, *clear in plan.clears]
+    assert reading.clears() == [
+        (buffer.label, *clear_range) for buffer, *clear_range in plan.clears
+    ]
     for (kind, count), page in zip(pools, pages[len(kinds) :], strict=True):
         assert page.slots is not None
         buffers = {"rows": page.rows, "appearance": page.appearance}

@@ -71,8 +71,8 @@ def test_a_written_plan_draws_pools_bit_by_bit(
     for key, rows in enumerate((SLOT_ROWS + 700, 300, 5)):
         pool.insert(key, *tile(key, rows, degree), np.array([0.01 * key, 0, 0]))
     pool.draw({0: 1.0, 1: 0.4})
-    front = SplatSet(SplatData(*tile(9, 200, 1), "sh"), TURNED)
-    scene = Scene([front], pools=[PooledSet(pool, TURNED, opacity_scale=0.8)])
+    front_set = SplatSet(SplatData(*tile(9, 200, 1), "sh"), TURNED)
+    scene = Scene([front_set], pools=[PooledSet(pool, TURNED, opacity_scale=0.8)])
     placed = card.placed(scene)
     pages = [page for _, page in placed]
     assert len(pages) == 4  # the set, and three pages of the pool

@@ -111,25 +111,25 @@ def test_a_capacity_that_splits_a_cell_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "keep", "said"),
+    ("weights", "has_cells", "expected_message"),
     [(None, True, "weighted_sum is not set"), (WEIGHTS, False, "forward returns no cells")],
 )
 def test_cells_and_weights_go_together(
-    weights: WeightedSum | None, keep: bool, said: str, tmp_path: Path
+    weights: WeightedSum | None, has_cells: bool, expected_message: str, tmp_path: Path
 ) -> None:
     class Half(Bunches):
         weighted_sum = weights
 
         def forward(self, time: torch.Tensor) -> Gaussians:
             outputs = super().forward(time)
-            return outputs if keep else replace(outputs, cells=None)
+            return outputs if has_cells else replace(outputs, cells=None)
 
-    with pytest.raises(GeneratorInvalid, match=f"(?s)Half: .*{said}"):
+    with pytest.raises(GeneratorInvalid, match=f"(?s)Half: .*{expected_message}"):
         export(Half(), tmp_path / "m.onnx")
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected_message"),
     [
         ({"position": torch.zeros(CELLS, 2)}, r"Cells.position: shape is \[8, 2\]"),
         ({"visibility": torch.zeros(CELLS, 3)}, r"Cells.visibility.*\[8\] or \[8, 1\]"),
@@ -143,17 +143,19 @@ def test_cells_and_weights_go_together(
         ),
     ],
 )
-def test_cells_of_another_shape_are_refused(changes: dict[str, object], said: str) -> None:
+def test_cells_of_another_shape_are_refused(
+    changes: dict[str, object], expected_message: str
+) -> None:
     known = eager(1.0).cells
-    with pytest.raises(GeneratorInvalid, match=said):
+    with pytest.raises(GeneratorInvalid, match=expected_message):
         replace(known, **changes)  # type: ignore[type-var]
 
 
 def test_cells_that_rows_do_not_fill_are_refused() -> None:
     outputs = eager(1.0)
-    few = Cells(torch.zeros(5, 3), torch.ones(5), covariance=torch.zeros(5, 6))
+    few_cells = Cells(torch.zeros(5, 3), torch.ones(5), covariance=torch.zeros(5, 6))
     with pytest.raises(GeneratorInvalid, match="24 Gaussians do not fill 5 cells"):
-        replace(outputs, cells=few)
+        replace(outputs, cells=few_cells)
     none = Cells(torch.zeros(0, 3), torch.ones(0), covariance=torch.zeros(0, 6))
     with pytest.raises(GeneratorInvalid, match="do not fill 0 cells"):
         replace(outputs, cells=none)
@@ -197,7 +199,7 @@ def test_rows_that_never_change_are_written_without_cells(made: Exported, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("cell", "column", "by", "field"),
+    ("cell", "column", "factor", "field"),
     [
         (3, 0, 0.1, "cell position"),
         (3, 3, 0.1, "cell visibility"),
@@ -206,14 +208,14 @@ def test_rows_that_never_change_are_written_without_cells(made: Exported, tmp_pa
     ],
 )
 def test_cells_of_both_devices_are_compared(
-    made: Exported, cell: int, column: int, by: float, field: str
+    made: Exported, cell: int, column: int, factor: float, field: str
 ) -> None:
     subject = inspect_model(open_model(made.path), load_target("core"), Limits())
     with FrameSession(made.path, provider="cpu") as session:
         frame = session.run({"time": 1.0})
         cpu = {name: np.array(frame[name]) for name in frame}
     gpu = {name: value.copy() for name, value in cpu.items()}
-    gpu["cells"][cell, column] += by
+    gpu["cells"][cell, column] += factor
     frame = Frame(Probe(label="p", inputs={}), cpu, gpu, None)
     live = Live(subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,))
     actual = [disagreement for disagreement, _, _ in disagreements(live)]

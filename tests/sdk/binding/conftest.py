@@ -15,8 +15,8 @@ def models(tmp_path_factory) -> dict[str, Path]:
     sketches = {f"drift-{dtype}": drifting(dtype=dtype) for dtype in ("float32", "float16")}
     sketches |= {f"look-{dtype}": looking(dtype=dtype) for dtype in ("float32", "float16")}
     sketches["look-row"] = looking(order="row")
-    for name, sketch in sketches.items():
-        sketch.write(folder / f"{name}.onnx")
+    for name, spec in sketches.items():
+        spec.write(folder / f"{name}.onnx")
     result = {name: folder / f"{name}.onnx" for name in sketches}
     return result | {
         live_fixture.name: live_fixture.write(folder) for live_fixture in live_fixtures()

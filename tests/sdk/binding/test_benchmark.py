@@ -34,13 +34,13 @@ def test_unmeasurable_models_have_distinct_errors(models, tmp_path, monkeypatch)
     failed = time_frames(models["split_into_many"], "webgpu", frames=1)
     assert (failed.state, failed.facts) == ("failed", {})
     assert "Too many storage buffers" in failed.reason
-    absent = time_frames(models["drift-float32"], "cuda", frames=1)
-    assert absent.state == "unavailable"
+    missing_result = time_frames(models["drift-float32"], "cuda", frames=1)
+    assert missing_result.state == "unavailable"
     (tmp_path / "endless.py").write_text("import time; time.sleep(60)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(benchmark, "_WORKER", "endless")
-    late = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
-    assert (late.state, late.reason) == ("crashed", "still running after 0.05 s")
+    timed_out = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
+    assert (timed_out.state, timed_out.reason) == ("crashed", "still running after 0.05 s")
 
 
 def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
@@ -60,16 +60,19 @@ def test_a_child_that_dies_is_reported_and_no_other(models, tmp_path, monkeypatc
     (tmp_path / "deadly.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(benchmark, "_WORKER", "deadly")
-    dead = time_frames(models["drift-float32"], "webgpu", frames=1)
-    assert (dead.state, dead.reason) == ("crashed", f"ended by signal {signal.SIGSEGV.name}")
+    failed_run = time_frames(models["drift-float32"], "webgpu", frames=1)
+    assert (failed_run.state, failed_run.reason) == (
+        "crashed",
+        f"ended by signal {signal.SIGSEGV.name}",
+    )
     monkeypatch.undo()
     assert time_frames(models["drift-float32"], "cpu", frames=1).state == "measured"
 
 
 def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
     out = tmp_path / "figures.json"
-    ran = gsgen("bench", models["round_on_the_cpu"], "--frames", "3", "-o", out)
-    assert ran.code == 0, ran.err
+    completed = gsgen("bench", models["round_on_the_cpu"], "--frames", "3", "-o", out)
+    assert completed.code == 0, completed.err
     results = json.loads(out.read_text())["results"]
     named = [
         (Path(result["model"]).stem, result["provider"], result["state"]) for result in results
@@ -77,21 +80,21 @@ def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
     assert named == [("round_on_the_cpu", provider, "measured") for provider in ("cpu", "webgpu")]
     assert results[1]["nodes_on_cpu"] == ["Round"]
     for words in ("p50 ms", "first ms", "copies", "nodes on the CPU (Round)", "not captured: "):
-        assert words in ran.out
+        assert words in completed.out
     for entry in results:
-        assert f"{1000 * entry['p50_seconds']:.3f}" in ran.out
+        assert f"{1000 * entry['p50_seconds']:.3f}" in completed.out
 
 
 def test_command_lists_unmeasured_models(models, tmp_path):
-    asked = gsgen_here("bench", models["drift-float32"], "--provider", "cuda", "--json")
-    assert asked.code == 1
-    (result,) = json.loads(asked.out)["results"]
+    completed = gsgen_here("bench", models["drift-float32"], "--provider", "cuda", "--json")
+    assert completed.code == 1
+    (result,) = json.loads(completed.out)["results"]
     assert (result["state"], result["provider"]) == ("unavailable", "cuda")
     assert "onnxruntime-gpu" in result["why"]
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "expected_message"),
     [
         (["--provider", "gpu"], 2, "'gpu' is not one of"),
         (["--frames", "0"], 2, "--frames"),
@@ -99,8 +102,8 @@ def test_command_lists_unmeasured_models(models, tmp_path):
         ([os.devnull], 4, "is not a regular file"),
     ],
 )
-def test_invalid_bench_options_are_refused(words, code, said, models):
-    ran = gsgen_here("bench", models["drift-float32"], *words)
-    assert ran.code == code
-    assert said in ran.err
-    assert "Traceback" not in ran.err
+def test_invalid_bench_options_are_refused(words, code, expected_message, models):
+    completed = gsgen_here("bench", models["drift-float32"], *words)
+    assert completed.code == code
+    assert expected_message in completed.err
+    assert "Traceback" not in completed.err

@@ -17,13 +17,13 @@ def moves(session: FrameSession) -> None:
 
 
 def test_stale_capture_is_disabled_and_its_operator_named(models):
-    with pytest.warns(CaptureOff) as warned:
+    with pytest.warns(CaptureOff) as warning_records:
         session = FrameSession(models["output_from_idle_sum"], provider="webgpu")
     cause = "output gaussians repeats frame 0 in all 1 replays; made by ReduceSum (node ReduceSum)"
-    assert [str(entry.message) for entry in warned] == [
+    assert [str(entry.message) for entry in warning_records] == [
         f"output_from_idle_sum.onnx runs without capture on webgpu: {cause}"
     ]
-    assert warned[0].filename == __file__  # it points at the caller
+    assert warning_records[0].filename == __file__  # it points at the caller
     with session:
         assert (session.captured, session.cause) == (False, cause)
         moves(session)
@@ -92,8 +92,8 @@ def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
     from dataclasses import replace
 
     end = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
-    sketch = drifting().reworded(end, f"{end} clock = Identity (time)")
-    replace(sketch, outputs=f"{sketch.outputs}, float[1] clock").write(tmp_path / "a.onnx")
+    spec = drifting().reworded(end, f"{end} clock = Identity (time)")
+    replace(spec, outputs=f"{spec.outputs}, float[1] clock").write(tmp_path / "a.onnx")
     with pytest.warns(CaptureOff, match="output clock repeats frame 0 .* made by Identity"):
         session = FrameSession(tmp_path / "a.onnx", provider="webgpu")
     with session:

@@ -109,10 +109,14 @@ def test_inputs_keep_their_value_until_they_are_updated(provider, models):
 @BOTH
 def test_frame_expires_after_the_next_unless_copied(provider, models):
     with FrameSession(models["drift-float32"], provider=provider) as session:
-        lent, retained = session.run({"time": 0}), session.run({"time": 1}, copy=True)
+        lent_frame, retained = session.run({"time": 0}), session.run({"time": 1}, copy=True)
         before = retained["gaussians"].copy()
         session.run({"time": 0})
-        for read in (lambda: lent["gaussians"], lent.gaussians, lambda: lent.handle("color")):
+        for read in (
+            lambda: lent_frame["gaussians"],
+            lent_frame.gaussians,
+            lambda: lent_frame.handle("color"),
+        ):
             with pytest.raises(FrameGone, match="frame 0 was overwritten by frame 2"):
                 read()
         np.testing.assert_array_equal(retained["gaussians"], before)
@@ -181,9 +185,9 @@ def test_torch_is_not_needed(models):
         f"with FrameSession({str(models['drift-float32'])!r}, provider='cpu') as s: s.run()\n"
         "print(sorted({'torch', 'onnxscript', 'wgpu', 'jsonschema'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout in ("[]\n", "['jsonschema']\n")  # which judges the manifest
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (completed.returncode, completed.stderr) == (0, "")
+    assert completed.stdout in ("[]\n", "['jsonschema']\n")  # which judges the manifest
 
 
 def test_a_session_that_nobody_closes_ends_well(models):
@@ -195,8 +199,8 @@ def test_a_session_that_nobody_closes_ends_well(models):
         f"s = FrameSession({str(models['drift-float32'])!r}, provider='webgpu')\n"
         "frame = s.run({'time': 0.5}); print(frame.count)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "5\n"), done.stderr
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (completed.returncode, completed.stdout) == (0, "5\n"), completed.stderr
 
 
 @BOTH

@@ -39,7 +39,7 @@ def session(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "expected_message"),
     [
         ({"pos": 0}, "unknown input 'pos'"),
         ({"pose": np.zeros(3)}, "input pose: the value has shape [3], expected shape [1, 3]"),
@@ -59,11 +59,11 @@ def session(tmp_path_factory):
         ({"control": 0.5}, "2 inputs have role 'control', expected one of a, b"),
     ],
 )
-def test_mismatched_values_are_refused(values, said, session):
+def test_mismatched_values_are_refused(values, expected_message, session):
     before = session.run(copy=True)["gaussians"]
     with pytest.raises(GsgenError) as raised:
         session.run({"b": 0.9} | values)
-    assert said in str(raised.value)
+    assert expected_message in str(raised.value)
     np.testing.assert_array_equal(session.run()["gaussians"], before)  # b is not updated either
 
 

@@ -13,7 +13,7 @@ SPEC = cast(Any, SimpleNamespace(name="gaussians", dtype=np.dtype(np.float32)))
 
 
 @pytest.mark.parametrize(
-    ("host", "memory", "count", "words"),
+    ("host_bytes", "memory", "count", "words"),
     [
         (1 << 40, "gpu", (1 << 30) - 1, ""),
         (1 << 40, "gpu", 1 << 30, "4.3 GB, more than the largest buffer of WebGPU"),
@@ -23,9 +23,9 @@ SPEC = cast(Any, SimpleNamespace(name="gaussians", dtype=np.dtype(np.float32)))
     ],
 )
 def test_outputs_fit_buffers_and_memory(
-    monkeypatch: pytest.MonkeyPatch, host: int, memory: str, count: int, words: str
+    monkeypatch: pytest.MonkeyPatch, host_bytes: int, memory: str, count: int, words: str
 ) -> None:
-    monkeypatch.setattr(bound_session, "_host_bytes", lambda: host)
+    monkeypatch.setattr(bound_session, "_host_bytes", lambda: host_bytes)
     shapes = {"gaussians": (count,)}
     if not words:
         _check_output_sizes((SPEC,), shapes, memory)

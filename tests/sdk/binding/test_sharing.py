@@ -76,11 +76,13 @@ def test_a_closed_session_says_so(provider, models):
 def test_closing_releases_the_session_of_onnx_runtime(provider, models):
     session = FrameSession(models["drift-float32"], provider=provider)
     bound = session._ready.bound
-    gone = [weakref.ref(array) for array in (bound, bound.session, bound.outputs["gaussians"])]
+    references = [
+        weakref.ref(array) for array in (bound, bound.session, bound.outputs["gaussians"])
+    ]
     del bound
     session.close()
     gc.collect()
-    assert [entry() for entry in gone] == [None] * 3
+    assert [entry() for entry in references] == [None] * 3
 
 
 def test_an_error_inside_the_block_closes_the_session(models):

@@ -23,15 +23,15 @@ class BranchesOnItem(Drift):
 
 class GoesThroughNumpy(Drift):
     def forward(self, time: torch.Tensor) -> Gaussians:
-        eased = np.interp(time.detach().cpu().numpy(), [0, 1], [0, 5])  # guilty
-        return super().forward(torch.from_numpy(eased.astype(np.float32)))
+        interpolated = np.interp(time.detach().cpu().numpy(), [0, 1], [0, 5])  # guilty
+        return super().forward(torch.from_numpy(interpolated.astype(np.float32)))
 
 
 class IndexesByMask(Drift):
     def forward(self, time: torch.Tensor) -> Gaussians:
         outputs = super().forward(time)
-        keep = outputs.position[:, 0] > time
-        position = outputs.position[keep]  # guilty
+        keep_mask = outputs.position[:, 0] > time
+        position = outputs.position[keep_mask]  # guilty
         n = position.shape[0]
         return Gaussians(
             position,

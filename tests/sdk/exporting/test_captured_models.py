@@ -124,8 +124,8 @@ def test_a_model_as_torch_exports_it_is_not_captured_everywhere(
 
 def test_wide_joins_of_exporters_are_narrow_afterwards(rewritten: dict[str, Case]) -> None:
     for case in rewritten.values():
-        joins = [n for n in onnx.load(case.path).graph.node if n.op_type == "Concat"]
-        assert max((len(node.input) for node in joins), default=0) <= 7
+        concat_nodes = [n for n in onnx.load(case.path).graph.node if n.op_type == "Concat"]
+        assert max((len(node.input) for node in concat_nodes), default=0) <= 7
 
 
 def test_the_avatar_turns_its_joints_by_their_axis_and_angle() -> None:

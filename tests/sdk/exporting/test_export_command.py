@@ -107,14 +107,14 @@ def run(*words: str) -> Result:
 
 
 def error_of(*words: str) -> GsgenError:
-    ran = run(*words)
-    assert isinstance(ran.exception, GsgenError), ran.output
-    return ran.exception
+    completed = run(*words)
+    assert isinstance(completed.exception, GsgenError), completed.output
+    return completed.exception
 
 
 def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     """As a user does it: another process, options in front of the target."""
-    ran = gsgen(
+    completed = gsgen(
         *("export", "-o", "out/dots.onnx", "dots:Dots", "--arg", "n=12", "--arg"),
         *("color=blue", "--arg", "size=0.1", "--dtype", "float16", "--capacity", "16"),
         *("--name", "my dots", "--opset", "19", "--target", "webgpu", "--report", "r.json"),
@@ -122,11 +122,11 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
         cwd=folder,
         env={"VK_DRIVER_FILES": "/nonexistent"},
     )
-    assert ran.code == 0, ran.err
-    assert "out/dots.onnx: 16 rows, float16" in ran.out
-    assert "conforms at level behaviour, live skipped" in ran.out
-    assert "no usable WebGPU adapter" in ran.out
-    assert "agrees with torch at 13 probes: position" in ran.out
+    assert completed.code == 0, completed.err
+    assert "out/dots.onnx: 16 rows, float16" in completed.out
+    assert "conforms at level behaviour, live skipped" in completed.out
+    assert "no usable WebGPU adapter" in completed.out
+    assert "agrees with torch at 13 probes: position" in completed.out
     opened = open_model(folder / "out" / "dots.onnx")
     assert opened.proto.opset_import[0].version == 19
     document = json.loads((folder / "r.json").read_text())
@@ -144,10 +144,10 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
 
 
 def test_nonconforming_model_is_reported_and_not_written(folder: Path) -> None:
-    ran = run("dots:Tall", "-o", "m.onnx", "--report", "r.json")
-    assert ran.exit_code == 1
-    assert "GV003 error opacity-range" in ran.output
-    assert "gsgen: m.onnx was not written" in ran.output
+    completed = run("dots:Tall", "-o", "m.onnx", "--report", "r.json")
+    assert completed.exit_code == 1
+    assert "GV003 error opacity-range" in completed.output
+    assert "gsgen: m.onnx was not written" in completed.output
     assert not (folder / "m.onnx").exists()
     document = json.loads((folder / "r.json").read_text())
     assert document["written"] is False
@@ -156,10 +156,10 @@ def test_nonconforming_model_is_reported_and_not_written(folder: Path) -> None:
 
 
 def test_torch_export_failure_is_reported_with_its_line(folder: Path) -> None:
-    ran = run("dots:Choosy", "-o", "m.onnx", "--report", "r.json", "--no-rewrite")
-    assert ran.exit_code == 1
-    assert "super().forward(time if time > 0.5 else -time)" in ran.output
-    assert "torch.where" in ran.output
+    completed = run("dots:Choosy", "-o", "m.onnx", "--report", "r.json", "--no-rewrite")
+    assert completed.exit_code == 1
+    assert "super().forward(time if time > 0.5 else -time)" in completed.output
+    assert "torch.where" in completed.output
     document = json.loads((folder / "r.json").read_text())
     assert document["error"]["kind"] == "ExportFailed"
     assert "dots.py:" in document["error"]["where"]
@@ -169,8 +169,10 @@ def test_torch_export_failure_is_reported_with_its_line(folder: Path) -> None:
 
 
 def test_report_states_the_parity_error() -> None:
-    worst = FieldError(field="position", error=math.inf, excess=math.inf, probe="time=1", row=3)
-    error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
+    worst_field = FieldError(
+        field="position", error=math.inf, excess=math.inf, probe="time=1", row=3
+    )
+    error = ParityFailed("off", where="m.onnx", parity=Parity((worst_field,), 13))
     outcome = Outcome(written=False, parity=error.parity, error=error)
     request = ExportRequest(output=Path("m.onnx"), report=Path("r.json"))
     emit_report(request, "dots:Dots", outcome)
@@ -244,9 +246,9 @@ def test_mistyped_target_is_named_with_suggestions(
     folder: Path, words: list[str], error: type[GsgenError], message: str
 ) -> None:
     if error is GeneratorInvalid:  # no wrong word, but a module that is no generator
-        ran = run(*words, "-o", "m.onnx")
-        assert ran.exit_code == 1
-        assert message in ran.output
+        completed = run(*words, "-o", "m.onnx")
+        assert completed.exit_code == 1
+        assert message in completed.output
     else:
         caught = error_of(*words, "-o", "m.onnx")
         assert isinstance(caught, error)
@@ -287,8 +289,8 @@ def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
 
     single = typer.Typer()
     single.command()(with_common_options(build, run_it))
-    ran = CliRunner().invoke(single, ["a.pt", "-o", "m.onnx", "--frames", "9"])
-    assert ran.exit_code == 0, ran.output
+    completed = CliRunner().invoke(single, ["a.pt", "-o", "m.onnx", "--frames", "9"])
+    assert completed.exit_code == 0, completed.output
     assert received["made"] == (Path("a.pt"), 9)
     assert received["request"].output == Path("m.onnx")  # type: ignore[attr-defined]
 
@@ -321,10 +323,10 @@ def test_a_plugin_that_cannot_be_used_spoils_only_itself(
     monkeypatch.setitem(sys.modules, __name__, sys.modules[clashing.__module__])
     monkeypatch.setattr(export_command, "find_plugins", lambda: points)
     assert "It clashes." in CliRunner().invoke(app, ["--help"]).output
-    ran = CliRunner().invoke(app, ["absent", "file", "-o", "m.onnx"])
-    assert isinstance(ran.exception, ExtensionUnusable)
-    assert ran.exception.exit_code == 3
-    assert "No module named 'no_such_module'" in str(ran.exception)
-    ran = CliRunner().invoke(app, ["clashing", "file", "-o", "m.onnx"])
-    assert isinstance(ran.exception, GsgenError)
-    assert "parameter 'dtype' has the name of an option of every export" in str(ran.exception)
+    completed = CliRunner().invoke(app, ["absent", "file", "-o", "m.onnx"])
+    assert isinstance(completed.exception, ExtensionUnusable)
+    assert completed.exception.exit_code == 3
+    assert "No module named 'no_such_module'" in str(completed.exception)
+    completed = CliRunner().invoke(app, ["clashing", "file", "-o", "m.onnx"])
+    assert isinstance(completed.exception, GsgenError)
+    assert "parameter 'dtype' has the name of an option of every export" in str(completed.exception)

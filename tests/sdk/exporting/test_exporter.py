@@ -79,8 +79,8 @@ def test_an_export_is_captured_by_every_release_that_is_known(
     goal = RewriteTarget.of(load_target("core"))
     assert "onnxruntime-web 1.22.0 (JSEP)" in {table.runtime for table in goal.tables}
     assert graph_stats(path, goal).uncaptured == ()
-    joins = [node for node in onnx.load(path).graph.node if node.op_type == "Concat"]
-    assert max(len(node.input) for node in joins) <= 7
+    concat_nodes = [node for node in onnx.load(path).graph.node if node.op_type == "Concat"]
+    assert max(len(node.input) for node in concat_nodes) <= 7
 
 
 def test_the_opset_is_what_every_runtime_has_kernels_for(exported: Exported) -> None:

@@ -92,17 +92,17 @@ def test_a_small_frame_needs_no_estimate(tmp_path: Path) -> None:
 
 def test_a_quick_comparison_takes_fewer_probes(tmp_path: Path) -> None:
     full = export(Drift(), tmp_path / "full.onnx")
-    quick = export(Drift(), tmp_path / "quick.onnx", verify="quick")
-    assert (full.parity.probes, quick.parity.probes) == (13, 7)
+    quick_export = export(Drift(), tmp_path / "quick.onnx", verify="quick")
+    assert (full.parity.probes, quick_export.parity.probes) == (13, 7)
 
 
 def test_a_quick_comparison_measures_the_bounds_of_a_turning_model_at_every_probe(
     tmp_path: Path,
 ) -> None:
     """Opposite times of a whole turn see two points of the circle: bounds need the others, too."""
-    quick = export(Turning(), tmp_path / "quick.onnx", verify="quick")
-    assert quick.parity.probes == 7
-    assert quick.manifest.bounds == export(Turning(), tmp_path / "full.onnx").manifest.bounds
+    quick_export = export(Turning(), tmp_path / "quick.onnx", verify="quick")
+    assert quick_export.parity.probes == 7
+    assert quick_export.manifest.bounds == export(Turning(), tmp_path / "full.onnx").manifest.bounds
 
 
 @pytest.mark.parametrize(("kind", "dtype"), [(Lit, "float16"), (Drift, "float32")])

@@ -107,16 +107,16 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
         repair(source, tmp_path / "fixed.onnx")
     derived = gsgen_here("inspect", source, "--emit-manifest")
     (tmp_path / "manifest.json").write_text(derived.out)
-    ran = gsgen_here(
+    completed = gsgen_here(
         "fix", source, "-o", tmp_path / "fixed.onnx", "--manifest", tmp_path / "manifest.json"
     )
-    assert ran.code == 0, ran.out + ran.err
-    assert "GM001: embedded the given manifest" in ran.out
+    assert completed.code == 0, completed.out + completed.err
+    assert "GM001: embedded the given manifest" in completed.out
     assert gsgen_here("validate", tmp_path / "fixed.onnx", "--strict").code == 0
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "expected_message"),
     [
         (("--size", "N"), 2, "--size: the value is 'N', expected SYMBOL=SIZE"),
         (("--size", "N=-3"), 2, "--size: the value is 'N=-3', expected SYMBOL=SIZE"),
@@ -126,30 +126,30 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     ],
 )
 def test_impossible_repairs_are_reported(
-    tmp_path: Path, words: tuple[str, ...], code: int, said: str
+    tmp_path: Path, words: tuple[str, ...], code: int, expected_message: str
 ) -> None:
     source = find("drift").write(tmp_path)
-    ran = gsgen_here("fix", source, "-o", tmp_path / "fixed.onnx", *words)
-    assert ran.code == code
-    assert said in ran.err
+    completed = gsgen_here("fix", source, "-o", tmp_path / "fixed.onnx", *words)
+    assert completed.code == code
+    assert expected_message in completed.err
     assert not (tmp_path / "fixed.onnx").exists()
 
 
 def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     source = find("symbolic_capacity").write(tmp_path)
     here = sorted(tmp_path.iterdir())
-    ran = gsgen_here("fix", source, "--dry-run", "--json", "--size", "N=5")
-    assert ran.code == 0, ran.err
-    document = json.loads(ran.out)
+    completed = gsgen_here("fix", source, "--dry-run", "--json", "--size", "N=5")
+    assert completed.code == 0, completed.err
+    document = json.loads(completed.out)
     assert document["path"] is None
     assert document["repairs"] == [{"description": "dimension N is 5", "rule": "GO004"}]
-    assert [document[when]["verdict"] for when in ("before", "after")] == ["invalid", "conforms"]
+    assert [document[stage]["verdict"] for stage in ("before", "after")] == ["invalid", "conforms"]
     assert document["after"]["subject"]["uri"] == str(source)
     assert sorted(tmp_path.iterdir()) == here
-    fixed = tmp_path / "fixed.onnx"
-    ran = gsgen_here("fix", source, "-o", fixed, "--json", "--size", "N=5")
-    assert json.loads(ran.out)["path"] == str(fixed)
-    assert validate(fixed).findings == ()
+    fixed_path = tmp_path / "fixed.onnx"
+    completed = gsgen_here("fix", source, "-o", fixed_path, "--json", "--size", "N=5")
+    assert json.loads(completed.out)["path"] == str(fixed_path)
+    assert validate(fixed_path).findings == ()
 
 
 def test_fixing_no_model_exits_4(tmp_path: Path) -> None:

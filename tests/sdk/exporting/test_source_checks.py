@@ -16,14 +16,14 @@ _NONE = torch.zeros(8, 4)
 
 def scene(**changes: Tensor | Cells) -> Gaussians:
     """Return eight Gaussians that pass every check, with some fields changed."""
-    usual: dict[str, Tensor] = {
+    defaults: dict[str, Tensor] = {
         "position": torch.arange(24.0).reshape(8, 3),
         "opacity": torch.full((8,), 0.5),
         "scale": torch.full((8, 3), 0.1),
         "rotation": torch.tensor([[1.0, 0, 0, 0]]).repeat(8, 1),
         "rgb": torch.full((8, 3), 0.5),
     }
-    return Gaussians(**(usual | changes))  # type: ignore[arg-type]
+    return Gaussians(**(defaults | changes))  # type: ignore[arg-type]
 
 
 def with_rows(field: str, rows: slice, value: float) -> Gaussians:

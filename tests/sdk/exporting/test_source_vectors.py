@@ -150,15 +150,17 @@ def test_other_probes_and_another_seed_do_not_matter(exported):
 
 
 def test_a_vectors_own_tolerances_and_the_users_count(exported):
-    slightly = edited(exported.path, lambda a: a + np.float32(0.01) if is_tints(a) else None)
-    assert len(messages(slightly)) == 2
-    loose = to_json(Tolerances(appearance=0.05))
+    slightly_changed = edited(
+        exported.path, lambda a: a + np.float32(0.01) if is_tints(a) else None
+    )
+    assert len(messages(slightly_changed)) == 2
+    loose_tolerances = to_json(Tolerances(appearance=0.05))
 
     def loosen(document):
         for vector in document["test_vectors"]:
-            vector["tolerances"] = loose
+            vector["tolerances"] = loose_tolerances
 
-    path = rewritten(slightly, loosen)
+    path = rewritten(slightly_changed, loosen)
     assert messages(path) == []
     assert len(messages(path, tolerances={"appearance": 0.001})) == 2
 
@@ -194,8 +196,10 @@ def test_another_count_and_too_many_vectors_are_named(exported):
 
     message = messages(rewritten(exported.path, other_count))
     assert message == ["24 live rows; expected 7, as the source gave"]
-    five = rewritten(exported.path, lambda d: d.update(test_vectors=d["test_vectors"][:1] * 5))
-    assert messages(five) == ["vector 5 with outputs; expected 4 at most"]
+    five_vectors = rewritten(
+        exported.path, lambda d: d.update(test_vectors=d["test_vectors"][:1] * 5)
+    )
+    assert messages(five_vectors) == ["vector 5 with outputs; expected 4 at most"]
 
 
 def test_float16_keeps_the_vectors_with_wider_tolerances(exported):

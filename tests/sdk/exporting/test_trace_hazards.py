@@ -93,11 +93,11 @@ def test_module_state_is_restored_after_a_run(kind: type[Drift]) -> None:
 def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
     tmp_path: Path, kind: type[Drift], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    error_type, cure = REFUSED[kind]
+    error_type, hint = REFUSED[kind]
     with pytest.raises(error_type) as caught:
         export(kind(), tmp_path / "m.onnx")
     assert guilty_line(kind) in str(caught.value)
-    assert cure in caught.value.hint
+    assert hint in caught.value.hint
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")  # torch prints graphs of what it gives up
     assert logging.root.manager.disable == logging.NOTSET

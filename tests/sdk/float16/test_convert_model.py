@@ -139,10 +139,10 @@ _WEIGHTS = ("rest", "origin", "velocity", "sigma", "logit", "extra", "first", "s
 
 def test_looser_tolerances_retain_fewer_nodes(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud())
-    strict = write_float16(source, None, tolerances=Tolerances(1e-3, 1e-3, 1e-5, 1e-5))
-    loose = write_float16(source, None, tolerances=Tolerances(1, 1, 1, 1))
-    assert len(loose.retained) < len(strict.retained)
-    assert {group.reason for group in loose.retained} <= {
+    strict_result = write_float16(source, None, tolerances=Tolerances(1e-3, 1e-3, 1e-5, 1e-5))
+    loose_result = write_float16(source, None, tolerances=Tolerances(1, 1, 1, 1))
+    assert len(loose_result.retained) < len(strict_result.retained)
+    assert {group.reason for group in loose_result.retained} <= {
         "a guard that float16 makes zero",
         "between a guard and its division",
         "saves Casts",
@@ -187,23 +187,23 @@ CHAIN = """g (float[3] x) => (float[3] y) <float[3] w = {0.1, 0.2, 0.3}, float t
 
 
 @settings(max_examples=12, deadline=None)
-@given(keep=st.sets(st.sampled_from("abcdy")), outputs=st.booleans())
-def test_every_choice_of_nodes_gives_a_sound_model(keep: set[str], outputs: bool) -> None:
+@given(kept_names=st.sets(st.sampled_from("abcdy")), outputs=st.booleans())
+def test_every_choice_of_nodes_gives_a_sound_model(kept_names: set[str], outputs: bool) -> None:
     model_ = parsed(CHAIN)
     x = np.array([0.5, -1, 2], np.float32)
     (before,) = run(model_, x=x)
-    expected = Boundary(model_.graph, 18).casts(keep)
-    ToFloat16(keep, outputs=outputs)(model_)
+    expected = Boundary(model_.graph, 18).casts(kept_names)
+    ToFloat16(kept_names, outputs=outputs)(model_)
     (after,) = run(model_, x=x)
     assert after.dtype == (np.float16 if outputs else np.float32)
     np.testing.assert_allclose(after, before, rtol=2e-2, atol=2e-2)
     casts = [node for node in model_.graph if node.op_type == "Cast"]
-    at_end = (outputs and "y" in keep) or (not outputs and "y" not in keep)
-    assert len(casts) == expected + at_end
+    is_output_cast = (outputs and "y" in kept_names) or (not outputs and "y" not in kept_names)
+    assert len(casts) == expected + is_output_cast
     by_name = {node_key(node): node for node in model_.graph}
-    for name in keep - {"y"}:
+    for name in kept_names - {"y"}:
         assert by_name[name].outputs[0].dtype == ir.DataType.FLOAT
-    for name in set("abcd") - keep:
+    for name in set("abcd") - kept_names:
         assert by_name[name].outputs[0].dtype == ir.DataType.FLOAT16
 
 
@@ -322,8 +322,8 @@ def test_search_quantizes_only_nodes_within_tolerance(costs: list[float], budget
     retained = [unit for group in actual.retained for unit in group.units]
     assert sorted([*retained, *actual.quantized]) == list(range(len(costs)))
     if budget >= 300:
-        spare = [costs[unit] for unit in retained]
-        assert all(quantized + cost > 1 for cost in spare)
+        remaining_costs = [costs[unit] for unit in retained]
+        assert all(quantized + cost > 1 for cost in remaining_costs)
 
 
 # -- The command
@@ -331,26 +331,26 @@ def test_search_quantizes_only_nodes_within_tolerance(costs: list[float], budget
 
 def test_command_lists_retained_nodes_and_reasons(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud(origin=500))
-    ran = gsgen_here("float16", source, "-o", tmp_path / "half.onnx")
-    assert ran.code == 0, ran.err
-    assert "float32 for position: " in ran.out
-    assert "largest errors: position" in ran.out
+    completed = gsgen_here("float16", source, "-o", tmp_path / "half.onnx")
+    assert completed.code == 0, completed.err
+    assert "float32 for position: " in completed.out
+    assert "largest errors: position" in completed.out
     assert (tmp_path / "half.onnx").exists()
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "said"),
+    ("name", "code", "expected_message"),
     [("bare.onnx", 1, "no manifest"), ("text.onnx", 4, "text.onnx"), ("none.onnx", 4, "none")],
 )
 def test_unconvertible_model_is_reported(
-    tmp_path: Path, name: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, name: str, code: int, expected_message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save(tmp_path / "bare.onnx", cloud())
     (tmp_path / "text.onnx").write_text("no model")
-    with pytest.raises(typer.Exit) as stopped:
+    with pytest.raises(typer.Exit) as exit_info:
         float16(tmp_path / name, tmp_path / "half.onnx", budget=200, timeout=120.0)
-    assert stopped.value.exit_code == code
-    assert said in capsys.readouterr().err
+    assert exit_info.value.exit_code == code
+    assert expected_message in capsys.readouterr().err
     assert not (tmp_path / "half.onnx").exists()
 
 

@@ -128,20 +128,20 @@ read (float[1] x) => (float[4096,3] y, float[4096,3] z) {
 """
 
 
-@pytest.mark.parametrize("keep", [("y", "z"), ("z",), ()])
-def test_a_graph_reads_what_the_table_says(keep: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("kept_outputs", [("y", "z"), ("z",), ()])
+def test_a_graph_reads_what_the_table_says(kept_outputs: tuple[str, ...]) -> None:
     """Readers in float32 get the numbers to the bit; one in float16 gets them rounded."""
     table = np.random.default_rng(3).normal(5, 1, (ROWS, 3)).astype(np.float32)
     proto = onnx.shape_inference.infer_shapes(model(GRAPH, weight("table", table)))
     graph = ir.serde.deserialize_model(proto)
-    ToFloat16(keep, stored=["table"], outputs=False)(graph)
-    kind = ir.DataType.UINT16 if keep else ir.DataType.FLOAT16
+    ToFloat16(kept_outputs, stored=["table"], outputs=False)(graph)
+    kind = ir.DataType.UINT16 if kept_outputs else ir.DataType.FLOAT16
     assert graph.graph.initializers["table"].dtype == kind
     x = np.array([0.7], np.float32)
     y, z = run(graph, optimise=True, x=x)
     decoded = half_table(table).decoded
     for name, actual, expected in (("y", y, decoded * x), ("z", z, decoded + x)):
-        if name in keep:
+        if name in kept_outputs:
             np.testing.assert_array_equal(actual, expected)
         else:
             np.testing.assert_allclose(actual, expected, rtol=2e-3)

@@ -203,7 +203,7 @@ def outputs(rows, count=None):
 
 
 @pytest.mark.parametrize(
-    ("row", "column", "by", "field"),
+    ("row", "column", "factor", "field"),
     [
         (3, 0, 5e-5, ""),  # half a thousandth of a standard deviation of 0.1
         (3, 0, 2e-4, "position"),
@@ -214,10 +214,10 @@ def outputs(rows, count=None):
         (5, 3, np.nan, "opacity"),
     ],
 )
-def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, by, field):
+def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, factor, field):
     rows = good_rows(8)
     changed = rows.copy()
-    changed[row, column] += by
+    changed[row, column] += factor
     same = outputs(rows)
     actual = list(disagreements(lived(good, (same, same, None), (same, outputs(changed), None))))
     assert [location for location, _, _ in actual] == ([f"field {field}"] if field else [])
@@ -283,7 +283,7 @@ def test_replays_are_compared_with_plain_runs(good, replayed, how):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected_message"),
     [
         ("gaussians = Reshape (time, s)", "made by Reshape (node Reshape)"),
         ("gaussians = Identity (time)", "made by Identity (node Identity)"),
@@ -298,7 +298,7 @@ def test_replays_are_compared_with_plain_runs(good, replayed, how):
         ("gaussians = Add (time, time)", "made by Add (node Add)"),
     ],
 )
-def test_offending_operator_is_named(text, said, tmp_path):
+def test_offending_operator_is_named(text, expected_message, tmp_path):
     proto = parser.parse_model(f"{HEAD} g (float[8] time) => (float[8] gaussians) {{ {text} }}")
     inputs = {
         "s": np.array([8], np.int64),
@@ -310,7 +310,7 @@ def test_offending_operator_is_named(text, said, tmp_path):
     )
     path = save(tmp_path / "a.onnx", proto)
     (wrong_replay,) = wrong_replays(lived(path, *frames_of((1, 2, 3), (1, 1, 1))))
-    assert wrong_replay.actual == f"repeats frame 0 in all 2 replays; {said}"
+    assert wrong_replay.actual == f"repeats frame 0 in all 2 replays; {expected_message}"
 
 
 def test_a_still_output_has_nothing_to_go_stale(good):

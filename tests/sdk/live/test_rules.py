@@ -68,8 +68,8 @@ def test_there_is_one_example_for_each_rule():
 @pytest.mark.parametrize("fixture", live_fixtures(), ids=lambda fixture: fixture.name)
 def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, broken):
     report = broken[fixture.rule]
-    warned = {"GB014": {"GG003"}, "GB016": {"GG016"}}.get(fixture.rule, set())
-    expected = {fixture.rule} | warned  # a rule of the graph has seen it coming
+    expected_warnings = {"GB014": {"GG003"}, "GB016": {"GG016"}}.get(fixture.rule, set())
+    expected = {fixture.rule} | expected_warnings  # a rule of the graph has seen it coming
     assert {finding.rule for finding in report.findings} == expected
     severity = report.outcome(fixture.rule).rule.severity
     assert report.verdict == ("invalid" if severity is Severity.ERROR else "conforms")
@@ -77,22 +77,22 @@ def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, broken):
 
 
 def test_finding_message_describes_the_fault(broken):
-    said = {rule: message(report, rule) for rule, report in broken.items()}
-    assert said["GB011"].startswith("field position: off by ")
-    assert said["GB014"] == (
+    expected_message = {rule: message(report, rule) for rule, report in broken.items()}
+    assert expected_message["GB011"].startswith("field position: off by ")
+    assert expected_message["GB014"] == (
         "graph: This session cannot use the graph capture feature as requested by the user as "
         "the model has control flow nodes which can't be supported by WebGpuExecutionProvider; "
         "expected a session that captures"
     )
-    assert said["GB015"] == (
+    assert expected_message["GB015"] == (
         "node Round (Round): runs in CPUExecutionProvider; expected a kernel in the WebGPU provider"
     )
-    assert said["GB016"] == (
+    assert expected_message["GB016"] == (
         "output gaussians: repeats frame 0 in all 6 replays; made by ReduceSum (node ReduceSum); "
         "expected the output of the session without capture"
     )
-    assert said["GB017"].startswith("graph: stopped in frame 0 (plain session): ")
-    assert "Too many storage buffers in shader" in said["GB017"]
+    assert expected_message["GB017"].startswith("graph: stopped in frame 0 (plain session): ")
+    assert "Too many storage buffers in shader" in expected_message["GB017"]
 
 
 @pytest.mark.parametrize(
@@ -108,14 +108,14 @@ def test_finding_message_describes_the_fault(broken):
 def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end, dtype, tmp_path):
     concat_text = "packed = Concat <axis = 1> (moved, opacity, spread)"
     half = dtype == "float16"
-    narrow = f"{concat_text.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"
+    narrow_text = f"{concat_text.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"
     before = "gaussians = Cast <to = 10> (packed)" if half else END
-    sketch = drifting(dtype=dtype)
-    sketch = sketch.reworded(concat_text, "") if half else sketch
-    sketch = sketch.reworded(before, f"{narrow if half else concat_text} {end}")
+    spec = drifting(dtype=dtype)
+    spec = spec.reworded(concat_text, "") if half else spec
+    spec = spec.reworded(before, f"{narrow_text if half else concat_text} {end}")
     weights = {"shape": i64(5, 10), "first": i64(0), "unit": np.ones(1, dtype)}
     used = {name: array for name, array in weights.items() if name in end}
-    sketch.weighing(**used).write(tmp_path / "a.onnx")
+    spec.weighing(**used).write(tmp_path / "a.onnx")
     report = judged(tmp_path / "a.onnx")
     assert report.outcome("GB016").status == ("fail" if operator else "pass")
     if operator:
@@ -124,8 +124,8 @@ def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end
 
 def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
     path = tmp_path / "a.onnx"
-    sketch = drifting().reworded(END, f"{END} clock = Identity (time)")
-    replace(sketch, outputs=f"{sketch.outputs}, float[1] clock").write(path)
+    spec = drifting().reworded(END, f"{END} clock = Identity (time)")
+    replace(spec, outputs=f"{spec.outputs}, float[1] clock").write(path)
     assert message(judged(path), "GB016").startswith(
         "output clock: repeats frame 0 in all 6 replays; made by Identity"
     )

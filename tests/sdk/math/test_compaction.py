@@ -15,17 +15,17 @@ def test_kept_rows_stand_in_front_in_order(share: float, capacity: int) -> None:
     assert (rows.dtype, count.dtype, count.shape) == (torch.int32, torch.int32, (1,))
     assert count.item() == len(expected)
     assert rows[: len(expected)].tolist() == expected.tolist()
-    behind = rows[len(expected) :].numpy()
+    trailing_rows = rows[len(expected) :].numpy()
     assert len(set(rows.tolist())) == len(rows)
-    assert (mask[behind] == 0).all() or len(expected) == capacity
+    assert (mask[trailing_rows] == 0).all() or len(expected) == capacity
 
 
 def test_row_numbers_stay_exact_at_the_largest_size() -> None:
     mask = torch.zeros(1 << 24)
-    picked = [0, 1, (1 << 24) - 2, (1 << 24) - 1]
-    mask[picked] = 1
+    picked_rows = [0, 1, (1 << 24) - 2, (1 << 24) - 1]
+    mask[picked_rows] = 1
     rows, count = math.keep_rows(mask, 4)
-    assert rows.tolist() == picked
+    assert rows.tolist() == picked_rows
     assert count.item() == 4
 
 

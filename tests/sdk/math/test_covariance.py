@@ -28,10 +28,10 @@ def test_upper_triangles_and_matrices_round_trip() -> None:
     np.testing.assert_array_equal(math.upper_triangle(full).numpy(), upper)
 
 
-@pytest.mark.parametrize("each", [False, True])
-def test_a_linear_map_of_a_covariance_is_that_of_the_oracle(each: bool) -> None:
+@pytest.mark.parametrize("per_row", [False, True])
+def test_a_linear_map_of_a_covariance_is_that_of_the_oracle(per_row: bool) -> None:
     n = 300
-    turn = np.random.default_rng(4).normal(size=(n, 3, 3) if each else (3, 3))
+    turn = np.random.default_rng(4).normal(size=(n, 3, 3) if per_row else (3, 3))
     turn = turn.astype(np.float32)
     upper = geometry.covariance_upper(*sample(n)).astype(np.float32)
     actual = math.rotate_covariance(torch.from_numpy(upper), torch.from_numpy(turn)).numpy()

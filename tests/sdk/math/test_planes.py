@@ -27,9 +27,9 @@ def bilinear(
             x, y = x * width - 0.5, y * height - 0.5
         if padding == "border":
             x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-        across = np.maximum(0, 1 - np.abs(np.arange(width) - x))
+        horizontal = np.maximum(0, 1 - np.abs(np.arange(width) - x))
         down = np.maximum(0, 1 - np.abs(np.arange(height) - y))
-        results.append(np.einsum("chw,h,w->c", plane, down, across))
+        results.append(np.einsum("chw,h,w->c", plane, down, horizontal))
     return np.array(results)
 
 
@@ -47,13 +47,13 @@ def test_samples_are_those_of_the_definition_and_of_torch(
         padding=padding,
     ).numpy()
     np.testing.assert_allclose(actual, bilinear(plane, POINTS, align_corners, padding), atol=3e-6)
-    theirs = functional.grid_sample(
+    torch_sample = functional.grid_sample(
         torch.from_numpy(plane)[None],
         torch.from_numpy(POINTS)[None, None],
         padding_mode=padding,
         align_corners=align_corners,
     )[0, :, 0].T
-    np.testing.assert_allclose(actual, theirs.numpy(), atol=3e-6)
+    np.testing.assert_allclose(actual, torch_sample.numpy(), atol=3e-6)
 
 
 SIZES = (3, 4, 5, 6)  # along x, y, z, t

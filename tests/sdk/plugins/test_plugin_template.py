@@ -29,9 +29,9 @@ def run(*words: str | Path, cwd: Path, **env: str) -> "subprocess.CompletedProce
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("new")
-    ran = gsgen("new", "acme-splats", "--into", folder / "plugins")
-    assert ran.code == 0, ran.err
-    listed = {line for line in ran.out.splitlines() if line.startswith("/")}
+    completed = gsgen("new", "acme-splats", "--into", folder / "plugins")
+    assert completed.code == 0, completed.err
+    listed = {line for line in completed.out.splitlines() if line.startswith("/")}
     result = folder / "plugins" / "acme-splats"
     assert listed == {str(path) for path in result.rglob("*") if path.is_file()}
     return result
@@ -42,26 +42,26 @@ def test_the_package_installs_exports_and_passes_its_own_tests(
     package: Path, tmp_path: Path
 ) -> None:
     pip = ("-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation")
-    done = run(*pip, "--no-compile", "--target", tmp_path, package, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    done = run(
+    completed = run(*pip, "--no-compile", "--target", tmp_path, package, cwd=tmp_path)
+    assert completed.returncode == 0, completed.stderr
+    completed = run(
         *("-m", "pytest", "-q", "-W", "error::pytest.PytestWarning"),
         *("-p", "no:cacheprovider", "-p", "no:randomly"),
         cwd=package,
         PYTHONPATH=str(tmp_path),
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert " passed" in done.stdout
-    assert "failed" not in done.stdout
-    assert "warning" not in done.stdout  # a new package has no findings
+    assert completed.returncode == 0, completed.stdout + completed.stderr
+    assert " passed" in completed.stdout
+    assert "failed" not in completed.stdout
+    assert "warning" not in completed.stdout  # a new package has no findings
     listed = gsgen("export", "--help", env={"PYTHONPATH": str(tmp_path)})
     assert "acme-splats" in listed.out
 
 
 def test_the_package_is_formatted_and_keeps_its_own_rules(package: Path) -> None:
     for words in (("check", "."), ("format", "--check", ".")):
-        done = run("-m", "ruff", *words, "--no-cache", cwd=package)
-        assert done.returncode == 0, done.stdout
+        completed = run("-m", "ruff", *words, "--no-cache", cwd=package)
+        assert completed.returncode == 0, completed.stdout
 
 
 def test_no_placeholder_is_left(package: Path) -> None:

@@ -32,28 +32,28 @@ def weights(model: ir.Model) -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.parametrize(("floats", "beside"), [(64, False), (65, True)])
-def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, beside: bool) -> None:
+@pytest.mark.parametrize(("floats", "is_external"), [(64, False), (65, True)])
+def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, is_external: bool) -> None:
     result = model_of(floats)
     save_model(result, tmp_path / "m.onnx", external_weights=True)
-    assert (tmp_path / "m.onnx.data").exists() == beside
+    assert (tmp_path / "m.onnx.data").exists() == is_external
     read = ir.load(tmp_path / "m.onnx")
-    assert has_external_weights(read) == beside
+    assert has_external_weights(read) == is_external
     assert weight_bytes(read) == 2 * 4 * floats
     for name, value in weights(result).items():
         np.testing.assert_array_equal(weights(read)[name], value)
     onnx.checker.check_model(tmp_path / "m.onnx", full_check=True)
 
 
-@pytest.mark.parametrize("beside", [False, True])
-def test_saving_leaves_a_model_as_it_was(tmp_path: Path, beside: bool) -> None:
+@pytest.mark.parametrize("is_external", [False, True])
+def test_saving_leaves_a_model_as_it_was(tmp_path: Path, is_external: bool) -> None:
     save_model(model_of(100), tmp_path / "m.onnx", external_weights=True)
     read = ir.load(tmp_path / "m.onnx")
     before = [value.const_value for graph in read.graphs() for value in graph.initializers.values()]
-    save_model(read, tmp_path / "again.onnx", external_weights=beside)
+    save_model(read, tmp_path / "again.onnx", external_weights=is_external)
     after = [value.const_value for graph in read.graphs() for value in graph.initializers.values()]
     assert all(a is b for a, b in zip(before, after, strict=True))
-    assert has_external_weights(ir.load(tmp_path / "again.onnx")) == beside
+    assert has_external_weights(ir.load(tmp_path / "again.onnx")) == is_external
 
 
 def test_a_model_that_cannot_be_saved_is_as_it_was_too(tmp_path: Path) -> None:

@@ -35,8 +35,8 @@ def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) 
     )
     model.graph.register_initializer(value)
     ir.save(model, tmp_path / "in.onnx", external_data="weights.bin")
-    granted = _room(tmp_path / "in.onnx", Limits(memory=1)).memory
-    assert granted > Limits(memory=1).for_model(array.nbytes).memory
+    memory_limits = _room(tmp_path / "in.onnx", Limits(memory=1)).memory
+    assert memory_limits > Limits(memory=1).for_model(array.nbytes).memory
 
 
 @pytest.mark.parametrize(("divisor", "uncompared"), [(0, ("y",)), (2, ())])

@@ -110,10 +110,10 @@ def test_a_dry_run_compares_and_writes_nothing(tmp_path: Path) -> None:
 
 def test_passes_may_be_chosen_and_skipped(tmp_path: Path) -> None:
     source = written(tmp_path / "in.onnx", ROUNDED)
-    only = rewrite_file(source, None, WEBGPU, only=["round-by-floor"])
-    assert [change.rewrite for change in only.changes] == ["round-by-floor"]
-    without = rewrite_file(source, None, WEBGPU, skip=["round-by-floor"])
-    assert "round-by-floor" not in {change.rewrite for change in without.changes}
+    single_pass = rewrite_file(source, None, WEBGPU, only=["round-by-floor"])
+    assert [change.rewrite for change in single_pass.changes] == ["round-by-floor"]
+    without_pass = rewrite_file(source, None, WEBGPU, skip=["round-by-floor"])
+    assert "round-by-floor" not in {change.rewrite for change in without_pass.changes}
 
 
 def test_functions_and_branches_are_reached(tmp_path: Path) -> None:
@@ -136,8 +136,8 @@ def test_weights_beside_the_model_stay_beside_it(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     model = parsed("g (float[64,64] x) => (float[64,64] y) { r = Round (x) y = Add (r, w) }")
     weight = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float32)
-    (adding,) = (node for node in model.graph if node.op_type == "Add")
-    value = adding.inputs[1]
+    (add_node,) = (node for node in model.graph if node.op_type == "Add")
+    value = add_node.inputs[1]
     value.const_value = ir.tensor(weight, name="w")
     value.type, value.shape = ir.TensorType(ir.DataType.FLOAT), ir.Shape([64, 64])
     model.graph.register_initializer(value)
@@ -151,8 +151,8 @@ def test_weights_beside_the_model_stay_beside_it(tmp_path: Path) -> None:
 
 def test_weights_that_the_source_reads_are_not_replaced(tmp_path: Path) -> None:
     model = parsed("g (float[64] x) => (float[64] y) { r = Round (x) y = Add (r, w) }")
-    (adding,) = (node for node in model.graph if node.op_type == "Add")
-    value = adding.inputs[1]
+    (add_node,) = (node for node in model.graph if node.op_type == "Add")
+    value = add_node.inputs[1]
     value.const_value = ir.tensor(np.arange(64, dtype=np.float32), name="w")
     value.type, value.shape = ir.TensorType(ir.DataType.FLOAT), ir.Shape([64])
     model.graph.register_initializer(value)
@@ -179,7 +179,7 @@ def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("by", "exactness", "fails"),
+    ("factor", "exactness", "is_failing"),
     [
         (1.0, BITS, False),
         (1.0000001, BITS, True),
@@ -190,12 +190,12 @@ def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
     ],
 )
 def test_a_pass_that_changes_more_than_it_declares_writes_nothing(
-    by: float, exactness: ErrorBudget, fails: bool, scaling, tmp_path: Path
+    factor: float, exactness: ErrorBudget, is_failing: bool, scaling, tmp_path: Path
 ) -> None:
-    scaling(by, exactness)
+    scaling(factor, exactness)
     source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
     (tmp_path / "out.onnx").write_bytes(b"old")
-    if fails:
+    if is_failing:
         with pytest.raises(
             RewriteFailed, match=r"output 'y' differs by .* for the test inputs"
         ) as caught:
@@ -327,12 +327,12 @@ def gsgen(*words: str):
 
 def test_the_command_reports_what_changed(tmp_path: Path) -> None:
     source = written(tmp_path / "in.onnx", ROUNDED)
-    ran = gsgen(str(source), "-o", str(tmp_path / "out.onnx"), "--target", "webgpu")
-    assert ran.exit_code == 0, ran.output
-    assert "round-by-floor: 1× r (Round)" in ran.output
-    assert "not captured: 1 nodes → 0" in ran.output
-    assert "outputs were compared at 5 probes: equal bits" in ran.output
-    assert f"wrote {tmp_path / 'out.onnx'}" in ran.output
+    completed = gsgen(str(source), "-o", str(tmp_path / "out.onnx"), "--target", "webgpu")
+    assert completed.exit_code == 0, completed.output
+    assert "round-by-floor: 1× r (Round)" in completed.output
+    assert "not captured: 1 nodes → 0" in completed.output
+    assert "outputs were compared at 5 probes: equal bits" in completed.output
+    assert f"wrote {tmp_path / 'out.onnx'}" in completed.output
 
 
 def test_nan_outputs_are_not_compared(tmp_path: Path) -> None:
@@ -341,18 +341,20 @@ def test_nan_outputs_are_not_compared(tmp_path: Path) -> None:
         "{ q = Mul (x, zero) n = Div (q, zero) r = Round (n) y = Identity (r) }"
     )
     words = str(written(tmp_path / "in.onnx", text)), "--dry-run", "--target", "webgpu"
-    ran = gsgen(*words)
-    assert ran.exit_code == 0, ran.output
-    assert "nothing differs; y could not be compared" in ran.stdout
-    assert "equal bits" not in ran.stdout
-    assert "y: no finite number at any of 5 probes, so the rewrite is not verified" in ran.stderr
+    completed = gsgen(*words)
+    assert completed.exit_code == 0, completed.output
+    assert "nothing differs; y could not be compared" in completed.stdout
+    assert "equal bits" not in completed.stdout
+    assert (
+        "y: no finite number at any of 5 probes, so the rewrite is not verified" in completed.stderr
+    )
     assert json.loads(gsgen(*words, "--json").stdout)["unjudged"] == ["y"]
 
 
 def test_the_command_prints_json(tmp_path: Path) -> None:
     source = written(tmp_path / "in.onnx", ROUNDED)
-    ran = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")
-    document = json.loads(ran.stdout)
+    completed = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")
+    document = json.loads(completed.stdout)
     assert document["path"] is None
     assert {
         "name": "round-by-floor",
@@ -363,10 +365,10 @@ def test_the_command_prints_json(tmp_path: Path) -> None:
 
 
 def test_the_command_lists_its_passes() -> None:
-    ran = gsgen("--list", "--target", "webgpu")
-    assert ran.exit_code == 0
-    assert "- chunk-concat " in ran.output
-    assert "  chunk-split " in ran.output
+    completed = gsgen("--list", "--target", "webgpu")
+    assert completed.exit_code == 0
+    assert "- chunk-concat " in completed.output
+    assert "  chunk-split " in completed.output
     listed = json.loads(gsgen("--list", "--json").stdout)
     assert [row["name"] for row in listed] == [rewrite.name for rewrite in REWRITES]
     assert all(row["runs"] for row in listed if row["name"] != "freeze-dimensions")
@@ -393,8 +395,8 @@ def test_mistaken_command_is_explained(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     written(tmp_path / "in.onnx", ROUNDED)
-    ran = gsgen(*words)
-    text = ran.output + str(ran.exception or "")
+    completed = gsgen(*words)
+    text = completed.output + str(completed.exception or "")
     assert message in text
-    assert ran.exit_code == code or isinstance(ran.exception, ConfigInvalid)
+    assert completed.exit_code == code or isinstance(completed.exception, ConfigInvalid)
     assert not (tmp_path / "out.onnx").exists()

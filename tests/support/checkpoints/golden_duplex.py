@@ -20,7 +20,7 @@ def golden_view(number: int) -> tuple[Camera, np.ndarray]:
         (width, height), field = archive["in_size"][number], archive["in_FoV"][number]
     focal = np.array([width, height]) / 2 / np.tan(field.astype(np.float64) / 2)
     fx, fy = focal.tolist()
-    seen_by = Camera(
+    view_camera = Camera(
         view,
         fx=fx,
         fy=fy,
@@ -30,7 +30,7 @@ def golden_view(number: int) -> tuple[Camera, np.ndarray]:
         height=int(height),
         near=NEAR,
     )
-    return seen_by, image.transpose(1, 2, 0)
+    return view_camera, image.transpose(1, 2, 0)
 
 
 def golden_scene(number: int) -> Scene:

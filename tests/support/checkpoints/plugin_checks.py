@@ -43,10 +43,10 @@ def camera(rng: np.random.Generator, distance: float = 4.0, scale: float = 1.0) 
 def assert_like(rows: np.ndarray, color: np.ndarray, expected: ExpectedGaussians) -> None:
     """Demand that drawn rows agree, and that others cannot be seen."""
     retained = expected.retained
-    sure = np.ones(len(retained), bool) if expected.doubtful is None else ~expected.doubtful
+    is_certain = np.ones(len(retained), bool) if expected.doubtful is None else ~expected.doubtful
     assert np.isfinite(rows).all()
     assert np.isfinite(color).all()
-    both = sure[retained]
+    both = is_certain[retained]
     pairs = {
         "position": (rows[retained, :3], expected.position),
         "opacity": (rows[retained, 3], expected.opacity),
@@ -56,7 +56,7 @@ def assert_like(rows: np.ndarray, color: np.ndarray, expected: ExpectedGaussians
     for name, (values, target) in pairs.items():
         error = np.abs(values[both] - target[both]).max() / np.abs(target).max()
         assert error <= ALLOWED[name] / MARGIN, (name, error)
-    assert (rows[~retained & sure, 3] == 0).all()
+    assert (rows[~retained & is_certain, 3] == 0).all()
 
 
 def acceptance() -> ModuleType:

@@ -41,9 +41,9 @@ def anchors(
     cloud, nets = read.cloud, read.nets
     n, k = len(cloud), cloud.per_anchor
     centre = torch.from_numpy(np.linalg.inv(camera.astype(np.float64).T)[:3, 3])
-    visible, fade, doubtful = torch.ones(n, dtype=torch.bool), None, torch.zeros(n).bool()
+    visible, fade, is_ambiguous = torch.ones(n, dtype=torch.bool), None, torch.zeros(n).bool()
     if octree:
-        visible, fade, doubtful = _levels(read, centre)
+        visible, fade, is_ambiguous = _levels(read, centre)
     anchor = cloud.position.double()[visible]
     feature, log_scale = cloud.feature.double()[visible], cloud.log_scale.double()[visible]
     offset = cloud.offset.double()[visible]
@@ -66,15 +66,15 @@ def anchors(
         parts = [feature, v, *([d] if net.distance else []), *level, *extra]
         return _mlp(net, torch.cat(parts, 1))
 
-    look = []
+    features = []
     if nets.embedding is not None:
-        look = [nets.embedding.double()[uid].expand(len(anchor), -1)]
+        features = [nets.embedding.double()[uid].expand(len(anchor), -1)]
     opacity = torch.tanh(ask(nets.opacity))
     if fade is not None:
         opacity = opacity * fade[visible][:, None]
     opacity = opacity.reshape(-1)
     opaque = opacity > 0
-    color = torch.sigmoid(ask(nets.color, *look)).reshape(-1, 3)[opaque]
+    color = torch.sigmoid(ask(nets.color, *features)).reshape(-1, 3)[opaque]
     shape = ask(nets.covariance).reshape(-1, 7)[opaque]
     base = log_scale.exp().repeat_interleave(k, 0)[opaque]
     scale = base[:, 3:] * torch.sigmoid(shape[:, :3])
@@ -87,7 +87,7 @@ def anchors(
         opacity[opaque].numpy(),
         covariance_upper(scale.numpy(), shape[:, 3:].numpy()),
         color.numpy(),
-        doubtful.repeat_interleave(k).numpy(),
+        is_ambiguous.repeat_interleave(k).numpy(),
     )
 
 
@@ -101,15 +101,15 @@ def _levels(
     middle = cloud.position.double() + (voxel / 2 / fork**level)[:, None]
     distance = (middle - centre).norm(dim=1)
     level_of_distance = torch.log2(standard / distance) / np.log2(fork) + cloud.extra_level.double()
-    top = level.max() - level.min()
+    top_level = level.max() - level.min()
     fade = None
     if mode == "progressive":
-        clamped = (level_of_distance + 1).clamp(0.9999, float(top) + 0.9999)
+        clamped = (level_of_distance + 1).clamp(0.9999, float(top_level) + 0.9999)
         whole = clamped.floor()
         fade = torch.where(level == whole, clamped - whole, 1.0)
         near = ((level_of_distance + 1) - (level_of_distance + 1).round()).abs()
     else:
-        whole = getattr(torch, mode)(level_of_distance).clamp(0, top)
+        whole = getattr(torch, mode)(level_of_distance).clamp(0, top_level)
         shift = {"round": 0.5, "floor": 0.0, "ceil": 0.0}[mode]
         near = ((level_of_distance + shift) - (level_of_distance + shift).round()).abs()
     return level <= whole, fade, near < 1e-4
@@ -224,8 +224,10 @@ def deformation(read: DeformationCheckpoint, time: float) -> ExpectedGaussians:
         w, v = _skew(axis / theta + 1e-5), v / theta + 1e-5
         angle, eye = theta[:, :, None], torch.eye(3, dtype=torch.float64)
         turn = eye + torch.sin(angle) * w + (1 - torch.cos(angle)) * w @ w
-        carry = angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
-        position = (turn @ x[:, :, None] + carry @ v[:, :, None])[:, :, 0]
+        translation_matrix = (
+            angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
+        )
+        position = (turn @ x[:, :, None] + translation_matrix @ v[:, :, None])[:, :, 0]
     scale = canonical.log_scale.double().exp() + last(net.scaling)
     q = F.normalize(canonical.rotation.double(), dim=1) + last(net.rotation)
     w, i, j, k = q.T

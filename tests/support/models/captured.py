@@ -15,5 +15,5 @@ def assert_captured(report: Report) -> None:
     """
     (live,) = (level for level in report.levels if level.level is Level.LIVE)
     assert live.ran, f"{live.reason}; install a driver with `make drivers`"
-    said = {rule: report.outcome(rule).status for rule in CAPTURED}
-    assert said == dict.fromkeys(CAPTURED, "pass")
+    expected_message = {rule: report.outcome(rule).status for rule in CAPTURED}
+    assert expected_message == dict.fromkeys(CAPTURED, "pass")

@@ -16,9 +16,9 @@ def endless(folder: Path, after: float) -> Path:
         "on = Loop (rounds, go, time) <body = b (int64 i, bool k, float[1] a) => "
         "(bool k2, float[1] a2) { k2 = Identity (k) a2 = Sin (a) }> shift = Mul (speed, on)"
     )
-    sketch = drifting().reworded("shift = Mul (speed, time)", loop)
+    spec = drifting().reworded("shift = Mul (speed, time)", loop)
     path = folder / "endless.onnx"
-    sketch.weighing(
+    spec.weighing(
         after=f32(after),
         once=np.asarray(1, np.int64),
         most=np.asarray(9_000_000_000_000_000_000, np.int64),

@@ -101,10 +101,10 @@ class Skinned(GaussianGenerator):
         half = 0.5 * angle
         quaternion = torch.cat([torch.cos(half), torch.sin(half) * pose / angle], dim=1)
         bones = math.quaternion_to_matrix(quaternion)
-        posed = self.rest @ bones[0].T
+        posed_points = self.rest @ bones[0].T
         bent = (self.rest - 0.5) @ bones[1].T + 0.5
         return Gaussians(
-            position=posed * (1 - self.weight) + bent * self.weight + root,
+            position=posed_points * (1 - self.weight) + bent * self.weight + root,
             opacity=torch.full((30,), 0.9),
             scale=torch.full((30, 3), 0.03),
             rotation=torch.tensor([[1.0, 0, 0, 0]]).repeat(30, 1),

@@ -64,6 +64,6 @@ def _scalar(hint: Any, limits: Hint) -> st.SearchStrategy:
     if hint is float:
         low = limits.minimum if limits.above is None else limits.above
         finite = {"allow_nan": False, "allow_infinity": False}
-        beyond = limits.above is not None
-        return st.floats(low, limits.maximum, exclude_min=beyond, **finite)
+        has_upper_limit = limits.above is not None
+        return st.floats(low, limits.maximum, exclude_min=has_upper_limit, **finite)
     return {bool: st.booleans(), type(None): st.none()}[hint]

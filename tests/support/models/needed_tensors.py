@@ -69,8 +69,10 @@ def of_hexplane(read: HexPlaneCheckpoint) -> int:
     nets, total = read.nets, _canonical(read.canonical)
     for six in nets.grids:
         for index, plane in enumerate(six):
-            reached = plane[:, (plane.shape[1] - 1) // 2 :] if index in _TIME_PLANES else plane
-            total += _sum([reached])
+            reachable_plane = (
+                plane[:, (plane.shape[1] - 1) // 2 :] if index in _TIME_PLANES else plane
+            )
+            total += _sum([reachable_plane])
     layers = [*nets.feature, *(layer for pair in nets.heads.values() for layer in pair)]
     layers += nets.static or ()
     return total + _sum(tensor for layer in layers for tensor in layer) + _sum(nets.voxels or ())
@@ -90,14 +92,14 @@ def _nets(nets: PoseNets | None) -> int:
 
 def _vertices(body: Body, used: int, *, shape: bool) -> int:
     joints, shapes = body.joints, body.shape_dirs.shape[2] if shape else 0
-    each = 9 * (joints - 1) * 3 + 3 * shapes + joints
-    return 4 * (used * each + joints * 3 * (shapes + 1))
+    vertex_values = 9 * (joints - 1) * 3 + 3 * shapes + joints
+    return 4 * (used * vertex_values + joints * 3 * (shapes + 1))
 
 
 def of_gauhuman(canonical: Canonical, body: Body, nets: PoseNets | None) -> int:
     """GauHuman, its shape an input."""
-    posed = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
-    used = np.unique(rest_pose.nearest(canonical.position.double().numpy(), posed))
+    posed_points = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
+    used = np.unique(rest_pose.nearest(canonical.position.double().numpy(), posed_points))
     return _canonical(canonical) + _vertices(body, len(used), shape=True) + _nets(nets)
 
 
@@ -105,9 +107,9 @@ def of_lhm(read: LHMCheckpoint) -> int:
     """LHM: shape and place of the vertices, and the expressions of those that any moves."""
     used = np.unique(rest_pose.nearest(read.samples, read.body.template))
     moved = np.abs(expression_dirs(read, None)[used]).max(axis=(1, 2)) > 0
-    each = _sum((read.position, read.rgb, read.opacity, read.scale, read.rotation))
+    vertex_values = _sum((read.position, read.rgb, read.opacity, read.scale, read.rotation))
     vertices = len(used) * (read.body.joints + 3) + int(moved.sum()) * 3 * EXPRESSIONS
-    return each + 4 * (vertices + 3 * read.body.joints) + _sum([read.neutral])
+    return vertex_values + 4 * (vertices + 3 * read.body.joints) + _sum([read.neutral])
 
 
 def of_r3(read: R3Checkpoint, used: int) -> int:

@@ -24,36 +24,38 @@ from support.rendering.sorting import GPU, KEYS, Bench, keys_of, scanned
 
 def ways(device: Device) -> dict[str, Renderer]:
     """Return each way to draw."""
-    alike = Device(device.raw)
-    alike.software, alike.subgroups = False, False
+    gpu_like_device = Device(device.raw)
+    gpu_like_device.software, gpu_like_device.subgroups = False, False
     return {
         "tiles": Renderer(device, rasteriser="tiles"),
-        "tiles, cut as for a GPU": Renderer(alike, rasteriser="tiles"),
+        "tiles, cut as for a GPU": Renderer(gpu_like_device, rasteriser="tiles"),
         "quads": Renderer(device, rasteriser="quads"),
     }
 
 
-def pictures(ways: dict[str, Renderer], golden: Path) -> dict[str, float]:
+def pictures(renderers_by_name: dict[str, Renderer], golden: Path) -> dict[str, float]:
     """Return the largest error of the golden picture, by each way to draw it."""
     data, camera, image = golden_case(golden)
     errors = {}
-    for name, renderer in ways.items():
+    for name, renderer in renderers_by_name.items():
         actual = renderer.render(Scene([data]), camera).rgba
         assert actual is not None
         errors[name] = float(np.abs(actual - image).max())
     return errors
 
 
-def disordered(ways: dict[str, Renderer]) -> list[str]:
+def disordered(renderers_by_name: dict[str, Renderer]) -> list[str]:
     """Draw near ties by tiles; return in which the oracle finds another order."""
     wrong = []
     for name in ("tilted", "plane_of_rounded_rows"):
         scene, camera = NEAR_TIES[name]()
         frame = oracle.render(scene, camera)
-        for way in [way for way in ways if "tiles" in way]:
-            error = np.abs(ways[way].render(scene, camera).rgba - frame.rgba)
+        for renderer_name in [
+            renderer_name for renderer_name in renderers_by_name if "tiles" in renderer_name
+        ]:
+            error = np.abs(renderers_by_name[renderer_name].render(scene, camera).rgba - frame.rgba)
             if not error[~frame.fragile].max() <= 2e-5:
-                wrong.append(f"{name} by {way}")
+                wrong.append(f"{name} by {renderer_name}")
     return wrong
 
 
@@ -94,9 +96,9 @@ def unscanned(device: Device) -> list[str]:
     wrong = []
     numbers = np.random.default_rng(0).integers(0, 1 << 16, 300_001, np.uint32)
     for software in (True, False):
-        alike = Device(device.raw)
-        alike.software = software
-        result = scanned(Scan(alike, 4096, 64, 256), device, numbers)
+        gpu_like_device = Device(device.raw)
+        gpu_like_device.software = software
+        result = scanned(Scan(gpu_like_device, 4096, 64, 256), device, numbers)
         if not np.array_equal(result, scan_reference(numbers)):
             wrong.append("in one workgroup" if software else "by blocks")
     return wrong

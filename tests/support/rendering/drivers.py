@@ -40,12 +40,12 @@ def on_driver(driver: str, module: str, *words: str, seconds: float = 600) -> An
     driver_info = description(driver)
     if driver_info is None:
         pytest.fail(f"{driver} is not installed; `make drivers` installs it")
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-P", "-m", module, *words],
         capture_output=True,
         text=True,
         timeout=seconds,
         env=environment(driver_info),
     )
-    assert done.returncode == 0, done.stderr[-4000:]
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    assert completed.returncode == 0, completed.stderr[-4000:]
+    return json.loads(completed.stdout.strip().splitlines()[-1])

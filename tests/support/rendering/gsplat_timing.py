@@ -8,7 +8,9 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.splat_data import SplatData
 
 
-def gsplat_milliseconds(data: SplatData, camera: Camera, warm: int, frames: int) -> dict[str, Any]:
+def gsplat_milliseconds(
+    data: SplatData, camera: Camera, warm_frames: int, frames: int
+) -> dict[str, Any]:
     """Return the milliseconds of gsplat's CUDA rasteriser, or why there are none."""
     try:
         import gsplat
@@ -35,15 +37,15 @@ def gsplat_milliseconds(data: SplatData, camera: Camera, warm: int, frames: int)
         "height": camera.height,
     }
     milliseconds = []
-    for number in range(frames + warm):
-        began, ended = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-        began.record()
+    for number in range(frames + warm_frames):
+        start_time, ended = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        start_time.record()
         with torch.no_grad():
             gsplat.rasterization(**scene)
         ended.record()
         torch.cuda.synchronize()
-        if number >= warm:
-            milliseconds.append(began.elapsed_time(ended))
+        if number >= warm_frames:
+            milliseconds.append(start_time.elapsed_time(ended))
     return {
         "version": gsplat.__version__,
         "p50": float(np.median(milliseconds)),

@@ -30,18 +30,18 @@ def wall(depth: float, half: float = 1.0, seed: int = 0) -> MeshData:
     return quad([[-x, -x, depth], [x, -x, depth], [x, x, depth], [-x, x, depth]], seed)
 
 
-def ball(rings: int = 6, spokes: int = 9, seed: int = 1) -> MeshData:
+def ball(rings: int = 6, spoke_count: int = 9, seed: int = 1) -> MeshData:
     """A sphere of radius 1 around the origin, with random colours."""
     up = np.linspace(0, np.pi, rings + 1)[:, None]
-    around = np.linspace(0, 2 * np.pi, spokes, endpoint=False)
+    around = np.linspace(0, 2 * np.pi, spoke_count, endpoint=False)
     points = np.stack(
         np.broadcast_arrays(np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)),
         -1,
     ).reshape(-1, 3)
-    ring, spoke = np.divmod(np.arange(rings * spokes), spokes)
-    a, b = ring * spokes + spoke, ring * spokes + (spoke + 1) % spokes
+    ring, spoke_index = np.divmod(np.arange(rings * spoke_count), spoke_count)
+    a, b = ring * spoke_count + spoke_index, ring * spoke_count + (spoke_index + 1) % spoke_count
     faces = np.concatenate(
-        [np.stack([a, b, b + spokes], 1), np.stack([a, b + spokes, a + spokes], 1)]
+        [np.stack([a, b, b + spoke_count], 1), np.stack([a, b + spoke_count, a + spoke_count], 1)]
     )
     colors = np.random.default_rng(seed).uniform(0.1, 0.9, (len(points), 3))
     return MeshData(points, faces, colors)  # at the poles some have no area
@@ -112,9 +112,9 @@ def flat_camera_inside() -> tuple[Scene, Camera]:
 @named
 def near_plane() -> tuple[Scene, Camera]:
     """A floor from far behind the camera to far ahead, and a ball around the near plane."""
-    floor = quad([[-9, 0.7, -20], [9, 0.7, -20], [9, 0.7, 40], [-9, 0.7, 40]])
+    floor_mesh = quad([[-9, 0.7, -20], [9, 0.7, -20], [9, 0.7, 40], [-9, 0.7, 40]])
     ring = Mesh(ball(), moved(0.1, -0.3, 0.9, np.diag([0.5, 0.5, 0.5, 1])))
-    return Scene([cloud(150, 6)], meshes=[floor, ring]), replace(camera(), near=0.8)
+    return Scene([cloud(150, 6)], meshes=[floor_mesh, ring]), replace(camera(), near=0.8)
 
 
 @named
@@ -174,8 +174,8 @@ def panorama_room() -> tuple[Scene, Camera]:
     """A room around the eye, whose walls some splats are behind, and a ball in it."""
     room = Mesh(ball(4, 6), moved(0.3, 0.2, -0.4, np.diag([3.0, 3, 3, 1])), "headlight")
     inner = Mesh(ball(3, 5, 2), moved(0.5, 0.6, 1.4, np.diag([0.5, 0.5, 0.5, 1])))
-    seen_by = Camera.panorama((0, 0, 0), (1, 0, 1), up=(0.1, -1, 0.2), width=64)
-    return Scene([all_around(150, 20)], meshes=[room, inner]), seen_by
+    view_camera = Camera.panorama((0, 0, 0), (1, 0, 1), up=(0.1, -1, 0.2), width=64)
+    return Scene([all_around(150, 20)], meshes=[room, inner]), view_camera
 
 
 @named
@@ -191,14 +191,14 @@ def panorama_seam() -> tuple[Scene, Camera]:
 @named
 def panorama_poles() -> tuple[Scene, Camera]:
     """A floor and a ceiling that have the poles inside, and small triangles near them."""
-    floor = quad([[-3, 1.2, -2], [3, 1.3, -1], [2, 1, 4], [-3, 1.5, 3]])
+    floor_mesh = quad([[-3, 1.2, -2], [3, 1.3, -1], [2, 1, 4], [-3, 1.5, 3]])
     ceiling = MeshData(
         np.array([[-2, -1.5, -2], [3, -1, -1], [0, -2, 4]]),
         np.array([[0, 1, 2]]),
         np.eye(3, dtype=np.float32),
     )
     small = Mesh(ball(3, 4, 3), moved(0.1, -0.7, 0.1, np.diag([0.2, 0.2, 0.2, 1])))
-    return Scene([all_around(80, 22)], meshes=[floor, ceiling, small]), Camera.panorama(
+    return Scene([all_around(80, 22)], meshes=[floor_mesh, ceiling, small]), Camera.panorama(
         (0.05, 0.02, 0.03), width=66, height=35
     )
 
@@ -210,10 +210,10 @@ def panorama_around_the_eye() -> tuple[Scene, Camera]:
     points = rng.normal(size=(12, 3)) * rng.uniform(0.4, 6, (12, 1))
     colors = rng.uniform(0.1, 0.9, (12, 3))
     data = MeshData(points, np.arange(12).reshape(4, 3), colors)
-    close = quad([[-5, 0.03, -4], [6, 0.02, -5], [5, 0.04, 6], [-4, 0.03, 5]], seed=4)
+    near_triangle = quad([[-5, 0.03, -4], [6, 0.02, -5], [5, 0.04, 6], [-4, 0.03, 5]], seed=4)
     far = quad([[-900, 3, -1000], [900, 3, -1000], [900, 3, 1000], [-900, 3, 1000]])
     placed = Mesh(data, moved(0.3, -0.2, 0.1, turned(0.6, (1, 2, 3))), "headlight")
-    return Scene([all_around(80, 24)], meshes=[placed, close, far]), Camera.panorama(
+    return Scene([all_around(80, 24)], meshes=[placed, near_triangle, far]), Camera.panorama(
         (0, 0, 0), (1, 0, -1), width=64
     )
 
@@ -222,8 +222,8 @@ def panorama_around_the_eye() -> tuple[Scene, Camera]:
 def panorama_near() -> tuple[Scene, Camera]:
     """What is nearer than the near distance is not there: a ball is cut open by it."""
     ring = Mesh(ball(4, 7), moved(0.2, 0.3, -0.4, np.diag([1.0, 1, 1, 1])))
-    seen_by = Camera.panorama((0, 0, 0), width=64, near=0.8)
-    return Scene([all_around(80, 25)], meshes=[ring]), seen_by
+    view_camera = Camera.panorama((0, 0, 0), width=64, near=0.8)
+    return Scene([all_around(80, 25)], meshes=[ring]), view_camera
 
 
 @named

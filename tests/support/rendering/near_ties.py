@@ -98,8 +98,8 @@ def huge() -> tuple[Scene, Camera]:
 @named
 def tiny() -> tuple[Scene, Camera]:
     transform = turned(0.5, (3, 1, 2), 1e-9)
-    seen_by = seen_through(transform, near=1e-12)
-    return Scene([SplatSet(plane(), transform @ turned(1e-5, (1, 2, 0)))]), seen_by
+    view_camera = seen_through(transform, near=1e-12)
+    return Scene([SplatSet(plane(), transform @ turned(1e-5, (1, 2, 0)))]), view_camera
 
 
 @named

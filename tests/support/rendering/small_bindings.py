@@ -15,11 +15,13 @@ SMALL = 1 << 15  # bytes of a binding: 2,048 splats, 819 cells, or 2,048 pixels
 def whole_and_small(device: Device, *, as_gpu: bool) -> tuple[Renderer, Renderer]:
     """Return two renderers of a device, the second of which binds little."""
     pair = Device(device.raw), Device(device.raw)
-    for alike in pair:
+    for renderer_pair in pair:
         if as_gpu:
-            alike.software, alike.subgroups = False, False
+            renderer_pair.software, renderer_pair.subgroups = False, False
     pair[1].largest_binding = SMALL
-    whole, small = (Renderer(alike, rasteriser="tiles", page_rows=ROWS) for alike in pair)
+    whole, small = (
+        Renderer(renderer_pair, rasteriser="tiles", page_rows=ROWS) for renderer_pair in pair
+    )
     return whole, small
 
 

@@ -67,9 +67,9 @@ class Bench:
         counted: bool = False,
     ) -> None:
         self.device, self.room, self.compact = device, room, compact
-        like = Device(device.raw)
-        like.software = device.software and cut.threads < GPU.threads
-        sort = RadixSort(device, cut, Scan(like, cut.block, 64, 256))
+        gpu_like_device = Device(device.raw)
+        gpu_like_device.software = device.software and cut.threads < GPU.threads
+        sort = RadixSort(device, cut, Scan(gpu_like_device, cut.block, 64, 256))
         self.counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
         self.columns = [
             Columns(device.storage("keys", 4 * room), device.storage("values", 4 * room))

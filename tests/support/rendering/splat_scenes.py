@@ -205,14 +205,14 @@ def antialiased() -> tuple[Scene, Camera]:
 @named
 def placed() -> tuple[Scene, Camera]:
     """Sets with rotations, scales, a mirror and a shear; some are faint, capped or clipped."""
-    pushed = turned(0.7, (1, 2, 3), 1.5)
-    pushed[:3, 3] = 0.3, -0.2, 1.0
+    set_transform = turned(0.7, (1, 2, 3), 1.5)
+    set_transform[:3, 3] = 0.3, -0.2, 1.0
     sheared = turned(0.2, (0, 0, 1), (1, 2, 0.5))
     sheared[0, 1] += 0.4
     sheared[:3, 3] = 0, 0.1, 1.2
     mirrored = np.diag([-1.0, 1, 1, 1])
     sets = [
-        SplatSet(cloud(120, 42, degree=3), pushed, opacity_scale=0.5),
+        SplatSet(cloud(120, 42, degree=3), set_transform, opacity_scale=0.5),
         SplatSet(cloud(120, 43, degree=3), sheared, degree=2, antialias="mip"),
         SplatSet(cloud(120, 44, degree=2), mirrored, opacity_scale=3.0),
         SplatSet(cloud(120, 45), clip=Box((-1, -1, 2), (0.5, 2, 5))),

@@ -192,8 +192,10 @@ def needles_in_cells() -> tuple[Scene, Camera]:
 def fewer_live_than_cells_have() -> tuple[Scene, Camera]:
     """The last live cell has lost some of its Gaussians."""
     data = celled(60, seed=15)
-    some = SplatData(data.rows, data.appearance, "rgb", count=133, cells=data.cells, per_cell=5)
-    return Scene([summed(some)]), camera()
+    partial_data = SplatData(
+        data.rows, data.appearance, "rgb", count=133, cells=data.cells, per_cell=5
+    )
+    return Scene([summed(partial_data)]), camera()
 
 
 @named
@@ -205,13 +207,13 @@ def half_floats_in_cells() -> tuple[Scene, Camera]:
 @named
 def placed_cells() -> tuple[Scene, Camera]:
     """Sets with transforms, weights and sizes of their own, in one order of cells."""
-    pushed = turned(0.7, (1, 2, 3), 1.5)
-    pushed[:3, 3] = 0.3, -0.2, 1.0
+    set_transform = turned(0.7, (1, 2, 3), 1.5)
+    set_transform[:3, 3] = 0.3, -0.2, 1.0
     sheared = turned(0.2, (0, 0, 1), (1, 2, 0.5))
     sheared[0, 1] += 0.4
     sheared[:3, 3] = 0, 0.1, 1.2
     sets = [
-        summed(celled(40, 5, 30, degree=3), transform=pushed, opacity_scale=0.5),
+        summed(celled(40, 5, 30, degree=3), transform=set_transform, opacity_scale=0.5),
         summed(
             celled(50, 3, 31, degree=3),
             transform=sheared,
@@ -291,15 +293,15 @@ def opaque_among_sorted() -> tuple[Scene, Camera]:
 
 @mixed
 def everything_seen_flat() -> tuple[Scene, Camera]:
-    scene, seen_by = among_everything()
-    return scene, seen_by.flattened(5.0)
+    scene, view_camera = among_everything()
+    return scene, view_camera.flattened(5.0)
 
 
 @mixed
 def among_everything_all_around() -> tuple[Scene, Camera]:
     """A room whose walls cells reach through, and a wall that all of them cross."""
-    scene, seen_by = WEIGHTED["cells_all_around"]()
+    scene, view_camera = WEIGHTED["cells_all_around"]()
     sets = [*scene.sets, cloud(90, 59, depth=(-4, 4))]
     room = Mesh(ball(3, 5), np.diag([3.5, 3.5, 3.5, 1]))
     leaning = quad([[-2, -1, -2], [2, -1, -3], [2.5, 1.5, -3], [-2, 1, -2]])
-    return Scene(sets, meshes=[room, leaning]), seen_by
+    return Scene(sets, meshes=[room, leaning]), view_camera

@@ -216,7 +216,7 @@ def tileset(root: dict[str, object], extensions: dict[str, object] = GLTF, **mor
 
 
 def subtree(
-    levels: int, branching: int, tiles: set[int], contents: set[int], below: set[int]
+    levels: int, branching: int, tiles: set[int], contents: set[int], children: set[int]
 ) -> bytes:
     """A binary subtree with two bitstreams in one buffer and one in another view."""
 
@@ -227,7 +227,7 @@ def subtree(
         return bytes(data)
 
     count = (branching**levels - 1) // (branching - 1)
-    parts = [bits(tiles, count), bits(contents, count), bits(below, branching**levels)]
+    parts = [bits(tiles, count), bits(contents, count), bits(children, branching**levels)]
     body, views = b"", []
     for part in parts:
         views.append({"buffer": 0, "byteOffset": len(body), "byteLength": len(part)})

@@ -85,23 +85,23 @@ def journeys(seconds: float = 30.0, rate: float = 10.0) -> dict[str, list[Row]]:
     def flight(t: float) -> np.ndarray:
         return np.array([-90 + 4.5 * t, -60 + 3 * t, 30 - 0.4 * t])
 
-    follow = {
+    paths_by_name = {
         "orbit": (ring(70, 1 / 12, 25), lambda t: np.zeros(3)),
         "street": (street, lambda t: street(t + 3)),
         "flight": (flight, lambda t: flight(t) + np.array([20, 13, -25 + 0.4 * t])),
         "turning": (lambda t: np.array([0, 0, 8.0]), ring(10, 0.3, 6)),
     }
-    paths = {name: _follow(*pair, seconds, rate) for name, pair in follow.items()}
+    paths = {name: _follow(*pair, seconds, rate) for name, pair in paths_by_name.items()}
     rng = np.random.default_rng(5)
     position, yaw, turn = np.array([-60.0, -40, 5]), 0.0, 0.0
-    wander = []
+    wander_poses = []
     for t in np.arange(0, seconds, 1 / rate):
         turn += -2 * turn / rate + rng.normal() * 1.5 / np.sqrt(rate)
         yaw += turn / rate
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
         position = np.clip(position + ahead * 4 / rate, -95, 95)
-        wander.append(pose_row(float(t), position, position + ahead - [0, 0, 0.1]))
-    return paths | {"wander": wander}
+        wander_poses.append(pose_row(float(t), position, position + ahead - [0, 0, 0.1]))
+    return paths | {"wander": wander_poses}
 
 
 def networks() -> dict[str, list[Row]]:

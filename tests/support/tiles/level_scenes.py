@@ -38,8 +38,8 @@ def knot(count: int = 60_000, degree: int = 3, seed: int = 0) -> Splats:
     up = np.cross(tangent, side)
     normal = np.cos(v)[:, None] * side + np.sin(v)[:, None] * up
     position = curve(t) + tube * normal
-    across = np.cross(normal, tangent)
-    frame = np.stack([tangent, across, normal], axis=2)
+    horizontal = np.cross(normal, tangent)
+    frame = np.stack([tangent, horizontal, normal], axis=2)
     spacing = math.sqrt(2 * math.pi * tube * 10 / count)  # of splats on the tube
     scale = spacing * np.exp(rng.normal(0, 0.3, (count, 3))) * [1.3, 1.3, 0.15]
     base = 0.5 + 0.35 * np.stack(
@@ -199,8 +199,8 @@ def tilesplat(splats: Splats, starts: np.ndarray) -> Splats:
     def mean(values):
         return np.add.reduceat(alpha[:, None] * values, starts) / total[:, None]
 
-    outer = splats.rotation[:, :, None].astype(np.float64) * splats.rotation[:, None, :]
-    _, vectors = np.linalg.eigh(mean(outer.reshape(-1, 16)).reshape(-1, 4, 4))
+    rotated_axes = splats.rotation[:, :, None].astype(np.float64) * splats.rotation[:, None, :]
+    _, vectors = np.linalg.eigh(mean(rotated_axes.reshape(-1, 16)).reshape(-1, 4, 4))
     high = np.maximum.reduceat(splats.position + scale, starts)
     low = np.minimum.reduceat(splats.position - scale, starts)
     opacity = np.add.reduceat(alpha**2, starts) / total

@@ -34,8 +34,8 @@ def scattered(count: int, *, degree: int = 0, seed: int = 0, origin: float = 0.0
     position = rng.normal(size=(count, 3)) * [5, 0.05, 5]
     position[:, 1] += np.sin(position[:, 0])
     log_scale = rng.normal(-3.5, 0.5, (count, 3))
-    large = rng.choice(count, max(1, count // 500), replace=False)
-    log_scale[large] += 4
+    large_rows = rng.choice(count, max(1, count // 500), replace=False)
+    log_scale[large_rows] += 4
     position[rng.choice(count, max(1, count // 1000))] *= 40
     position[-5:] = position[:5]
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.3

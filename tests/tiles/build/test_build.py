@@ -62,12 +62,12 @@ def test_boxes_contain_children_and_errors_grow_upwards(town):
     tileset = open_tileset(town / "tileset.json")
     pairs = list(tileset.pairs())
     assert len(pairs) > 50
-    for above, below in pairs:
-        (low, high), (low_below, high_below) = corners(above.volume), corners(below.volume)
-        slack = 1e-6 * np.abs(high - low).max()
-        assert (low <= low_below + slack).all()
-        assert (high_below <= high + slack).all()
-        assert above.geometric_error >= below.geometric_error
+    for above, child_box in pairs:
+        (low, high), (low_below, high_below) = corners(above.volume), corners(child_box.volume)
+        tolerance = 1e-6 * np.abs(high - low).max()
+        assert (low <= low_below + tolerance).all()
+        assert (high_below <= high + tolerance).all()
+        assert above.geometric_error >= child_box.geometric_error
     for tile in tileset.tiles():
         assert (tile.geometric_error == 0) == (not tile.children)
         if tile.children:
@@ -284,6 +284,6 @@ def test_an_implicit_octree_has_all_splats(scene, tmp_path, codec):
     tileset = open_tileset(tmp_path / "tiles" / "tileset.json")
     leaves = read_leaves(tmp_path / "tiles" / "tileset.json")
     assert len(leaves) == 40_000
-    finest = [tile for tile in tileset.tiles() if tile.is_finest and tile.contents]
-    assert sum(tile.metadata["splats"] for tile in finest) == 40_000
-    assert all(tile.metadata["splats"] <= SMALL.leaf for tile in finest)
+    finest_tiles = [tile for tile in tileset.tiles() if tile.is_finest and tile.contents]
+    assert sum(tile.metadata["splats"] for tile in finest_tiles) == 40_000
+    assert all(tile.metadata["splats"] <= SMALL.leaf for tile in finest_tiles)

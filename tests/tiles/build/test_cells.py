@@ -110,18 +110,18 @@ def test_the_largest_splats_stay_where_there_is_room(seed, spread):
     assert (np.diff(level.mixture.code.astype(object)) >= 0).all()
 
 
-@pytest.mark.parametrize(("large", "finer"), [(1.0, True), (50.0, False)])
-def test_coarser_cells_leave_room_for_splats_that_hold_most_of_the_mass(large, finer):
+@pytest.mark.parametrize(("large_mass", "finer_level"), [(1.0, True), (50.0, False)])
+def test_coarser_cells_leave_room_for_splats_that_hold_most_of_the_mass(large_mass, finer_level):
     members = mixture(np.random.default_rng(1), 2000)
     members.code[:] = np.sort(members.code >> np.uint64(3) & ~np.uint64(7))
     members.scale[:] = 1
-    members.scale[::20] = large
+    members.scale[::20] = large_mass
     target = 0.9 * len(np.unique(cell_codes(members.code, 4)))
     nearest, starts = choose_cells(members.code, 0, target)
     assert len(starts) > target
     level = merge_level(members, 0, int(target))
-    assert level.depth == nearest - (not finer)
-    assert finer or len(level.mixture) == int(target)
+    assert level.depth == nearest - (not finer_level)
+    assert finer_level or len(level.mixture) == int(target)
 
 
 def test_mass_is_conserved_beside_retained_splats():

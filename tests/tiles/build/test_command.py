@@ -32,18 +32,20 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_build_command_prints_splats_then_up_to_date(scene, tmp_path):
-    done = gsgen(scene, "-o", tmp_path / "tiles", "--leaf", 2000, "--workers", 2)
-    assert done.returncode == 0, done.stderr
-    assert "20,000 splats" in done.stdout
-    assert done.stderr == ""
+    completed = gsgen(scene, "-o", tmp_path / "tiles", "--leaf", 2000, "--workers", 2)
+    assert completed.returncode == 0, completed.stderr
+    assert "20,000 splats" in completed.stdout
+    assert completed.stderr == ""
     again = gsgen(scene, "-o", tmp_path / "tiles", "--leaf", 2000, "--engine", "serial")
     assert "up to date" in again.stdout
 
 
 def test_json_lines_report_phases_and_the_result(scene, tmp_path):
-    done = gsgen(scene, "-o", tmp_path / "tiles", "--engine", "serial", "--json", "--quality", 3)
-    assert done.returncode == 0, done.stderr
-    events = [json.loads(line) for line in done.stdout.splitlines()]
+    completed = gsgen(
+        scene, "-o", tmp_path / "tiles", "--engine", "serial", "--json", "--quality", 3
+    )
+    assert completed.returncode == 0, completed.stderr
+    events = [json.loads(line) for line in completed.stdout.splitlines()]
     phases = list(dict.fromkeys(event["phase"] for event in events if "phase" in event))
     assert phases == ["scan", "count", "bin", "tiles", "index"]
     for phase in phases[:-1]:
@@ -72,8 +74,8 @@ def test_ctrl_c_leaves_a_folder_that_goes_on(scene, tmp_path):
     assert "the same command goes on" in message
     assert "Traceback" not in message
     assert (tmp_path / "tiles" / WORK).is_dir()
-    done = gsgen(*words)
-    assert done.returncode == 0, done.stderr
+    completed = gsgen(*words)
+    assert completed.returncode == 0, completed.stderr
     assert gsgen(*words[:1], "-o", tmp_path / "other", *words[3:]).returncode == 0
     assert digests(tmp_path / "tiles") == digests(tmp_path / "other")
 
@@ -97,15 +99,17 @@ def test_invalid_build_options_are_explained(scene, tmp_path, monkeypatch, optio
     if any(option.startswith("dask=") for option in options):
         pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)
-    done = gsgen(scene, "-o", tmp_path / "tiles", *options)
-    assert done.returncode == code, done.stderr
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
+    completed = gsgen(scene, "-o", tmp_path / "tiles", *options)
+    assert completed.returncode == code, completed.stderr
+    assert words in completed.stderr
+    assert "Traceback" not in completed.stderr
     assert not (tmp_path / "tiles" / "tileset.json").exists()
 
 
 def test_a_place_on_the_globe_is_in_the_transform(scene, tmp_path):
-    done = gsgen(scene, "-o", tmp_path / "t", "--lon", 8.5, "--lat", 47.4, "--engine", "serial")
-    assert done.returncode == 0, done.stderr
+    completed = gsgen(
+        scene, "-o", tmp_path / "t", "--lon", 8.5, "--lat", 47.4, "--engine", "serial"
+    )
+    assert completed.returncode == 0, completed.stderr
     root = json.loads((tmp_path / "t" / "tileset.json").read_text())["root"]
     assert np.linalg.norm(root["transform"][12:15]) == pytest.approx(6.367e6, rel=1e-2)

@@ -69,13 +69,13 @@ def test_clusters_have_the_moments_of_their_members(seed, origin, spread, widen)
 def test_mass_is_conserved_where_no_opacity_is_cut(seed):
     rng = np.random.default_rng(seed)
     members = mixture(rng, 200)
-    faint = Mixture(
+    faint_members = Mixture(
         **{name: getattr(members, name) for name in Mixture.__slots__ if name != "opacity"},
         opacity=members.opacity * 1e-3,
     )
-    merged = merge_clusters(faint, np.arange(0, 200, 5))
+    merged = merge_clusters(faint_members, np.arange(0, 200, 5))
     assert (merged.opacity < MAX_OPACITY).all()
-    np.testing.assert_allclose(merged.mass.sum(), faint.mass.sum(), rtol=1e-9)
+    np.testing.assert_allclose(merged.mass.sum(), faint_members.mass.sum(), rtol=1e-9)
 
 
 def test_a_single_member_stays_as_it_is():
@@ -88,8 +88,8 @@ def test_a_single_member_stays_as_it_is():
 
 def test_duplicates_keep_their_shape_but_for_the_widening():
     single = mixture(np.random.default_rng(3), 1)
-    many = single.rows(np.zeros(7, np.int64))
-    merged = merge_clusters(many, np.array([0]), widen=1.0)
+    duplicates = single.rows(np.zeros(7, np.int64))
+    merged = merge_clusters(duplicates, np.array([0]), widen=1.0)
     np.testing.assert_allclose(merged.covariance, single.covariance, rtol=1e-9)
     np.testing.assert_allclose(merged.mean, single.mean, rtol=1e-12)
     assert merged.opacity[0] == pytest.approx(min(7 * single.opacity[0], MAX_OPACITY))
@@ -147,8 +147,10 @@ def test_ellipsoids_are_rotations_with_a_fixed_sign(seed):
     assert (np.abs(rebuilt - full) <= 5e-6 * size).all()
     # Noise in the last bits, as between machines, moves no quaternion by more than rounding.
     noisy = members.covariance * (1 + rng.uniform(-1e-15, 1e-15, members.covariance.shape))
-    gaps = np.diff(scale, axis=1).min(axis=1) > 1e-3 * scale.max(axis=1)
-    np.testing.assert_allclose(ellipsoids(noisy)[1][gaps], rotation[gaps], atol=1e-5)
+    has_distinct_scales = np.diff(scale, axis=1).min(axis=1) > 1e-3 * scale.max(axis=1)
+    np.testing.assert_allclose(
+        ellipsoids(noisy)[1][has_distinct_scales], rotation[has_distinct_scales], atol=1e-5
+    )
 
 
 def test_balls_are_not_rotated():

@@ -30,9 +30,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def build(folder: Path, output: Path, *words: object) -> str:
     words = (folder / "scene.ply", "-o", output, "--engine", "serial", *words)
-    done = gsgen_here("tiles", "build", *words)
-    assert done.code == 0, done.err
-    return done.out
+    completed = gsgen_here("tiles", "build", *words)
+    assert completed.code == 0, completed.err
+    return completed.out
 
 
 def test_a_generator_becomes_a_tile_that_conforms(folder: Path, tmp_path: Path) -> None:
@@ -78,10 +78,10 @@ def test_generators_that_cannot_be_tiles_are_refused(folder: Path, tmp_path: Pat
         ((folder / "scene.ply",), "scene.ply"),
         ((good, "--implicit"), "cannot be combined with --implicit"),
     ):
-        done = gsgen_here(
+        completed = gsgen_here(
             "tiles", "build", folder / "scene.ply", "-o", tmp_path / "t", "--neural", *words
         )
-        assert done.code in (2, 4), done.out
-        assert message in done.err
-        assert "Traceback" not in done.err
+        assert completed.code in (2, 4), completed.out
+        assert message in completed.err
+        assert "Traceback" not in completed.err
         assert not (tmp_path / "t").exists()

@@ -45,14 +45,14 @@ def test_every_splat_is_in_one_partition(seed, leaf):
     codes[: count // 2] >>= np.uint64(20)  # half of them in one corner
     anchors = rng.integers(0, 12, count)
     cells, counts = np.unique(location_codes(codes, anchors, depth), return_counts=True)
-    partitions, top = make_partitions(cells, counts, limit, leaf)
+    partitions, top_level = make_partitions(cells, counts, limit, leaf)
     partition_index = partition_of(codes, anchors, partitions)
     assert (partition_index >= 0).all()
     np.testing.assert_array_equal(
         np.bincount(partition_index, minlength=len(partitions)), [part.count for part in partitions]
     )
     for part in partitions:
-        assert part.above in (*top, 0)
+        assert part.above in (*top_level, 0)
         divisible = depth_of(part.locations[0]) < depth
         assert part.count <= limit or part.anchored or not divisible
         if len(part.locations) > 1:
@@ -62,7 +62,7 @@ def test_every_splat_is_in_one_partition(seed, leaf):
             level = depth_of(part.locations[0])
             assert location_oracle(code, 99, level) in part.locations
             assert anchor == level if part.anchored else anchor >= level
-    assert [depth_of(cell) for cell in top] == sorted(map(depth_of, top), reverse=True)
+    assert [depth_of(cell) for cell in top_level] == sorted(map(depth_of, top_level), reverse=True)
 
 
 def test_small_neighbours_are_grouped_and_large_ones_are_alone():

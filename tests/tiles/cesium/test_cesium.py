@@ -32,7 +32,9 @@ def signpost(
 ) -> Splats:
     """Green ground, a red tower up (+z), and a blue arrow to the east (+x)."""
     rng = np.random.default_rng(seed)
-    ground = np.column_stack([rng.uniform(-1.8, 1.8, (_EACH, 2)), rng.normal(-1.5, 0.02, _EACH)])
+    ground_points = np.column_stack(
+        [rng.uniform(-1.8, 1.8, (_EACH, 2)), rng.normal(-1.5, 0.02, _EACH)]
+    )
     tower = np.column_stack([rng.normal(0, 0.15, (_EACH, 2)), rng.uniform(-1.4, 1.6, _EACH)])
     arrow = np.column_stack([rng.uniform(0.2, 1.8, _EACH), rng.normal([0, -1.3], 0.06, (_EACH, 2))])
     colors = np.repeat([[0.1, 0.8, 0.1], [0.9, 0.1, 0.1], [0.1, 0.2, 1.0]], _EACH, axis=0)
@@ -40,7 +42,7 @@ def signpost(
     sh = np.zeros((count, (degree + 1) ** 2, 3))
     sh[:, 0] = (colors - 0.5) / 0.28209479
     return Splats(
-        position=(np.vstack([ground, tower, arrow]) + center).astype(np.float32),
+        position=(np.vstack([ground_points, tower, arrow]) + center).astype(np.float32),
         rotation=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
         log_scale=np.full((count, 3), -3.2, np.float32),
         logit_opacity=np.full(count, 3.0, np.float32),
@@ -55,33 +57,33 @@ def test_every_tile_loads_and_the_scene_stands_upright(
     monkeypatch.setattr(sketches, "sample_splats", signpost)
     globe = east_north_up(2.2945, 48.8584, 35.0)
     if kind == "explicit":
-        sketch = sketches.explicit_sketch(transform=globe)
+        spec = sketches.explicit_sketch(transform=globe)
         tiles, leaves = 3, 2
     else:
-        sketch = sketches.implicit_sketch()
-        sketch.document["root"]["transform"] = globe.T.ravel().tolist()
+        spec = sketches.implicit_sketch()
+        spec.document["root"]["transform"] = globe.T.ravel().tolist()
         tiles, leaves = 8, 4
-    sketch.write(tmp_path / "tileset.json")
+    spec.write(tmp_path / "tileset.json")
     view_report = viewer.view(tmp_path)
     assert (view_report.failed, view_report.errors) == ([], [])
     files = {name for name in view_report.loaded if name.endswith(".glb")}
-    assert files == {name for name in sketch.files if name.endswith(".glb")}
+    assert files == {name for name in spec.files if name.endswith(".glb")}
     assert len(files) == tiles
     assert view_report.splats == leaves * 3 * _EACH
     Image.fromarray(view_report.picture).save(tmp_path / "seen.png")
     red, green, blue = np.moveaxis(view_report.picture.astype(int), 2, 0)
     towers = (red > 120) & (green < 90) & (blue < 90)
-    ground = (green > 120) & (red < 90) & (blue < 90)
+    is_ground_pixel = (green > 120) & (red < 90) & (blue < 90)
     arrows = (blue > 120) & (red < 90) & (green < 120)
-    assert min(towers.sum(), ground.sum(), arrows.sum()) > 20
-    assert np.nonzero(towers)[0].mean() < np.nonzero(ground)[0].mean() - 3
+    assert min(towers.sum(), is_ground_pixel.sum(), arrows.sum()) > 20
+    assert np.nonzero(towers)[0].mean() < np.nonzero(is_ground_pixel)[0].mean() - 3
 
 
 def test_viewer_reports_a_tile_that_does_not_load(viewer: Viewer, tmp_path: Path) -> None:
     """The test above would notice a tile that does not load."""
-    sketch = sketches.explicit_sketch(transform=east_north_up(2.2945, 48.8584, 35.0), record=False)
-    sketch.write(tmp_path / "tileset.json")
-    name = sketch.document["root"]["children"][0]["content"]["uri"]
+    spec = sketches.explicit_sketch(transform=east_north_up(2.2945, 48.8584, 35.0), record=False)
+    spec.write(tmp_path / "tileset.json")
+    name = spec.document["root"]["children"][0]["content"]["uri"]
     (tmp_path / name).unlink()
     view_report = viewer.view(tmp_path)
     assert [url for url in view_report.failed if name in url]

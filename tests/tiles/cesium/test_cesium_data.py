@@ -93,6 +93,6 @@ def test_compressed_attributes_are_refused_by_name(
     with pytest.raises(TilesetInvalid, match=f"{uri}, extensionsRequired.*needs {name}"):
         read_leaves(path)
     assert findings(path) == {"GT005": "confirmed"}
-    done = run("convert", path, tmp_path / "out.ply")
-    assert done.code == 4
-    assert f"needs {name}, which is not decoded" in done.err
+    completed = run("convert", path, tmp_path / "out.ply")
+    assert completed.code == 4
+    assert f"needs {name}, which is not decoded" in completed.err

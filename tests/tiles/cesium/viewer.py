@@ -72,10 +72,12 @@ class Viewer:
 def opened_viewer() -> Iterator[Viewer]:
     """Open the page; fail with the script to run where CesiumJS or chromium is missing."""
     chromium = which("chromium")
-    absent = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
-    absent += [] if chromium else ["chromium on the PATH"]
-    if chromium is None or absent:
-        pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/fetch.sh cesium as root")
+    missing_files = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
+    missing_files += [] if chromium else ["chromium on the PATH"]
+    if chromium is None or missing_files:
+        pytest.fail(
+            f"missing: {' and '.join(missing_files)}; hint: run scripts/fetch.sh cesium as root"
+        )
     folders = {"cesium": CESIUM}
     with (
         serving(folders, {"/index.html": PAGE.read_bytes()}) as address,

@@ -71,9 +71,9 @@ def test_the_index_is_sorted_and_always_the_same(tmp_path: Path) -> None:
 
 def test_an_implicit_octree_says_what_its_records_say(tmp_path: Path) -> None:
     """Boxes and errors of every tile survive the tables; subtrees are two levels each."""
-    sketch = implicit_sketch()
+    spec = implicit_sketch()
     path = tmp_path / "tileset.json"
-    sketch.write(path)
+    spec.write(path)
     tileset = open_tileset(path)
     assert tileset.root.contents == ()
     (tree,) = tileset.root.children
@@ -84,16 +84,18 @@ def test_an_implicit_octree_says_what_its_records_say(tmp_path: Path) -> None:
         for content in tile.contents:
             assert content.volume is not None
             assert tile.volume.outside(content.volume.samples()).max() < 1e-9
-    names = [name for name in sketch.files if name.endswith(".subtree")]
+    names = [name for name in spec.files if name.endswith(".subtree")]
     assert len(names) == 1 + 4
     assert len(read_leaves(path)) == 4 * 24
 
 
 def test_oversized_tiles_stand_beside_the_tree(tmp_path: Path) -> None:
     content_record = ContentRecord(uri="w.glb", size=1, low=corner(-9, 0, 0), high=corner(9, 1, 1))
-    large = record(0, (0, 0, 0), oversized=True, contents=(content_record,), splats=1)
+    oversized_tile = record(0, (0, 0, 0), oversized=True, contents=(content_record,), splats=1)
     tree = ContentRecord(uri="t/0/0_0_0-q0.glb", size=1, low=corner(0, 0, 0), high=corner(1, 1, 1))
-    root = record(0, (0, 0, 0), contents=(tree,), children=(replace(large, geometric_error=0),))
+    root = record(
+        0, (0, 0, 0), contents=(tree,), children=(replace(oversized_tile, geometric_error=0),)
+    )
     path = tmp_path / "tileset.json"
     write_implicit_tileset(path, root, source_splats=2, sh_degree=0)
     tileset = open_tileset(path)

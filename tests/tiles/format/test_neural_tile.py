@@ -99,30 +99,30 @@ def held(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def other_model(model: bytes) -> Callable[[Any], None]:
-    def change(sketch: Any) -> None:
-        sketch.files["n/leaf.onnx"] = model
-        held(sketch.document)["sha256"] = hashlib.sha256(model).hexdigest()
+    def change(spec: Any) -> None:
+        spec.files["n/leaf.onnx"] = model
+        held(spec.document)["sha256"] = hashlib.sha256(model).hexdigest()
 
     return change
 
 
-def without_file(sketch: Any) -> None:
-    del sketch.files["n/leaf.onnx"]
+def without_file(spec: Any) -> None:
+    del spec.files["n/leaf.onnx"]
 
 
-def few_splats(sketch: Any) -> None:
-    held(sketch.document)["splats_max"] = 4
+def few_splats(spec: Any) -> None:
+    held(spec.document)["splats_max"] = 4
 
 
-def other_inputs(sketch: Any) -> None:
-    held(sketch.document)["inputs"] = ["time", "view"]
+def other_inputs(spec: Any) -> None:
+    held(spec.document)["inputs"] = ["time", "view"]
 
 
-def no_content(sketch: Any) -> None:
-    child = sketch.document["root"]["children"][0]
+def no_content(spec: Any) -> None:
+    child = spec.document["root"]["children"][0]
     del child["content"], child["metadata"]
-    sketch.document["metadata"]["properties"]["source_splats"] -= 24
-    del sketch.files["gsgen.tiles.json"]
+    spec.document["metadata"]["properties"]["source_splats"] -= 24
+    del spec.files["gsgen.tiles.json"]
     child["geometricError"] = 0
 
 
@@ -151,27 +151,27 @@ def leaving() -> bytes:
     ids=["missing", "splats", "inputs", "bytes", "wide", "leaving", "still"],
 )
 def test_each_broken_promise_is_named(change, message: str, tmp_path: Path) -> None:
-    sketch = _neural()
-    change(sketch)
-    sketch.write(tmp_path / "tileset.json")
+    spec = _neural()
+    change(spec)
+    spec.write(tmp_path / "tileset.json")
     report = validate(tmp_path / "tileset.json")
     assert {finding.rule for finding in report.findings} == {"GT020"}
     reported = " ".join(f"{f.where} {f.message}" for f in report.findings)
     assert message in reported, reported
 
 
-def on_the_globe(sketch: Any, margin: float) -> None:
+def on_the_globe(spec: Any, margin: float) -> None:
     """Stand the tileset on the globe, in regions that hold the boxes and a margin in metres."""
     columns = globe_transform(8.5, 47.4, 400.0)
     matrix = np.array(columns).reshape(4, 4).T
-    root = sketch.document["root"]
+    root = spec.document["root"]
     root["transform"] = list(columns)
-    for tile, grown in ((root["children"][0], margin), (root, 50.0)):
+    for tile, grown_margin in ((root["children"][0], margin), (root, 50.0)):
         numbers = np.array(tile["boundingVolume"]["box"])
         box = Box(numbers[:3], numbers[3:].reshape(3, 3)).transformed(matrix)
         angles = geodetic(box.samples())
         low, high = (np.array([f(axis) for axis in angles]) for f in (np.min, np.max))
-        low, high = low - grown * METRES, high + grown * METRES
+        low, high = low - grown_margin * METRES, high + grown_margin * METRES
         region = [low[0], low[1], high[0], high[1], low[2], high[2]]
         tile["boundingVolume"] = {"region": list(map(float, region))}
 
@@ -182,10 +182,10 @@ def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path:
     good.write(tmp_path / "good" / "tileset.json")
     report = validate(tmp_path / "good" / "tileset.json")
     assert report.verdict == "conforms", report.findings
-    bad = _neural()
-    on_the_globe(bad, margin=2.0)
-    other_model(wide())(bad)
-    bad.write(tmp_path / "bad" / "tileset.json")
+    invalid_tile = _neural()
+    on_the_globe(invalid_tile, margin=2.0)
+    other_model(wide())(invalid_tile)
+    invalid_tile.write(tmp_path / "bad" / "tileset.json")
     (finding,) = validate(tmp_path / "bad" / "tileset.json").findings
     assert finding.rule == "GT020"
     reach = re.search(r"reach ([\d.]+) out", finding.message)
@@ -195,8 +195,8 @@ def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path:
 
 
 def test_neural_tile_without_content_breaks_gt020(tmp_path: Path) -> None:
-    sketch = _neural()
-    no_content(sketch)
-    sketch.write(tmp_path / "tileset.json")
+    spec = _neural()
+    no_content(spec)
+    spec.write(tmp_path / "tileset.json")
     rules = {finding.rule for finding in validate(tmp_path).findings}
     assert "GT020" in rules

@@ -38,9 +38,9 @@ def test_a_file_on_a_server_is_read(address: str, tmp_path: Path) -> None:
 
 
 def test_a_file_on_a_server_is_converted(address: str, tmp_path: Path) -> None:
-    ran = gsgen_here("convert", f"{address}/a.ply", tmp_path / "b.ply")
-    assert ran.code == 0, ran.err
-    assert "ply, 0.00 MiB\n" in ran.out  # the size of what was written alone
+    completed = gsgen_here("convert", f"{address}/a.ply", tmp_path / "b.ply")
+    assert completed.code == 0, completed.err
+    assert "ply, 0.00 MiB\n" in completed.out  # the size of what was written alone
     np.testing.assert_array_equal(open_splats(tmp_path / "b.ply").position, scene(20, 1).position)
 
 
@@ -50,6 +50,6 @@ def test_faults_name_the_address(address: str, tmp_path: Path) -> None:
     assert caught.value.path == f"{address}/bad.ply"
     with pytest.raises(ContentMissing, match="404"):
         open_splats(f"{address}/none.ply")
-    ran = gsgen_here("convert", f"{address}/none.ply", tmp_path / "b.ply")
-    assert ran.code == 4
-    assert "404" in ran.err
+    completed = gsgen_here("convert", f"{address}/none.ply", tmp_path / "b.ply")
+    assert completed.code == 4
+    assert "404" in completed.err

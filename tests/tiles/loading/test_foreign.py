@@ -203,7 +203,7 @@ def test_external_tilesets_contents_and_gltf(tmp_path: Path) -> None:
             "contents": [{"uri": "../b.gltf"}, {"uri": "deep/c.glb"}],
         }
     )
-    outer = foreign.tileset(
+    outer_tileset = foreign.tileset(
         {
             "boundingVolume": foreign.box(40),
             "geometricError": 50,
@@ -221,7 +221,7 @@ def test_external_tilesets_contents_and_gltf(tmp_path: Path) -> None:
     path = foreign.write(
         tmp_path,
         {
-            "tileset.json": outer,
+            "tileset.json": outer_tileset,
             "sub/tileset.json": inner,
             "a.glb": foreign.gltf(clouds[0]),
             "b.gltf": foreign.gltf(clouds[1], embedded=True),
@@ -289,8 +289,8 @@ def test_convert_writes_all_leaves(tmp_path: Path) -> None:
     }
     files = {"tileset.json": foreign.tileset(root), "a.glb": foreign.gltf(cloud)}
     path = foreign.write(tmp_path, files)
-    done = run("convert", path, tmp_path / "out.ply")
-    assert done.code == 0, done.err
+    completed = run("convert", path, tmp_path / "out.ply")
+    assert completed.code == 0, completed.err
     expected = foreign.turned_up(cloud["position"])
     assert np.abs(read_ply(tmp_path / "out.ply").position - expected).max() < 1e-5
     assert len(open_splats(tmp_path)) == foreign.COUNT

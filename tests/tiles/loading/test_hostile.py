@@ -69,9 +69,9 @@ def test_a_tree_of_all_tiles_is_refused_by_their_number(tmp_path: Path) -> None:
         last = {"childSubtreeAvailability": {"constant": int(level < 18)}}
         files[f"{level}.json"] = json.dumps(full | last).encode()
     path = foreign.write(tmp_path, files | {"t.glb": foreign.gltf(foreign.cloud(0))})
-    few = Limits(tiles=5000)
+    strict_limits = Limits(tiles=5000)
     with FolderStore(tmp_path) as store, pytest.raises(TilesetInvalid, match="more than 5,000"):
-        load_tileset(store, path.name, limits=few)
+        load_tileset(store, path.name, limits=strict_limits)
 
 
 def test_subtrees_are_bounded_before_their_bits_are_read(tmp_path: Path) -> None:
@@ -84,15 +84,15 @@ def test_external_tilesets_that_double_are_refused(tmp_path: Path) -> None:
     """Thirty files, each with the next one twice: a billion tiles."""
     files = {}
     for number in range(30):
-        below = [leaf(f"{number + 1}.json")] * 2
-        root = {**leaf("x.glb"), "children": below, "geometricError": 1}
+        lower = [leaf(f"{number + 1}.json")] * 2
+        root = {**leaf("x.glb"), "children": lower, "geometricError": 1}
         name = "tileset.json" if not number else f"{number}.json"
         files[name] = foreign.tileset(root)
     files["30.json"] = foreign.tileset(leaf("x.glb"))
     path = foreign.write(tmp_path, files | {"x.glb": foreign.gltf(foreign.cloud(0))})
-    few = Limits(documents=500)
+    strict_limits = Limits(documents=500)
     with FolderStore(tmp_path) as store, pytest.raises(TilesetInvalid, match="more than 500"):
-        load_tileset(store, path.name, limits=few)
+        load_tileset(store, path.name, limits=strict_limits)
 
 
 def test_a_tileset_within_itself_is_named(tmp_path: Path) -> None:
@@ -192,18 +192,18 @@ def test_uris_within_are_resolved(base: str, uri: str, path: str) -> None:
 
 
 def test_a_tile_of_too_many_splats_is_not_decoded(tmp_path: Path) -> None:
-    sketch = explicit_sketch(codec="khr", record=False)
-    uri = sketch.document["root"]["content"]["uri"]
+    spec = explicit_sketch(codec="khr", record=False)
+    uri = spec.document["root"]["content"]["uri"]
 
     def enlarge(document: dict[str, Any]) -> dict[str, Any]:
         for accessor in document["accessors"]:
             accessor["count"] = 60_000_000
         return document
 
-    sketch.files[uri] = edit_glb(sketch.files[uri], document=enlarge)
-    del sketch.document["root"]["metadata"]
+    spec.files[uri] = edit_glb(spec.files[uri], document=enlarge)
+    del spec.document["root"]["metadata"]
     path = tmp_path / "tileset.json"
-    sketch.write(path)
+    spec.write(path)
     done = bounded(path)
     assert done.returncode == 1
     assert "GT005" in done.stdout

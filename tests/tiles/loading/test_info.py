@@ -22,38 +22,38 @@ def counted(folder: Path) -> dict[str, int]:
 @pytest.mark.parametrize(("make", "levels"), [(explicit_sketch, 2), (implicit_sketch, 3)])
 def test_info_counts_tiles_splats_and_bytes_of_the_files(tmp_path: Path, make, levels: int) -> None:
     path = tmp_path / "tileset.json"
-    sketch = make()
-    sketch.write(path)
-    done = gsgen_here("tiles", "info", path, "--json")
-    assert done.code == 0, done.err
-    document = json.loads(done.out)
+    spec = make()
+    spec.write(path)
+    completed = gsgen_here("tiles", "info", path, "--json")
+    assert completed.code == 0, completed.err
+    document = json.loads(completed.out)
     assert set(KEYS) | {"transform"} <= document.keys()
     actual = counted(tmp_path)
     assert sum(level["tiles"] for level in document["levels"]) == actual["files"]
     assert document["bytes"] == sum(level["bytes"] for level in document["levels"])
     assert document["bytes"] == actual["bytes"]
     assert len(document["levels"]) == levels
-    assert document["leaf_splats"] == sketch.document["metadata"]["properties"]["source_splats"]
+    assert document["leaf_splats"] == spec.document["metadata"]["properties"]["source_splats"]
     assert document["sh_degree"] == 1
     text = gsgen_here("tiles", "info", path)
     assert f"{document['splats']:,} splats" in text.out
 
 
 def test_without_metadata_the_headers_say_the_same(tmp_path: Path) -> None:
-    sketch = explicit_sketch()
-    sketch.write(tmp_path / "a" / "tileset.json")
-    del sketch.document["metadata"], sketch.document["root"]["metadata"]
-    for child in sketch.document["root"]["children"]:
+    spec = explicit_sketch()
+    spec.write(tmp_path / "a" / "tileset.json")
+    del spec.document["metadata"], spec.document["root"]["metadata"]
+    for child in spec.document["root"]["children"]:
         del child["metadata"]
-    sketch.write(tmp_path / "b" / "tileset.json")
+    spec.write(tmp_path / "b" / "tileset.json")
     assert describe_tileset(tmp_path / "a") == describe_tileset(tmp_path / "b")
 
 
 def test_a_missing_tileset_ends_with_four(tmp_path: Path) -> None:
-    done = gsgen_here("tiles", "info", tmp_path / "none.json")
-    assert done.code == 4
-    assert "none.json" in done.err
-    assert "Traceback" not in done.err
+    completed = gsgen_here("tiles", "info", tmp_path / "none.json")
+    assert completed.code == 4
+    assert "none.json" in completed.err
+    assert "Traceback" not in completed.err
 
 
 def test_a_served_tileset_is_described_and_validated(tmp_path: Path) -> None:
@@ -64,12 +64,12 @@ def test_a_served_tileset_is_described_and_validated(tmp_path: Path) -> None:
         try:
             address = f"{server.address}tileset.json"
             assert describe_tileset(address) == describe_tileset(tmp_path)
-            done = gsgen_here("validate", address)
+            completed = gsgen_here("validate", address)
         finally:
             server.shutdown()
             thread.join()
-    assert done.code == 0, done.err
-    assert "20 rules hold" in done.out
+    assert completed.code == 0, completed.err
+    assert "20 rules hold" in completed.out
 
 
 def test_neither_wgpu_nor_scipy_nor_onnx_runtime_is_needed(tmp_path: Path) -> None:
@@ -87,5 +87,7 @@ def test_neither_wgpu_nor_scipy_nor_onnx_runtime_is_needed(tmp_path: Path) -> No
         "assert report.verdict == 'conforms'\n"
         "print(*{'wgpu', 'scipy', 'torch', 'onnxruntime'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "\n"), done.stdout + done.stderr
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (completed.returncode, completed.stdout) == (0, "\n"), (
+        completed.stdout + completed.stderr
+    )

@@ -42,8 +42,8 @@ def steady(rng: np.random.Generator, times: np.ndarray) -> list[Pose]:
     ]
 
 
-def assert_same_rotation(first: np.ndarray, second: np.ndarray, slack: float = 1e-9) -> None:
-    assert abs(first @ second) == pytest.approx(1, abs=slack)
+def assert_same_rotation(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) -> None:
+    assert abs(first @ second) == pytest.approx(1, abs=tolerance)
 
 
 def test_rotations_are_those_of_their_matrices() -> None:
@@ -104,14 +104,14 @@ def model_file(folder: Path, *, axis_angle: bool = False) -> Path:
     if axis_angle:
         manifest = spec.manifest
         assert isinstance(manifest, TrajectoryManifest)
-        doubt = np.zeros((3, 21), np.float32)
-        doubt[:, [0, 6, 11, 15, 18, 20]] = [0.04, 0.09, 0.16, 0.01, 0.01, 0.25]
+        uncertainty = np.zeros((3, 21), np.float32)
+        uncertainty[:, [0, 6, 11, 15, 18, 20]] = [0.04, 0.09, 0.16, 0.01, 0.01, 0.25]
         spec = replace(
             spec,
             inputs="float[4,6] past",
             outputs="float[3,6] future, float[3,21] sigma",
             body="future = MatMul (steps, past) sigma = Identity (doubt)",
-            weights={"steps": spec.weights["steps"], "doubt": doubt},
+            weights={"steps": spec.weights["steps"], "doubt": uncertainty},
             manifest=replace(
                 manifest,
                 inputs=(replace(manifest.inputs[0], shape=(4, 6), range=None),),

@@ -33,9 +33,9 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
     scene, picture = tmp_path / "scene.ply", tmp_path / "out" / "levels.png"
     write_ply(scene, read_leaves(folder))
     words = ("tiles", "score", folder, scene, "-o", picture, "--width", "96", "--height", "64")
-    done = gsgen_here(*words, "--json")
-    assert done.code == 0, done.err
-    document = json.loads(done.out)
+    completed = gsgen_here(*words, "--json")
+    assert completed.code == 0, completed.err
+    document = json.loads(completed.out)
     root, leaves = document["levels"]
     assert (root["tiles"], root["splats"]) == (1, 16)
     assert (leaves["tiles"], leaves["splats"]) == (2, 48)
@@ -54,8 +54,8 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
 
 def test_a_scene_that_is_missing_ends_with_four(tmp_path: Path) -> None:
     explicit_sketch().write(tmp_path / "tileset.json")
-    done = gsgen_here("tiles", "score", tmp_path, tmp_path / "none.ply")
-    assert done.code == 4
-    assert "none.ply" in done.err
-    assert "Traceback" not in done.err
+    completed = gsgen_here("tiles", "score", tmp_path, tmp_path / "none.ply")
+    assert completed.code == 4
+    assert "none.ply" in completed.err
+    assert "Traceback" not in completed.err
     assert not (tmp_path / "score.png").exists()

@@ -32,8 +32,8 @@ def inside(camera: Camera, points: np.ndarray) -> np.ndarray:
     flat = camera.kind == "orthographic"
     depth = np.ones_like(z) if flat else z
     u, v = camera.fx * x + camera.cx * depth, camera.fy * y + camera.cy * depth
-    fits = (u >= 0) & (u <= camera.width * depth) & (v >= 0) & (v <= camera.height * depth)
-    return fits & (z >= 0)
+    is_in_image = (u >= 0) & (u <= camera.width * depth) & (v >= 0) & (v <= camera.height * depth)
+    return is_in_image & (z >= 0)
 
 
 def random_camera(rng: np.random.Generator, kind: str) -> Camera:
@@ -53,9 +53,9 @@ def test_no_box_with_a_visible_point_is_culled(kind: str) -> None:
         shares = rng.uniform(-1, 1, (50, 200, 3))
         points = center[:, None] + np.einsum("nki,nij->nkj", shares, half)
         visible = inside(camera, points.reshape(-1, 3)).reshape(50, 200).any(axis=1)
-        meets = Frustum.from_camera(camera).meets(center, half)
-        assert not (visible & ~meets).any()
-        kept_count += meets.sum()
+        is_met = Frustum.from_camera(camera).meets(center, half)
+        assert not (visible & ~is_met).any()
+        kept_count += is_met.sum()
         actual += visible.sum()
     assert (
         actual <= kept_count < 1.6 * actual
@@ -172,8 +172,8 @@ def test_a_cut_is_that_of_a_walk_from_the_root() -> None:
             if not frustum.meets(box.center[None], box.half_axes[None])[0]:
                 return
             actual.append(row)
-            gap = np.maximum(np.abs(frustum.eye - box.center) - np.diag(box.half_axes), 0)
-            distance = np.linalg.norm(gap)
+            axis_distance = np.maximum(np.abs(frustum.eye - box.center) - np.diag(box.half_axes), 0)
+            distance = np.linalg.norm(axis_distance)
             error = tile.geometric_error * frustum.focal
             if tile.children and error > 16 * distance:
                 for child in tile.children:

@@ -24,14 +24,14 @@ def tree_of(parents: Sequence[int], distances: Sequence[float] | None = None) ->
     places = distances or [5.0] * len(parents)
 
     def tile(row: int, level: int) -> Tile:
-        below = [child for child, parent in enumerate(parents) if parent == row]
+        child_rows = [child for child, parent in enumerate(parents) if parent == row]
         return Tile(
             location=str(row),
             volume=Box(np.array([places[row], 0.0, 0.0]), np.eye(3)),
             geometric_error=1.0,
             refine="REPLACE",
             transform=np.eye(4),
-            children=tuple(tile(child, level + 1) for child in below),
+            children=tuple(tile(child, level + 1) for child in child_rows),
             level=level,
         )
 
@@ -98,11 +98,11 @@ def test_finer_files_come_by_worth_times_area_per_byte() -> None:
     quality = np.array([2, 2, 1, 2, 2, 0])
     # Gains per byte: 0: .12·.5/100 = 6e-4; 1: .03·.5/100 = 1.5e-4; 2: .12·.1/100 = 1.2e-4;
     # 3: .12·.5/50 = 1.2e-3; 4: 1·.5/1000 = 5e-4; 5 has its finest file.
-    every = np.ones(6, bool)
-    assert finer_file_order(tree, ladder, quality, every, EYE).tolist() == [3, 0, 4, 1, 2]
+    all_rows = np.ones(6, bool)
+    assert finer_file_order(tree, ladder, quality, all_rows, EYE).tolist() == [3, 0, 4, 1, 2]
     drawn = np.array([True, True, False, False, True, True])
     assert finer_file_order(tree, ladder, quality, drawn, EYE).tolist() == [0, 4, 1]
-    assert finer_file_order(tree, ladder, np.full(6, -1), every, EYE).tolist() == []
+    assert finer_file_order(tree, ladder, np.full(6, -1), all_rows, EYE).tolist() == []
 
 
 def test_equal_gains_are_ordered_by_index() -> None:

@@ -82,11 +82,11 @@ def look(tiles: list[dict], row: list[float], view: dict) -> tuple[list[int], se
         )
         if outside:
             continue
-        gaps = [
+        axis_distances = [
             max(tile["low"][axis] - eye[axis], 0, eye[axis] - tile["high"][axis])
             for axis in range(3)
         ]
-        distance = math.hypot(*gaps)
+        distance = math.hypot(*axis_distances)
         if tile["error"] == 0:
             error = 0.0
         elif distance == 0:
@@ -129,7 +129,7 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
     before: set[int] = set()
     recorded: list[int] = []
     errors: dict[int, float] = {}
-    received = requests = holes = good = 0
+    received_count = requests = hole_count = good = 0
     first_good = None
 
     def ask(now: float) -> tuple[float, int] | None:
@@ -146,7 +146,7 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
             time, index = link
             loaded.add(index)
             unseen.add(index)
-            received += tiles[index]["size"]
+            received_count += tiles[index]["size"]
             for entry in entries:
                 if entry["tile"] == index and entry["delay"] is None:
                     entry["delay"] = time - entry["time"]
@@ -154,9 +154,9 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
         recorded, expected, errors = look(tiles, row, view)
         unseen -= set(recorded)
         for index in sorted(expected - before):
-            hit = index in loaded
+            is_hit = index in loaded
             entries.append(
-                {"tile": index, "time": row[0], "hit": hit, "delay": 0.0 if hit else None}
+                {"tile": index, "time": row[0], "hit": is_hit, "delay": 0.0 if is_hit else None}
             )
         before = expected
         loaded_count = len(expected & loaded)
@@ -167,7 +167,7 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
             while index >= 0 and index not in loaded:
                 index = tiles[index]["parent"]
             if index < 0:
-                holes += 1
+                hole_count += 1
                 break
         if link is None:
             link = ask(row[0])
@@ -180,13 +180,15 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
     high = min(low + 1, len(delays) - 1)
     return {
         "hit_rate": sum(entry["hit"] for entry in entries) / len(entries),
-        "waste": sum(tiles[index]["size"] for index in unseen) / received if received else 0.0,
+        "waste": sum(tiles[index]["size"] for index in unseen) / received_count
+        if received_count
+        else 0.0,
         "first_good_s": first_good,
         "share_good": good / len(rows),
         "mean_delay_s": sum(delays) / len(delays),
         "p95_delay_s": delays[low] + (delays[high] - delays[low]) * (position - low),
-        "hole_frames": holes,
+        "hole_frames": hole_count,
         "entries": len(entries),
-        "bytes": received,
+        "bytes": received_count,
         "requests": requests,
     }

@@ -55,8 +55,8 @@ def test_the_reactive_client_is_that_of_its_description(
     )  # fmt: skip
     assert result.code == 0, result.err
     metrics = json.loads(result.out)
-    usual = {"width": 1280, "height": 720, "fov": 50.0, "sse": 16.0}
-    expected = reactive(tileset, path, trace, rtt / 1000, **(usual | view))
+    defaults = {"width": 1280, "height": 720, "fov": 50.0, "sse": 16.0}
+    expected = reactive(tileset, path, trace, rtt / 1000, **(defaults | view))
     assert expected["entries"] > 30
     assert expected["hit_rate"] < 1
     for name, value in expected.items():
@@ -81,17 +81,17 @@ def run(
 def test_prefetching_raises_hits_and_delays_nothing(
     tmp_path: Path, tree: TileTree, journey: str, network: str
 ) -> None:
-    reacting = run(tmp_path, tree, journey, network, "reactive").metrics
+    reactive_metrics = run(tmp_path, tree, journey, network, "reactive").metrics
     predicting = run(tmp_path, tree, journey, network, "predictive").metrics
-    assert reacting.entries == predicting.entries > 50
-    assert predicting.hit_rate > reacting.hit_rate
-    assert predicting.p95_delay_s <= reacting.p95_delay_s
-    assert predicting.hole_frames <= reacting.hole_frames
+    assert reactive_metrics.entries == predicting.entries > 50
+    assert predicting.hit_rate > reactive_metrics.hit_rate
+    assert predicting.p95_delay_s <= reactive_metrics.p95_delay_s
+    assert predicting.hole_frames <= reactive_metrics.hole_frames
     assert predicting.waste <= 0.15
     if journey in SMOOTH:
-        knowing = run(tmp_path, tree, journey, network, "oracle").metrics
-        assert predicting.hit_rate >= 0.9 * knowing.hit_rate
-        assert knowing.waste <= 0.15
+        oracle_metrics = run(tmp_path, tree, journey, network, "oracle").metrics
+        assert predicting.hit_rate >= 0.9 * oracle_metrics.hit_rate
+        assert oracle_metrics.waste <= 0.15
 
 
 class RandomPredictor:
@@ -116,14 +116,14 @@ class RandomPredictor:
 def test_random_predictor_wastes_less_than_a_quarter_and_delays_nothing(
     tmp_path: Path, tree: TileTree
 ) -> None:
-    reacting = run(tmp_path, tree, "wander", "mobile", "reactive").metrics
+    reactive_metrics = run(tmp_path, tree, "wander", "mobile", "reactive").metrics
     path, trace = read_path(tmp_path / "path.csv"), read_trace(tmp_path / "trace.csv")
     result = simulate(
         tree, path, trace, policy="predictive", predictor=RandomPredictor, view=SMALL
     ).metrics
     assert 0.02 < result.waste <= 0.25
-    assert result.requests > reacting.requests
-    assert result.p95_delay_s <= reacting.p95_delay_s
+    assert result.requests > reactive_metrics.requests
+    assert result.p95_delay_s <= reactive_metrics.p95_delay_s
 
 
 def test_equal_simulations_are_equal_bit_for_bit(tmp_path: Path, tree: TileTree) -> None:
@@ -148,9 +148,9 @@ def test_a_link_delivers_what_the_rate_allows(connections: int) -> None:
         while pending and link.free:
             starts[pending[0]] = clock.now()
             link.request(pending.pop(0))
-        delivery = link.advance(math.inf)
-        assert delivery is not None
-        ends[delivery.tile] = delivery.time
+        delivered = link.advance(math.inf)
+        assert delivered is not None
+        ends[delivered.tile] = delivered.time
     # Small steps: every transfer that has begun has an equal share.
     step, now, left = 1e-3, 0.3, dict(enumerate(size.astype(float)))
     while left and now < 60:
@@ -175,9 +175,9 @@ def test_a_cancelled_request_has_the_bytes_that_came() -> None:
     assert link.cancel(0) == 2000
     assert link.free == 1
     link.request(1)
-    delivery = link.advance(9.0)
-    assert delivery is not None
-    assert (delivery.tile, delivery.time) == (1, pytest.approx(4.0))
+    delivered = link.advance(9.0)
+    assert delivered is not None
+    assert (delivered.tile, delivered.time) == (1, pytest.approx(4.0))
 
 
 def test_the_table_and_the_plot_compare_all_policies(tmp_path: Path) -> None:

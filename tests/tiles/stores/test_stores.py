@@ -147,10 +147,10 @@ def test_the_command_packs_a_folder(tmp_path: Path) -> None:
     path.parent.mkdir()
     explicit_sketch().write(path)
     archive = tmp_path / "town.3tz"
-    done = gsgen_here("tiles", "pack", path.parent, "-o", archive)
-    assert done.code == 0, done.err
+    completed = gsgen_here("tiles", "pack", path.parent, "-o", archive)
+    assert completed.code == 0, completed.err
     files = [file for file in path.parent.rglob("*") if file.is_file()]
-    assert f"town.3tz: {len(files)} files" in done.out
+    assert f"town.3tz: {len(files)} files" in completed.out
     assert np.array_equal(read_leaves(archive).position, read_leaves(path).position)
     empty = gsgen_here("tiles", "pack", tmp_path, "-o", archive)
     assert (empty.code, "no tileset.json" in empty.err) == (4, True)
@@ -277,8 +277,8 @@ def test_server_sends_cors_etag_and_range_headers(folder: Path) -> None:
         whole = pool.request("GET", url, headers={"Range": "bytes=0-"})
         assert (whole.status, whole.data) == (200, BODY)  # the range is all of the file
         assert "Content-Range" not in whole.headers
-        beyond = pool.request("GET", url, headers={"Range": f"bytes={len(BODY)}-"})
-        assert beyond.status == 416
+        out_of_range_response = pool.request("GET", url, headers={"Range": f"bytes={len(BODY)}-"})
+        assert out_of_range_response.status == 416
         other = {"Range": "bytes=0-3", "If-Range": '"other"'}
         assert pool.request("GET", url, headers=other).status == 200
         head = pool.request("HEAD", url)

@@ -74,22 +74,22 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
             """A tile arrives; those leave that nobody needs, the least useful first."""
             events.append("admit")
             self.time += 1
-            free = sorted(
+            evictable = sorted(
                 self.there - self.protected,
                 key=lambda row: (self.last_use.get(row, -np.inf), -tree.level[row], -row),
             )
-            used, leaving = sum(self.slots[list(self.there)]), []
+            used, leaving_tiles = sum(self.slots[list(self.there)]), []
             if tile not in self.there:
-                while used + self.slots[tile] > CAPACITY and free:
-                    leaving.append(free.pop(0))
-                    used -= self.slots[leaving[-1]]
-            fits = tile in self.there or used + self.slots[tile] <= CAPACITY
+                while used + self.slots[tile] > CAPACITY and evictable:
+                    leaving_tiles.append(evictable.pop(0))
+                    used -= self.slots[leaving_tiles[-1]]
+            is_fitting = tile in self.there or used + self.slots[tile] <= CAPACITY
             victims = self.pool.admit(tile, self.time)
-            assert victims == (tuple(leaving) if fits else None)
-            events.extend(["evict"] * len(victims or ()) if fits else ["refuse"])
+            assert victims == (tuple(leaving_tiles) if is_fitting else None)
+            events.extend(["evict"] * len(victims or ()) if is_fitting else ["refuse"])
             assert not self.protected & set(victims or ())
-            if fits and tile not in self.there:
-                self.there = self.there - set(leaving) | {tile}
+            if is_fitting and tile not in self.there:
+                self.there = self.there - set(leaving_tiles) | {tile}
                 self.last_use[tile] = self.time
 
         @precondition(lambda self: self.there)

@@ -250,10 +250,10 @@ def test_rows_beyond_the_upload_budget_come_in_parts(
     """No frame uploads more than the budget; the pictures are those of whole uploads."""
     index = write_neural_tileset(tmp_path / "tiles", [moving(0, count=9000)], splats_max=9000)
     whole, _ = draw(index, renderer, watching(1), [0.2, 0.8])
-    budget, parts, take = 1_000_000, [], NeuralTiles.frame
+    budget, parts, original_frame = 1_000_000, [], NeuralTiles.frame
 
     def take_parts(self: NeuralTiles, *frame: object, uploaded: int, **options: object) -> object:
-        updates = take(self, *frame, uploaded=uploaded, **options)  # type: ignore[arg-type]
+        updates = original_frame(self, *frame, uploaded=uploaded, **options)  # type: ignore[arg-type]
         assert uploaded + sum(update.upload_bytes for update in updates) <= budget
         parts.extend(update.part for update in updates)
         return updates
@@ -391,15 +391,19 @@ def test_rows_follow_a_similarity() -> None:
             expected = matrix[:3, :3] @ covariance[row] @ matrix[:3, :3].T
             actual = arrival.rows[row, 4:]
             np.testing.assert_allclose(actual, expected[np.triu_indices(3)], atol=1e-5)
-        ways = rng.normal(size=(20, 3))
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        random_directions = rng.normal(size=(20, 3))
+        random_directions /= np.linalg.norm(random_directions, axis=1, keepdims=True)
         shared = min(degree, 2)
         used = (shared + 1) ** 2
         before = np.einsum(
-            "dk,nkc->ndc", sh_basis(ways, shared), colors.reshape(count, terms, 3)[:, :used]
+            "dk,nkc->ndc",
+            sh_basis(random_directions, shared),
+            colors.reshape(count, terms, 3)[:, :used],
         )
         after = np.einsum(
-            "dk,nkc->ndc", sh_basis(ways @ turn.T, 2), arrival.appearance.reshape(count, 9, 3)
+            "dk,nkc->ndc",
+            sh_basis(random_directions @ turn.T, 2),
+            arrival.appearance.reshape(count, 9, 3),
         )
         np.testing.assert_allclose(after, before, atol=1e-4)
 
@@ -431,11 +435,11 @@ def test_rows_that_cannot_be_drawn_are_refused(
 
 def test_render_makes_a_film_of_neural_tiles(tmp_path: Path) -> None:
     index = write_neural_tileset(tmp_path / "tiles", [moving(0)])
-    ran = gsgen_here(
+    completed = gsgen_here(
         *("render", index, "-o", tmp_path / "film", "--frames", "2", "--sse", "0.1"),
         *("--width", "64", "--height", "48"),
     )
-    assert ran.code == 0, ran.err
-    assert "splats are drawn" not in ran.err
+    assert completed.code == 0, completed.err
+    assert "splats are drawn" not in completed.err
     first, second = (file.read_bytes() for file in sorted((tmp_path / "film").glob("*.png")))
     assert first != second

@@ -42,8 +42,8 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
     for event in range(10_000):
         if event % 7 == 0:
             needed_rows = rng.permutation(sorted(present))[: rng.integers(0, 20)].tolist()
-            needed = np.isin(np.arange(len(tree)), needed_rows)
-            pool.frame(float(event), needed)
+            needed_tiles = np.isin(np.arange(len(tree)), needed_rows)
+            pool.frame(float(event), needed_tiles)
         tile = int(rng.integers(len(tree)))
         victims = pool.admit(tile, float(event))
         if victims is None:
@@ -63,16 +63,16 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
 
 def test_the_least_recently_used_and_finest_leave_first(tree: TileTree) -> None:
     pool = ResidentTiles(tree, np.ones(len(tree), np.int64), 4)
-    nobody = np.zeros(len(tree), bool)
+    none_protected = np.zeros(len(tree), bool)
     coarse = int(tree.rows_of_level[1][0])
     fine = int(tree.rows_of_level[3][0])
-    late = int(tree.rows_of_level[3][-1])
-    for tile, time in ((0, 0.0), (coarse, 1.0), (fine, 1.0), (late, 2.0)):
+    finest_tile = int(tree.rows_of_level[3][-1])
+    for tile, time in ((0, 0.0), (coarse, 1.0), (fine, 1.0), (finest_tile, 2.0)):
         assert pool.admit(tile, time) == ()
-    pool.frame(3.0, nobody)
+    pool.frame(3.0, none_protected)
     new = int(tree.rows_of_level[2][0])
     assert pool.admit(new, 3.0) == (fine,)
-    pool.frame(4.0, nobody)
+    pool.frame(4.0, none_protected)
     assert pool.admit(fine, 4.0) == (coarse,)
     with_slots = ResidentTiles(tree, np.full(len(tree), 5), 4)
     assert with_slots.admit(coarse, 0.0) is None
@@ -113,8 +113,8 @@ def test_drawable_tiles_equal_those_of_a_recursive_walk(tree: TileTree) -> None:
         drawn = drawable_tiles(tree, cut, resident)
         assert set(np.flatnonzero(drawn).tolist()) == drawn_by_a_walk(tree, cut, resident)
         if resident[cut.wanted].all():
-            below = np.bincount(tree.parent[1:][cut.seen[1:]], minlength=len(tree))
-            shown = cut.wanted | (cut.seen & (below == 0) & resident)
+            descendants = np.bincount(tree.parent[1:][cut.seen[1:]], minlength=len(tree))
+            shown = cut.wanted | (cut.seen & (descendants == 0) & resident)
             np.testing.assert_array_equal(drawn, shown)
 
 
@@ -137,9 +137,9 @@ def test_a_replacement_fades_and_a_tile_that_comes_into_view_does_not(tree: Tile
     np.testing.assert_allclose(values, [0.8, 0.6, 0.4, 0.2, 0, 0, 0], atol=1e-9)
     assert fades.is_settled
     # One leaves the view, and comes back: at once, both times.
-    gone, hidden = replaced.copy(), visible_mask.copy()
-    gone[children[0]] = hidden[children[0]] = False
-    fades.frame(0.4, gone, hidden)
+    removed_tiles, hidden = replaced.copy(), visible_mask.copy()
+    removed_tiles[children[0]] = hidden[children[0]] = False
+    fades.frame(0.4, removed_tiles, hidden)
     assert fades.values[children[0]] == 0
     fades.frame(0.41, replaced, visible_mask)
     assert fades.values[children[0]] == 1
@@ -166,17 +166,17 @@ def test_the_disk_cache_holds_its_cap_and_gives_back_the_bytes(tmp_path: Path) -
     rng = np.random.default_rng(2)
     cache = DiskCache(tmp_path / "cache", 50_000)
     files = [rng.bytes(int(size)) for size in rng.integers(1, 9000, 60)]
-    hits = 0
+    hit_count = 0
     for _ in range(2000):
         data = files[int(rng.integers(60))]
         cached = cache.get("http://a", named(data))
         assert cached in (None, data)
-        hits += cached is not None
+        hit_count += cached is not None
         if cached is None:
             cache.put("http://a", named(data), data)
         total = sum(f.stat().st_size for f in (tmp_path / "cache").iterdir())
         assert total == cache.total_bytes <= 50_000
-    assert 100 < hits < 1900
+    assert 100 < hit_count < 1900
     assert DiskCache(tmp_path / "cache", 50_000).total_bytes == cache.total_bytes
     assert cache.get("http://b", named(files[0])) is None
 

@@ -72,9 +72,9 @@ class FaultyHandler(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         self.do_GET()
 
-    def answer(self, announced: bytes, sent: bytes, pause: float = 0.0) -> None:
+    def answer(self, body: bytes, sent: bytes, pause: float = 0.0) -> None:
         self.send_response(200)
-        self.send_header("Content-Length", str(len(announced)))
+        self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         if self.command == "HEAD":
             return
@@ -129,15 +129,15 @@ def test_faulty_file_leaves_a_picture_and_a_warning(
     with serving(town) as server:
         server.path, server.fault = leaf.contents[0].uri, fault
         address = server.address
-        ran = gsgen_here(
+        completed = gsgen_here(
             *("render", f"{address}tileset.json", "-o", picture, "--sse", "0.1"),
             *("--width", "64", "--height", "48", "--wait", "3", "--cache", "0"),
         )
-    assert ran.code == 0, ran.err
-    lines = ran.err.splitlines()
-    about = [line for line in lines if words in line]
-    assert len(about) == len(lines) == 1, ran.err
-    assert about[0].startswith(f"gsgen: {address}")
+    assert completed.code == 0, completed.err
+    lines = completed.err.splitlines()
+    matching_lines = [line for line in lines if words in line]
+    assert len(matching_lines) == len(lines) == 1, completed.err
+    assert matching_lines[0].startswith(f"gsgen: {address}")
     named = address + ("tileset.json" if fault == "slow" else server.path)
-    assert named in about[0]
+    assert named in matching_lines[0]
     assert np.asarray(Image.open(picture)).max() > 20

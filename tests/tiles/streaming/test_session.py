@@ -252,8 +252,10 @@ def test_a_camera_inside_all_tiles_completes_in_a_small_pool(town: Path) -> None
     """Tiles around a camera have an infinite error; levels that do not fit are left out."""
     tree = TileTree.of_tileset(open_tileset(town))
     inside = tree.center[0] + 1e-3
-    surrounds = (np.abs(inside - tree.center) <= np.abs(tree.half_axes).sum(axis=1)).all(axis=1)
-    slots = -(-tree.splats[surrounds] // OPTIONS.slot_rows)
+    contains_camera = (np.abs(inside - tree.center) <= np.abs(tree.half_axes).sum(axis=1)).all(
+        axis=1
+    )
+    slots = -(-tree.splats[contains_camera] // OPTIONS.slot_rows)
     assert len(slots) > 1
     too_few = OPTIONS.slot_rows * (int(slots.sum()) - 1)
     session = open_session(town, replace(OPTIONS, max_splats=too_few, predictor="none"))

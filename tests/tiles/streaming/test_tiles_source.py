@@ -171,11 +171,11 @@ def test_a_fade_has_no_hole_and_no_pop(town: Path, renderer: Renderer) -> None:
     total = np.abs(images[-1] - images[0]).max()
     steps = np.abs(np.diff(images, axis=0)).max()
     solid = np.minimum(images[0][..., 3], images[-1][..., 3])
-    dip = (solid - images[..., 3].min(axis=0)).max()
-    print(f"change {total:.3f}, largest step {steps:.3f}, largest hole {dip:.3f}")
+    opacity_dip = (solid - images[..., 3].min(axis=0)).max()
+    print(f"change {total:.3f}, largest step {steps:.3f}, largest hole {opacity_dip:.3f}")
     assert total > 0.1
     assert steps < 0.35 * total
-    assert dip < 0.26  # two opaque layers at half of their opacity let a quarter through
+    assert opacity_dip < 0.26  # two opaque layers at half of their opacity let a quarter through
     source.close()
 
 
@@ -186,20 +186,20 @@ def test_render_draws_a_picture_despite_server_faults(town: Path, tmp_path: Path
         copy = tmp_path / failure
         copy.mkdir()
         with served(town, faults) as address:
-            ran = gsgen_here(
+            completed = gsgen_here(
                 *("render", f"{address}/{index.name}", "-o", tmp_path / f"{failure}.png"),
                 *("--width", "64", "--height", "48", "--wait", "4", "--cache", "0"),
             )
             for _ in range(20):  # the index itself may fail
-                if "tileset.json" not in ran.err or ran.code == 0:
+                if "tileset.json" not in completed.err or completed.code == 0:
                     break
-                ran = gsgen_here(
+                completed = gsgen_here(
                     *("render", f"{address}/{index.name}", "-o", tmp_path / f"{failure}.png"),
                     *("--width", "64", "--height", "48", "--wait", "4", "--cache", "0"),
                 )
-        assert ran.code == 0, ran.err
+        assert completed.code == 0, completed.err
         assert np.asarray(Image.open(tmp_path / f"{failure}.png")).max() > 20
-        assert "Traceback" not in ran.err
+        assert "Traceback" not in completed.err
 
 
 def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) -> None:
@@ -212,12 +212,12 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
         ],
     }
     (tmp_path / "scene.json").write_text(json.dumps(document))
-    ran = gsgen_here(
+    completed = gsgen_here(
         *("render", tmp_path / "scene.json", "-o", tmp_path / "a.png", "--sse", "0.1"),
         *("--width", "64", "--height", "48", "--json"),
     )
-    assert ran.code == 0, ran.err
-    assert json.loads(ran.out)["gaussians"] == 6050
+    assert completed.code == 0, completed.err
+    assert json.loads(completed.out)["gaussians"] == 6050
 
 
 @pytest.mark.parametrize(
@@ -230,7 +230,7 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
 def test_invalid_options_state_the_expected_values(
     town: Path, tmp_path: Path, words: list[str], message: str
 ) -> None:
-    ran = gsgen_here("render", town / "tileset.json", "-o", tmp_path / "a.png", *words)
-    assert ran.code == 2
-    assert message in ran.err
+    completed = gsgen_here("render", town / "tileset.json", "-o", tmp_path / "a.png", *words)
+    assert completed.code == 2
+    assert message in completed.err
     assert not (tmp_path / "a.png").exists()

@@ -105,8 +105,8 @@ def test_parents_unlike_their_children_break_gt022(
     assert report.verdict == "conforms"
 
 
-def written(sketch: TilesetSketch, folder: Path) -> Path:
-    sketch.write(folder / "tileset.json")
+def written(spec: TilesetSketch, folder: Path) -> Path:
+    spec.write(folder / "tileset.json")
     return folder
 
 
@@ -115,20 +115,20 @@ def outcome(report: Report, rule: str) -> tuple[str, str]:
 
 
 def test_children_that_add_are_not_compared(tmp_path: Path) -> None:
-    sketch = explicit_sketch()
-    sketch.document["root"]["refine"] = "ADD"
-    result = drawn(written(sketch, tmp_path))
+    spec = explicit_sketch()
+    spec.document["root"]["refine"] = "ADD"
+    result = drawn(written(spec, tmp_path))
     assert result.levels == ()
     assert len(result.tiles) == 2
 
 
 def test_child_equal_to_its_parent_has_ssim_one(tmp_path: Path) -> None:
     """A root with one child of the same content has SSIM 1."""
-    sketch = explicit_sketch()
-    root = sketch.document["root"]
+    spec = explicit_sketch()
+    root = spec.document["root"]
     copy = {name: root[name] for name in ("boundingVolume", "content", "metadata")}
     root["children"] = [{**copy, "geometricError": 0.0}]
-    (pair,) = drawn(written(sketch, tmp_path)).levels
+    (pair,) = drawn(written(spec, tmp_path)).levels
     assert pair == ComparedLevels(
         location="tileset.json, root", children=1, pixels=pair.pixels, ssim=1.0
     )
@@ -162,10 +162,10 @@ def test_a_machine_that_cannot_draw_skips_and_gives_the_reason(
 
 
 def test_nothing_is_drawn_where_contents_are_broken(tmp_path: Path) -> None:
-    sketch = explicit_sketch(record=False)
-    uri = sketch.document["root"]["content"]["uri"]
-    sketch.files[uri] = sketch.files[uri][:-40]
-    report = validate(written(sketch, tmp_path), RENDER)
+    spec = explicit_sketch(record=False)
+    uri = spec.document["root"]["content"]["uri"]
+    spec.files[uri] = spec.files[uri][:-40]
+    report = validate(written(spec, tmp_path), RENDER)
     assert outcome(report, "GT021")[0] == "not-applicable"
     (level,) = (entry for entry in report.levels if entry.level is Level.RENDER)
     assert not level.ran

@@ -25,9 +25,9 @@ def test_files_folders_archives_and_contents_are_validated(good: Path, tmp_path:
     archive = tmp_path / "good.3tz"
     write_archive(good.parent, archive)
     content = next((good.parent / "t").rglob("*.glb"))
-    done = gsgen_here("validate", good, good.parent, archive, content, "--json")
-    assert done.code == 0, done.err
-    kinds = [entry["subject"]["kind"] for entry in json.loads(done.out)["reports"]]
+    completed = gsgen_here("validate", good, good.parent, archive, content, "--json")
+    assert completed.code == 0, completed.err
+    kinds = [entry["subject"]["kind"] for entry in json.loads(completed.out)["reports"]]
     assert kinds == ["tileset", "tileset", "tileset", "tile-content"]
 
 
@@ -55,26 +55,26 @@ def test_unreadable_input_exits_with_four(name: str, data, tmp_path: Path) -> No
     path = tmp_path / name
     if data is not None:
         path.write_bytes(data)
-    done = gsgen_here("validate", path)
-    assert done.code == 4
-    assert name in done.err
-    assert "Traceback" not in done.err
+    completed = gsgen_here("validate", path)
+    assert completed.code == 4
+    assert name in completed.err
+    assert "Traceback" not in completed.err
 
 
 def test_an_address_is_named_as_it_was_typed(good: Path) -> None:
     with served(good.parent) as address:
-        done = gsgen_here("validate", f"{address}tileset.json")
-    assert done.code == 0, done.out
-    assert f"{address}tileset.json: tileset" in done.out
+        completed = gsgen_here("validate", f"{address}tileset.json")
+    assert completed.code == 0, completed.out
+    assert f"{address}tileset.json: tileset" in completed.out
 
 
 @pytest.mark.parametrize("format", ["text", "json", "sarif", "junit", "markdown", "github"])
 def test_every_format_names_the_rule_and_the_place(format: str, tmp_path: Path) -> None:
     path = find("tiles_counts_differ").write(tmp_path)
-    done = gsgen_here("validate", path, "--format", format)
-    assert done.code == 1
-    assert "GT006" in done.out
-    assert "children" in done.out
+    completed = gsgen_here("validate", path, "--format", format)
+    assert completed.code == 1
+    assert "GT006" in completed.out
+    assert "children" in completed.out
 
 
 def test_explain_and_rules_know_the_family() -> None:
@@ -97,8 +97,8 @@ def test_report_lists_the_levels_that_ran(good: Path) -> None:
     static = validate(good, Settings(level=Level.STATIC))
     assert [level.level for level in static.levels] == [Level.STATIC]
     render = validate(good, Settings(level=Level.RENDER))
-    ran = {level.level: level.ran for level in render.levels}
-    assert ran == {Level.STATIC: True, Level.VALUES: True, Level.RENDER: True}
+    completed = {level.level: level.ran for level in render.levels}
+    assert completed == {Level.STATIC: True, Level.VALUES: True, Level.RENDER: True}
     assert {render.outcome(rule).status for rule in ("GT021", "GT022")} == {"pass"}
     values = validate(good, Settings(level=Level.VALUES))
     assert values.outcome("GT021").status == "skipped"

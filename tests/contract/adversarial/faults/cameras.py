@@ -59,8 +59,10 @@ def _colored_by(centre: Centre, kind: str, order: str = "column") -> Draft:
 def _parts(graph: GraphBuilder, view: str, *, row_major: bool = False) -> tuple[str, str]:
     """R and t of a column-major matrix as [3, 3] and [1, 3]; or read as if it were row-major."""
     matrix = view if row_major else graph.op("Transpose", view, perm=[1, 0])
-    top = graph.gather(matrix, [0, 1, 2], 0)
-    return graph.gather(top, [0, 1, 2], 1), graph.reshape(graph.gather(top, [3], 1), 1, 3)
+    rotation_rows = graph.gather(matrix, [0, 1, 2], 0)
+    return graph.gather(rotation_rows, [0, 1, 2], 1), graph.reshape(
+        graph.gather(rotation_rows, [3], 1), 1, 3
+    )
 
 
 def _camera_to_world(graph: GraphBuilder, view: str) -> str:

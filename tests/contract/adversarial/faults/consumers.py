@@ -81,9 +81,9 @@ def wide_concat(n: int) -> Draft:
     blocks = []
     for block in range(16):
         part = graph.constant(packed[block * size : (block + 1) * size])
-        lift = np.zeros(10)
-        lift[1] = 0.02 * (block + 1)
-        blocks.append(graph.op("Add", part, graph.op("Mul", time, graph.constant(lift))))
+        opacity_offset = np.zeros(10)
+        opacity_offset[1] = 0.02 * (block + 1)
+        blocks.append(graph.op("Add", part, graph.op("Mul", time, graph.constant(opacity_offset))))
     joined = graph.op("Concat", *blocks[:n], axis=0)
     if n < 16:
         joined = graph.op("Concat", joined, *blocks[n:], axis=0)
@@ -97,10 +97,10 @@ def _wide_split() -> Draft:
     source = scene("surface", seed=60)
     graph = GraphBuilder()
     time = graph.input("time", [1])
-    lift = np.zeros(10)
-    lift[1] = 0.1
+    opacity_offset = np.zeros(10)
+    opacity_offset[1] = 0.1
     moved = graph.op(
-        "Add", graph.constant(rows(source)), graph.op("Mul", time, graph.constant(lift))
+        "Add", graph.constant(rows(source)), graph.op("Mul", time, graph.constant(opacity_offset))
     )
     columns = [f"column_{index}" for index in range(10)]
     graph.node("Split", [moved], columns, axis=1, num_outputs=10)
@@ -137,8 +137,8 @@ def _branching() -> Draft:
     """An If on the time chooses between two tables of harmonics."""
     source = scene("surface", seed=61)
     graph = GraphBuilder()
-    late = graph.op("Greater", graph.input("time", [1]), graph.constant(0.5))
-    condition = graph.reshape(late)
+    late_condition = graph.op("Greater", graph.input("time", [1]), graph.constant(0.5))
+    condition = graph.reshape(late_condition)
     branches = []
     for name, factor in (("then", 1.0), ("else", 0.6)):
         table = graph.constant(factor * sh_columns(source, 3))
@@ -165,9 +165,9 @@ def _looping() -> Draft:
     body.input.append(value_info("iteration", [], "int64"))
     body.input.append(value_info("go_on", [], "bool"))
     body.input.append(value_info("before", [64, 10], "float32"))
-    lift = np.zeros(10)
-    lift[1] = 0.01
-    step = graph.constant(lift)
+    opacity_offset = np.zeros(10)
+    opacity_offset[1] = 0.01
+    step = graph.constant(opacity_offset)
     body.node.add(op_type="Identity", input=["go_on"], output=["still"], name="still")
     body.node.add(op_type="Add", input=["before", step], output=["after"], name="lift")
     body.output.append(value_info("still", [], "bool"))
@@ -206,11 +206,11 @@ def _uncapturable(kind: str) -> Draft:
     graph = GraphBuilder()
     time = graph.input("time", [1])
     if kind == "NonZero":
-        late = graph.op("Greater", graph.constant(np.linspace(0, 1, 64)), time)
-        actual = graph.op("Shape", graph.op("NonZero", late))
+        late_condition = graph.op("Greater", graph.constant(np.linspace(0, 1, 64)), time)
+        actual = graph.op("Shape", graph.op("NonZero", late_condition))
         number = graph.gather(actual, [1], 0)
         count = graph.cast(number, "int32")
-        mask = graph.cast(graph.reshape(late, 64, 1), "float32")
+        mask = graph.cast(graph.reshape(late_condition, 64, 1), "float32")
         reverse = graph.constant(np.arange(63, -1, -1), "int64")
         mask = graph.op("Gather", mask, reverse, axis=0)
         opacity = graph.op("Mul", graph.constant(source.opacity[:, None]), mask)

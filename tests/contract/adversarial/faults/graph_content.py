@@ -32,12 +32,12 @@ def _data_dependent() -> Draft:
     view, projection = graph.input("camera", [4, 4]), graph.input("proj", [4, 4])
     visible_mask = graph.reshape(inside_frustum(graph, source.position, view, projection, 0.35), 64)
     index = graph.reshape(graph.op("NonZero", visible_mask), -1)
-    picked = graph.op("Gather", graph.constant(rows(source)), index, axis=0)
+    gathered = graph.op("Gather", graph.constant(rows(source)), index, axis=0)
     live = graph.op("Shape", index)
     missing = graph.op("Sub", graph.constant([64], "int64"), live)
     zero = graph.constant([0], "int64")
     pads = graph.op("Concat", zero, zero, missing, zero, axis=0)
-    packed = graph.op("Pad", picked, pads)
+    packed = graph.op("Pad", gathered, pads)
     color = graph.op(
         "Pad", graph.op("Gather", graph.constant(sh_columns(source, 3)), index, axis=0), pads
     )

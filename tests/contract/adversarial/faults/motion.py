@@ -106,8 +106,8 @@ def _quotient(graph: GraphBuilder, time: str) -> str:
 
 
 def _exponential(graph: GraphBuilder, time: str) -> str:
-    grown = graph.op("Exp", graph.op("Mul", time, graph.constant(95.0)))
-    return graph.op("Div", grown, graph.op("Add", grown, graph.constant(1.0)))
+    growth_factor = graph.op("Exp", graph.op("Mul", time, graph.constant(95.0)))
+    return graph.op("Div", growth_factor, graph.op("Add", growth_factor, graph.constant(1.0)))
 
 
 fault(

@@ -67,8 +67,10 @@ def _dropped(kind: str) -> Draft:
     if kind == "Dropout":
         color = graph.op("Dropout", color, graph.constant(0.3), graph.constant(True, "bool"))
     elif kind == "Dropout of opacity":
-        dropped = graph.op("Dropout", opacity, graph.constant(0.5), graph.constant(True, "bool"))
-        opacity = graph.op("Mul", dropped, graph.constant(1.0))
+        dropout_output = graph.op(
+            "Dropout", opacity, graph.constant(0.5), graph.constant(True, "bool")
+        )
+        opacity = graph.op("Mul", dropout_output, graph.constant(1.0))
     else:
         opacity = graph.op("Bernoulli", opacity)
     where, upper = graph.constant(packed[:, :3]), graph.constant(packed[:, 4:])

@@ -149,8 +149,8 @@ for name, mistake, text, words in TEXTS:
 
 def _with_alpha() -> Draft:
     source = scene("surface")
-    four = np.concatenate([source.sh[:, :4], np.zeros((source.count, 4, 1))], axis=2)
-    return static(source, color=four.reshape(source.count, 16), degree=1)
+    degree_one_sh = np.concatenate([source.sh[:, :4], np.zeros((source.count, 4, 1))], axis=2)
+    return static(source, color=degree_one_sh.reshape(source.count, 16), degree=1)
 
 
 def _with_a_fourth_degree() -> Draft:

@@ -103,8 +103,10 @@ def _opacity_by_distance(
     graph: GraphBuilder, source: Scene, positions: Array, view: str, projection: str
 ) -> Parts:
     square = graph.op("Add", _squared_distance(graph, positions, view), graph.constant(0.5))
-    nearness = graph.op("Div", graph.constant(4.0), square)
-    factor = graph.op("Add", graph.constant(0.9), graph.op("Mul", nearness, graph.constant(0.4)))
+    inverse_square_distance = graph.op("Div", graph.constant(4.0), square)
+    factor = graph.op(
+        "Add", graph.constant(0.9), graph.op("Mul", inverse_square_distance, graph.constant(0.4))
+    )
     return graph.op("Mul", graph.constant(source.opacity[:, None]), factor), "", ""
 
 

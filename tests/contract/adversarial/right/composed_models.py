@@ -24,9 +24,9 @@ def _joined(kind: str) -> Draft:
         "rest", first.op("Mul", first.constant(rows(source)), first.constant(1.0)), [64, 10]
     )
     rest_rows, time = second.input("rows", [64, 10]), second.input("time", [1])
-    lift = np.zeros(10)
-    lift[0] = 0.25
-    moved = second.op("Add", rest_rows, second.op("Mul", time, second.constant(lift)))
+    opacity_offset = np.zeros(10)
+    opacity_offset[0] = 0.25
+    moved = second.op("Add", rest_rows, second.op("Mul", time, second.constant(opacity_offset)))
     second.output("gaussians", moved, [64, 10])
     second.output("color", second.constant(sh_columns(source, 3)), [64, 48])
     second.output("num_points", second.constant([64], "int32"), [1], "int32")

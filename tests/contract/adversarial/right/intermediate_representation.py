@@ -24,10 +24,12 @@ def _tape(kind: str, statistics: str, dtype: str) -> Draft:
         for name, array in (("table", rows(source)), ("harmonics", sh_columns(source, 1)))
     )
     live = tape.initializer(ir.tensor(np.array([source.count], np.int32), name="live"))
-    brighter = tape.op("Cast", [sun], {"to": int(half)})
+    brightness_node = tape.op("Cast", [sun], {"to": int(half)})
     outputs = [
         tape.op("Identity", [table], output=_value("gaussians", half, source.count, 10)),
-        tape.op("Mul", [harmonics, brighter], output=_value("color", half, source.count, 12)),
+        tape.op(
+            "Mul", [harmonics, brightness_node], output=_value("color", half, source.count, 12)
+        ),
         tape.op("Identity", [live], output=_value("num_points", ir.DataType.INT32, 1)),
     ]
     graph = ir.Graph(

@@ -60,13 +60,13 @@ FADE = {"name": "fade", "role": "control", "shape": [1], "range": [0, 0.5], "def
 def _text(text: str, kind: str, statistics: str) -> Draft:
     source = scene(kind, statistics, seed=80)
     model = onnx.parser.parse_model(text)
-    column, lift = np.zeros(10), np.zeros(10)
-    column[3], lift[1] = 1, 0.2
+    column, opacity_offset = np.zeros(10), np.zeros(10)
+    column[3], opacity_offset[1] = 1, 0.2
     values = {
         "table": rows(source),
         "harmonics": sh_columns(source, 1),
         "opacity_column": column,
-        "lift": lift,
+        "lift": opacity_offset,
     }
     graph = model.graph
     weights = {tensor.name for tensor in graph.initializer}

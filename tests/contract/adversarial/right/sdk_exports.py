@@ -34,8 +34,8 @@ class Static(GaussianGenerator):
 
     def forward(self, *_: Any) -> Gaussians:
         """One frame."""
-        look = {"rgb": self.rgb} if self.appearance == "rgb" else {"sh": self.sh[:, :4]}
-        return Gaussians(self.position, self.opacity, self.scale, self.rotation, **look)
+        appearance = {"rgb": self.rgb} if self.appearance == "rgb" else {"sh": self.sh[:, :4]}
+        return Gaussians(self.position, self.opacity, self.scale, self.rotation, **appearance)
 
 
 class Rising(Static):
@@ -46,8 +46,10 @@ class Rising(Static):
 
     def forward(self, time: torch.Tensor, *_: Any) -> Gaussians:
         """One frame at a time."""
-        lift = torch.tensor([0.0, -0.3, 0.0]) * time
-        return Gaussians(self.position + lift, self.opacity, self.scale, self.rotation, sh=self.sh)
+        opacity_offset = torch.tensor([0.0, -0.3, 0.0]) * time
+        return Gaussians(
+            self.position + opacity_offset, self.opacity, self.scale, self.rotation, sh=self.sh
+        )
 
 
 @cache

@@ -103,13 +103,13 @@ def _exported(module: type[Still]) -> bytes:
 def _filled(module: type[Still], kind: str, statistics: str) -> Draft:
     proto = onnx.ModelProto.FromString(_exported(module))
     weights = _weights(kind, statistics)
-    exchanged = 0
+    replaced_count = 0
     for tensor in proto.graph.initializer:
         if tensor.name in weights:
             tensor.CopyFrom(numpy_helper.from_array(weights[tensor.name], tensor.name))
-            exchanged += 1
-    if exchanged != len(weights):
-        raise ValueError(f"{exchanged} of {len(weights)} weights were found in the graph")
+            replaced_count += 1
+    if replaced_count != len(weights):
+        raise ValueError(f"{replaced_count} of {len(weights)} weights were found in the graph")
     position = weights["position"]
     reach = 0.1 if module is Waving else 0.0
     inputs = [{"name": "time", "role": "time", "range": [0, 1], "default": 0, "loop": True}]

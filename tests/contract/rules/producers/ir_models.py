@@ -110,5 +110,5 @@ def models() -> Iterator[Good]:
     yield one("expression", face, (10,), basis, "MatMul")
     slider = Input(name="explode", role="control", range=(0.0, 2.0), default=1.0, label="Explode")
     yield one("slider", slider, (1,), speed, "Mul", antialias="mip")
-    loose = Tolerances(position=0.01)
-    yield one("own tolerances", slider, (1,), speed, "Mul", tolerances=loose)
+    loose_case = Tolerances(position=0.01)
+    yield one("own tolerances", slider, (1,), speed, "Mul", tolerances=loose_case)

@@ -118,14 +118,14 @@ def _seen(up: str, order: str, unit: str, color_space: str) -> ModelProto:
 
 
 def _picture(
-    channels: int, dtype: str, size: tuple[int | str, int | str], black: float
+    channels: int, dtype: str, size: tuple[int | str, int | str], black_level: float
 ) -> ModelProto:
     """Gamma, or its neighbour: an image between ``black`` and 1 stays between them."""
     graph = GraphProto(name="tone", node=[_node("Mul", "image amount", "out")])
     dims = (1, channels, *size)
     _value(graph.input, "image", dtype, dims)
     _value(graph.output, "out", dtype, dims)
-    ends = (black, 1.0)
+    ends = (black_level, 1.0)
     manifest = PostProcessManifest(
         name="tone",
         inputs=(Input(name="image", role="image"),),
@@ -136,7 +136,7 @@ def _picture(
     return declared(_model(graph, weights, 17), manifest)
 
 
-def _straight_on(steps: int, past: int) -> ModelProto:
+def _straight_on(steps: int, past_steps: int) -> ModelProto:
     """The last two states are continued in a straight line; doubt grows with each step."""
     graph = GraphProto(
         name="straight_on",
@@ -152,24 +152,26 @@ def _straight_on(steps: int, past: int) -> ModelProto:
             _node("Expand", "doubt shape", "sigma"),
         ],
     )
-    _value(graph.input, "past", "float32", (past, 7))
+    _value(graph.input, "past", "float32", (past_steps, 7))
     _value(graph.output, "future", "float32", (steps, 7))
     _value(graph.output, "sigma", "float32", (steps, 7))
-    onwards = np.zeros((steps, past), np.float32)
-    onwards[:, -1] = 2 + np.arange(steps)
-    onwards[:, -2] = -1 - np.arange(steps)
-    doubt = 0.1 * np.arange(1, steps + 1, dtype=np.float32)[:, None]
+    future_offsets = np.zeros((steps, past_steps), np.float32)
+    future_offsets[:, -1] = 2 + np.arange(steps)
+    future_offsets[:, -2] = -1 - np.arange(steps)
+    uncertainty = 0.1 * np.arange(1, steps + 1, dtype=np.float32)[:, None]
     manifest = TrajectoryManifest(
         name="straight-on",
-        inputs=(Input(name="past", role="camera_history", shape=(past, 7), range=(-1.0, 1.0)),),
+        inputs=(
+            Input(name="past", role="camera_history", shape=(past_steps, 7), range=(-1.0, 1.0)),
+        ),
         outputs=TrajectoryOutputs(
             FutureOutput("future", steps, "position+quaternion-wxyz"), UncertaintyOutput("sigma")
         ),
         step_seconds=1 / 30,
     )
     weights = {
-        "onwards": onwards,
-        "doubt": doubt,
+        "onwards": future_offsets,
+        "doubt": uncertainty,
         "shape": np.array([steps, 7]),
         "widths": np.array([3, 4]),
         "along": np.array([1]),
@@ -194,9 +196,9 @@ def models() -> Iterator[Good]:
     for number, (degree, dtype) in enumerate(layouts):
         shown = "rgb" if degree is None else f"sh{degree}"
         name = f"{shown} {np.dtype(dtype).name}"
-        fits = degree == 3 or (degree is None and dtype is np.float16)
+        is_layout_valid = degree == 3 or (degree is None and dtype is np.float16)
         result = scene(256, degree, dtype, seed=number)
-        target = "visionary" if fits else "webgpu"
+        target = "visionary" if is_layout_valid else "webgpu"
         yield Good(name, "protos", partial(_still, result), target)
     for count in (1, 7, 1000, 16_385):
         yield Good(f"{count} rows", "protos", partial(_still, scene(count, 0)), "webgpu")
@@ -211,14 +213,14 @@ def models() -> Iterator[Good]:
         name = f"up {up}, {order} matrices, {unit}, {color_space}"
         draw = partial(_seen, up, order, unit, color_space)
         yield Good(name, "protos", draw, "webgpu")
-    for channels, dtype, size, black in (
+    for channels, dtype, size, black_level in (
         (3, "float32", (12, 8), 0.0),
         (4, "float16", (8, 8), 0.0),
         (3, "float32", ("h", "w"), -1.0),
     ):
         name = f"image {channels} {dtype} {size}"
-        draw = partial(_picture, channels, dtype, size, black)
+        draw = partial(_picture, channels, dtype, size, black_level)
         yield Good(name, "protos", draw, "core" if dtype == "float16" else "webgpu")
-    for steps, past in ((1, 2), (5, 8)):
-        draw = partial(_straight_on, steps, past)
-        yield Good(f"{steps} steps from {past}", "protos", draw, "webgpu")
+    for steps, past_steps in ((1, 2), (5, 8)):
+        draw = partial(_straight_on, steps, past_steps)
+        yield Good(f"{steps} steps from {past_steps}", "protos", draw, "webgpu")

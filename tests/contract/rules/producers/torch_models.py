@@ -113,20 +113,22 @@ def _by_sdk(kind: str) -> tuple[bytes, GeneratorManifest]:
         return path.read_bytes(), exported.manifest
 
 
-def _own(kind: str, change: Callable[[ModelProto], ModelProto], **said: Any) -> ModelProto:
+def _own(
+    kind: str, change: Callable[[ModelProto], ModelProto], **expected_message: Any
+) -> ModelProto:
     content, manifest = _by_sdk(kind)
     model = change(ModelProto.FromString(content))
-    return declared(model, replace(manifest, **said))
+    return declared(model, replace(manifest, **expected_message))
 
 
-def _foreign(order: str, up: str, **said: Any) -> ModelProto:
+def _foreign(order: str, up: str, **expected_message: Any) -> ModelProto:
     result = scene(_COUNT, None, seed=4)
     manifest = result.manifest(
         Input(name="camera", role="view", default="identity"),
         Input(name="time", role="time", range=(0.0, 6.3), default=0.0),
         space=Space(up=up, matrix_order=order),
         room=1.3,
-        **said,
+        **expected_message,
     )
     appearance = replace(manifest.outputs.appearance, name="color_rgb")
     outputs = replace(manifest.outputs, appearance=appearance)
@@ -173,8 +175,8 @@ def models() -> Iterator[Good]:
             yield Good(name, _SDK, partial(_own, kind, change), target)
     yield Good("cells of a weighted sum", _SDK, partial(_own, "bunches", _as_it_is), "webgpu")
     yield Good("drift in opset 20", _SDK, partial(_own, "drift", _of_opset_20))
-    loose = partial(_own, "drift", _as_it_is, tolerances=Tolerances(position=0.01))
-    yield Good("drift with its own tolerances", _SDK, loose)
+    loose_case = partial(_own, "drift", _as_it_is, tolerances=Tolerances(position=0.01))
+    yield Good("drift with its own tolerances", _SDK, loose_case)
     for index, up in enumerate(UP):
         order = _ORDERS[index % 2]
         draw = partial(_foreign, order, up)

@@ -171,17 +171,17 @@ def test_splats_of_one_depth_are_divided_by_remainder_and_row() -> None:
 def is_in(part: KeyRange, *columns: np.ndarray) -> np.ndarray:
     """Return the mask of splats in a range: of keys, of remainders, or of rows."""
     ranks = (*columns, np.arange(len(columns[0])))
-    tied = [ranks[level] == key for level, key in enumerate(part.tied)]
+    tied_ranks = [ranks[level] == key for level, key in enumerate(part.tied)]
     rank = ranks[len(part.tied)]
-    return np.logical_and.reduce([*tied, rank >= part.low, rank < part.high])
+    return np.logical_and.reduce([*tied_ranks, rank >= part.low, rank < part.high])
 
 
 def tally_of(*columns: np.ndarray) -> Tally:
     """Return a tally of keys, of remainders and of rows."""
 
-    def tally(tied: tuple[int, ...], low: int, shift: int) -> np.ndarray:
+    def tally(tied_ranks: tuple[int, ...], low: int, shift: int) -> np.ndarray:
         ranks = (*columns, np.arange(len(columns[0]), dtype=np.uint32))
-        counted = ranks[len(tied)][is_in(KeyRange(0, ABSENT, tied), *columns)]
+        counted = ranks[len(tied_ranks)][is_in(KeyRange(0, ABSENT, tied_ranks), *columns)]
         return tally_reference(counted, low, min(low + (BINS << shift), ABSENT), shift)
 
     return tally

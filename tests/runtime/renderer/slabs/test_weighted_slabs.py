@@ -84,12 +84,12 @@ def test_binding_capacity_plus_one_cell_is_drawn(
 
 def test_cells_that_exceed_a_binding_are_drawn(renderers: tuple[Renderer, Renderer]) -> None:
     """They are in the buffers of pages, and change in each of them."""
-    data, later = celled(1000, 1, 4, size=0.1), celled(1000, 1, 5, size=0.1)
+    data, later_cells = celled(1000, 1, 4, size=0.1), celled(1000, 1, 5, size=0.1)
     scene = Scene([summed(data)])
     first = compare(renderers, scene)
     pages = renderers[1]._residency.pages(data)
     assert [page.first_cell for page in pages] == [0, ROWS]
-    data.update(later.rows, later.appearance, cells=later.cells)
+    data.update(later_cells.rows, later_cells.appearance, cells=later_cells.cells)
     assert not np.array_equal(compare(renderers, scene).rgba, first.rgba)
 
 
@@ -120,8 +120,8 @@ def test_cells_behind_the_camera_draw_the_background(renderers: tuple[Renderer, 
 
 def test_cell_larger_than_a_slab_is_drawn(renderers: tuple[Renderer, Renderer]) -> None:
     """Its Gaussians are all weighted by the light before it, from whatever slab they are."""
-    large = celled(3, MOST + 700, 9, size=0.9, share=0.05, opacity=(0.02, 0.06))
-    scene = Scene([summed(celled(40, 5, 10)), summed(large), summed(celled(200, 3, 11))])
+    far_frame = celled(3, MOST + 700, 9, size=0.9, share=0.05, opacity=(0.02, 0.06))
+    scene = Scene([summed(celled(40, 5, 10)), summed(far_frame), summed(celled(200, 3, 11))])
     drawn = compare(renderers, scene)
     whole = renderers[0].render(scene, NARROW)
     assert drawn.visible == whole.visible > ROWS

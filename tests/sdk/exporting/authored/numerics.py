@@ -51,9 +51,9 @@ class PolynomialAndRadial(Cloud):
         position = self.rest
         for power in range(3):
             position = position + self.motion[:, 3 * power : 3 * power + 3] * dt ** (power + 1)
-        bump = torch.exp(-(dt**2) / 0.5**2)
+        radial_basis = torch.exp(-(dt**2) / 0.5**2)
         rotation = F.normalize(self.rotation + dt * self.omega)
-        return self.cloud(position=position, rotation=rotation, opacity=self.opacity * bump)
+        return self.cloud(position=position, rotation=rotation, opacity=self.opacity * radial_basis)
 
 
 class ConditionedOnTime(Cloud):

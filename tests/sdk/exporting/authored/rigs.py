@@ -92,9 +92,11 @@ class SparseControls(Cloud):
         turn = F.normalize(moved[:, 3:] + torch.tensor([1.0, 0, 0, 0]), dim=-1)
         turns = math.quaternion_to_matrix(turn)[index]
         local = (self.rest[:, None] - self.nodes[index])[..., None]
-        carried = (turns @ local)[..., 0] + self.nodes[index] + 0.1 * moved[index, :3]
+        blended_positions = (turns @ local)[..., 0] + self.nodes[index] + 0.1 * moved[index, :3]
         rotation = math.quaternion_multiply((turn[index] * weight[..., None]).sum(1), self.rotation)
-        return self.cloud(position=(carried * weight[..., None]).sum(1), rotation=rotation)
+        return self.cloud(
+            position=(blended_positions * weight[..., None]).sum(1), rotation=rotation
+        )
 
 
 class NearestNodeMoves(Cloud):

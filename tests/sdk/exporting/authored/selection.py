@@ -83,8 +83,10 @@ class AccumulatedAlongRays(Cloud):
 
     def forward(self, time: Tensor) -> Gaussians:
         alpha = 1 - torch.exp(-self.density * (0.5 + time))
-        clear = torch.cumprod(torch.cat([torch.ones(6, 1), 1 - alpha + 1e-10], dim=-1), dim=-1)
-        return self.cloud(opacity=(alpha * clear[:, :-1]).reshape(-1, 1))
+        transmittance = torch.cumprod(
+            torch.cat([torch.ones(6, 1), 1 - alpha + 1e-10], dim=-1), dim=-1
+        )
+        return self.cloud(opacity=(alpha * transmittance[:, :-1]).reshape(-1, 1))
 
 
 class LevelsByDistance(Cloud):
@@ -100,8 +102,8 @@ class LevelsByDistance(Cloud):
 
     def forward(self, camera: Tensor) -> Gaussians:
         distance = torch.linalg.vector_norm(self.rest - camera, dim=-1)
-        finest = 3 - torch.bucketize(distance, self.edges)
-        return self.cloud(opacity=self.opacity[:, 0] * (self.level <= finest).float())
+        level_index = 3 - torch.bucketize(distance, self.edges)
+        return self.cloud(opacity=self.opacity[:, 0] * (self.level <= level_index).float())
 
 
 MODULES = (

@@ -38,7 +38,7 @@ def test_hashes_keep_their_values(bits: int, most: int, low: int, seed: int) -> 
     x = np.random.default_rng(seed).uniform(low - 2, most + 2, (40, 3)).astype(np.float32)
     (before,) = run(model, x=x)
     cells = np.floor(np.clip(x, low, most)).astype(np.int64)
-    by_hand = [
+    expected_hashes = [
         (int(a) ^ (int(b) * PRIMES[1]) ^ (int(c) * PRIMES[2])) % (1 << bits) for a, b, c in cells
     ]
     assert NarrowHashes()(model).modified
@@ -46,7 +46,7 @@ def test_hashes_keep_their_values(bits: int, most: int, low: int, seed: int) -> 
     assert not operators(model) & {"BitwiseXor", "Mod"}
     (after,) = run(model, x=x)
     assert after.dtype == before.dtype
-    np.testing.assert_array_equal(after, by_hand)
+    np.testing.assert_array_equal(after, expected_hashes)
     np.testing.assert_array_equal(after, before)
 
 
@@ -61,16 +61,16 @@ def test_a_mask_of_bits_is_a_remainder() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "why"),
+    ("text", "reason"),
     [
         (hashing(20, 1 << 13), "(modulo 1048576) may leave"),
         (hashing(9, 100).replace("Clip (x, low, most)", "Neg (x)"), "may leave the range of int32"),
     ],
 )
-def test_a_hash_that_may_leave_int32_stays_with_the_reason(text: str, why: str) -> None:
+def test_a_hash_that_may_leave_int32_stays_with_the_reason(text: str, reason: str) -> None:
     rewrite, model = NarrowHashes(), parsed(text)
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
 
 
 @pytest.mark.parametrize("last", ["y = Add (mixed, size)", "y = Mod <fmod = 1> (mixed, size)"])

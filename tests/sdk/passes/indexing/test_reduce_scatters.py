@@ -73,17 +73,17 @@ def test_elements_are_reduced_along_an_axis(reduction: str, axis: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "why"),
+    ("text", "reason"),
     [
         ("g (float[3] x, int64[1,1] i, float[1] u) => (float[3] y) ", "not known before"),
         ("g (float[N] x, float[1] u) => (float[N] y) <int64[1,1] i = {0}> ", "shape"),
     ],
 )
-def test_a_scatter_that_cannot_be_rewritten_says_why(text: str, why: str) -> None:
+def test_a_scatter_that_cannot_be_rewritten_says_why(text: str, reason: str) -> None:
     rewrite = ReduceScatters()
     model = parsed(text + '{ y = ScatterND <reduction = "max"> (x, i, u) }')
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
 
 
 def test_groups_that_are_mostly_padding_stay() -> None:

@@ -76,12 +76,12 @@ def test_far_infinite_and_nan_coordinates_neither_fail_nor_spread(padding: str) 
     SampleByGather()(model)
     (actual,) = run(model, x=x, grid=grid)
     assert np.isfinite(actual).all()
-    tame = np.where(np.isfinite(grid), grid, np.sign(np.nan_to_num(grid)) * 1e6)
+    finite_grid = np.where(np.isfinite(grid), grid, np.sign(np.nan_to_num(grid)) * 1e6)
     if padding == "border":
-        tame[0, 0, 4] = (-1e6, 0)  # NaN goes to the first pixel, as in torch
+        finite_grid[0, 0, 4] = (-1e6, 0)  # NaN goes to the first pixel, as in torch
     else:
-        tame[0, 0, 4] = (1e6, 0)
-    np.testing.assert_allclose(actual, oracle(x, tame, False, padding), atol=1e-6)
+        finite_grid[0, 0, 4] = (1e6, 0)
+    np.testing.assert_allclose(actual, oracle(x, finite_grid, False, padding), atol=1e-6)
 
 
 def test_a_weight_of_float16_is_a_table_and_places_are_numbered_in_float32() -> None:
@@ -119,7 +119,7 @@ def test_the_mode_has_another_name_since_operator_set_20() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("change", "reason"),
     [
         ({"mode": "nearest"}, "nearest"),
         ({"mode": "bicubic"}, "bicubic"),
@@ -128,12 +128,12 @@ def test_the_mode_has_another_name_since_operator_set_20() -> None:
         ({"shape": (1, 1, 4097, 4096)}, "pixels"),
     ],
 )
-def test_other_sampling_modes_are_left_alone(change: dict, why: str) -> None:
+def test_other_sampling_modes_are_left_alone(change: dict, reason: str) -> None:
     model = sampling(**{"shape": (1, 1, 3, 4), "points": (2, 2)} | change)
     before = text_of(model)
     rewrite = SampleByGather()
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 

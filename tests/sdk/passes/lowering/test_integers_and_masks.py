@@ -68,7 +68,7 @@ def test_integers_that_fit_are_narrowed(name: str, goal: RewriteTarget | None) -
 
 
 @pytest.mark.parametrize(
-    ("body", "why"),
+    ("body", "reason"),
     [
         ("i = Cast <to = 7> (free) y = Add (i, three)", "i may leave"),
         ("i = Cast <to = 7> (x) y = Mul (i, large)", "y may leave"),
@@ -76,7 +76,7 @@ def test_integers_that_fit_are_narrowed(name: str, goal: RewriteTarget | None) -
         ("i = Cast <to = 7> (x) y = Div (three, i)", "y may leave"),
     ],
 )
-def test_integers_that_may_not_fit_stay_and_the_pass_says_why(body: str, why: str) -> None:
+def test_integers_that_may_not_fit_stay_and_the_pass_says_why(body: str, reason: str) -> None:
     text = (
         "g (float[6] x, float[6] free) => (int64[6] y) <int64 three = {3}, int64 large = {100000000}, "
         f"int64 huge = {{8589934592}}> {{ {body} }}"
@@ -84,7 +84,7 @@ def test_integers_that_may_not_fit_stay_and_the_pass_says_why(body: str, why: st
     model, rewrite = parsed(text), NarrowIntegers(OLD)
     before = run(model, x=X + 5, free=X * 1e12)
     rewrite(model)
-    assert any(why in refusal.reason for refusal in rewrite.refusals)
+    assert any(reason in refusal.reason for refusal in rewrite.refusals)
     np.testing.assert_array_equal(run(model, x=X + 5, free=X * 1e12)[0], before[0])
 
 
@@ -127,8 +127,8 @@ def test_index_operators_take_int32() -> None:
         ClipBeforeCast()(model)
         NarrowIntegers(OLD)(model)
         MergeCasts()(model)
-    (looked,) = (node for node in model.graph if node.op_type == "Gather")
-    assert looked.inputs[1].dtype.name == "INT32"
+    (gather_node,) = (node for node in model.graph if node.op_type == "Gather")
+    assert gather_node.inputs[1].dtype.name == "INT32"
     np.testing.assert_array_equal(run(model, x=X)[0], before)
 
 

@@ -151,13 +151,13 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("why", REFUSED)
-def test_unknown_or_long_loops_are_left_alone(why: str) -> None:
-    model = parsed(REFUSED[why])
+@pytest.mark.parametrize("reason", REFUSED)
+def test_unknown_or_long_loops_are_left_alone(reason: str) -> None:
+    model = parsed(REFUSED[reason])
     before = text_of(model)
     rewrite = UnrollControlFlow()
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 

@@ -74,9 +74,9 @@ def test_groups_of_operator_set_18_are_scaled_as_the_formula_says() -> None:
     assert WriteOutNorms()(model).modified
     (actual,) = run(model, x=x, s=s, b=b)
     grouped = x.astype(np.float64).reshape(2, 3, -1)
-    even = grouped - grouped.mean(axis=2, keepdims=True)
-    even /= np.sqrt(grouped.var(axis=2, keepdims=True) + 1e-5)
-    expected = (even * s[:, None] + b[:, None]).reshape(2, 6, 4)
+    centered_groups = grouped - grouped.mean(axis=2, keepdims=True)
+    centered_groups /= np.sqrt(grouped.var(axis=2, keepdims=True) + 1e-5)
+    expected = (centered_groups * s[:, None] + b[:, None]).reshape(2, 6, 4)
     np.testing.assert_allclose(actual, expected, atol=2e-5)
 
 

@@ -74,8 +74,8 @@ def judge_concat(width: int, dtype: str, rank: int, axis: int, limit: int) -> No
     parts = [inputs[f"x{k % 3}"] for k in range(width)]
     result = ChunkConcat(limit)(model)
     assert result.modified is (width > limit)
-    joins = [node for node in model.graph if node.op_type == "Concat"]
-    assert max(len(node.inputs) for node in joins) <= limit
+    concat_nodes = [node for node in model.graph if node.op_type == "Concat"]
+    assert max(len(node.inputs) for node in concat_nodes) <= limit
     (actual,) = run(model, **inputs)
     assert same(actual, np.concatenate(parts, axis))
     assert not ChunkConcat(limit)(model).modified

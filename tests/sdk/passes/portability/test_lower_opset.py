@@ -99,12 +99,12 @@ OBSTACLES = {
 
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_a_node_without_an_equal_keeps_the_whole_model_as_it_is(name: str) -> None:
-    opset, text, why = OBSTACLES[name]
+    opset, text, reason = OBSTACLES[name]
     model, rewrite = parsed(text, HEADS[opset]), LowerOpset()
     before = text_of(model)
     assert not rewrite(model).modified
     assert text_of(model) == before
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
 
 
 def test_flattening_softmax_is_not_lowered_below_its_set() -> None:

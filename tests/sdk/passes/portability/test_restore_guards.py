@@ -91,8 +91,8 @@ def test_a_guard_that_float16_makes_zero_is_put_back(guard: str) -> None:
         "g (float16[2,3] v) => (float16[2,3] y) <int64[1] last = {1}, float16 tiny = {0}>"
         f" {{ {SUM} n = Sqrt (s)\n c = {guard}\n y = Div (v, c) }}"
     )
-    tiny = model.graph.initializers["tiny"]
-    tiny.const_value = ir.tensor(np.asarray(1e-12, np.float16), name="tiny")
+    tiny_guard = model.graph.initializers["tiny"]
+    tiny_guard.const_value = ir.tensor(np.asarray(1e-12, np.float16), name="tiny")
     v = np.array([[0, 0, 0], [3, 4, 0]], np.float16)
     assert np.isnan(run(model, v=v)[0][0]).all()
     assert RestoreGuards()(model).modified

@@ -80,13 +80,13 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("why", REFUSED)
-def test_unsplittable_weights_are_left_alone(why: str) -> None:
-    model = with_weight(REFUSED[why], RNG.normal(size=(9, 3)).astype(np.float32))
+@pytest.mark.parametrize("reason", REFUSED)
+def test_unsplittable_weights_are_left_alone(reason: str) -> None:
+    model = with_weight(REFUSED[reason], RNG.normal(size=(9, 3)).astype(np.float32))
     before = text_of(model)
-    rewrite = SplitLargeWeights(100 if "whole" in why else 10)
+    rewrite = SplitLargeWeights(100 if "whole" in reason else 10)
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 

@@ -40,14 +40,14 @@ THEN = {
 }
 
 
-def masked(selection: str, then: str, count: str = COUNT) -> ir.Model:
+def masked(selection: str, following_text: str, count: str = COUNT) -> ir.Model:
     weights = WEIGHTS.replace(
         ">",
         ", int64[2] halves = {1, 3}, float[4,4] square = {"
         + ", ".join(str(k % 5) for k in range(16))
         + "}>",
     )
-    return parsed(f"{HEAD} {weights} {{ {MASK} {selection}\n {then}\n {count} }}")
+    return parsed(f"{HEAD} {weights} {{ {MASK} {selection}\n {following_text}\n {count} }}")
 
 
 def inputs(seed: int, t: float) -> dict[str, np.ndarray]:
@@ -80,9 +80,9 @@ def test_every_form_of_taking_rows_gives_them_in_order(selection: str, seed: int
     assert_same_rows(before, run(model, **fed))
 
 
-@pytest.mark.parametrize("then", THEN)
-def test_rows_pass_through_row_wise_operators(then: str) -> None:
-    model = masked(TAKEN["NonZero and GatherND"], THEN[then])
+@pytest.mark.parametrize("following_text", THEN)
+def test_rows_pass_through_row_wise_operators(following_text: str) -> None:
+    model = masked(TAKEN["NonZero and GatherND"], THEN[following_text])
     fed = inputs(3, 0.1)
     before = run(model, **fed)
     rewrite = MaskRows()
@@ -121,14 +121,15 @@ def test_masked_rows_do_not_reach_the_output() -> None:
 
 
 @pytest.mark.parametrize("op", ["ReduceSum", "ReduceMean", "ReduceMax", "ReduceMin"])
-@pytest.mark.parametrize(("axes", "keep"), [("zero", 1), ("zero", 0), ("both", 0)])
+@pytest.mark.parametrize(("axes", "kept_count"), [("zero", 1), ("zero", 0), ("both", 0)])
 @pytest.mark.parametrize("t", [-9.0, 0.1, 9.0])
 def test_rows_that_are_not_kept_take_no_part_in_sums(
-    op: str, axes: str, keep: int, t: float
+    op: str, axes: str, kept_count: int, t: float
 ) -> None:
-    text = f"g (float[{N},4] x, float[1] t) => (float z) <int64[1] zero = {{0}}, int64[2] both = {{0, 1}}, int64 first = {{0}}> {{ {MASK} r = Compress <axis = 0> (x, m)\n z = {op} <keepdims = {keep}> (r, {axes}) }}"
+    text = f"g (float[{N},4] x, float[1] t) => (float z) <int64[1] zero = {{0}}, int64[2] both = {{0, 1}}, int64 first = {{0}}> {{ {MASK} r = Compress <axis = 0> (x, m)\n z = {op} <keepdims = {kept_count}> (r, {axes}) }}"
     text = text.replace(
-        "(float z)", "(float[A,B] z)" if keep else "(float[A] z)" if axes == "zero" else "(float z)"
+        "(float z)",
+        "(float[A,B] z)" if kept_count else "(float[A] z)" if axes == "zero" else "(float z)",
     )
     model = parsed(text)
     fed = inputs(4, t)
@@ -204,8 +205,8 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_operators_that_mix_rows_are_left_alone(name: str) -> None:
-    then, count = REFUSED[name]
-    model = masked(TAKEN["NonZero and GatherND"], then, count)
+    following_text, count = REFUSED[name]
+    model = masked(TAKEN["NonZero and GatherND"], following_text, count)
     if "eleven" in count:
         value = model.graph.outputs[1].producer().inputs[0]
         value.const_value = ir.tensor(np.array([N], np.int32), name="eleven")
@@ -338,9 +339,9 @@ def test_masks_exported_by_torch_are_recognised(exported: bytes) -> None:
     assert not operators(model) & DYNAMIC
     for seed, t in ((0, 0.0), (1, -5.0), (2, 5.0)):
         fed = inputs(seed, t)
-        everything = Everything()(*(torch.tensor(v) for v in fed.values()))
+        expected_rows = Everything()(*(torch.tensor(v) for v in fed.values()))
         outputs = run(model, **fed)
         assert [len(entry) for entry in outputs] == [N, N, 1, N, 1, 14, 14, N]
-        for first, other in zip(outputs, everything, strict=True):
+        for first, other in zip(outputs, expected_rows, strict=True):
             np.testing.assert_allclose(first[: len(other)], other.numpy(), rtol=1e-6)
             np.testing.assert_array_equal(first[len(other) :], 0)

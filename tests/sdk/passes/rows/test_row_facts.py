@@ -64,16 +64,16 @@ def test_a_line_that_moves_as_a_whole_is_sampled_by_products(
 
 
 @pytest.mark.parametrize(
-    ("attributes", "why"),
+    ("attributes", "reason"),
     [
         ('mode = "nearest"', "mode is nearest"),
         ('padding_mode = "reflection"', "padding is reflection"),
     ],
 )
-def test_samples_that_do_not_factor_are_left_alone(attributes: str, why: str) -> None:
+def test_samples_that_do_not_factor_are_left_alone(attributes: str, reason: str) -> None:
     rewrite = SampleByProduct()
     assert not rewrite(field("p, e", attributes)).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
 
 
 @pytest.mark.parametrize("inputs", ["float[29,1] e", "float[29,1] p, float[1] t"])

@@ -169,7 +169,7 @@ def test_a_scatter_of_known_elements_is_gathered(dtype: str, axis: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "why"),
+    ("text", "reason"),
     [
         (
             "g (float[3] x, int64[1,1] i, float[1] u) => (float[3] y) { y = ScatterND (x, i, u) }",
@@ -189,10 +189,10 @@ def test_a_scatter_of_known_elements_is_gathered(dtype: str, axis: int) -> None:
         ),
     ],
 )
-def test_a_scatter_that_cannot_be_rewritten_says_why(text: str, why: str) -> None:
+def test_a_scatter_that_cannot_be_rewritten_says_why(text: str, reason: str) -> None:
     rewrite = GatherScatters()
     assert not rewrite(parsed(text)).modified
-    assert why in rewrite.refusals[0].reason
+    assert reason in rewrite.refusals[0].reason
 
 
 def test_a_scatter_in_a_branch_is_rewritten() -> None:

@@ -108,7 +108,7 @@ CODES = {"float": 1, "float16": 10, "double": 11, "int32": 6, "int64": 7, "int8"
 
 
 @pytest.mark.parametrize(
-    ("first", "between", "last", "merged"),
+    ("first", "middle_nodes", "last", "merged"),
     [
         ("int32", "int64", "int32", True),
         ("bool", "int64", "float", True),
@@ -125,10 +125,10 @@ CODES = {"float": 1, "float16": 10, "double": 11, "int32": 6, "int64": 7, "int8"
     ],
 )
 def test_a_cast_that_lost_nothing_is_left_out(
-    first: str, between: str, last: str, merged: bool
+    first: str, middle_nodes: str, last: str, merged: bool
 ) -> None:
     text = (
-        f"g ({first}[6] x) => ({last}[6] y) {{ a = Cast <to = {CODES[between]}> (x) "
+        f"g ({first}[6] x) => ({last}[6] y) {{ a = Cast <to = {CODES[middle_nodes]}> (x) "
         f"b = Cast <to = {CODES[last]}> (a) y = Reshape (b, s) }}"
     ).replace("{ a", "<int64[1] s = {6}> { a")
     model = parsed(text)
