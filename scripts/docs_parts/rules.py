@@ -13,7 +13,7 @@ def ours() -> Registry:
     """
     registry = all_rules()
     contract_rules = [rule for rule in registry.rules.values() if "/" not in rule.id]
-    return Registry.of(contract_rules, registry.backends.values())
+    return Registry.from_rules(contract_rules, registry.backends.values())
 
 
 def by_level() -> str:

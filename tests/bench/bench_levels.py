@@ -45,7 +45,7 @@ def long_chain(nodes: int) -> ModelSpec:
     chain = " ".join(remaining)
     text = f"plain = Add (center, shift) {chain} moved = Identity (step_{nodes})"
     numbers = {"one": np.ones(3, np.float32), "nil": np.zeros(3, np.float32)}
-    return base.reworded(first, text).weighing(**numbers)
+    return base.replace_text(first, text).with_weights(**numbers)
 
 
 def weighing(spec: ModelSpec, megabytes: int) -> ModelSpec:
@@ -54,11 +54,11 @@ def weighing(spec: ModelSpec, megabytes: int) -> ModelSpec:
         return spec
     rows = megabytes * 10**6 // 12
     table = np.random.default_rng(0).random((rows, 3), np.float32)
-    lookup_model = spec.reworded(
+    lookup_model = spec.replace_text(
         "color = Identity (colors)", "some = Gather (table, places) color = Mul (some, small)"
     )
     places = np.arange(5, dtype=np.int32)
-    return lookup_model.weighing(table=table, places=places, small=np.float32([0.1]))
+    return lookup_model.with_weights(table=table, places=places, small=np.float32([0.1]))
 
 
 def network(rows: int, width: int) -> ModelSpec:
@@ -79,15 +79,17 @@ def network(rows: int, width: int) -> ModelSpec:
         for name, value in base.weights.items()
         if value.ndim == 2 and len(value) == 5
     }
-    spec = base.reworded("shift = Mul (speed, wave) moved = Add (center, shift)", text)
+    spec = base.replace_text("shift = Mul (speed, wave) moved = Add (center, shift)", text)
     spec = replace(spec, outputs=spec.outputs.replace("[5,", f"[{rows},"))
     outputs = base.manifest.outputs
     gaussians = replace(outputs.gaussians, capacity=rows)
     layers = {"first": normal(width, width), "second": normal(width, width)}
     return (
-        spec.weighing(**remaining, **layers, third=normal(width, 3), feature=normal(rows, width))
-        .weighing(live=np.int32([rows]), center=rng.uniform(-1, 1, (rows, 3)).astype("f4"))
-        .declaring_outputs(gaussians=gaussians)
+        spec.with_weights(
+            **remaining, **layers, third=normal(width, 3), feature=normal(rows, width)
+        )
+        .with_weights(live=np.int32([rows]), center=rng.uniform(-1, 1, (rows, 3)).astype("f4"))
+        .with_outputs(gaussians=gaussians)
     )
 
 
@@ -165,19 +167,19 @@ def bench_share_of_onnx_runtime_in_behaviour(
     validate(path, settings)
     report = validate(path, settings)
     assert report.verdict == "conforms", [str(finding) for finding in report.findings]
-    inside, child = recorded[-1].inside, report.runtime_seconds
+    session_seconds, child = recorded[-1].session_seconds, report.runtime_seconds
     start = empty_child_seconds()
     print_figure(
         f"behaviour, {rows} rows moved by a network of width {width}: {report.seconds:.2f} s, "
-        f"{len(recorded[-1].runs)} runs; ONNX Runtime {inside:.2f} s, its process {child:.2f} s"
+        f"{len(recorded[-1].runs)} runs; ONNX Runtime {session_seconds:.2f} s, its process {child:.2f} s"
     )
     bar = f" (bar {_SHARE:.0%})" if width >= _WIDE else ""
     print_figure(
-        f"  share of ONNX Runtime {inside / report.seconds:.0%}; "
-        f"{inside / (report.seconds - start):.0%} without the {start:.2f} s that a process takes to start{bar}"
+        f"  share of ONNX Runtime {session_seconds / report.seconds:.0%}; "
+        f"{session_seconds / (report.seconds - start):.0%} without the {start:.2f} s that a process takes to start{bar}"
     )
     if width >= _WIDE:
-        assert inside >= _SHARE * report.seconds
+        assert session_seconds >= _SHARE * report.seconds
 
 
 def empty_child_seconds() -> float:

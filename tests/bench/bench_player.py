@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.media.pictures import save_picture
@@ -141,7 +141,7 @@ def joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """How much of inference passes while a frame is drawn; both take turns without overlap."""
-    drifting(200_000, degree=1).write(tmp_path / "many.onnx")
+    drifting_model(200_000, degree=1).write(tmp_path / "many.onnx")
     camera = Camera.orbit((0, 0, 0), 4, width=320, height=180)
     times = np.linspace(0, 1, 12).tolist()
     spans: dict[str, list[tuple[float, float]]] = {
@@ -195,7 +195,7 @@ def bench_frames_in_flight(renderer: Renderer, tmp_path: Path, pixel_operations:
     Half of the frames are played in each way, in turns. Where the driver is software, drawing,
     inference and the host share the same cores, so that there is little to gain.
     """
-    drifting(100_000, degree=1).write(tmp_path / "many.onnx")
+    drifting_model(100_000, degree=1).write(tmp_path / "many.onnx")
     camera = Camera.orbit((0, 0, 0), 4, width=640, height=360)
     moments = np.linspace(0, 1, 8)
     durations: dict[int, list[float]] = {1: [], 2: []}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from conformance.pytest_runs import write
-from gsgen.conformance.evidence import Dumps, suspects
-from gsgen.conformance.rerun import find_probes, plan_for, save
+from gsgen.conformance.evidence import Dumps, suspect_probes
+from gsgen.conformance.rerun import find_probes, plan_model_runs, save_runs
 from gsgen.conformance.run import run_model
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.severity import Severity
@@ -18,10 +18,10 @@ from gsgen.contract.validation.settings import Settings
 
 def test_a_dump_that_is_too_large_is_announced_not_written(tmp_path: Path) -> None:
     (model,) = write(tmp_path, "opacity_is_logits")
-    run = run_model(model, Settings(), dumps=Dumps(tmp_path / "dumps", most=10))
+    run = run_model(model, Settings(), dumps=Dumps(tmp_path / "dumps", max_bytes=10))
     (evidence,) = run.evidence.values()
     assert evidence.dump is None
-    assert evidence.withheld > 10
+    assert evidence.withheld_bytes > 10
     assert "kept only where a folder is given" in str(evidence)
     assert not (tmp_path / "dumps").exists()
 
@@ -49,15 +49,15 @@ def test_suspects_are_the_probes_that_findings_speak_of(tmp_path: Path) -> None:
     (model,) = write(tmp_path, "time_times_zero")
     strict_settings = Settings(fail_on=Severity.WARNING)
     findings = run_model(model, strict_settings).case("GB003").findings
-    _, plan = plan_for(model, strict_settings)
-    labels = [probe.label for probe in suspects(plan, findings)]
+    _, plan = plan_model_runs(model, strict_settings)
+    labels = [probe.label for probe in suspect_probes(plan, findings)]
     assert any(" with the time of " in label for label in labels)
-    assert suspects(plan, []) == [plan.probes[1]]
+    assert suspect_probes(plan, []) == [plan.probes[1]]
 
 
 def test_probes_go_by_label_or_number(tmp_path: Path) -> None:
     (model,) = write(tmp_path, "drift")
-    _, plan = plan_for(model, Settings())
+    _, plan = plan_model_runs(model, Settings())
     assert find_probes(plan.probes, "2")[0] is plan.probes[2]
     assert find_probes(plan.probes, plan.probes[2].label)[0] is plan.probes[2]
     with pytest.raises(UnknownName, match="unknown probe '999'"):
@@ -66,9 +66,9 @@ def test_probes_go_by_label_or_number(tmp_path: Path) -> None:
 
 def test_names_of_tensors_do_not_steer_the_file(tmp_path: Path) -> None:
     (model,) = write(tmp_path, "drift")
-    _, plan = plan_for(model, Settings())
+    _, plan = plan_model_runs(model, Settings())
     odd = replace(plan.probes[1], inputs={"../file": np.arange(3), "file": np.arange(2)})
-    save(tmp_path / "a" / "x.npz", [(odd, {"a/b": np.ones(4)}), (odd, {})])
+    save_runs(tmp_path / "a" / "x.npz", [(odd, {"a/b": np.ones(4)}), (odd, {})])
     with np.load(tmp_path / "a" / "x.npz") as arrays:
         assert set(arrays) == {
             *("probe", "input.../file", "input.file", "output.a/b"),

@@ -23,8 +23,8 @@ def test_lazy_names_agree_with_type_checking_imports(package: str) -> None:
         for node in block.body if isinstance(block, ast.If) else ():
             assert isinstance(node, ast.ImportFrom)
             module_by_name |= {alias.name: str(node.module) for alias in node.names}
-    assert module._HOMES.keys() == module_by_name.keys()
-    for name, home_module in module._HOMES.items():
+    assert module._MODULE_BY_NAME.keys() == module_by_name.keys()
+    for name, home_module in module._MODULE_BY_NAME.items():
         assert home_module in (
             module_by_name[name],
             f"{module_by_name[name]}.{name}",

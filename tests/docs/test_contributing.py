@@ -194,7 +194,7 @@ def test_a_pass_touches_the_places_of_the_page(copy: Copy) -> None:
     )
     copy.insert(registry, after="    MergeCasts,\n", text="    MergeNegations,\n")
     copy.assert_touches_only("pass")
-    model = still().reworded(COLORS, "negated = Neg (colors) color = Neg (negated)").build()
+    model = still().replace_text(COLORS, "negated = Neg (colors) color = Neg (negated)").build()
     onnx.save(model, copy.folder / "model.onnx")
     completed = copy.gsgen("rewrite", "model.onnx", "-o", "out.onnx", "--pass", "merge-negations")
     assert completed.returncode == 0, completed.stdout + completed.stderr

@@ -135,7 +135,7 @@ def test_missing_inputs_are_fed_as_gsgen_feeds_them(
 
 def altered(name: str, path: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
     """Write a fixture with an edited manifest to ``path``."""
-    find(name).draw().rewritten(edit).write(path)
+    find(name).draw().edit_manifest(edit).write(path)
     return path
 
 
@@ -145,7 +145,7 @@ def test_a_count_below_zero_counts_as_zero(viewer: ModuleType, tmp_path: Path) -
     lens = viewer.look_at(FAR, (0, 0, 0), size=SIZE)
     spec.write(path)
     assert viewer.frame(str(path), lens).max() > 0.1
-    spec.weighing(live=i32(-1)).write(path)
+    spec.with_weights(live=i32(-1)).write(path)
     assert viewer.frame(str(path), lens).max() == 0
 
 
@@ -155,7 +155,7 @@ def test_the_fourth_channel_of_rgb_may_be_nan(viewer: ModuleType, tmp_path: Path
     lens = viewer.look_at(FAR, (0, 0, 0), size=SIZE)
     spec.write(path)
     right = viewer.frame(str(path), lens)
-    spec.altered("colors", np.s_[:, 3], np.nan).write(path)
+    spec.with_weight_values("colors", np.s_[:, 3], np.nan).write(path)
     np.testing.assert_array_equal(viewer.frame(str(path), lens), right)
 
 

@@ -41,7 +41,7 @@ def registry_with(*rules):
     retained = (
         rule for rule in installed_rules().rules.values() if rule.id not in {r.id for r in rules}
     )
-    return Registry.of([*retained, *rules])
+    return Registry.from_rules([*retained, *rules])
 
 
 def test_a_case_is_decided_by_its_numbers_alone(corpus):

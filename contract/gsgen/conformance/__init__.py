@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["Check", "GeneratorConformance", "RuleWarning", "parametrize_with_rules"]
 
 # Public name → the module that defines it, or that it is.
-_HOMES: Final = {
+_MODULE_BY_NAME: Final = {
     "GeneratorConformance": "gsgen.conformance.pytest.generator",
     "Check": "gsgen.conformance.pytest.testing",
     "RuleWarning": "gsgen.conformance.pytest.testing",
@@ -23,10 +23,10 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_HOMES[name])
-    globals()[name] = getattr(home, name, home)
+    value = import_module(_MODULE_BY_NAME[name])
+    globals()[name] = getattr(value, name, value)
     return globals()[name]
 
 

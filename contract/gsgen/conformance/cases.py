@@ -3,7 +3,7 @@
 Every front end (pytest, the command line) shows these cases, so that all report the same.
 """
 
-__all__ = ["Case", "CaseStatus", "settle"]
+__all__ = ["Case", "CaseStatus", "make_case"]
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -49,12 +49,12 @@ class Case:
         return bool(self.findings)
 
 
-def settle(
+def make_case(
     report: Report, rule: Rule, suite: str, expected: Iterable[ExpectedFailure] = ()
 ) -> Case:
     """Return one rule's test case, from the model's validation report and expected failures."""
     path = PurePath(report.path)
-    foreseen = next((entry for entry in expected if entry.matches(rule.id, path)), None)
+    expected_failure = next((entry for entry in expected if entry.matches(rule.id, path)), None)
     outcome = report.outcome(rule.id)
     findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
     if outcome.status == "crashed":
@@ -64,20 +64,20 @@ def settle(
         return Case(
             rule=rule, suite=suite, status="skipped", text=f"{outcome.status}: {outcome.reason}"
         )
-    status, text = _judged(report, findings, foreseen)
+    status, text = _status_and_text(report, findings, expected_failure)
     return Case(rule=rule, suite=suite, status=status, text=text, findings=findings)
 
 
-def _judged(
-    report: Report, findings: tuple[Finding, ...], foreseen: ExpectedFailure | None
+def _status_and_text(
+    report: Report, findings: tuple[Finding, ...], expected_failure: ExpectedFailure | None
 ) -> tuple[CaseStatus, str]:
     if not findings:
-        if foreseen is None:
+        if expected_failure is None:
             return "passed", ""
-        return "failed", f"holds, but is expected to fail: remove the entry\n  {foreseen}"
-    text = _words(findings)
-    if foreseen is not None:
-        return "expected", f"{foreseen}\n{text}"
+        return "failed", f"holds, but is expected to fail: remove the entry\n  {expected_failure}"
+    text = _findings_text(findings)
+    if expected_failure is not None:
+        return "expected", f"{expected_failure}\n{text}"
     if any(report.fails_by(finding) for finding in findings):
         return "failed", text
     if not any(finding.counts for finding in findings):
@@ -85,7 +85,7 @@ def _judged(
     return "warned", text
 
 
-def _words(findings: tuple[Finding, ...]) -> str:
+def _findings_text(findings: tuple[Finding, ...]) -> str:
     """Return a rule's findings as text, in the format of `gsgen validate`."""
-    reported = [finding for finding in findings if finding.counts] or findings
-    return "\n".join(line.text for line in finding_lines(reported))
+    counted_findings = [finding for finding in findings if finding.counts] or findings
+    return "\n".join(line.text for line in finding_lines(counted_findings))

@@ -1,6 +1,6 @@
 """Collects evidence of broken rules: a command that reproduces each, with inputs and outputs."""
 
-__all__ = ["Dumps", "Evidence", "gather", "suspects"]
+__all__ = ["Dumps", "Evidence", "collect_evidence", "suspect_probes"]
 
 import os
 import re
@@ -10,7 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsgen.conformance.cases import Case
-from gsgen.conformance.rerun import ONE_PROBE, Arrays, Replay, plan_for, replay, save
+from gsgen.conformance.rerun import (
+    SINGLE_PROBE_SCOPES,
+    Arrays,
+    Replay,
+    plan_model_runs,
+    rerun_probes,
+    save_runs,
+)
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
@@ -19,7 +26,7 @@ from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.settings import Settings
 
-_MOST_RUNS = 4
+_MAX_RUNS = 4
 
 Runs = list[tuple[Probe, Arrays]]
 
@@ -36,14 +43,14 @@ class Evidence:
 
     command: str
     dump: Path | None = None
-    withheld: int = 0
+    withheld_bytes: int = 0
 
     def __str__(self) -> str:
         lines = [f"    reproduce: {self.command}"]
         if self.dump:
             lines.append(f"    inputs and outputs: {self.dump}")
-        if self.withheld:
-            size = format_mebibytes(self.withheld, 0)
+        if self.withheld_bytes:
+            size = format_mebibytes(self.withheld_bytes, 0)
             lines.append(f"    inputs and outputs: {size}, kept only where a folder is given")
         return "\n".join(lines)
 
@@ -58,7 +65,7 @@ class Dumps:
     """
 
     folder: Path
-    most: int | None = None
+    max_bytes: int | None = None
 
     def __post_init__(self) -> None:
         """Raise if the folder for saved model inputs and outputs is a file."""
@@ -66,7 +73,7 @@ class Dumps:
             raise ConfigInvalid("is a file, expected a folder", where=str(self.folder))
 
 
-def gather(
+def collect_evidence(
     path: Path, settings: Settings, cases: Iterable[Case], dumps: Dumps | None
 ) -> dict[str, Evidence]:
     """Return the evidence for each broken rule; save model inputs and outputs if a folder is set.
@@ -74,35 +81,41 @@ def gather(
     The failing probes are run once more, so that a command names a probe only if that probe
     alone breaks the rule.
     """
-    broken = [case for case in cases if case.broken]
-    by_rule = {case.rule.id: Evidence(_command(path, settings, case)) for case in broken}
-    ran = [case for case in broken if case.rule.scope not in ("model", "report")]
-    if not ran:
-        return by_rule
-    subject, plan = plan_for(path, settings)
-    probes_by_rule = {case.rule.id: suspects(plan, case.findings) for case in ran}
-    if any(case.rule.scope == "execution" for case in ran):  # the run did not finish,
-        for case in ran:  # so it is not repeated
+    broken_cases = [case for case in cases if case.broken]
+    evidence_by_rule = {
+        case.rule.id: Evidence(_command(path, settings, case)) for case in broken_cases
+    }
+    executed_cases = [case for case in broken_cases if case.rule.scope not in ("model", "report")]
+    if not executed_cases:
+        return evidence_by_rule
+    subject, plan = plan_model_runs(path, settings)
+    probes_by_rule = {case.rule.id: suspect_probes(plan, case.findings) for case in executed_cases}
+    if any(case.rule.scope == "execution" for case in executed_cases):  # the run did not finish,
+        for case in executed_cases:  # so it is not repeated
             runs: Runs = [(probe, {}) for probe in probes_by_rule[case.rule.id]]
             command = _command(path, settings, case)
-            by_rule[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
-        return by_rule
+            evidence_by_rule[case.rule.id] = _save_evidence(
+                dumps, path, settings, case, command, runs
+            )
+        return evidence_by_rule
     probes = list(
         {
             id(probe): probe for rule_probes in probes_by_rule.values() for probe in rule_probes
         }.values()
     )
     index_by_probe = {id(probe): number for number, probe in enumerate(probes)}
-    with replay(subject, probes, settings) as rerun:
-        for case in ran:
+    with rerun_probes(subject, probes, settings) as rerun:
+        for case in executed_cases:
             numbers = [index_by_probe[id(probe)] for probe in probes_by_rule[case.rule.id]]
             runs = [(probes[number], rerun.outputs(number)) for number in numbers]
-            command = _command(path, settings, case, _enough(rerun, case, numbers))
-            by_rule[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
-    return by_rule
+            command = _command(path, settings, case, _sufficient_probe(rerun, case, numbers))
+            evidence_by_rule[case.rule.id] = _save_evidence(
+                dumps, path, settings, case, command, runs
+            )
+    return evidence_by_rule
 
 
-def _keep(
+def _save_evidence(
     dumps: Dumps | None, path: Path, settings: Settings, case: Case, command: str, runs: Runs
 ) -> Evidence:
     if dumps is None:
@@ -111,15 +124,15 @@ def _keep(
         array for probe, outputs in runs for array in (*probe.inputs.values(), *outputs.values())
     )
     size = sum(array.nbytes for array in arrays)
-    if dumps.most is not None and size > dumps.most:
-        return Evidence(command, withheld=size)
+    if dumps.max_bytes is not None and size > dumps.max_bytes:
+        return Evidence(command, withheld_bytes=size)
     name = re.sub(r"[^\w.-]+", "-", f"{path.stem}.{settings.target.name}.{case.rule.id}")
     target = dumps.folder / f"{name}.npz"
-    save(target, runs)
+    save_runs(target, runs)
     return Evidence(command, target)
 
 
-def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
+def suspect_probes(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
     """Return the probes (sets of test inputs) that findings name, or else one probe of the plan."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
@@ -128,15 +141,15 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
         if any(finding.where.subject == f"role {role}" for finding in findings):
             matches += [plan.probes[base], *(plan.probes[variant] for variant in variants)]
     distinct = list({id(probe): probe for probe in matches}.values())
-    return distinct[:_MOST_RUNS] or [plan.probes[min(1, plan.values - 1)]]
+    return distinct[:_MAX_RUNS] or [plan.probes[min(1, plan.values - 1)]]
 
 
-def _enough(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:
+def _sufficient_probe(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:
     """Return the first of given sets of test inputs that by itself makes a model break a rule."""
-    if case.rule.scope not in ONE_PROBE:
+    if case.rule.scope not in SINGLE_PROBE_SCOPES:
         return None
-    breaking = (number for number in numbers if rerun.findings(case.rule, number))
-    first = next(breaking, None)
+    failing_numbers = (number for number in numbers if rerun.findings(case.rule, number))
+    first = next(failing_numbers, None)
     return None if first is None else rerun.probes[first]
 
 

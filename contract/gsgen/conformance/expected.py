@@ -20,8 +20,8 @@ from typing import Any
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.validation.rule import Registry
 
-_TABLE = "xfail"
-_KEYS = ("rule", "model", "reason")
+_TABLE_NAME = "xfail"
+_ENTRY_KEYS = ("rule", "model", "reason")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +69,20 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
         raise ConfigInvalid(
             f"the file of expected failures is not TOML: {error}", where=where
         ) from error
-    _refuse_strange_keys(data, (_TABLE,), where)
-    tables = data.get(_TABLE, [])
+    _refuse_unknown_keys(data, (_TABLE_NAME,), where)
+    tables = data.get(_TABLE_NAME, [])
     if not (isinstance(tables, list) and all(isinstance(entry, dict) for entry in tables)):
-        raise ConfigInvalid(f"{_TABLE} is {tables!r}, expected tables [[{_TABLE}]]", where=where)
+        raise ConfigInvalid(
+            f"{_TABLE_NAME} is {tables!r}, expected tables [[{_TABLE_NAME}]]", where=where
+        )
     return tuple(
-        _entry(table, f"{where}, {_TABLE} {number}", where, registry)
+        _entry(table, f"{where}, {_TABLE_NAME} {number}", where, registry)
         for number, table in enumerate(tables, start=1)
     )
 
 
 def _entry(table: dict[str, Any], where: str, source: str, registry: Registry) -> ExpectedFailure:
-    _refuse_strange_keys(table, _KEYS, where)
+    _refuse_unknown_keys(table, _ENTRY_KEYS, where)
     for key, value in table.items():
         if not (isinstance(value, str) and value.strip()):
             raise ConfigInvalid(
@@ -88,20 +90,20 @@ def _entry(table: dict[str, Any], where: str, source: str, registry: Registry) -
             )
     for key in ("rule", "reason"):
         if key not in table:
-            raise ConfigInvalid(f"the table [[{_TABLE}]] lacks the key {key!r}", where=where)
+            raise ConfigInvalid(f"the table [[{_TABLE_NAME}]] lacks the key {key!r}", where=where)
     rule = registry.find(table["rule"], where).id
     return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
 
 
-def _refuse_strange_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
+def _refuse_unknown_keys(table: Mapping[str, Any], known_keys: tuple[str, ...], where: str) -> None:
     for key in table:
-        if key not in known:
-            raise UnknownName.among("key", key, known, where)
+        if key not in known_keys:
+            raise UnknownName.among("key", key, known_keys, where)
 
 
 def unmatched_entries(
-    entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
+    entries: Iterable[ExpectedFailure], rules_by_model: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
     """Return the expected failures that match no validation rule tested on any model."""
-    pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
+    pairs = [(rule, path) for path, rules in rules_by_model.items() for rule in rules]
     return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

@@ -1,14 +1,21 @@
 """Reproduces a broken rule: checks it on one set of inputs, returns the Gaussians that break it."""
 
-__all__ = ["NotJudged", "Reproduction", "Row", "RuleCrashed", "reproduce"]
+__all__ = ["Reproduction", "Row", "RuleCrashed", "RuleNotChecked", "reproduce"]
 
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsgen.conformance.evidence import suspects
-from gsgen.conformance.rerun import ONE_PROBE, Replay, find_probes, plan_for, replay, save
+from gsgen.conformance.evidence import suspect_probes
+from gsgen.conformance.rerun import (
+    SINGLE_PROBE_SCOPES,
+    Replay,
+    find_probes,
+    plan_model_runs,
+    rerun_probes,
+    save_runs,
+)
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
@@ -19,11 +26,11 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
 
-class NotJudged(GsgenError):
+class RuleNotChecked(GsgenError):
     """Raised if a rule cannot be checked, so that it is unknown whether the model breaks it."""
 
 
-class RuleCrashed(NotJudged):
+class RuleCrashed(RuleNotChecked):
     """Raised if a rule raises an exception: a fault of the rule, not of the model."""
 
     exit_code = ExitCode.INTERNAL
@@ -82,20 +89,22 @@ def reproduce(
     if rule.scope != "report":  # such a rule depends on all findings
         settings = replace(settings, level=rule.level)
     if probe is None:
-        report = _judge(path, rule, settings)
+        report = _check_rule(path, rule, settings)
         findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
-        return Reproduction(rule, findings, (), _look(path, rule, settings, findings, dump))
-    if rule.scope not in ONE_PROBE:
-        message = f"{rule.id} does not check single probes but {_SUBJECTS[rule.scope]}"
+        return Reproduction(
+            rule, findings, (), _rerun_and_read_rows(path, rule, settings, findings, dump)
+        )
+    if rule.scope not in SINGLE_PROBE_SCOPES:
+        message = f"{rule.id} does not check single probes but {_SCOPE_TEXTS[rule.scope]}"
         raise ConfigInvalid(message, where="--probe", hint="Leave --probe out.")
-    _judge(path, rule, replace(settings, level=Level.STATIC))
-    subject, plan = plan_for(path, settings)
+    _check_rule(path, rule, replace(settings, level=Level.STATIC))
+    subject, plan = plan_model_runs(path, settings)
     probes = find_probes(plan.probes, probe)
     labels = tuple(probe.label for probe in probes)
-    with replay(subject, probes, settings) as rerun:
+    with rerun_probes(subject, probes, settings) as rerun:
         if rerun.execution.fault and rule.scope != "execution":
-            raise NotJudged(rerun.execution.fault.message, where=f"{path} does not run")
-        _save(rerun, dump)
+            raise RuleNotChecked(rerun.execution.fault.message, where=f"{path} does not run")
+        _save_dump(rerun, dump)
         for number in range(len(probes)):
             findings = rerun.findings(rule, number)
             if findings:
@@ -103,49 +112,51 @@ def reproduce(
     return Reproduction(rule, (), labels, ())
 
 
-_SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "the whole report"}
+_SCOPE_TEXTS = {"model": "the file", "runs": "several runs compared", "report": "the whole report"}
 
 
-def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
+def _check_rule(path: Path, rule: Rule, settings: Settings) -> Report:
     """Check one rule together with the rules that it depends on; return the validation report."""
     registry = installed_rules()
-    needed = Registry(registry.with_needs([rule.id]).rules)  # without backends of further levels
-    part = registry if rule.scope == "report" else needed
-    report = validate(path, settings, registry=part)
+    needed_rules = Registry(
+        registry.with_needs([rule.id]).rules
+    )  # without backends of further levels
+    rule_registry = registry if rule.scope == "report" else needed_rules
+    report = validate(path, settings, registry=rule_registry)
     outcome = report.outcome(rule.id)
-    blocked = [
+    failing_rules = [
         outcome.rule.id for outcome in report.outcomes if outcome.status in ("fail", "crashed")
     ]
     if settings.level < rule.level and outcome.status == "skipped":
-        needs = [name for name in blocked if name in part.rules and name != rule.id]
+        needs = [name for name in failing_rules if name in rule_registry.rules and name != rule.id]
         reason = f"because {needs[0]} does not hold" if needs else ""
     else:
         reason = "" if outcome.status in ("pass", "fail") else outcome.reason
     if reason:
         hint = f"`gsgen validate {shlex.quote(str(path))}` reports the reason."
-        cause = RuleCrashed if outcome.status == "crashed" else NotJudged
-        raise cause(reason, where=f"{rule.id} was not checked", hint=hint)
+        error_type = RuleCrashed if outcome.status == "crashed" else RuleNotChecked
+        raise error_type(reason, where=f"{rule.id} was not checked", hint=hint)
     return report
 
 
-def _look(
+def _rerun_and_read_rows(
     path: Path, rule: Rule, settings: Settings, findings: tuple[Finding, ...], dump: Path | None
 ) -> tuple[Row, ...]:
     """Rerun a model on inputs that break a rule; save the runs, and return invalid Gaussians."""
     if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
-    subject, plan = plan_for(path, settings)
-    with replay(subject, suspects(plan, findings), settings) as rerun:
-        _save(rerun, dump)
+    subject, plan = plan_model_runs(path, settings)
+    with rerun_probes(subject, suspect_probes(plan, findings), settings) as rerun:
+        _save_dump(rerun, dump)
         labels = [probe.label for probe in rerun.probes]
         label = findings[0].examples[0].probe if findings[0].examples else ""
         return _rows(rerun, labels.index(label), findings) if label in labels else ()
 
 
-def _save(rerun: Replay, dump: Path | None) -> None:
+def _save_dump(rerun: Replay, dump: Path | None) -> None:
     if dump is not None:
         runs = [(probe, rerun.outputs(number)) for number, probe in enumerate(rerun.probes)]
-        save(dump, runs)
+        save_runs(dump, runs)
 
 
 def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
@@ -153,9 +164,11 @@ def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row,
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()
-    shown = [e.row for finding in findings for e in finding.examples if e.probe in ("", label)]
+    row_indices = [
+        e.row for finding in findings for e in finding.examples if e.probe in ("", label)
+    ]
     rows = []
-    for row in dict.fromkeys(row for row in shown if row is not None):
+    for row in dict.fromkeys(row for row in row_indices if row is not None):
         packed = tuple(emission.gaussians[row].tolist())
         color = () if emission.appearance is None else emission.appearance[row].tolist()
         rows.append(Row(row, label, packed, tuple(color)))

@@ -1,6 +1,13 @@
 """Runs a model again with a few test inputs, checks one rule, and saves inputs and outputs."""
 
-__all__ = ["ONE_PROBE", "Replay", "find_probes", "plan_for", "replay", "save"]
+__all__ = [
+    "SINGLE_PROBE_SCOPES",
+    "Replay",
+    "find_probes",
+    "plan_model_runs",
+    "rerun_probes",
+    "save_runs",
+]
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,7 +33,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
 # Scopes of rules that can be checked with one probe alone.
-ONE_PROBE = ("rows", "sample", "emission", "execution")
+SINGLE_PROBE_SCOPES = ("rows", "sample", "emission", "execution")
 
 Arrays = dict[str, np.ndarray]
 
@@ -63,14 +70,16 @@ class Replay:
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
         """Return the findings of one validation rule for one set of test inputs alone."""
-        alone = Registry.of([replace(rule, needs=())])
-        board = ResultCollector(registry=alone, settings=self.settings, kind=self.subject.kind)
-        for subject, start in self._seen(rule, probe):
-            board.check(rule, subject, self.probes[probe].label, start)
-        board.settle(alone.rules.values())
-        return board.findings()
+        single_rule = Registry.from_rules([replace(rule, needs=())])
+        collector = ResultCollector(
+            registry=single_rule, settings=self.settings, kind=self.subject.kind
+        )
+        for subject, start in self._rule_subjects(rule, probe):
+            collector.check(rule, subject, self.probes[probe].label, start)
+        collector.settle(single_rule.rules.values())
+        return collector.findings()
 
-    def _seen(self, rule: Rule, probe: int) -> Iterator[tuple[object, int]]:
+    def _rule_subjects(self, rule: Rule, probe: int) -> Iterator[tuple[object, int]]:
         if rule.scope == "execution":
             plan = Plan(probes=self.probes, values=len(self.probes))
             yield ProbeRuns(self.subject, self.execution, plan), 0
@@ -84,7 +93,7 @@ class Replay:
                 yield from ((chunk, chunk.start) for chunk in chunks(emission))
 
 
-def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
+def plan_model_runs(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
     """Return a model's parsed file and its planned test runs; the manifest must be readable."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
@@ -92,13 +101,13 @@ def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
 
 
 @contextmanager
-def replay(
+def rerun_probes(
     subject: InspectedModel, probes: Sequence[Probe], settings: Settings
 ) -> Iterator[Replay]:
     """Run some test inputs of a model again in the sandbox; results last for the ``with`` block."""
     path, names = subject.file.path, fetched_outputs(subject)
-    stored = tuple(replace(probe, survey=False) for probe in probes)
-    with execute(path, names, stored, subject.granted) as execution:
+    stored_probes = tuple(replace(probe, survey=False) for probe in probes)
+    with execute(path, names, stored_probes, subject.sandbox_limits) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
 
 
@@ -117,7 +126,7 @@ def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
     return tuple({id(probe): probe for probe in matches}.values())
 
 
-def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
+def save_runs(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
     """Save the inputs and outputs of model runs to an ``.npz`` file.
 
     The first run's arrays are called ``input.NAME`` and ``output.NAME``, the second's
@@ -125,9 +134,9 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
     """
     arrays: Arrays = {}
     for number, (probe, outputs) in enumerate(runs, start=1):
-        head = f"{number}." if number > 1 else ""
-        arrays[f"{head}probe"] = np.asarray(probe.label)
-        arrays |= {f"{head}input.{name}": array for name, array in probe.inputs.items()}
-        arrays |= {f"{head}output.{name}": array for name, array in outputs.items()}
-    with atomic_write(path) as draft, draft.open("wb") as file:
+        key_prefix = f"{number}." if number > 1 else ""
+        arrays[f"{key_prefix}probe"] = np.asarray(probe.label)
+        arrays |= {f"{key_prefix}input.{name}": array for name, array in probe.inputs.items()}
+        arrays |= {f"{key_prefix}output.{name}": array for name, array in outputs.items()}
+    with atomic_write(path) as temporary_path, temporary_path.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # no array has the name `allow_pickle`

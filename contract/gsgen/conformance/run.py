@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gsgen.conformance.cases import Case, CaseStatus, settle
-from gsgen.conformance.evidence import Dumps, Evidence, gather
+from gsgen.conformance.cases import Case, CaseStatus, make_case
+from gsgen.conformance.evidence import Dumps, Evidence, collect_evidence
 from gsgen.conformance.expected import ExpectedFailure
-from gsgen.conformance.suite import Declared, plan_suites
+from gsgen.conformance.suite import DeclaredFeatures, plan_suites
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.rules.catalogue import installed_rules
@@ -52,17 +52,17 @@ class ModelRun:
     @property
     def suites(self) -> dict[str, list[Case]]:
         """The test cases of the model, grouped by the name of the conformance suite."""
-        by_suite: dict[str, list[Case]] = {}
+        cases_by_suite: dict[str, list[Case]] = {}
         for case in self.cases:
-            by_suite.setdefault(case.suite, []).append(case)
-        return by_suite
+            cases_by_suite.setdefault(case.suite, []).append(case)
+        return cases_by_suite
 
 
 def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
     """Return the conformance suites that apply to a model with their rules; nothing is run."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     rules = installed_rules().rules.values()
-    return plan_suites(rules, Declared.by(subject), settings.target)
+    return plan_suites(rules, DeclaredFeatures.from_model(subject), settings.target)
 
 
 def run_model(
@@ -88,13 +88,13 @@ def run_model(
         ModelUnreadable: The file is not an ONNX model at all.
     """
     suite_names, entries = set(suites), tuple(expected)
-    planned = suites_of(path, settings)
+    rules_by_suite = suites_of(path, settings)
     report = validate(path, settings, progress=progress)
     cases = tuple(
-        settle(report, rule, name, entries)
-        for name, rules in planned.items()
+        make_case(report, rule, name, entries)
+        for name, rules in rules_by_suite.items()
         if not suite_names or name in suite_names
         for rule in rules
     )
     failing = [case for case in cases if case.status in FAILING]
-    return ModelRun(report, cases, gather(path, settings, failing, dumps))
+    return ModelRun(report, cases, collect_evidence(path, settings, failing, dumps))

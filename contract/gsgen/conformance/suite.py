@@ -5,7 +5,7 @@ A rule belongs to the first suite that claims it among those that apply to the m
 model that passes all its suites.
 """
 
-__all__ = ["BASIC", "SUITES", "Declared", "Suite", "find_suite", "plan_suites"]
+__all__ = ["BASIC", "SUITES", "DeclaredFeatures", "Suite", "find_suite", "plan_suites"]
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ from gsgen.contract.validation.rule import Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Declared:
+class DeclaredFeatures:
     """The features that a manifest declares, which decide the conformance suites that apply.
 
     Attributes:
         kind: The kind of model; empty if the manifest cannot be read.
         roles: The roles of the inputs.
-        replays: Whether the model promises that its kernels can be recorded once and replayed.
+        supports_replay: Whether the model promises that its kernels can be recorded once and replayed.
     """
 
     kind: str
     roles: frozenset[str] = frozenset()
-    replays: bool = False
+    supports_replay: bool = False
 
     @classmethod
-    def by(cls, subject: InspectedModel) -> "Declared":
+    def from_model(cls, subject: InspectedModel) -> "DeclaredFeatures":
         """Return the features that the manifest (or the inferred manifest) of a model declares."""
         manifest = subject.manifest
         if manifest is None:
@@ -56,27 +56,27 @@ class Suite:
 
     name: str
     summary: str
-    applies: Callable[[Declared], bool]
+    applies: Callable[[DeclaredFeatures], bool]
     claims: Callable[[Rule], bool]
 
 
-def _kind(*kinds: str) -> Callable[[Declared], bool]:
+def _is_kind(*kinds: str) -> Callable[[DeclaredFeatures], bool]:
     return lambda declared: declared.kind in kinds
 
 
-def _takes(*roles: str) -> Callable[[Declared], bool]:
+def _has_roles(*roles: str) -> Callable[[DeclaredFeatures], bool]:
     return lambda declared: declared.kind == GENERATOR and bool(declared.roles & {*roles})
 
 
-def _ids(*ids: str) -> Callable[[Rule], bool]:
+def _has_id(*ids: str) -> Callable[[Rule], bool]:
     return lambda rule: rule.id in ids
 
 
-def _of_tensors(rule: Rule) -> bool:
+def _is_tensor_rule(rule: Rule) -> bool:
     return rule.family in ("GI", "GO", "GV")
 
 
-_CAPTURE = (
+_CAPTURE_RULES = (
     *("GO004", "GG003", "GG026", "GG004", "GG005", "GG006", "GG007", "GG008", "GG009"),
     *("GG016", "GG017", "GG018"),
 )
@@ -91,46 +91,46 @@ SUITES: tuple[Suite, ...] = (
     Suite(
         "camera",
         "Cameras have the declared form and the expected effect.",
-        _takes("view", "projection", "camera_position", "viewport"),
-        _ids(
+        _has_roles("view", "projection", "camera_position", "viewport"),
+        _has_id(
             "GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031", "GV059", "GV054"
         ),
     ),
     Suite(
         "time",
         "Time has the declared form, loops, and reaches every frame.",
-        _takes("time", "frame_index"),
-        _ids(
+        _has_roles("time", "frame_index"),
+        _has_id(
             "GI003", "GM010", "GB004", "GB005", "GB006", "GB033", "GB034", "TV108", "GI025", "GB040"
         ),
     ),
     Suite(
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
-        _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _ids("GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042", "GB043", "GB044"),
+        _has_roles("pose", "shape", "expression", "root_translation", "root_rotation"),
+        _has_id("GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042", "GB043", "GB044"),
     ),
     Suite(
         "appearance",
         "Colours have the declared layout and sensible values.",
-        _kind(GENERATOR),
-        _ids(
+        _is_kind(GENERATOR),
+        _has_id(
             *("GM007", "GM008", "GO005", "GO006", "GO007", "GO009", "GV012", "GV013"),
             *("GV014", "GV022", "GV044", "GV045", "GV046", "GV047", "GV048", "TV102", "TV104"),
         ),
     ),
-    Suite("post-process", "Images in, images out.", _kind(POST_PROCESS), _of_tensors),
+    Suite("post-process", "Images in, images out.", _is_kind(POST_PROCESS), _is_tensor_rule),
     Suite(
         "trajectory",
         "Camera states in, camera states with uncertainty out.",
-        _kind(TRAJECTORY),
-        _of_tensors,
+        _is_kind(TRAJECTORY),
+        _is_tensor_rule,
     ),
     Suite(
         "capture",
         "A runtime may record the kernels once and replay them.",
-        lambda declared: declared.replays,
-        lambda rule: rule.id in _CAPTURE or rule.level == Level.LIVE,
+        lambda declared: declared.supports_replay,
+        lambda rule: rule.id in _CAPTURE_RULES or rule.level == Level.LIVE,
     ),
     BASIC,
 )
@@ -149,22 +149,24 @@ def find_suite(name: str, where: str = "--suite") -> Suite:
 
 
 def plan_suites(
-    rules: Iterable[Rule], declared: Declared, target: Target
+    rules: Iterable[Rule], declared: DeclaredFeatures, target: Target
 ) -> dict[str, tuple[Rule, ...]]:
     """Return the conformance suites that apply to a model with their rules, ``basic`` first.
 
     Rules of other kinds of models, and of other targets, are left out: they cannot fail.
     """
-    applying = [suite for suite in SUITES if suite.applies(declared)]
-    by_suite: dict[str, list[Rule]] = {suite.name: [] for suite in (BASIC, *applying)}
+    applicable_suites = [suite for suite in SUITES if suite.applies(declared)]
+    rules_by_suite: dict[str, list[Rule]] = {
+        suite.name: [] for suite in (BASIC, *applicable_suites)
+    }
     for rule in rules:
-        if _concerns(rule, declared.kind, target):
-            suite = next(suite for suite in applying if suite.claims(rule))
-            by_suite[suite.name].append(rule)
-    return {name: tuple(suite_rules) for name, suite_rules in by_suite.items() if suite_rules}
+        if _can_apply(rule, declared.kind, target):
+            suite = next(suite for suite in applicable_suites if suite.claims(rule))
+            rules_by_suite[suite.name].append(rule)
+    return {name: tuple(suite_rules) for name, suite_rules in rules_by_suite.items() if suite_rules}
 
 
-def _concerns(rule: Rule, kind: str, target: Target) -> bool:
+def _can_apply(rule: Rule, kind: str, target: Target) -> bool:
     if rule.target and rule.target != target.name:
         return False
     if rule.limit and rule.limit not in target.limits:

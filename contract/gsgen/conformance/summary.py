@@ -19,7 +19,7 @@ SCHEMA = "gsgen-conformance/1"
 
 Entry = ModelRun | Unreadable
 
-_ORDER: tuple[CaseStatus, ...] = (
+_STATUS_ORDER: tuple[CaseStatus, ...] = (
     *("passed", "failed", "crashed", "warned", "expected", "skipped"),
 )
 _STYLE: dict[CaseStatus, str] = {
@@ -47,24 +47,24 @@ def lines_of(run: ModelRun) -> list[Line]:
     scope = f"validated for {report.target.label} at level {report.level.word}"
     lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {scope}", "bold")]
     for name, cases in run.suites.items():
-        worst = max((case.status for case in cases), key=_badness)
-        lines.append(Line(f"  {name:<13} {_counts(cases)}", _STYLE.get(worst, "")))
+        worst_status = max((case.status for case in cases), key=_severity_rank)
+        lines.append(Line(f"  {name:<13} {_counts_text(cases)}", _STYLE.get(worst_status, "")))
     for case in run.cases:
         if case.status in _STYLE:
-            lines += _shown(run, case)
+            lines += _case_lines(run, case)
     return [*lines, _verdict(run)]
 
 
-def _badness(status: CaseStatus) -> int:
+def _severity_rank(status: CaseStatus) -> int:
     return ("skipped", "passed", "expected", "warned", "failed", "crashed").index(status)
 
 
-def _counts(cases: Sequence[Case]) -> str:
+def _counts_text(cases: Sequence[Case]) -> str:
     counted = Counter(case.status for case in cases)
-    return ", ".join(f"{counted[status]} {status}" for status in _ORDER if counted[status])
+    return ", ".join(f"{counted[status]} {status}" for status in _STATUS_ORDER if counted[status])
 
 
-def _shown(run: ModelRun, case: Case) -> list[Line]:
+def _case_lines(run: ModelRun, case: Case) -> list[Line]:
     head = Line(f"  {case.suite}: {case.name} {case.status}", _STYLE[case.status])
     return [head, *(Line(text) for text in run.text(case).splitlines())]
 
@@ -72,7 +72,7 @@ def _shown(run: ModelRun, case: Case) -> list[Line]:
 def _verdict(run: ModelRun) -> Line:
     code = exit_code([run])
     word = {0: "passed", 1: "failed", 3: "a rule crashed, no verdict"}[code]
-    return Line(f"{word}: {_counts(run.cases)}", "bold red" if code else "bold green")
+    return Line(f"{word}: {_counts_text(run.cases)}", "bold red" if code else "bold green")
 
 
 def to_json(entries: Sequence[Entry]) -> str:
@@ -80,12 +80,12 @@ def to_json(entries: Sequence[Entry]) -> str:
     document = {
         "schema": SCHEMA,
         "tool": {"name": "gsgen", "version": version("gsgen")},
-        "models": [_model(entry) for entry in entries],
+        "models": [_model_entry(entry) for entry in entries],
     }
     return json.dumps(document, indent=2, ensure_ascii=False)
 
 
-def _model(entry: Entry) -> dict[str, Any]:
+def _model_entry(entry: Entry) -> dict[str, Any]:
     if isinstance(entry, Unreadable):
         document_of_model = to_dict(entry)
         return {key: document_of_model[key] for key in ("subject", "verdict", "error")}
@@ -97,14 +97,14 @@ def _model(entry: Entry) -> dict[str, Any]:
         "verdict": "failed" if exit_code([entry]) else "passed",
         "counts": dict(Counter(case.status for case in entry.cases)),
         "suites": [
-            {"name": name, "cases": [_case(entry, case) for case in cases]}
+            {"name": name, "cases": [_case_entry(entry, case) for case in cases]}
             for name, cases in entry.suites.items()
         ],
         "findings": [finding for finding in document["findings"] if finding["rule"] in tested],
     }
 
 
-def _case(run: ModelRun, case: Case) -> dict[str, Any]:
+def _case_entry(run: ModelRun, case: Case) -> dict[str, Any]:
     entry = {"rule": case.rule.id, "slug": case.rule.slug, "status": case.status}
     if case.status in ("skipped", "expected"):
         entry["reason"] = case.text.partition("\n")[0]

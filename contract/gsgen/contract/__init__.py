@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 # Public name → the module that defines it, or that it is.
-_HOMES: Final = {
+_MODULE_BY_NAME: Final = {
     "GsgenError": "gsgen.contract.errors",
     "open_model": "gsgen.contract.model.model_file",
     "write_manifest": "gsgen.contract.model.model_file",
@@ -70,10 +70,10 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_HOMES[name])
-    globals()[name] = getattr(home, name, home)
+    value = import_module(_MODULE_BY_NAME[name])
+    globals()[name] = getattr(value, name, value)
     return globals()[name]
 
 

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt
 else:
 
-    class _Array:
+    class _SubscriptableArray:
         """A run-time stand-in for jaxtyping's array types, such as ``Float[np.ndarray, "n 3"]``."""
 
         def __class_getitem__(cls, item: tuple[type, str]) -> type:
             return item[0]
 
-    Bool = Float = Int = UInt = _Array
+    Bool = Float = Int = UInt = _SubscriptableArray

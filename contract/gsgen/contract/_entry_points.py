@@ -55,15 +55,15 @@ class Extension:
     @property
     def missing(self) -> tuple[str, ...]:
         """The distributions that the extension requires but that are not installed."""
-        absent = []
+        missing_packages = []
         for line in _requirements(self.owner) if self.point.extras else ():
             match = _REQUIREMENT.match(line)
-            if match and match[2] in self.point.extras and not _installed(match[1]):
-                absent.append(match[1])
-        return tuple(absent)
+            if match and match[2] in self.point.extras and not _is_installed(match[1]):
+                missing_packages.append(match[1])
+        return tuple(missing_packages)
 
     @property
-    def remedy(self) -> str:
+    def install_hint(self) -> str:
         """The shell command that installs the missing distributions."""
         return f"pip install '{self.owner}[{','.join(self.point.extras)}]'"
 
@@ -73,12 +73,12 @@ class Extension:
         Raises:
             ExtensionUnusable: A distribution is missing, or the import fails.
         """
-        if absent := self.missing:
-            verb = "is" if len(absent) == 1 else "are"
-            names, remedy = ", ".join(absent), self.remedy
+        if missing_packages := self.missing:
+            verb = "is" if len(missing_packages) == 1 else "are"
+            names, install_hint = ", ".join(missing_packages), self.install_hint
             raise ExtensionUnusable(
-                f"`{self.name}` needs {names}, which {verb} not installed: {remedy}",
-                f"Not installed: {remedy}",
+                f"`{self.name}` needs {names}, which {verb} not installed: {install_hint}",
+                f"Not installed: {install_hint}",
                 ExitCode.USAGE,
             )
         try:
@@ -93,14 +93,14 @@ class Extension:
 
 
 @cache
-def _all() -> tuple[EntryPoint, ...]:
+def _installed_entry_points() -> tuple[EntryPoint, ...]:
     groups = entry_points()  # reads a file of every installed distribution
     return tuple(point for group in groups.groups for point in groups.select(group=group))
 
 
 def registered_entry_points(group: str) -> list[EntryPoint]:
     """Return the installed entry points of ``group``, sorted by name."""
-    points = [point for point in _all() if point.group == group]
+    points = [point for point in _installed_entry_points() if point.group == group]
     return sorted(points, key=lambda point: point.name)
 
 
@@ -115,7 +115,7 @@ def _requirements(owner: str) -> tuple[str, ...]:
 
 
 @cache
-def _installed(name: str) -> bool:
+def _is_installed(name: str) -> bool:
     try:
         distribution(name)
     except PackageNotFoundError:

@@ -116,10 +116,10 @@ class UnknownName(ConfigInvalid):
         from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)
-        close = get_close_matches(name, names, n=1, cutoff=0.5)
-        short = len(names) <= _MOST_LISTED
-        nearest = get_close_matches(name, names, n=3, cutoff=0.0)
-        some = f"{len(names)} are known, such as {', '.join(nearest)}."
-        listed = f"Known: {', '.join(names) or 'none'}." if short else some
-        hint = f"Did you mean {close[0]!r}?" if close else listed
+        close_matches = get_close_matches(name, names, n=1, cutoff=0.5)
+        is_short = len(names) <= _MOST_LISTED
+        nearest_names = get_close_matches(name, names, n=3, cutoff=0.0)
+        examples_text = f"{len(names)} are known, such as {', '.join(nearest_names)}."
+        known_text = f"Known: {', '.join(names) or 'none'}." if is_short else examples_text
+        hint = f"Did you mean {close_matches[0]!r}?" if close_matches else known_text
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

@@ -5,7 +5,7 @@ __all__ = ["validate"]
 import os
 
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.validation.engine import Progress, silent, validate_with
+from gsgen.contract.validation.engine import Progress, ignore_progress, validate_with
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -16,7 +16,7 @@ def validate(
     settings: Settings | None = None,
     *,
     registry: Registry | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Report:
     """Validate the model at ``path`` by every installed rule and return the report.
 

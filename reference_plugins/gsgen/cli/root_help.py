@@ -54,6 +54,6 @@ def missing_note(commands: Iterable[Command]) -> str:
     missing: dict[str, list[str]] = {}
     for command in commands:
         if command.code.missing:
-            missing.setdefault(command.code.remedy, []).append(command.name)
-    lines = [f"{', '.join(names)}: {remedy}" for remedy, names in missing.items()]
+            missing.setdefault(command.code.install_hint, []).append(command.name)
+    lines = [f"{', '.join(names)}: {install_hint}" for install_hint, names in missing.items()]
     return f"Not installed here: {'; '.join(lines)}" if lines else ""

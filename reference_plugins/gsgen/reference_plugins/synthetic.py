@@ -40,7 +40,7 @@ __all__ = [
 ]  # fmt: skip
 
 # Public name → the module that defines it, or that it is.
-_HOMES: Final = {
+_MODULE_BY_NAME: Final = {
     "AnchorOptions": "gsgen.reference_plugins.anchors.synthetic_anchors",
     "write_duplex": "gsgen.reference_plugins.anchors.synthetic_anchors",
     "write_octree": "gsgen.reference_plugins.anchors.synthetic_anchors",
@@ -69,9 +69,9 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_HOMES[name])
+    home = import_module(_MODULE_BY_NAME[name])
     globals()[name] = getattr(home, name, home)
     return globals()[name]
 

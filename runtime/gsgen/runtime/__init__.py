@@ -71,7 +71,7 @@ def _draw_preview(value: object) -> bytes | None:
 
 draw_previews_with(_draw_preview)
 # Public name → the module that defines it, or that it is.
-_HOMES: Final = {
+_MODULE_BY_NAME: Final = {
     "bake": "gsgen.runtime.baking.bake_frames",
     "CameraFile": "gsgen.runtime.camera_files",
     "open_cameras": "gsgen.runtime.camera_files",
@@ -104,9 +104,9 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_HOMES[name])
+    home = import_module(_MODULE_BY_NAME[name])
     globals()[name] = getattr(home, name, home)
     return globals()[name]
 

@@ -93,7 +93,7 @@ __all__ = [
 ]
 
 # What only conversions need: public name → module.
-_HOMES: Final = {
+_MODULE_BY_NAME: Final = {
     "Conversion": "gsgen.formats.conversion",
     "convert": "gsgen.formats.conversion",
     "Difference": "gsgen.formats.loss",
@@ -103,9 +103,9 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = getattr(import_module(_MODULE_BY_NAME[name]), name)
     return globals()[name]
 
 

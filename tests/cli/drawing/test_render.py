@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from gsgen.cli.commands.drawing.render import render
 from gsgen.conformance.fixtures import find
-from gsgen.conformance.fixtures.builders.moving import driven
+from gsgen.conformance.fixtures.builders.moving import input_driven_model
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.gpu.device import Device
@@ -60,7 +60,9 @@ def places(file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
     folder = tmp_path_factory.mktemp("places")
     names = {"MODEL": "drift", "POST": "post_process", "BODY": "avatar"}
     result = {word: str(find(name).write(folder)) for word, name in names.items()}
-    opened = driven("float[J,3] pose", Input(name="pose", role="pose"), "shift = ReduceMean (pose)")
+    opened = input_driven_model(
+        "float[J,3] pose", Input(name="pose", role="pose"), "shift = ReduceMean (pose)"
+    )
     opened.write(folder / "open.onnx")
     return result | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
 

@@ -50,7 +50,7 @@ def test_a_command_without_its_extra_takes_any_words_and_says_what_it_needs(
 def test_commands_without_their_extra_are_listed_by_what_installs_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_entry_points, "_installed", lambda name: name not in ("torch", "wgpu"))
+    monkeypatch.setattr(_entry_points, "_is_installed", lambda name: name not in ("torch", "wgpu"))
     unavailable_commands = [
         command("validate", "x"),
         command("fix", "x [sdk]"),

@@ -23,7 +23,7 @@ def test_values_that_differ_are_counted_and_placed(tmp_path: Path) -> None:
     spec.write(a)
     moved = spec.weights["center"].copy()
     moved[2, 1] += 0.25
-    spec.weighing(center=moved).write(b)
+    spec.with_weights(center=moved).write(b)
     completed = gsgen_here("diff", a, b)
     assert completed.code == 1
     assert "output  gaussians: differ by up to 0.25, in 1 rows" in completed.out
@@ -38,7 +38,7 @@ def test_padding_channel_is_not_a_difference(tmp_path: Path) -> None:
     spec.write(a)
     colors = spec.weights["colors"]
     width = np.concatenate([colors + np.float32(0.25), np.ones_like(colors[:, :1])], axis=1)
-    spec.weighing(colors=width).reworded(",3] color", ",4] color").write(b)
+    spec.with_weights(colors=width).replace_text(",3] color", ",4] color").write(b)
     completed = gsgen_here("diff", a, b)
     assert f"output  appearance: differ by up to 0.25, in {len(colors)} rows" in completed.out
 
@@ -47,7 +47,7 @@ def test_declarations_and_graphs_are_compared(tmp_path: Path) -> None:
     spec = find("drift").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
     spec.write(a)
-    spec.declaring(family="4d").reworded("Mul (speed, time)", "Add (speed, time)").write(b)
+    spec.with_manifest(family="4d").replace_text("Mul (speed, time)", "Add (speed, time)").write(b)
     facts = json.loads(gsgen_here("diff", a, b, "--json").out)["facts"]
     listed = {(fact["kind"], fact["name"]): fact["second"] for fact in facts}
     assert listed[("contract", "family")] == "4d"
@@ -77,7 +77,9 @@ def test_cells_are_compared_as_rows_are(tmp_path: Path) -> None:
     spec = find("weighted_sum").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
     spec.write(a)
-    spec.altered("cell_rows", np.s_[1, 4], 0.25 + spec.weights["cell_rows"][1, 4]).write(b)
+    spec.with_weight_values("cell_rows", np.s_[1, 4], 0.25 + spec.weights["cell_rows"][1, 4]).write(
+        b
+    )
     completed = gsgen_here("diff", a, b)
     assert completed.code == 1
     assert "output  cells: differ by up to 0.25, in 1 rows" in completed.out

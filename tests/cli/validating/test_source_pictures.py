@@ -88,7 +88,7 @@ def test_pictures_of_the_training_code_are_declared_and_compared(trained: Path) 
 def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> None:
     spec = find("still_sh1").draw()
     colors = spec.weights["colors"].reshape(-1, 4, 3)[..., ::-1].reshape(-1, 12)
-    spec.weighing(colors=np.ascontiguousarray(colors)).write(trained / "still_sh1.onnx")
+    spec.with_weights(colors=np.ascontiguousarray(colors)).write(trained / "still_sh1.onnx")
     completed = recorded(trained)
     assert completed.code == 0, completed.err
     assert "less than the declared 35" in completed.out

@@ -16,7 +16,7 @@ from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
-from gsgen.contract.probing.test_vectors import MOST_SEEDS
+from gsgen.contract.probing.test_vectors import MAX_VECTOR_SEEDS
 from gsgen.contract.spec.manifest import TestVector as Vector
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.tools.recording import RecordingRefused
@@ -30,7 +30,7 @@ def written(folder: Path, name: str, **declared: object) -> Path:
     """Write a fixture; ``declared`` replaces fields of its manifest."""
     spec: ModelSpec = find(name).draw()
     path = folder / f"{name}.onnx"
-    (spec.declaring(**declared) if declared else spec).write(path)
+    (spec.with_manifest(**declared) if declared else spec).write(path)
     return path
 
 
@@ -139,7 +139,9 @@ def test_vectors_that_cannot_be_run_are_named(tmp_path: Path) -> None:
         Vector(inputs="no inputs", expected_sha256="0" * 64, seed=seed) for seed in range(1, 7)
     )
     messages = " ".join(told_of_vectors(written(tmp_path, "still_sh0", test_vectors=many_vectors)))
-    assert f"seed {MOST_SEEDS + 1}; expected {MOST_SEEDS} other seeds at most" in messages
+    assert (
+        f"seed {MAX_VECTOR_SEEDS + 1}; expected {MAX_VECTOR_SEEDS} other seeds at most" in messages
+    )
     unknown_vector = (Vector(inputs="noon", expected_sha256="0" * 64, seed=3),)
     document = told_of_vectors(written(tmp_path, "drift", test_vectors=unknown_vector))
     assert "no probe 'noon' with seed 3" in document[0]
@@ -147,7 +149,7 @@ def test_vectors_that_cannot_be_run_are_named(tmp_path: Path) -> None:
 
 def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
     spec = find("weights_beside").draw()
-    studio = spec.rewritten(lambda document: document.update({"x-studio": {"take": 3}}))
+    studio = spec.edit_manifest(lambda document: document.update({"x-studio": {"take": 3}}))
     studio.write(tmp_path / "m.onnx")
     result = record_vectors(tmp_path / "m.onnx", tmp_path / "out", count=1)
     text = open_model(result.model).manifest_text

@@ -10,7 +10,7 @@ from onnx import (
     parser,
 )
 
-from gsgen.contract.model.graph import Conflict, Tensor, read_graph, reads
+from gsgen.contract.model.graph import Conflict, Tensor, names_read, read_graph
 from gsgen.contract.model.model_file import open_model
 from support.models.small_models import model, save, weight
 
@@ -58,7 +58,7 @@ def test_producers_uses_and_ancestors_follow_the_edges(graph_of):
     graph = graph_of(model(CHAIN))
     assert graph.producers["b"].op_type == "Add"
     assert "x" not in graph.producers
-    assert graph.uses == {"x": 1, "w": 3, "a": 2, "b": 1, "c": 1, "y": 1, "z": 1}
+    assert graph.use_counts == {"x": 1, "w": 3, "a": 2, "b": 1, "c": 1, "y": 1, "z": 1}
     names, nodes = graph.ancestors("y")
     assert names == {"y", "b", "a", "x", "w"}
     assert [node.op_type for node in nodes] == ["Neg", "Add", "Mul"]
@@ -102,7 +102,7 @@ def constant(output, array, **attribute):
 
 def test_subgraph_inputs_count_as_inputs_of_its_node(graph_of):
     graph = graph_of(model(BRANCHES.replace("THEN", "x").replace("ELSE", "x")))
-    assert set(reads(graph.nodes[0])) == {"cond", "x", "a", "o", "p"}
+    assert set(names_read(graph.nodes[0])) == {"cond", "x", "a", "o", "p"}
     assert graph.varies("y")
     assert [node.op_type for node in graph.all_nodes()] == ["If", "Neg", "Add", "Add"]
 

@@ -57,7 +57,7 @@ def test_links_in_a_circle_are_a_finding(tmp_path):
 def test_colours_without_channels_are_no_crash(tmp_path):
     spec = find("nan_row").draw()
     none = np.zeros((len(spec.weights["colors"]), 0), np.float32)
-    proto = spec.weighing(colors=none).build()
+    proto = spec.with_weights(colors=none).build()
     (color,) = (tensor for tensor in proto.graph.output if tensor.name == "color")
     color.type.tensor_type.shape.dim[1].dim_value = 0
     report = validate(save(tmp_path / "a.onnx", proto), Settings(level=Level.VALUES))

@@ -38,7 +38,7 @@ def test_a_model_is_opened_without_its_weights(tmp_path):
     opened = open_model(str(path))
     assert opened.path == path
     assert opened.size == path.stat().st_size
-    assert opened.stripped > 50_000
+    assert opened.stripped_bytes > 50_000
     assert opened.proto.ByteSize() < 3000
     stubs = {t.name for t in opened.proto.graph.initializer if t.raw_data == STUB}
     assert stubs == {"rows", "colors"}

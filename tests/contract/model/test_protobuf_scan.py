@@ -15,7 +15,7 @@ from onnx import (
 )
 
 from gsgen.contract.model import protobuf_scan
-from gsgen.contract.model.protobuf_scan import STUB, Field, WireFault, scan, skeleton, varint
+from gsgen.contract.model.protobuf_scan import STUB, Field, WireFault, scan, strip_payloads, varint
 
 PAYLOAD = {
     "float_data": (TensorProto.FLOAT, 0.5),
@@ -114,9 +114,9 @@ def without_payload(message: Message) -> Message:
 @given(MODELS)
 def test_a_skeleton_is_the_model_but_for_payload(model):
     data = model.SerializeToString()
-    bones = skeleton(data)
+    bones = strip_payloads(data)
     assert len(bones.data) <= len(data)
-    assert (bones.stripped == 0) == (bones.data == data)
+    assert (bones.stripped_bytes == 0) == (bones.data == data)
     proto = ModelProto.FromString(bones.data)
     assert without_payload(proto) == without_payload(model)
 
@@ -131,10 +131,10 @@ def test_a_large_payload_leaves_a_stub_in_every_storage(storage):
     count = 600_000 if storage == "int64_data" else 10_000
     weight = TensorProto(name="w", data_type=dtype, dims=[count])
     getattr(weight, storage).extend([value] * count)
-    bones = skeleton(with_weights(weight))
+    bones = strip_payloads(with_weights(weight))
     stub = ModelProto.FromString(bones.data).graph.initializer[0]
     assert stub == TensorProto(name="w", data_type=dtype, dims=[count], raw_data=STUB)
-    assert bones.stripped >= 2 * count
+    assert bones.stripped_bytes >= 2 * count
     assert len(bones.data) < 100
 
 
@@ -144,7 +144,7 @@ def test_a_payload_in_several_pieces_is_left_out_whole():
     head = ModelProto(graph=raw).SerializeToString()
     assert head == b"\x3a\x00"
     tensor = protobuf_scan._header(5, 2 * len(half)) + half + half
-    bones = skeleton(protobuf_scan._header(7, len(tensor)) + tensor)
+    bones = strip_payloads(protobuf_scan._header(7, len(tensor)) + tensor)
     result = ModelProto.FromString(bones.data).graph.initializer[0]
     assert not result.float_data
     assert result.raw_data == STUB
@@ -154,20 +154,20 @@ def test_a_payload_in_several_pieces_is_left_out_whole():
 def test_integers_are_kept_up_to_a_mebibyte_for_shape_inference(count, retained):
     values = np.arange(count, dtype=np.int64).tobytes()
     weight = TensorProto(name="w", data_type=TensorProto.INT64, dims=[count], raw_data=values)
-    result = ModelProto.FromString(skeleton(with_weights(weight)).data).graph.initializer[0]
+    result = ModelProto.FromString(strip_payloads(with_weights(weight)).data).graph.initializer[0]
     assert (result == weight) is retained
 
 
 def test_a_small_tensor_is_kept_whole():
     weight = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[400], raw_data=b"1234" * 400)
     data = with_weights(weight)
-    bones = skeleton(data)
-    assert (bones.data, bones.stripped) == (data, 0)
+    bones = strip_payloads(data)
+    assert (bones.data, bones.stripped_bytes) == (data, 0)
 
 
 def test_unknown_fields_are_kept():
     unknown_field = protobuf_scan._header(999, 3) + b"abc"
-    assert skeleton(unknown_field).data == unknown_field
+    assert strip_payloads(unknown_field).data == unknown_field
 
 
 @pytest.mark.parametrize(
@@ -196,10 +196,10 @@ def test_a_varint_without_end_is_a_fault(data, text):
 def test_fields_of_every_wire_type_are_found_where_they_are():
     data = b"\x08\x96\x01" + b"\x12\x02hi" + b"\x1d\0\0\0\0" + b"\x21" + bytes(8)
     assert list(scan(data, 0, len(data))) == [
-        Field(number=1, wire=0, start=0, value=1, end=3),
-        Field(number=2, wire=2, start=3, value=5, end=7),
-        Field(number=3, wire=5, start=7, value=8, end=12),
-        Field(number=4, wire=1, start=12, value=13, end=21),
+        Field(number=1, wire_type=0, start=0, value=1, end=3),
+        Field(number=2, wire_type=2, start=3, value=5, end=7),
+        Field(number=3, wire_type=5, start=7, value=8, end=12),
+        Field(number=4, wire_type=1, start=12, value=13, end=21),
     ]
 
 
@@ -234,20 +234,20 @@ def nested(depth):
 
 
 def test_graphs_may_be_nested_but_not_without_end():
-    assert skeleton(nested(30)).data == nested(30)
+    assert strip_payloads(nested(30)).data == nested(30)
     with pytest.raises(WireFault, match="graphs are nested more than 100 deep"):
-        skeleton(nested(40))
+        strip_payloads(nested(40))
 
 
 def test_the_number_of_fields_is_limited(monkeypatch):
     monkeypatch.setattr(protobuf_scan, "_MAX_FIELDS", 100)
-    assert skeleton(b"\x08\x01" * 100)
+    assert strip_payloads(b"\x08\x01" * 100)
     with pytest.raises(WireFault, match="more than 100 protobuf fields"):
-        skeleton(b"\x08\x01" * 101)
+        strip_payloads(b"\x08\x01" * 101)
 
 
 def test_retained_bytes_besides_payload_are_limited(monkeypatch):
-    monkeypatch.setattr(protobuf_scan, "_MAX_KEPT", 1 << 20)
+    monkeypatch.setattr(protobuf_scan, "_MAX_KEPT_BYTES", 1 << 20)
     model = ModelProto(doc_string="x" * (1 << 20)).SerializeToString()
     with pytest.raises(WireFault, match="more than 1 MiB besides tensor payload"):
-        skeleton(model)
+        strip_payloads(model)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, draw_sample
+from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs
 
 
@@ -36,7 +36,7 @@ def random_rows(count: int, seed: int) -> np.ndarray:
     return rows
 
 
-@pytest.mark.parametrize("count", [FEWEST_DRAWN, 200, 1024, 1025, 9000])
+@pytest.mark.parametrize("count", [MIN_DRAWN_ROWS, 200, 1024, 1025, 9000])
 def test_neighbours_are_the_nearest_rows_of_the_whole_scene(count: int) -> None:
     rows = random_rows(count, count)
     sample = draw_sample(outputs(rows))
@@ -62,7 +62,7 @@ def test_statistics_of_a_row_are_those_of_a_loop_over_its_neighbours() -> None:
             offset = sample.rows[neighbour, :3] - sample.rows[row, :3]
             cosines.append(float(offset @ axes[:, 0] / np.linalg.norm(offset)))
         share = np.mean(np.square(cosines))
-        assert sample.share_along(0)[number] == pytest.approx(share, abs=1e-9)
+        assert sample.neighbour_alignment(0)[number] == pytest.approx(share, abs=1e-9)
         assert np.trace(sample.scatter[number]) == pytest.approx(1)
 
 
@@ -81,8 +81,8 @@ def test_invisible_rows_are_not_sampled() -> None:
 
 
 def test_few_rows_give_no_sample() -> None:
-    assert draw_sample(outputs(random_rows(FEWEST_DRAWN - 1, 0))) is None
-    assert draw_sample(outputs(random_rows(200, 0), count=FEWEST_DRAWN - 1)) is None
+    assert draw_sample(outputs(random_rows(MIN_DRAWN_ROWS - 1, 0))) is None
+    assert draw_sample(outputs(random_rows(200, 0), count=MIN_DRAWN_ROWS - 1)) is None
 
 
 def test_equal_positions_and_flat_covariances_give_finite_statistics() -> None:
@@ -91,5 +91,5 @@ def test_equal_positions_and_flat_covariances_give_finite_statistics() -> None:
     rows[:, 4:] = 0
     sample = draw_sample(outputs(rows))
     assert sample is not None
-    for values in (sample.spacing, sample.sigma, sample.scatter, sample.share_along(2)):
+    for values in (sample.spacing, sample.sigma, sample.scatter, sample.neighbour_alignment(2)):
         assert np.isfinite(values).all()

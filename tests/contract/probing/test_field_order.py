@@ -140,4 +140,4 @@ def test_entries_that_float16_rounds_to_its_step_are_no_other_order():
     rows = np.concatenate(
         [gaussians.position, gaussians.opacity[:, None], 3e-7 * gaussians.covariance], axis=1
     )
-    assert suspect_order(rows.astype(np.float16).astype(float), smallest=2.0**-25) is None
+    assert suspect_order(rows.astype(np.float16).astype(float), rounding_error=2.0**-25) is None

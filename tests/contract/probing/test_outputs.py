@@ -3,7 +3,7 @@ import pytest
 
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.outputs import CHUNK, chunks, read_outputs
+from gsgen.contract.probing.outputs import CHUNK_ROWS, chunks, read_outputs
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.targets import load_target
 from support.models.small_models import good_rows, manifest_of, moving, save
@@ -72,21 +72,21 @@ def test_an_appearance_of_another_length_is_left_to_another_rule(subject):
 
 
 def test_rows_come_in_chunks_that_cover_all(subject):
-    result = emission(subject, rows=2 * CHUNK + 5)
+    result = emission(subject, rows=2 * CHUNK_ROWS + 5)
     parts = list(chunks(result))
     assert [(part.start, len(part)) for part in parts] == [
-        (0, CHUNK),
-        (CHUNK, CHUNK),
-        (2 * CHUNK, 5),
+        (0, CHUNK_ROWS),
+        (CHUNK_ROWS, CHUNK_ROWS),
+        (2 * CHUNK_ROWS, 5),
     ]
     joined_rows = np.concatenate([part.packed for part in parts])
     np.testing.assert_array_equal(joined_rows, result.gaussians)
 
 
 def test_rows_before_the_count_are_live_across_chunks(subject):
-    result = emission(subject, rows=2 * CHUNK, num_points=np.array([CHUNK + 3], np.int32))
+    result = emission(subject, rows=2 * CHUNK_ROWS, num_points=np.array([CHUNK_ROWS + 3], np.int32))
     first, second = chunks(result)
-    assert (first.live_rows, second.live_rows) == (CHUNK, 3)
+    assert (first.live_rows, second.live_rows) == (CHUNK_ROWS, 3)
     assert first.counted.all()
     assert second.counted.nonzero()[0].tolist() == [0, 1, 2]
 

@@ -30,14 +30,14 @@ def subject(subject_of):
 def test_values_need_nothing_but_the_default_probes(subject):
     plan = make_plan(subject, Level.VALUES)
     assert len(plan.probes) == plan.values == 9
-    assert (plan.repeated, plan.revisited, plan.variants) == (None, None, {})
+    assert (plan.repeated, plan.revisited_pair, plan.variants) == (None, None, {})
 
 
 def test_behaviour_repeats_a_probe_revisits_it_and_varies_each_role(subject):
     plan = make_plan(subject, Level.BEHAVIOUR)
     assert plan.values == 9
     assert plan.repeated == (9, 10)
-    assert plan.revisited == (1, 9)
+    assert plan.revisited_pair == (1, 9)
     assert plan.probes[1] is plan.probes[9] is plan.probes[10]
     assert plan.variants == {"time": (1, (11, 12))}
     assert not any(probe.extra for probe in plan.probes[:13])
@@ -54,7 +54,7 @@ def test_a_model_without_inputs_is_run_thrice_and_once_unoptimised(subject_of):
     assert (len(plan.probes), plan.values) == (4, 1)
     assert not plan.probes[plan.trials["plain"][0]].optimise
     assert plan.repeated == (1, 2)
-    assert (plan.revisited, plan.variants) == (None, {})
+    assert (plan.revisited_pair, plan.variants) == (None, {})
 
 
 def test_another_seed_gives_other_probes(subject_of):

@@ -9,7 +9,7 @@ from gsgen.contract.probing.run_comparison import Comparison, ProbeRuns, read_be
 from gsgen.contract.probing.sandbox import Execution, Run, Sample
 
 
-def compared(*outputs, samples=None, variants=None, revisited=None):
+def compared(*outputs, samples=None, variants=None, revisited_pair=None):
     """What is seen when the runs, from first to last, gave ``outputs``."""
     probes = tuple(Probe(label=f"probe {index}", inputs={}) for index in range(len(outputs)))
     numbers = samples or range(len(outputs))
@@ -18,7 +18,11 @@ def compared(*outputs, samples=None, variants=None, revisited=None):
     )
     retained = tuple(Sample(index=index, outputs=output) for index, output in enumerate(outputs))
     plan = Plan(
-        probes=probes, values=1, repeated=(0, 1), revisited=revisited, variants=variants or {}
+        probes=probes,
+        values=1,
+        repeated=(0, 1),
+        revisited_pair=revisited_pair,
+        variants=variants or {},
     )
     return read_behaviour(
         ProbeRuns(
@@ -34,8 +38,8 @@ def array(*values, dtype=np.float32):
 def test_runs_that_share_a_sample_do_not_differ():
     comparison = compared(array(1), array(2), samples=[0, 0])
     assert comparison.repeated == Comparison("probe 0", "probe 1", {})
-    assert comparison.revisited is None
-    assert comparison.varied == {}
+    assert comparison.revisited_pair is None
+    assert comparison.comparisons_by_role == {}
 
 
 @pytest.mark.parametrize(
@@ -69,11 +73,14 @@ def test_every_role_is_compared_with_its_base():
     comparison = compared(
         *(array(value) for value in (1, 1, 2, 4)),
         variants={"time": (0, (2, 3)), "view": (1, (2,))},
-        revisited=(0, 3),
+        revisited_pair=(0, 3),
     )
-    assert comparison.revisited == Comparison("probe 0", "probe 3", {"y": 3.0})
-    assert [entry.changed for entry in comparison.varied["time"]] == [{"y": 1.0}, {"y": 3.0}]
-    assert [(entry.first, entry.second) for entry in comparison.varied["view"]] == [
+    assert comparison.revisited_pair == Comparison("probe 0", "probe 3", {"y": 3.0})
+    assert [entry.changed for entry in comparison.comparisons_by_role["time"]] == [
+        {"y": 1.0},
+        {"y": 3.0},
+    ]
+    assert [(entry.first, entry.second) for entry in comparison.comparisons_by_role["view"]] == [
         ("probe 1", "probe 2")
     ]
 
@@ -87,7 +94,7 @@ def test_reading_an_unfinished_extra_run_notes_it():
             sample=sample,
             seconds=0.1,
             error=error,
-            lacked="memory" if sample < 0 and not error else "",
+            missing_resource="memory" if sample < 0 and not error else "",
         )
         for number, (sample, error) in enumerate(zip(samples, errors, strict=True))
     )
@@ -97,10 +104,10 @@ def test_reading_an_unfinished_extra_run_notes_it():
         runs=runs, samples=(Sample(index=0, outputs=array(1)),), fault=None, seconds=0.0, version=""
     )
     behaviour = read_behaviour(ProbeRuns(None, execution, plan))
-    first, second = behaviour.for_a_rule(), behaviour.for_a_rule()
-    assert [edge_run.probe.label for edge_run in first.visits("edges")] == ["probe 2"]
+    first, second = behaviour.without_unfinished(), behaviour.without_unfinished()
+    assert [edge_run.probe.label for edge_run in first.trial_runs("edges")] == ["probe 2"]
     assert first.unfinished_probes == [("probe 3", "memory")]
-    assert [edge_run.error for edge_run in second.visits("outside")] == ["bad"]  # it did run
+    assert [edge_run.error for edge_run in second.trial_runs("outside")] == ["bad"]  # it did run
     assert second.unfinished_probes == behaviour.unfinished_probes == []
 
 
@@ -115,7 +122,7 @@ def test_reading_an_unfinished_extra_run_notes_it():
     ],
 )
 def test_the_largest_difference_of_two_arrays(first, second, largest, block, monkeypatch):
-    monkeypatch.setattr(differences, "_BLOCK", block)
+    monkeypatch.setattr(differences, "_BLOCK_ELEMENTS", block)
     a, b = (np.array([0.0] * 9 + values).reshape(-1, 1) for values in (first, second))
     assert largest_difference(a, b) == largest
     assert largest_difference(a[::-1], b[::-1]) == largest

@@ -402,10 +402,12 @@ def test_an_extra_probe_that_a_limit_does_not_allow_has_no_outputs(
     sandbox._write_job(job_folder, path, ["y"], [pair(1, 2), extra], limits, rows="", count="")
     job = json.loads((job_folder / "job.json").read_text("utf-8"))
     monkeypatch.setattr(sandbox_worker, "limit_memory", lambda _: None)
-    sandbox_worker._work(job_folder, job, lambda event, **facts: events.append((event, facts)))
+    sandbox_worker._run_probes(
+        job_folder, job, lambda event, **facts: events.append((event, facts))
+    )
     runs = [facts for event, facts in events if event == "run"]
     assert [(facts["probe"], facts["sample"]) for facts in runs] == [(0, 0), (1, -1)]
-    assert runs[1]["lacked"] == missing_extra
+    assert runs[1]["missing_resource"] == missing_extra
     assert "error" not in runs[1]  # it says nothing about the model
 
 
@@ -430,14 +432,14 @@ def test_time_within_onnx_runtime_is_part_of_the_time_of_its_process(folder):
         loads = [event for event in execution.events if event["event"] == "loaded"]
         assert len(loads) == 2  # another session for the run without optimisations
         runs = sum(run.seconds for run in execution.runs)
-        assert 0 < runs < execution.inside < execution.seconds
+        assert 0 < runs < execution.session_seconds < execution.seconds
 
 
 def test_lost_output_names_its_probe_after_a_session_restart(folder):
     (folder / "log").write_text("")
     events = [{"event": "started"}, {"event": "loaded"}, {"event": "begin", "probe": 3}]
     for last in ([], [{"event": "loaded"}], [{"event": "sample"}]):
-        fault = sandbox._fault([*events, *last], -9, Limits(), folder / "log")
+        fault = sandbox._read_fault([*events, *last], -9, Limits(), folder / "log")
         assert (fault.stage, fault.probe) == ("crash", 3)
     done = [*events, {"event": "run", "probe": 3}]
-    assert sandbox._fault(done, -9, Limits(), folder / "log").probe is None
+    assert sandbox._read_fault(done, -9, Limits(), folder / "log").probe is None

@@ -116,7 +116,7 @@ def test_a_child_is_stopped_without_process_groups(monkeypatch: pytest.MonkeyPat
         wait=lambda: calls.append("wait"),
     )
     monkeypatch.setattr(sandbox, "os", SimpleNamespace(name="nt"))
-    sandbox._stop(child)  # type: ignore[arg-type]
+    sandbox._stop_child(child)  # type: ignore[arg-type]
     assert calls == ["kill", "wait"]
 
 
@@ -126,8 +126,8 @@ def test_outputs_are_copied_where_a_mapped_file_cannot_be_deleted(
     import numpy as np
 
     np.save(tmp_path / "a.npy", np.arange(5))
-    assert isinstance(sandbox._map(tmp_path / "a.npy"), np.memmap)
+    assert isinstance(sandbox._map_array(tmp_path / "a.npy"), np.memmap)
     monkeypatch.setattr(sandbox, "os", SimpleNamespace(name="nt"))
-    array = sandbox._map(tmp_path / "a.npy")
+    array = sandbox._map_array(tmp_path / "a.npy")
     assert not isinstance(array, np.memmap)
     assert array.tolist() == [0, 1, 2, 3, 4]

@@ -13,7 +13,7 @@ from support.reports.rules import made_up
 FIRST = made_up("GV901")
 SECOND = made_up("GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows")
 THIRD = made_up("acme/AC001", target="webgpu")
-REGISTRY = Registry.of([FIRST, SECOND, THIRD])
+REGISTRY = Registry.from_rules([FIRST, SECOND, THIRD])
 
 PAGE = """\
 # GV902 made-up-gv902

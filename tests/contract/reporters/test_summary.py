@@ -41,4 +41,4 @@ def test_nouns_have_plurals(count, text):
 
 def test_control_characters_are_written_out():
     assert printable("a\x1b[2J\x9b\ud800é\u202e\n") == r"a\x1b[2J\x9b\ud800é\u202e\n"
-    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
+    assert printable("a\nb\r", kept_chars="\n") == "a\nb\\r"

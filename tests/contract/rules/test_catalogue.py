@@ -36,7 +36,7 @@ def test_every_rule_has_an_id_and_a_name_of_its_own():
     rules = builtin_rules()
     assert len({rule.id for rule in rules}) == len(rules)
     assert len({rule.slug for rule in rules}) == len(rules)
-    assert Registry.of(rules)
+    assert Registry.from_rules(rules)
 
 
 def test_every_rule_names_each_rule_that_it_needs_once():

@@ -9,7 +9,7 @@ import pytest
 
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.probing.sandbox import Extremes
-from gsgen.contract.rules.behaviour.survey import _outside
+from gsgen.contract.rules.behaviour.survey import _out_of_range_text
 from gsgen.contract.rules.interface.avatar_inputs import blend_weights_in_unit_range
 from gsgen.contract.rules.targets.visionary_drawing import visionary_fades_small
 from gsgen.contract.spec.manifest import Bounds, Input
@@ -36,11 +36,11 @@ def test_gaussians_below_a_third_of_a_pixel_fade(sigma: float, fades: bool) -> N
     """The filter adds 0.1 px² to the variance: half of the opacity is left at that variance."""
     diagonal, focal = math.sqrt(12), 1304.0
     pixel = 2.2 * diagonal / 2 / focal  # in scene units, where all of the bounds are seen
-    widest = np.full(8, np.float32((sigma * pixel) ** 2))
+    max_variance = np.full(8, np.float32((sigma * pixel) ** 2))
     generator = SimpleNamespace(bounds=Bounds((-1, -1, -1), (1, 1, 1)), antialias=None)
-    emission = SimpleNamespace(subject=SimpleNamespace(generator=generator), rows_place="output g")
+    emission = SimpleNamespace(subject=SimpleNamespace(generator=generator), rows_label="output g")
     rows = SimpleNamespace(
-        emission=emission, widest=widest, drawn=np.ones(8, bool), drawn_count=8, start=0
+        emission=emission, max_variance=max_variance, drawn=np.ones(8, bool), drawn_count=8, start=0
     )
     (violation,) = visionary_fades_small.check(cast(Rows, rows))
     assert violation.invalid_rows is not None
@@ -67,11 +67,11 @@ def test_extremes_of_a_run_are_in_range(
     lows, highs = np.full(10, 0.5), np.full(10, 0.5)
     lows[column], highs[column] = low, high
     extremes = Extremes(count=5, capacity=5, low=tuple(lows.tolist()), high=tuple(highs.tolist()))
-    assert _outside(field, extremes) == text
+    assert _out_of_range_text(field, extremes) == text
 
 
 @pytest.mark.parametrize(("count", "text"), [(0, ""), (5, ""), (6, "6"), (-1, "-1")])
 def test_the_count_of_a_run_lies_between_0_and_the_capacity(count: int, text: str) -> None:
     extremes = Extremes(count=count, capacity=5, low=(), high=())
-    assert _outside("count", extremes) == text
-    assert _outside("covariance", extremes) == ""
+    assert _out_of_range_text("count", extremes) == text
+    assert _out_of_range_text("covariance", extremes) == ""

@@ -8,7 +8,7 @@ import pytest
 
 from contract.rules.producers import ir_models, onnxscript_models, protos, torch_models
 from contract.rules.producers.good import Good
-from gsgen.conformance.fixtures.valid.avatars import posed
+from gsgen.conformance.fixtures.valid.avatars import pose_model
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
@@ -50,7 +50,11 @@ def test_good_models_cover_every_producer(capsys: pytest.CaptureFixture[str]) ->
 def test_three_joints_of_a_pose_are_no_matrix(tmp_path: Path) -> None:
     """[3, 3] is a matrix for a root alone: a pose of three joints has that shape, too."""
     skin = np.random.default_rng(2).dirichlet(np.ones(3), 5).astype(np.float32)
-    spec = posed(shape=(3, 3)).reworded("float[4,3] pose", "float[3,3] pose").weighing(skin=skin)
+    spec = (
+        pose_model(shape=(3, 3))
+        .replace_text("float[4,3] pose", "float[3,3] pose")
+        .with_weights(skin=skin)
+    )
     spec.write(tmp_path / "three.onnx")
     report = validate(tmp_path / "three.onnx")
     assert report.verdict == "conforms", report.findings

@@ -7,8 +7,8 @@ import pytest
 from onnx import AttributeProto, NodeProto
 
 from gsgen.conformance.fixtures.builders.arrays import i64
-from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting
-from gsgen.contract.rules.graph.capture import _copies
+from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting_model
+from gsgen.contract.rules.graph.capture import _copies_input
 from gsgen.contract.rules.graph.graph import _node_location
 from gsgen.contract.rules.interface.extensions import cost_plausible
 from gsgen.contract.rules.targets.limits import fits_dispatch
@@ -39,7 +39,7 @@ def test_nodes_of_a_selection_of_rows_name_the_helper_that_makes_them(
     index: str, helper: bool, tmp_path: Path
 ) -> None:
     shift = f"{index} moved_by = Cast <to = 1> (index) shift = Mul (speed, moved_by)"
-    model = drifting().reworded(SHIFT_NODE, shift).weighing(one=i64(1))
+    model = drifting_model().replace_text(SHIFT_NODE, shift).with_weights(one=i64(1))
     settings = Settings(target=load_target("visionary"), level=Level.STATIC)
     model.write(tmp_path / "m.onnx")
     report = validate(tmp_path / "m.onnx", settings)
@@ -91,4 +91,4 @@ def test_a_reduction_without_axes_copies_only_if_it_says_so(
         listed = value if isinstance(value, tuple) else ()
         node.attribute.append(AttributeProto(name=name, i=0 if listed else value, ints=listed))
     graph = SimpleNamespace(tensors={"axes": SimpleNamespace(dims=(2,))})
-    assert _copies(graph, node) is is_copy  # type: ignore[arg-type]
+    assert _copies_input(graph, node) is is_copy  # type: ignore[arg-type]

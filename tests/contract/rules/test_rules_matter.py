@@ -22,5 +22,5 @@ def test_corpus_fails_when_a_rule_is_silent(rule: Rule, tmp_path):
     fixture = find(example_of(rule.id))
     rules = [replace(entry, check=silent) if entry is rule else entry for entry in builtin_rules()]
     settings = replace(fixture.settings, level=rule.level)
-    report = validate(fixture.write(tmp_path), settings, registry=Registry.of(rules))
+    report = validate(fixture.write(tmp_path), settings, registry=Registry.from_rules(rules))
     assert {finding.rule for finding in report.findings} != {rule.id}

@@ -45,17 +45,19 @@ def good() -> ModelSpec:
 
 def hostile_values() -> ModelSpec:
     negative = -good().weights["rows"][4, 4:]
-    one_nan = good().altered("rows", np.s_[2, 0], np.nan)
-    return one_nan.altered("rows", np.s_[3, 3], 5).altered("rows", np.s_[4, 4:], negative)
+    one_nan = good().with_weight_values("rows", np.s_[2, 0], np.nan)
+    return one_nan.with_weight_values("rows", np.s_[3, 3], 5).with_weight_values(
+        "rows", np.s_[4, 4:], negative
+    )
 
 
 def other_name() -> ModelSpec:
     splats = GaussiansOutput("splats", ROWS, "float16")
-    return good().reworded("gaussians", "splats").declaring_outputs(gaussians=splats)
+    return good().replace_text("gaussians", "splats").with_outputs(gaussians=splats)
 
 
 def name_that_the_manifest_has_not() -> ModelSpec:
-    return good().reworded("gaussians", "splats")
+    return good().replace_text("gaussians", "splats")
 
 
 def sh_of_12() -> ModelSpec:
@@ -65,30 +67,32 @@ def sh_of_12() -> ModelSpec:
 def half_rgb_of_3() -> ModelSpec:
     four_channel_model = still(ROWS, degree=None, dtype="float16")
     three = four_channel_model.weights["colors"][:, :3]
-    return four_channel_model.reworded("[256,4]", "[256,3]").weighing(colors=three)
+    return four_channel_model.replace_text("[256,4]", "[256,3]").with_weights(colors=three)
 
 
 def mixed_precision() -> ModelSpec:
     float32_colors = good().weights["colors"].astype(np.float32)
-    return good().reworded("float16[256,48]", "float[256,48]").weighing(colors=float32_colors)
+    return (
+        good().replace_text("float16[256,48]", "float[256,48]").with_weights(colors=float32_colors)
+    )
 
 
 def no_count() -> ModelSpec:
-    without = good().reworded(", int32[1] num_points", "")
-    return without.reworded("num_points = Identity (live)", "").declaring_outputs(count=None)
+    without = good().replace_text(", int32[1] num_points", "")
+    return without.replace_text("num_points = Identity (live)", "").with_outputs(count=None)
 
 
 def count_of_int64() -> ModelSpec:
-    return good().reworded("int32[1]", "int64[1]").weighing(live=i64(ROWS))
+    return good().replace_text("int32[1]", "int64[1]").with_weights(live=i64(ROWS))
 
 
 def symbolic_rows() -> ModelSpec:
     """As many rows as are kept: the number is only known once the model has run."""
     compress = "Compress <axis = 0> ({}, wanted)"
-    cut = good().reworded("Identity (rows)", compress.format("rows"))
-    cut = cut.reworded("Identity (colors)", compress.format("colors"))
-    open_ended = cut.reworded("[256,10]", "[N,10]").reworded("[256,48]", "[N,48]")
-    return open_ended.weighing(wanted=np.ones(ROWS, np.bool_))
+    cut = good().replace_text("Identity (rows)", compress.format("rows"))
+    cut = cut.replace_text("Identity (colors)", compress.format("colors"))
+    open_ended = cut.replace_text("[256,10]", "[N,10]").replace_text("[256,48]", "[N,48]")
+    return open_ended.with_weights(wanted=np.ones(ROWS, np.bool_))
 
 
 CASES = {

@@ -265,8 +265,8 @@ def test_rows_beyond_the_first_chunk_are_counted_from_the_start():
 @pytest.mark.parametrize(("value", "valid"), [(-0.5, True), (1.5, True), (-0.6, False), (2, False)])
 def test_rgb_lies_in_the_declared_range(value: float, valid: bool, tmp_path: Path) -> None:
     rgb = AppearanceOutput("color", "rgb", range=(-0.5, 1.5))
-    scene = still(degree=None).declaring_outputs(appearance=rgb)
-    scene.altered("colors", np.s_[0], value).write(tmp_path / "m.onnx")
+    scene = still(degree=None).with_outputs(appearance=rgb)
+    scene.with_weight_values("colors", np.s_[0], value).write(tmp_path / "m.onnx")
     findings = validate(tmp_path / "m.onnx").findings
     messages = [finding.message for finding in findings if finding.rule == "GV012"]
     assert messages == [] if valid else "-0.5 <= rgb <= 1.5" in messages[0]
@@ -276,10 +276,10 @@ def test_rgb_lies_in_the_declared_range(value: float, valid: bool, tmp_path: Pat
 def test_three_channels_without_a_manifest_may_be_sh(
     is_inferred: bool, certainty: str, tmp_path: Path
 ):
-    scene = still(degree=0).altered("colors", np.s_[0], -0.4)
+    scene = still(degree=0).with_weight_values("colors", np.s_[0], -0.4)
     unlabelled = replace(scene, manifest=None if is_inferred else scene.manifest)
     rgb = AppearanceOutput("color", "rgb")
-    model = unlabelled if is_inferred else unlabelled.declaring_outputs(appearance=rgb)
+    model = unlabelled if is_inferred else unlabelled.with_outputs(appearance=rgb)
     model.write(tmp_path / "m.onnx")
     report = validate(tmp_path / "m.onnx")
     (is_invalid,) = (finding for finding in report.findings if finding.rule == "GV012")

@@ -32,8 +32,8 @@ from gsgen.contract.validator import validate
 def test_a_frame_is_shown_from_its_moment_on(low, length, frames, loop, data):
     entry = Input(name="t", role="time", range=(low, low + length), frames=frames, loop=loop)
     frame = data.draw(st.integers(0, frames - 1))
-    assert entry.frame_at(entry.moment(frame)) == frame
-    middle = (entry.moment(frame) + entry.moment(frame + 1)) / 2
+    assert entry.frame_at(entry.time_of_frame(frame)) == frame
+    middle = (entry.time_of_frame(frame) + entry.time_of_frame(frame + 1)) / 2
     assert entry.frame_at(middle) == frame
     assert entry.frame_at(low + length) == (0 if loop else frames - 1)
 
@@ -42,7 +42,7 @@ def test_a_frame_is_shown_from_its_moment_on(low, length, frames, loop, data):
 def test_only_a_time_with_frames_has_moments(changes):
     entry = replace(Input(name="t", role="time", range=(0.0, 1.0), frames=3), **changes)
     with pytest.raises(ValueError, match="input 't' is not a time input with a range and frames"):
-        entry.moment(0)
+        entry.time_of_frame(0)
 
 
 def test_an_inputs_name_comes_before_its_role():
@@ -63,7 +63,7 @@ def test_an_inputs_name_comes_before_its_role():
 
 def test_a_denied_dependence_of_one_input_is_found_by_its_name(tmp_path):
     spec = find("two_sliders_one_idle").draw()
-    spec.declaring(depends_on={"a": False}).write(tmp_path / "a.onnx")
+    spec.with_manifest(depends_on={"a": False}).write(tmp_path / "a.onnx")
     report = validate(tmp_path / "a.onnx")
     actual = {(finding.rule, str(finding.where)) for finding in report.findings}
     assert ("GB022", "input a") in actual  # a moves the rows

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from gsgen.contract.spec.manifest_io import _complaint
+from gsgen.contract.spec.manifest_io import _complaint_from_fault
 from gsgen.contract.spec.schema_check import schema_faults
 
 FOLDER = resources.files("gsgen.contract").joinpath("schemas")
@@ -51,7 +51,7 @@ def places(document, path=()):
 
 def described(faults):
     """Return faults as manifests report them; of a required name the message differs in words."""
-    return sorted(str(_complaint(fault)) for fault in faults)
+    return sorted(str(_complaint_from_fault(fault)) for fault in faults)
 
 
 @given(data=st.data(), name=st.sampled_from(sorted(SCHEMAS)))

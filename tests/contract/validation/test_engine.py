@@ -42,7 +42,7 @@ def good(tmp_path_factory):
 
 
 def with_rules(*rules):
-    return Registry.of([*all_rules().rules.values(), *rules])
+    return Registry.from_rules([*all_rules().rules.values(), *rules])
 
 
 def statuses(report):
@@ -79,7 +79,7 @@ def test_a_report_names_the_contract_that_the_manifest_declares(version, tmp_pat
         document["contract"] = version
 
     path = tmp_path / "m.onnx"
-    still().rewritten(declare).write(path)
+    still().edit_manifest(declare).write(path)
     assert validate(path, Settings(level=Level.STATIC)).contract == version
 
 
@@ -157,7 +157,7 @@ def test_a_rule_is_judged_after_those_it_needs_whatever_their_order(good):
 
 def test_a_registry_may_lack_our_own_rules(good):
     rules = [made_up("acme/AC001", breaking), made_up("acme/AC002", over="rows")]
-    report = validate(good, registry=Registry.of(rules))
+    report = validate(good, registry=Registry.from_rules(rules))
     assert statuses(report) == {"acme/AC001": "fail", "acme/AC002": "skipped"}
     reason = "the model was not run because no rule GV025 is installed"
     assert levels(report)[Level.VALUES] == (False, reason)
@@ -311,7 +311,7 @@ def test_no_damage_to_a_file_makes_a_rule_crash(tmp_path_factory, edits):
 
 def test_a_nan_that_every_probe_has_belongs_to_gv001_and_not_to_zero_inputs(tmp_path):
     base = find("time_is_baked").draw()
-    broken = base.weighing(
+    broken = base.with_weights(
         center=np.where(np.arange(15).reshape(5, 3) == 4, np.nan, base.weights["center"]).astype(
             "f4"
         )
@@ -323,14 +323,16 @@ def test_a_nan_that_every_probe_has_belongs_to_gv001_and_not_to_zero_inputs(tmp_
     assert "GI009" not in rules
 
 
-def no_extras(monkeypatch, lacked):
+def no_extras(monkeypatch, missing_resource):
     """Let every extra probe be one that a limit ended, as time does on a slow machine."""
 
     @contextmanager
     def shortened(path, names, probes, limits, *arguments, **options):
         with execute(path, names, probes, limits, *arguments, **options) as execution:
             runs = tuple(
-                replace(run, sample=-1, lacked=lacked) if probes[run.probe].extra else run
+                replace(run, sample=-1, missing_resource=missing_resource)
+                if probes[run.probe].extra
+                else run
                 for run in execution.runs
             )
             yield replace(execution, runs=runs)
@@ -363,7 +365,7 @@ def test_a_rule_that_fails_by_the_probes_that_did_run_fails(good, monkeypatch):
     no_extras(monkeypatch, "time")
 
     def find(behaviour):
-        assert behaviour.visits("edges") == []
+        assert behaviour.trial_runs("edges") == []
         yield Violation.at("output g", "nine", "ten")
 
     rule = made_up("acme/AC001", find, over="runs")

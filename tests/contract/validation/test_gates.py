@@ -27,7 +27,7 @@ def test_without_the_rule_that_the_model_runs_no_model_is_run(tmp_path):
 
     path = find("still_sh0").write(tmp_path)
     static = (rule for rule in installed_rules().rules.values() if not rule.needs)
-    registry = Registry.of(rule for rule in static if rule.level.word == "static")
+    registry = Registry.from_rules(rule for rule in static if rule.level.word == "static")
     report = validate_with(registry, path, Settings())
     (reason,) = {level.reason for level in report.levels if level.level.word == "values"}
     assert reason == f"the model was not run because no rule {gates.MODEL_RUNS} is installed"

@@ -31,7 +31,7 @@ def told(context):
 
 def judged(path, prepare, *rules, level=Level.LIVE) -> Report:
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(prepare))
-    registry = Registry.of([*builtin_rules(), *rules], [runner])
+    registry = Registry.from_rules([*builtin_rules(), *rules], [runner])
     return validate(path, Settings(level=level), registry=registry)
 
 
@@ -122,7 +122,7 @@ def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
 def test_level_has_one_backend():
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
     with pytest.raises(ValueError, match="validation level live has two backends"):
-        Registry.of([], [runner, runner])
+        Registry.from_rules([], [runner, runner])
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
         else made_up("acme/AC002", over="live")
     )
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(prepare))
-    registry = Registry.of([*builtin_rules(), prediction, measurement], [runner])
+    registry = Registry.from_rules([*builtin_rules(), prediction, measurement], [runner])
     settings = Settings(level=Level.LIVE, target=load_target(target))
     report = validate(good, settings, registry=registry)
     assert report.outcome("acme/AC001").status == status
@@ -158,5 +158,5 @@ def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
 def test_a_prediction_stands_where_the_level_live_did_not_run(good):
     prediction = replace(made_up("acme/AC001", told, over="model"), settled_by=("acme/AC002",))
     rules = [*builtin_rules(), prediction, made_up("acme/AC002", over="live")]
-    report = validate(good, Settings(level=Level.LIVE), registry=Registry.of(rules))
+    report = validate(good, Settings(level=Level.LIVE), registry=Registry.from_rules(rules))
     assert report.outcome("acme/AC001").status == "fail"

@@ -25,7 +25,9 @@ TARGET = Target(
 
 
 def board(*rules, kind="gaussian-generator", **settings):
-    return ResultCollector(registry=Registry.of(rules), settings=Settings(**settings), kind=kind)
+    return ResultCollector(
+        registry=Registry.from_rules(rules), settings=Settings(**settings), kind=kind
+    )
 
 
 def judge(results, *rules):
@@ -103,7 +105,7 @@ def test_crashed_or_skipped_rule_blocks_dependents(status):
 def test_blocked_rule_blocks_dependents():
     first, second = made_up("GV901"), made_up("GV902", needs=("GV901",))
     results = board(first, second)
-    assert results.ready([second]) == []
+    assert results.ready_rules([second]) == []
     assert results.outcomes["GV902"].blocked_by == "GV901"
 
 
@@ -130,7 +132,7 @@ def test_inapplicable_rule_blocks_nothing():
 def test_a_rule_applies_to_its_target_limit_and_kind(options, kind, reason):
     rule = made_up("GV901", **options)
     results = board(rule, kind=kind, target=TARGET)
-    assert results.ready([rule]) == ([] if reason else [rule])
+    assert results.ready_rules([rule]) == ([] if reason else [rule])
     assert results.outcomes == (
         {"GV901": Outcome(rule=rule, status="not-applicable", reason=reason)} if reason else {}
     )

@@ -136,15 +136,17 @@ def test_a_module_has_the_rules_it_declares_in_order():
 
 def test_a_registry_has_every_id_once():
     with pytest.raises(ValueError, match="rule GV901 is declared twice"):
-        Registry.of([made_up("GV901"), made_up("GV901")])
+        Registry.from_rules([made_up("GV901"), made_up("GV901")])
 
 
 def test_a_registry_has_all_that_its_rules_need():
     with pytest.raises(ValueError, match="rule GV901 needs GV900, which does not exist"):
-        Registry.of([made_up("GV901", needs=("GV900",))])
+        Registry.from_rules([made_up("GV901", needs=("GV900",))])
 
 
-REGISTRY = Registry.of([declared("GV901", "opacity_range"), declared("acme/GV902", "rows_finite")])
+REGISTRY = Registry.from_rules(
+    [declared("GV901", "opacity_range"), declared("acme/GV902", "rows_finite")]
+)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +181,7 @@ def test_an_unknown_rule_names_the_nearest_of_its_sort(name, hint):
     assert str(caught.value) == f"--ignore: unknown rule {name!r}\n  {hint}"
 
 
-ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 31))
+ALL = Registry.from_rules(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 31))
 
 
 @pytest.mark.parametrize(
@@ -201,7 +203,7 @@ def test_only_ids_that_exist_are_suggested(typed_id, hint):
 
 
 def test_the_rules_of_runs_need_that_the_model_runs_and_static_rules_do_not():
-    registry = Registry.of(
+    registry = Registry.from_rules(
         [made_up("GV901", over="rows"), made_up(MODEL_RUNS, over="execution"), made_up("GM901")]
     )
     assert registry.rules["GV901"].level > registry.rules["GM901"].level == Level.STATIC

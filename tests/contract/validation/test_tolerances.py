@@ -117,7 +117,7 @@ def test_comparing_rules_use_the_tolerances(tmp_path):
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 0.5})
     assert f"expected 0.5 at most, {unit} (by the configuration)" in message
     assert not told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 1e3})
-    spec.declaring(tolerances=Tolerances(position=0.25)).write(tmp_path / "m.onnx")
+    spec.with_manifest(tolerances=Tolerances(position=0.25)).write(tmp_path / "m.onnx")
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
     assert "expected 0.25 at most" in message
     assert "(by the manifest)" in message

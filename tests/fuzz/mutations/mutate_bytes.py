@@ -30,7 +30,7 @@ def _fields(data: bytes, rng: random.Random) -> list[Field]:
             break
         results = inside
         nested_fields = [
-            entry for entry in inside if entry.wire == BYTES and entry.end > entry.value
+            entry for entry in inside if entry.wire_type == BYTES and entry.end > entry.value
         ]
         if not nested_fields:
             break

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.gpu.device import Device
@@ -39,7 +39,9 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
     for name in ("drift", "growing", "appearance_id", "fade_column", "ignored_time", "avatar"):
         find(name).write(folder)
-    fading = drifting().reworded("color = Identity (colors)", "color = Add (colors, time)")
+    fading = drifting_model().replace_text(
+        "color = Identity (colors)", "color = Add (colors, time)"
+    )
     fading.write(folder / "all_changing.onnx")
     return folder
 
@@ -188,9 +190,9 @@ def test_a_count_that_changes_alone_uploads_nothing(
     counted = (
         find("growing")
         .draw()
-        .reworded("seen = Mul (opacity, mask)", "seen = Mul (opacity, opacity)")
+        .replace_text("seen = Mul (opacity, mask)", "seen = Mul (opacity, opacity)")
     )
-    counted = counted.reworded("shift = Mul (speed, time)", "shift = Sub (speed, speed)")
+    counted = counted.replace_text("shift = Mul (speed, time)", "shift = Sub (speed, speed)")
     path = tmp_path / "counted.onnx"
     counted.write(path)
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:

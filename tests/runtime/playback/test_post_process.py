@@ -83,10 +83,10 @@ def test_straight_colours_are_fed_and_alpha_is_reapplied(
 
 
 def test_ranges_and_the_colour_space_are_those_of_the_manifest(tmp_path: Path) -> None:
-    spec = darken("height,width").reworded(
+    spec = darken("height,width").replace_text(
         "out = Mul (image, amount)", "half = Mul (image, amount) out = Add (half, more)"
     )
-    spec = spec.weighing(amount=f32(40.0), more=f32(60.0))
+    spec = spec.with_weights(amount=f32(40.0), more=f32(60.0))
     spec = declared(spec, input_range=(-1, 1), output_range=(10, 110), space="linear")
     shown = frame(1)
     with PostProcessor(write(tmp_path, spec)) as model:
@@ -139,8 +139,8 @@ def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
     ],
 )
 def test_non_image_outputs_are_refused(tmp_path: Path, body: str, expected_message: str) -> None:
-    spec = darken("height,width").reworded("out = Mul (image, amount)", body)
-    spec = replace(spec, opset=13, ir=8, weights={}).reworded(
+    spec = darken("height,width").replace_text("out = Mul (image, amount)", body)
+    spec = replace(spec, opset=13, ir=8, weights={}).replace_text(
         "float[1,3,height,width] out", "float[1,C,height,width] out"
     )
     path = write(tmp_path, spec)
@@ -160,7 +160,7 @@ def test_other_kinds_of_model_are_refused(tmp_path: Path) -> None:
 
 def test_player_runs_post_process_models_in_order(tmp_path: Path) -> None:
     scene = find("drift").write(tmp_path)
-    brightening_model = darken("h,w").reworded("Mul (image, amount)", "Max (image, amount)")
+    brightening_model = darken("h,w").replace_text("Mul (image, amount)", "Max (image, amount)")
     paths = [write(tmp_path, darken(), "dark"), write(tmp_path, brightening_model, "floor")]
     camera = Camera.orbit((0, 0, 0), 4, width=WIDTH, height=HEIGHT)
     renderer, white = Renderer(rasteriser="tiles"), (1.0, 1.0, 1.0, 1.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.valid.avatars import heard
+from gsgen.conformance.fixtures.valid.avatars import sound_model
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.playback.sound_tracks import read_sound, sound_track
@@ -92,7 +92,7 @@ def test_files_without_sound_are_refused(tmp_path: Path, data: bytes) -> None:
 
 
 def test_a_film_is_as_long_as_its_sound(tmp_path: Path) -> None:
-    heard().write(tmp_path / "mouth.onnx")
+    sound_model().write(tmp_path / "mouth.onnx")
     write_wav(tmp_path / "speech.wav", noise(4000).tobytes(), rate=16000)
     words = ("render", "mouth.onnx", "-o", "talk", "--width", "24", "--height", "16", "--fps", "20")
     completed = gsgen_here(*words, "--input", "audio=speech.wav", cwd=tmp_path)

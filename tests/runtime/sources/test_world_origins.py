@@ -19,7 +19,7 @@ UTM = (449_123.25, 5_411_042.5, 88.125)
 
 def source(folder: Path, name: str, space: Space | None) -> Source:
     path = folder / f"{name}.onnx"
-    find("still_rgb").draw().declaring(space=space).write(path)
+    find("still_rgb").draw().with_manifest(space=space).write(path)
     return open_source(path)
 
 

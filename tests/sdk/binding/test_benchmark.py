@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.conformance.fixtures.builders.moving import driven
+from gsgen.conformance.fixtures.builders.moving import input_driven_model
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.binding import benchmark
 from gsgen.sdk.binding.benchmark import time_frames
@@ -45,7 +45,7 @@ def test_unmeasurable_models_have_distinct_errors(models, tmp_path, monkeypatch)
 
 def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
     pose = Input(name="pose", role="pose")
-    opened = driven("float[J,3] pose", pose, "shift = ReduceMean <keepdims = 0> (pose)")
+    opened = input_driven_model("float[J,3] pose", pose, "shift = ReduceMean <keepdims = 0> (pose)")
     opened.write(tmp_path / "open.onnx")
     failed = time_frames(tmp_path / "open.onnx", "cpu", frames=1)
     assert failed.state == "failed"

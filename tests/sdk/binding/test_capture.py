@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, RunFailed, warm_up
 
 
@@ -92,7 +92,7 @@ def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
     from dataclasses import replace
 
     end = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
-    spec = drifting().reworded(end, f"{end} clock = Identity (time)")
+    spec = drifting_model().replace_text(end, f"{end} clock = Identity (time)")
     replace(spec, outputs=f"{spec.outputs}, float[1] clock").write(tmp_path / "a.onnx")
     with pytest.warns(CaptureOff, match="output clock repeats frame 0 .* made by Identity"):
         session = FrameSession(tmp_path / "a.onnx", provider="webgpu")
@@ -121,7 +121,7 @@ def test_a_scatter_that_meets_its_own_leftovers_is_caught(base, tmp_path):
         "base": np.ones((5, 3), np.float32),
     }
     used = {name: array for name, array in weights.items() if f"{name}," in body or name == "high"}
-    drifting().reworded(end, body).weighing(**used).write(tmp_path / "a.onnx")
+    drifting_model().replace_text(end, body).with_weights(**used).write(tmp_path / "a.onnx")
     with pytest.warns(CaptureOff, match=r"computed from ScatterND \(node ScatterND\)$"):
         session = FrameSession(tmp_path / "a.onnx", provider="webgpu")
     with session:

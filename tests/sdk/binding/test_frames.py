@@ -10,7 +10,7 @@ import onnx_ir as ir
 import pytest
 
 from gsgen.conformance.fixtures.builders.images import darken
-from gsgen.conformance.fixtures.builders.moving import drifting, looking
+from gsgen.conformance.fixtures.builders.moving import camera_dependent_model, drifting_model
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.sdk.binding import FrameGone, FrameSession, RunFailed
@@ -49,7 +49,9 @@ def test_a_prompt_shows_the_names_of_a_frame_s_outputs(models):
 @BOTH
 @DTYPES
 def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):
-    weights = {name: a.astype(np.float64) for name, a in drifting(dtype=dtype).weights.items()}
+    weights = {
+        name: a.astype(np.float64) for name, a in drifting_model(dtype=dtype).weights.items()
+    }
     with FrameSession(models[f"drift-{dtype}"], provider=provider) as session:
         assert (session.provider, session.captured) == (provider, provider == "webgpu")
         assert session.cause == ""
@@ -67,7 +69,7 @@ def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):
 @pytest.mark.parametrize("model", ["look-float32", "look-float16", "look-row"])
 def test_a_camera_is_laid_out_as_the_manifest_declares(provider, model, models):
     order = "row" if model == "look-row" else "column"
-    weights = looking(order=order).weights
+    weights = camera_dependent_model(order=order).weights
     with FrameSession(models[model], provider=provider) as session:
         for angle in (0.0, 0.9, 2.2):
             view_camera = camera(angle)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import parser
 
-from gsgen.conformance.fixtures.builders.moving import driven
+from gsgen.conformance.fixtures.builders.moving import input_driven_model
 from gsgen.contract.errors import ConfigInvalid, GsgenError, ManifestInvalid, ModelUnreadable
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.geometry import perspective
@@ -33,7 +33,7 @@ def session(tmp_path_factory):
         "shift = Add (row, sum)"
     )
     text = "float[1] a, float[1] b, int32[1] index, float[1,3] pose"
-    driven(text, WAYS, shift).weighing(zero=np.zeros(1, np.int64)).write(path)
+    input_driven_model(text, WAYS, shift).with_weights(zero=np.zeros(1, np.int64)).write(path)
     with FrameSession(path, provider="cpu") as frame_session:
         yield frame_session
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, serve
+from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, run_worker
 
 
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
@@ -37,4 +37,4 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(serve(Path(sys.argv[1]), _work))
+    sys.exit(run_worker(Path(sys.argv[1]), _work))

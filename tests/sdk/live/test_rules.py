@@ -8,7 +8,7 @@ import pytest
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.builders.arrays import i64
 from gsgen.conformance.fixtures.builders.images import darken
-from gsgen.conformance.fixtures.builders.moving import drifting, looking
+from gsgen.conformance.fixtures.builders.moving import camera_dependent_model, drifting_model
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.report import Report
@@ -110,12 +110,12 @@ def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end
     half = dtype == "float16"
     narrow_text = f"{concat_text.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"
     before = "gaussians = Cast <to = 10> (packed)" if half else END
-    spec = drifting(dtype=dtype)
-    spec = spec.reworded(concat_text, "") if half else spec
-    spec = spec.reworded(before, f"{narrow_text if half else concat_text} {end}")
+    spec = drifting_model(dtype=dtype)
+    spec = spec.replace_text(concat_text, "") if half else spec
+    spec = spec.replace_text(before, f"{narrow_text if half else concat_text} {end}")
     weights = {"shape": i64(5, 10), "first": i64(0), "unit": np.ones(1, dtype)}
     used = {name: array for name, array in weights.items() if name in end}
-    spec.weighing(**used).write(tmp_path / "a.onnx")
+    spec.with_weights(**used).write(tmp_path / "a.onnx")
     report = judged(tmp_path / "a.onnx")
     assert report.outcome("GB016").status == ("fail" if operator else "pass")
     if operator:
@@ -124,7 +124,7 @@ def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end
 
 def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
     path = tmp_path / "a.onnx"
-    spec = drifting().reworded(END, f"{END} clock = Identity (time)")
+    spec = drifting_model().replace_text(END, f"{END} clock = Identity (time)")
     replace(spec, outputs=f"{spec.outputs}, float[1] clock").write(path)
     assert message(judged(path), "GB016").startswith(
         "output clock: repeats frame 0 in all 6 replays; made by Identity"
@@ -132,7 +132,7 @@ def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("draw", [drifting, looking])
+@pytest.mark.parametrize("draw", [drifting_model, camera_dependent_model])
 def test_moving_models_pass(draw, dtype, tmp_path):
     draw(degree=3, dtype=dtype).write(tmp_path / "a.onnx")
     passes(judged(tmp_path / "a.onnx"))

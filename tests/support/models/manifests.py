@@ -62,8 +62,8 @@ def _scalar(hint: Any, limits: Hint) -> st.SearchStrategy:
     if hint is int:
         return st.integers(limits.minimum, limits.maximum)
     if hint is float:
-        low = limits.minimum if limits.above is None else limits.above
+        low = limits.minimum if limits.exclusive_minimum is None else limits.exclusive_minimum
         finite = {"allow_nan": False, "allow_infinity": False}
-        has_upper_limit = limits.above is not None
+        has_upper_limit = limits.exclusive_minimum is not None
         return st.floats(low, limits.maximum, exclude_min=has_upper_limit, **finite)
     return {bool: st.booleans(), type(None): st.none()}[hint]

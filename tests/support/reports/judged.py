@@ -35,7 +35,7 @@ _WAIVERS = (
 def part_of_the_catalogue() -> Registry:
     """The chosen rules, in order of the catalogue; what else they need is left out."""
     rules = [rule for rule in installed_rules().rules.values() if rule.id in _CHOSEN]
-    return Registry.of(
+    return Registry.from_rules(
         replace(
             rule, needs=tuple(needed_rule for needed_rule in rule.needs if needed_rule in _CHOSEN)
         )

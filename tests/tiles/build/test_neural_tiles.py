@@ -8,7 +8,7 @@ import onnxruntime
 import pytest
 
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.formats import write_ply
 from gsgen.tiles import validate
 from gsgen.tiles.loading.leaves import read_leaves
@@ -24,7 +24,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene of one leaf, and a generator that drifts from time 2 to 4."""
     folder = tmp_path_factory.mktemp("neural")
     write_ply(folder / "scene.ply", scattered(300))
-    (folder / "a fountain.onnx").write_bytes(drifting(span=(2.0, 4.0)).build().SerializeToString())
+    (folder / "a fountain.onnx").write_bytes(
+        drifting_model(span=(2.0, 4.0)).build().SerializeToString()
+    )
     return folder
 
 
@@ -70,7 +72,7 @@ def test_generators_that_cannot_be_tiles_are_refused(folder: Path, tmp_path: Pat
     constant = tmp_path / "constant.onnx"
     constant.write_bytes(still(5).build().SerializeToString())
     unbounded = tmp_path / "unbounded.onnx"
-    unbounded.write_bytes(drifting().declaring(bounds=None).build().SerializeToString())
+    unbounded.write_bytes(drifting_model().with_manifest(bounds=None).build().SerializeToString())
     good = folder / "a fountain.onnx"
     for words, message in (
         ((constant,), "lacks inputs"),

@@ -12,7 +12,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.contract.spec.manifest import Bounds
 from gsgen.tiles import validate
 from gsgen.tiles.build.frame import globe_transform
@@ -128,13 +128,13 @@ def no_content(spec: Any) -> None:
 
 def wide() -> bytes:
     bounds = Bounds((-1.5, -1.5, -9.0), (1.5, 1.5, 1.5))
-    return drifting().declaring(bounds=bounds).build().SerializeToString()
+    return drifting_model().with_manifest(bounds=bounds).build().SerializeToString()
 
 
 def leaving() -> bytes:
     """A model whose splats leave its own bounds."""
     bounds = Bounds((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))
-    return drifting().declaring(bounds=bounds).build().SerializeToString()
+    return drifting_model().with_manifest(bounds=bounds).build().SerializeToString()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from time import monotonic
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.builders.moving import drifting, looking
+from gsgen.conformance.fixtures.builders.moving import camera_dependent_model, drifting_model
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.contract.spec.manifest import Bounds
 from gsgen.formats.shared.harmonics import sh_basis
@@ -45,8 +45,8 @@ BOUNDS = Bounds((-1.9, -1.9, -1.9), (1.9, 1.9, 1.9))
 def moving(seed: int, degree: int | None = 1, count: int = 20) -> bytes:
     """A generator whose Gaussians drift with time, not the same for two seeds."""
     rng = np.random.default_rng(seed)
-    spec = drifting(count, degree=degree).declaring(bounds=BOUNDS)
-    spec = spec.weighing(speed=rng.uniform(-0.4, 0.4, (count, 3)).astype(np.float32))
+    spec = drifting_model(count, degree=degree).with_manifest(bounds=BOUNDS)
+    spec = spec.with_weights(speed=rng.uniform(-0.4, 0.4, (count, 3)).astype(np.float32))
     model: bytes = spec.build().SerializeToString()
     return model
 
@@ -119,7 +119,9 @@ def test_generators_are_drawn_at_the_frame_s_time(
 def test_a_generator_sees_the_camera_in_the_tile_s_frame(
     tmp_path: Path, renderer: Renderer
 ) -> None:
-    model = looking(degree=1).declaring(bounds=BOUNDS).build().SerializeToString()
+    model = (
+        camera_dependent_model(degree=1).with_manifest(bounds=BOUNDS).build().SerializeToString()
+    )
     index = write_neural_tileset(tmp_path / "tiles", [model], roles=("view",), seed=2)
     camera, (matrix,) = watching(1), transforms(1, 2)
     (picture,), source = draw(index, renderer, camera, [0.0])
@@ -134,8 +136,10 @@ def test_a_generator_sees_the_camera_in_the_tile_s_frame(
 
 
 def leaving() -> bytes:
-    spec = drifting(20, degree=1).declaring(bounds=BOUNDS)
-    model: bytes = spec.weighing(speed=np.full((20, 3), 9, np.float32)).build().SerializeToString()
+    spec = drifting_model(20, degree=1).with_manifest(bounds=BOUNDS)
+    model: bytes = (
+        spec.with_weights(speed=np.full((20, 3), 9, np.float32)).build().SerializeToString()
+    )
     return model
 
 

@@ -71,7 +71,9 @@ def test_fixture_fails_when_its_rule_is_silent(rule: Rule, tmp_path: Path) -> No
         replace(entry, check=silent) if entry.id == rule.id else entry
         for entry in all_rules().rules.values()
     ]
-    report = validate(fixture.write(tmp_path), fixture.settings, registry=Registry.of(rules))
+    report = validate(
+        fixture.write(tmp_path), fixture.settings, registry=Registry.from_rules(rules)
+    )
     assert rule.id not in {finding.rule for finding in report.findings}
 
 

@@ -8,8 +8,13 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.expected import ExpectedFailure
-from gsgen.conformance.pytest.session import ConformanceSession, act, prepare, properties
-from gsgen.conformance.pytest.testing import refuse_strangers
+from gsgen.conformance.pytest.session import (
+    ConformanceSession,
+    fail_if_crashed,
+    raise_outcome,
+    report_properties,
+)
+from gsgen.conformance.pytest.testing import refuse_unmatched_entries
 from gsgen.conformance.run import ModelRun
 from gsgen.conformance.suite import SUITES, Suite
 from gsgen.contract.errors import GsgenError
@@ -57,12 +62,14 @@ class GeneratorConformance:
         self, target: str | None, level: str | None, pytestconfig: pytest.Config
     ) -> Settings:
         """Pytest fixture: the settings of the validation."""
-        return ConformanceSession.of(pytestconfig).make_settings(target=target, level=level)
+        return ConformanceSession.from_config(pytestconfig).make_settings(
+            target=target, level=level
+        )
 
     @pytest.fixture
     def expected_failures(self, pytestconfig: pytest.Config) -> Iterable[ExpectedFailure]:
         """Pytest fixture: rules that the model is known to break; an unexpected pass fails."""
-        return ConformanceSession.of(pytestconfig).expected
+        return ConformanceSession.from_config(pytestconfig).expected
 
     @pytest.fixture
     def conformance(
@@ -73,22 +80,24 @@ class GeneratorConformance:
         pytestconfig: pytest.Config,
     ) -> ModelRun:
         """Pytest fixture: the results of validating the model."""
-        bench, path = ConformanceSession.of(pytestconfig), Path(model)
+        pytest_session, path = ConformanceSession.from_config(pytestconfig), Path(model)
         expected = tuple(expected_failures)
         try:
-            if expected != bench.expected:  # entries of the options may name other models
-                refuse_strangers(expected, {path: bench.plan(path, settings)})
-            return bench.run(path, settings, expected)
+            if expected != pytest_session.expected:  # entries of the options may name other models
+                refuse_unmatched_entries(expected, {path: pytest_session.plan(path, settings)})
+            return pytest_session.run(path, settings, expected)
         except (GsgenError, pytest.UsageError) as error:
             pytest.fail(f"{error}", pytrace=False)
 
     @pytest.fixture
-    def _ready(self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest) -> None:
+    def _require_no_crash(
+        self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest
+    ) -> None:
         """Pytest fixture: reports a crashed rule as a test error instead of a test failure."""
         for case in conformance.cases:
             if case.rule.id == rule.id:
-                request.node.user_properties += properties(conformance, case)
-                prepare(conformance, case)
+                request.node.user_properties += report_properties(conformance, case)
+                fail_if_crashed(conformance, case)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Parametrize the test of each conformance suite by the validation rules of the suite."""
@@ -98,17 +107,17 @@ class GeneratorConformance:
             metafunc.parametrize("rule", rules, ids=ids)
 
 
-def _home(rule: Rule) -> str:
+def _suite_name(rule: Rule) -> str:
     """Return the name of the first suite that tests a rule, on a generator if the rule allows."""
     is_generator = GENERATOR in rule.kinds
     suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
-def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
+def _make_suite_test(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
     """Return a pytest function that tests one validation rule of a conformance suite on a model."""
 
-    @pytest.mark.usefixtures("_ready")
+    @pytest.mark.usefixtures("_require_no_crash")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:
         __tracebackhide__ = True
         try:
@@ -117,24 +126,24 @@ def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
             pytest.skip("not-applicable: for another target or kind of model")
         if suite.name not in conformance.suites and case.status == "passed":
             pytest.skip(f"not-applicable: suite {suite.name} is not for what it declares")
-        act(conformance, case)
+        raise_outcome(conformance, case)
 
     test.__doc__ = suite.summary
-    test.__name__ = _name(suite)
+    test.__name__ = _test_name(suite)
     test.rules = rules  # type: ignore[attr-defined]
     return test
 
 
-def _name(suite: Suite) -> str:
+def _test_name(suite: Suite) -> str:
     return f"test_{suite.name.replace('-', '_')}"
 
 
 def _add_tests() -> None:
     """Add a test method for each conformance suite to a class; subclasses can override it."""
     for suite in SUITES:
-        rules = [r for r in installed_rules().rules.values() if _home(r) == suite.name]
+        rules = [r for r in installed_rules().rules.values() if _suite_name(r) == suite.name]
         if rules:
-            setattr(GeneratorConformance, _name(suite), _test_of(suite, rules))
+            setattr(GeneratorConformance, _test_name(suite), _make_suite_test(suite, rules))
 
 
 _add_tests()

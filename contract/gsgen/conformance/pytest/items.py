@@ -9,7 +9,12 @@ from typing import Any
 import pytest
 
 from gsgen.conformance.expected import ExpectedFailure, unmatched_entries
-from gsgen.conformance.pytest.session import ConformanceSession, act, prepare, properties
+from gsgen.conformance.pytest.session import (
+    ConformanceSession,
+    fail_if_crashed,
+    raise_outcome,
+    report_properties,
+)
 from gsgen.conformance.run import ModelRun
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.validation.rule import Rule
@@ -20,19 +25,19 @@ class ModelFile(pytest.File):
 
     def collect(self) -> "Iterator[SuiteNode]":
         """Yield a pytest node for each chosen conformance suite that applies to the model."""
-        bench = ConformanceSession.of(self.config)
+        pytest_session = ConformanceSession.from_config(self.config)
         try:
-            planned = bench.plan(self.path, bench.settings)
+            rules_by_suite = pytest_session.plan(self.path, pytest_session.settings)
         except GsgenError as error:
             raise self.CollectError(f"gsgen: the model cannot be tested: {error}") from error
-        for name, rules in planned.items():
-            if not bench.suites or name in bench.suites:
+        for name, rules in rules_by_suite.items():
+            if not pytest_session.suites or name in pytest_session.suites:
                 yield SuiteNode.from_parent(self, name=name, rules=rules)
 
     def run_model(self) -> ModelRun:
         """Validate the ONNX file once per pytest session, and return the result."""
-        bench = ConformanceSession.of(self.config)
-        return bench.run(self.path, bench.settings, bench.expected)
+        pytest_session = ConformanceSession.from_config(self.config)
+        return pytest_session.run(self.path, pytest_session.settings, pytest_session.expected)
 
 
 class SuiteNode(pytest.Collector):
@@ -67,13 +72,13 @@ class RuleItem(pytest.Item):
         """Validate the model before the test; a crashed validation rule is a test error."""
         run = self.file.run_model()
         case = run.case(self.rule.id)
-        self.user_properties += properties(run, case)
-        prepare(run, case)
+        self.user_properties += report_properties(run, case)
+        fail_if_crashed(run, case)
 
     def runtest(self) -> None:
         """Pass, fail, skip, warn or xfail the test, by the status of the validation rule."""
         run = self.file.run_model()
-        act(run, run.case(self.rule.id))
+        raise_outcome(run, run.case(self.rule.id))
 
     def reportinfo(self) -> tuple[Path, None, str]:
         """Return the location of the test for the headings of pytest's failure reports."""
@@ -99,7 +104,9 @@ class StaleEntry(pytest.Item):
 
 def stale_entries(session: pytest.Session) -> Iterator[StaleEntry]:
     """Yield a failing item for each entry of ``--gsgen-xfails`` that matches no collected model."""
-    bench = ConformanceSession.of(session.config)
-    if bench.tested:
-        for number, entry in enumerate(unmatched_entries(bench.expected, bench.tested), start=1):
+    pytest_session = ConformanceSession.from_config(session.config)
+    if pytest_session.tested_rules:
+        for number, entry in enumerate(
+            unmatched_entries(pytest_session.expected, pytest_session.tested_rules), start=1
+        ):
             yield StaleEntry.from_parent(session, name=f"xfail-{number}", entry=entry)

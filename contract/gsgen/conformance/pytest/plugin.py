@@ -16,7 +16,7 @@ import pytest
 if TYPE_CHECKING:
     from gsgen.conformance.pytest.testing import Check
 
-_MARK = "gsgen_rules"
+_MARKER_NAME = "gsgen_rules"
 _CLASSES = "gsgen.conformance.pytest.generator"  # loaded if a test inherits from our class
 _SUFFIX = ".onnx"
 
@@ -59,7 +59,9 @@ _OPTIONS = (
 
 def pytest_configure(config: pytest.Config) -> None:
     """Add models named with ``--gsgen`` to pytest's paths; without other paths, test only those."""
-    config.addinivalue_line("markers", f"{_MARK}(request): give a test each rule of some models")
+    config.addinivalue_line(
+        "markers", f"{_MARKER_NAME}(request): give a test each rule of some models"
+    )
     if not config.getoption("--gsgen"):
         return
     from gsgen.conformance.pytest.session import ConformanceSession
@@ -72,7 +74,7 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(f"gsgen: --gsgen: {error}") from error
     config.option.gsgen = models
 
-    ConformanceSession.of(config)  # a wrong option ends the run here
+    ConformanceSession.from_config(config)  # a wrong option ends the run here
     if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR:
         config.args = []
     config.args += [model for model in models if model not in config.args]
@@ -83,8 +85,10 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Co
     if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
         return None
     paths = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
-    extra = bool(paths) and parent.session.isinitpath(file_path)
-    if file_path.resolve() not in paths and not (extra and file_path.suffix == _SUFFIX):
+    is_named_on_command_line = bool(paths) and parent.session.isinitpath(file_path)
+    if file_path.resolve() not in paths and not (
+        is_named_on_command_line and file_path.suffix == _SUFFIX
+    ):
         return None
     from gsgen.conformance.pytest.items import ModelFile
 
@@ -93,12 +97,15 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Co
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Parametrize a test that has a ``check`` argument by the requested models and rules."""
-    marker = metafunc.definition.get_closest_marker(_MARK)
+    marker = metafunc.definition.get_closest_marker(_MARKER_NAME)
     if marker is not None:
         from gsgen.conformance.pytest.session import ConformanceSession
         from gsgen.conformance.pytest.testing import checks_for
 
-        bench, folder = (ConformanceSession.of(metafunc.config), metafunc.definition.path.parent)
+        bench, folder = (
+            ConformanceSession.from_config(metafunc.config),
+            metafunc.definition.path.parent,
+        )
         try:
             checks = checks_for(marker.args[0], bench, folder)
         except pytest.UsageError as error:  # stacks of pytest and gsgen do not show the mistake
@@ -120,15 +127,15 @@ def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.I
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Raise for a crashed validation rule, and skip tests of a model that cannot be validated."""
     if _CLASSES in sys.modules:
-        from gsgen.conformance.pytest.skipped import skip_if_noted
+        from gsgen.conformance.pytest.skipped import skip_if_unusable
 
-        skip_if_noted(item)
-    check = _check_of(item)
+        skip_if_unusable(item)
+    check = _find_check(item)
     if check is not None:
-        from gsgen.conformance.pytest.session import properties
+        from gsgen.conformance.pytest.session import report_properties
 
-        item.user_properties += properties(check.run, check.case)
-        check.prepare()
+        item.user_properties += report_properties(check.run, check.case)
+        check.fail_if_crashed()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -138,10 +145,10 @@ def pytest_runtest_makereport(
     """Shorten pytest's failure report of a conformance test whose model cannot be validated."""
     report = yield
     if call.when == "setup" and report.failed and _CLASSES in sys.modules:
-        from gsgen.conformance.pytest.skipped import note, wants_model
+        from gsgen.conformance.pytest.skipped import record_unusable_model, uses_model
 
-        if wants_model(item):
-            note(item, call, report)
+        if uses_model(item):
+            record_unusable_model(item, call, report)
     return report
 
 
@@ -149,14 +156,14 @@ def pytest_runtest_makereport(
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
     """Fail a pytest test that requested a contract rule but never checked that rule."""
     result = yield
-    check = _check_of(pyfuncitem)
-    if check is not None and not check.called:
+    check = _find_check(pyfuncitem)
+    if check is not None and not check.is_called:
         pytest.fail(f"the test never called check(), so {check.name} was not checked")
     return result
 
 
-def _check_of(item: pytest.Item) -> "Check | None":
-    if item.get_closest_marker(_MARK) is None or not isinstance(item, pytest.Function):
+def _find_check(item: pytest.Item) -> "Check | None":
+    if item.get_closest_marker(_MARKER_NAME) is None or not isinstance(item, pytest.Function):
         return None
     parameter: Any = item.callspec.params["check"]
     check: Check = parameter

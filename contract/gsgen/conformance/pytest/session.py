@@ -1,6 +1,12 @@
 """The state that the tests of one pytest session share: options and validated models."""
 
-__all__ = ["ConformanceSession", "RuleWarning", "act", "prepare", "properties"]
+__all__ = [
+    "ConformanceSession",
+    "RuleWarning",
+    "fail_if_crashed",
+    "raise_outcome",
+    "report_properties",
+]
 
 import json
 import warnings
@@ -24,7 +30,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.settings_from_options import make_settings
 
 # A dump without an option must not fill a disk: models of this field return 0.5 GB a frame.
-_MOST_UNASKED = 64 << 20
+_MAX_DEFAULT_DUMP_BYTES = 64 << 20
 
 
 class RuleWarning(UserWarning):
@@ -40,20 +46,20 @@ class ConformanceSession:
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
-        self.tested: dict[Path, set[str]] = {}
-        self._runs: dict[object, ModelRun | Exception] = {}
+        self.tested_rules: dict[Path, set[str]] = {}
+        self._run_by_key: dict[object, ModelRun | Exception] = {}
 
     @classmethod
-    def of(cls, config: pytest.Config) -> "ConformanceSession":
+    def from_config(cls, config: pytest.Config) -> "ConformanceSession":
         """Return gsgen's state of a pytest session: options and validated models."""
-        if _BENCH not in config.stash:
-            bench = config.stash[_BENCH] = cls(config)
+        if _SESSION_KEY not in config.stash:
+            pytest_session = config.stash[_SESSION_KEY] = cls(config)
             try:
-                _ = bench.settings, bench.suites, bench.expected
-                _ = bench.option("dump") and bench.dumps
+                _ = pytest_session.settings, pytest_session.suites, pytest_session.expected
+                _ = pytest_session.option("dump") and pytest_session.dumps
             except GsgenError as error:
                 raise pytest.UsageError(f"gsgen: an option is invalid: {error}") from error
-        return config.stash[_BENCH]
+        return config.stash[_SESSION_KEY]
 
     def option(self, name: str) -> Any:
         """Return the value of the option ``--gsgen-NAME``, or None."""
@@ -94,14 +100,14 @@ class ConformanceSession:
         if folder:
             return Dumps(Path(folder))
         factory: pytest.TempPathFactory = self.config._tmp_path_factory  # type: ignore[attr-defined]
-        return Dumps(factory.mktemp("gsgen-dumps"), _MOST_UNASKED)
+        return Dumps(factory.mktemp("gsgen-dumps"), _MAX_DEFAULT_DUMP_BYTES)
 
     def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
         """Return a model's conformance suites with their rules, and mark the rules as tested."""
-        planned = suites_of(path, settings)
-        rules = self.tested.setdefault(path, set())
-        rules |= {rule.id for suite_rules in planned.values() for rule in suite_rules}
-        return planned
+        rules_by_suite = suites_of(path, settings)
+        rules = self.tested_rules.setdefault(path, set())
+        rules |= {rule.id for suite_rules in rules_by_suite.values() for rule in suite_rules}
+        return rules_by_suite
 
     def run(self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]) -> ModelRun:
         """Validate a model once per pytest session, and return the result."""
@@ -109,14 +115,14 @@ class ConformanceSession:
         stat = path.stat() if path.is_file() else None
         version = (stat.st_mtime_ns, stat.st_size) if stat else ()
         key = (path.resolve(), version, repr(settings), entries)
-        if key not in self._runs:
-            self._runs[key] = self._judge(path, settings, entries)
-        model_run = self._runs[key]
+        if key not in self._run_by_key:
+            self._run_by_key[key] = self._validate_safely(path, settings, entries)
+        model_run = self._run_by_key[key]
         if isinstance(model_run, Exception):
             raise model_run
         return model_run
 
-    def _judge(
+    def _validate_safely(
         self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
     ) -> ModelRun | Exception:
         """Validate a model; return an exception as a value, so that every test can raise it."""
@@ -126,16 +132,16 @@ class ConformanceSession:
             return error
 
 
-_BENCH = pytest.StashKey[ConformanceSession]()
+_SESSION_KEY = pytest.StashKey[ConformanceSession]()
 
 
-def prepare(run: ModelRun, case: Case) -> None:
+def fail_if_crashed(run: ModelRun, case: Case) -> None:
     """Raise if the check of a test's rule crashed: pytest reports an error, not a failure."""
     if case.status == "crashed":
         pytest.fail(run.text(case), pytrace=False)
 
 
-def act(run: ModelRun, case: Case) -> None:
+def raise_outcome(run: ModelRun, case: Case) -> None:
     """Pass, fail, skip, warn or xfail the running test, by the status of the validation rule."""
     __tracebackhide__ = True
     if case.status == "failed":
@@ -148,7 +154,7 @@ def act(run: ModelRun, case: Case) -> None:
         warnings.warn(RuleWarning(case.text.lstrip()), stacklevel=2)
 
 
-def properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
+def report_properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
     """Return the properties of a test report: rule id, status, and findings as JSON."""
     entries: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
     entries.append(("gsgen.status", case.status))

@@ -4,7 +4,7 @@ Every test of such a class would raise the same error. One report shows the faul
 forty hide it.
 """
 
-__all__ = ["note", "skip_if_noted", "wants_model"]
+__all__ = ["record_unusable_model", "skip_if_unusable", "uses_model"]
 
 import sys
 from collections.abc import Iterator
@@ -14,12 +14,12 @@ import pytest
 
 from gsgen.contract.errors import GsgenError
 
-_NOTED = pytest.StashKey[dict[object, str]]()
-_LOGS = "Captured log"
-_CHATTER = "DEBUG    torch."  # log lines of torch's exporter for its own developers
+_UNTESTABLE_KEY = pytest.StashKey[dict[object, str]]()
+_LOG_SECTION = "Captured log"
+_EXPORTER_LOG_PREFIX = "DEBUG    torch."  # log lines of torch's exporter for its own developers
 
 
-def wants_model(item: pytest.Item) -> bool:
+def uses_model(item: pytest.Item) -> bool:
     """Return whether a test of a ``GeneratorConformance`` class uses a validation result."""
     module = sys.modules.get("gsgen.conformance.pytest.generator")
     test_class = getattr(item, "cls", None)
@@ -32,46 +32,54 @@ def wants_model(item: pytest.Item) -> bool:
     return "conformance" in getattr(item, "fixturenames", ())
 
 
-def skip_if_noted(item: pytest.Item) -> None:
+def skip_if_unusable(item: pytest.Item) -> None:
     """Skip a test if an earlier test has recorded that its model cannot be validated."""
-    first = item.session.stash.get(_NOTED, {}).get(_subject(item))
+    first = item.session.stash.get(_UNTESTABLE_KEY, {}).get(_model_key(item))
     if first is not None:
         pytest.skip(f"the model cannot be validated: see the error of {first}")
 
 
-def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
+def record_unusable_model(
+    item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+) -> None:
     """Record that a model cannot be validated, and cut library code from the pytest traceback."""
     assert call.excinfo is not None
     if "conformance" in getattr(item, "funcargs", {}):
         return  # the model was validated, and the rule crashed
-    item.session.stash.setdefault(_NOTED, {})[_subject(item)] = item.name
-    quiet = [(head, _quiet(head, text)) for head, text in report.sections]
-    report.sections = [(head, text) for head, text in quiet if text]
+    item.session.stash.setdefault(_UNTESTABLE_KEY, {})[_model_key(item)] = item.name
+    filtered_sections = [
+        (head, _without_exporter_logs(head, text)) for head, text in report.sections
+    ]
+    report.sections = [(head, text) for head, text in filtered_sections if text]
     if isinstance(call.excinfo.value, GsgenError):
         report.longrepr = call.excinfo.getrepr(style="value")
-        report.sections.insert(0, ("Where", "\n".join(_lines(item, call.excinfo))))
+        report.sections.insert(0, ("Where", "\n".join(_traceback_lines(item, call.excinfo))))
 
 
-def _subject(item: pytest.Item) -> object:
+def _model_key(item: pytest.Item) -> object:
     """Return a key of the model that a test uses: the test's class and fixture parameters."""
     indices = getattr(getattr(item, "callspec", None), "indices", {})
     remaining = sorted((name, index) for name, index in indices.items() if name != "rule")
     return getattr(item, "cls", None), tuple(remaining)
 
 
-def _quiet(head: str, text: str) -> str:
-    if not head.startswith(_LOGS):
+def _without_exporter_logs(head: str, text: str) -> str:
+    if not head.startswith(_LOG_SECTION):
         return text
-    return "\n".join(line for line in text.splitlines() if not line.startswith(_CHATTER))
+    return "\n".join(
+        line for line in text.splitlines() if not line.startswith(_EXPORTER_LOG_PREFIX)
+    )
 
 
-def _lines(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> Iterator[str]:
+def _traceback_lines(
+    item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]
+) -> Iterator[str]:
     """Yield the traceback lines of an error that lie in the test author's code, outermost first."""
     root = item.config.rootpath
     for entry in excinfo.traceback:
         name = str(entry.frame.f_globals.get("__name__", ""))
         path = Path(entry.path)
-        foreign = name.startswith("gsgen.") or "site-packages" in path.parts
-        if not foreign and path.is_relative_to(root):
+        is_library_code = name.startswith("gsgen.") or "site-packages" in path.parts
+        if not is_library_code and path.is_relative_to(root):
             line = str(entry.statement).strip()
             yield f"{path.relative_to(root)}:{entry.lineno + 1}: {line}"

@@ -14,7 +14,12 @@ import pytest
 
 from gsgen.conformance.cases import Case
 from gsgen.conformance.expected import ExpectedFailure, read_expected, unmatched_entries
-from gsgen.conformance.pytest.session import ConformanceSession, RuleWarning, act, prepare
+from gsgen.conformance.pytest.session import (
+    ConformanceSession,
+    RuleWarning,
+    fail_if_crashed,
+    raise_outcome,
+)
 from gsgen.conformance.run import ModelRun
 from gsgen.conformance.suite import find_suite
 from gsgen.contract.errors import GsgenError
@@ -81,12 +86,14 @@ def parametrize_with_rules(
 class Check:
     """A callable that checks one validation rule on one model, which a pytest test calls once."""
 
-    def __init__(self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]) -> None:
+    def __init__(
+        self, model: Path, suite: str, rule: Rule, run_model: Callable[[], ModelRun]
+    ) -> None:
         self.model = model
         self.suite = suite
         self.rule = rule
-        self.called = False
-        self._judge = judge
+        self.is_called = False
+        self._run_model = run_model
 
     @property
     def name(self) -> str:
@@ -96,71 +103,75 @@ class Check:
     @property
     def run(self) -> ModelRun:
         """The results of validating the model, which is validated once per pytest session."""
-        return self._judge()
+        return self._run_model()
 
     @property
     def case(self) -> Case:
         """The outcome of the validation rule on the model, as a test case."""
         return self.run.case(self.rule.id)
 
-    def prepare(self) -> None:
+    def fail_if_crashed(self) -> None:
         """Validate the model before the test; a crashed validation rule is a test error."""
-        prepare(self.run, self.case)
+        fail_if_crashed(self.run, self.case)
 
     def __call__(self) -> None:
         """Pass, fail, skip, warn or xfail the running test, by the outcome of the contract rule."""
         __tracebackhide__ = True
-        self.called = True
-        act(self.run, self.case)
+        self.is_called = True
+        raise_outcome(self.run, self.case)
 
 
-def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
+def checks_for(request: Request, pytest_session: ConformanceSession, folder: Path) -> list[Check]:
     """Return a check (callable) for each validation rule of each model that a test requests."""
     try:
-        return _checks(request, bench, folder)
+        return _checks(request, pytest_session, folder)
     except GsgenError as error:
         raise pytest.UsageError(f"gsgen: the model cannot be tested: {error}") from error
 
 
-def _checks(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    settings = request.settings or bench.make_settings(target=request.target, level=request.level)
-    suites = [find_suite(name, "suites").name for name in request.suites] or bench.suites
-    expected = _expected(request.expected, bench, folder)
+def _checks(request: Request, pytest_session: ConformanceSession, folder: Path) -> list[Check]:
+    settings = request.settings or pytest_session.make_settings(
+        target=request.target, level=request.level
+    )
+    suites = [find_suite(name, "suites").name for name in request.suites] or pytest_session.suites
+    expected = _resolve_expected(request.expected, pytest_session, folder)
     models = request.models() if callable(request.models) else request.models
     paths = [folder / path for path in models]
-    plans = {path: bench.plan(path, settings) for path in paths}
+    rules_by_model = {path: pytest_session.plan(path, settings) for path in paths}
     if request.expected is not None:
-        refuse_strangers(expected, plans)
+        refuse_unmatched_entries(expected, rules_by_model)
 
-    def judge(path: Path) -> Callable[[], ModelRun]:
-        return lambda: bench.run(path, settings, expected)
+    def run_model(path: Path) -> Callable[[], ModelRun]:
+        return lambda: pytest_session.run(path, settings, expected)
 
     return [
-        Check(path, name, rule, judge(path))
-        for path, planned in plans.items()
-        for name, rules in planned.items()
+        Check(path, name, rule, run_model(path))
+        for path, rules_by_suite in rules_by_model.items()
+        for name, rules in rules_by_suite.items()
         if not suites or name in suites
         for rule in rules
     ]
 
 
-def _expected(
-    entries: PathLike | tuple[ExpectedFailure, ...] | None, bench: ConformanceSession, folder: Path
+def _resolve_expected(
+    entries: PathLike | tuple[ExpectedFailure, ...] | None,
+    pytest_session: ConformanceSession,
+    folder: Path,
 ) -> tuple[ExpectedFailure, ...]:
     if entries is None:
-        return bench.expected
+        return pytest_session.expected
     if isinstance(entries, tuple):
         return entries
     return read_expected(folder / entries, installed_rules())
 
 
-def refuse_strangers(
-    expected: Iterable[ExpectedFailure], plans: dict[Path, dict[str, tuple[Rule, ...]]]
+def refuse_unmatched_entries(
+    expected: Iterable[ExpectedFailure], rules_by_model: dict[Path, dict[str, tuple[Rule, ...]]]
 ) -> None:
     """Raise UsageError if an expected failure matches no validation rule of any tested model."""
     tested = {
-        path: [rule.id for rules in planned.values() for rule in rules]
-        for path, planned in plans.items()
+        path: [rule.id for rules in rules_by_suite.values() for rule in rules]
+        for path, rules_by_suite in rules_by_model.items()
     }
     for entry in unmatched_entries(expected, tested):
         raise pytest.UsageError(

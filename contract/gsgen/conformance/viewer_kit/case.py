@@ -1,8 +1,8 @@
 """Test cases for viewers: a model, the frames to draw, and the viewer faults that they reveal."""
 
 __all__ = [
-    "EVERY",
-    "EVERY_SH",
+    "COMMON_FAULTS",
+    "COMMON_SH_FAULTS",
     "HEIGHT",
     "WIDTH",
     "KitCamera",
@@ -28,10 +28,10 @@ WIDTH: Final = 64
 HEIGHT: Final = 48
 """Height of the pictures, in pixels."""
 
-EVERY: Final = ("rows", "dilation", "encoded-twice")
+COMMON_FAULTS: Final = ("rows", "dilation", "encoded-twice")
 """The faults that spoil every case whose colours are sRGB."""
 
-EVERY_SH: Final = (*EVERY, "sh-offset", "sh-stride")
+COMMON_SH_FAULTS: Final = (*COMMON_FAULTS, "sh-offset", "sh-stride")
 """The faults that spoil every case with SH of a degree below 3 and more than one row."""
 
 _NEAR: Final = 0.01

@@ -24,12 +24,12 @@ from gsgen.conformance.viewer_kit.picture_files import PictureUnreadable, encode
 RESULT_SCHEMA = "gsgen-viewer-kit-result/1"
 INDEX_SCHEMA = "gsgen-viewer-kit/1"
 
-_SHOWN_GAIN = 4.0  # of differences on the page
-_EXPLAINED = 0.8  # share of the failed cases that a suspected fault explains
-_NUMBER = (int, float)
-_FIELDS: dict[str, dict[str, Any]] = {
+_DIFFERENCE_GAIN = 4.0  # of differences on the page
+_MIN_EXPLAINED_SHARE = 0.8  # share of the failed cases that a suspected fault explains
+_NUMBER_TYPES = (int, float)
+_FIELD_TYPES: dict[str, dict[str, Any]] = {
     "index": {"tolerance": dict, "faults": list, "cases": list},
-    "tolerance": {"pixel": _NUMBER, "share": _NUMBER, "mean": _NUMBER},
+    "tolerance": {"pixel": _NUMBER_TYPES, "share": _NUMBER_TYPES, "mean": _NUMBER_TYPES},
     "fault": {"id": str, "title": str, "hint": str, "cases": list},
     "case": {"name": str, "tests": str, "frames": list},
     "frame": {"picture": str},
@@ -50,7 +50,7 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
     Returns:
         The result as docs describe it: verdict, cases with their frames, and suspected faults.
     """
-    index = _index_beside(kit, pictures)
+    index = _read_compatible_index(kit, pictures)
     if not pictures.is_dir():
         raise KitUnreadable(f"{pictures}: is not a folder, expected that of the viewer's pictures")
     cases = [_check_case(kit, pictures, case, index) for case in index["cases"]]
@@ -74,7 +74,7 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
     }
 
 
-def _index_beside(kit: Path, pictures: Path) -> dict[str, Any]:
+def _read_compatible_index(kit: Path, pictures: Path) -> dict[str, Any]:
     """Read the index of a kit; if it is missing, hint at an index in the folder of pictures."""
     if (kit / "index.json").exists():
         return read_index(kit)
@@ -128,7 +128,7 @@ def _require_index(index: dict[str, Any]) -> None:
 def _require_fields(where: str, entry: object, kind: str) -> None:
     if not isinstance(entry, dict):
         raise KitUnreadable(f"{where} is a {type(entry).__name__}, expected an object")
-    for name, expected in _FIELDS[kind].items():
+    for name, expected in _FIELD_TYPES[kind].items():
         if name not in entry:
             raise KitUnreadable(f"{where}: {name} is missing")
         if not isinstance(entry[name], expected) or isinstance(entry[name], bool):
@@ -155,34 +155,34 @@ def suspected_faults(
     their pictures cannot be read. Of the others, those are suspected that explain 80 % of the
     failed cases, except subsets of another; if no fault does, the one pair that explains all.
     """
-    spoiled: dict[str, frozenset[str]] = {}
+    cases_by_fault: dict[str, frozenset[str]] = {}
     for fault in index["faults"]:
-        judged = frozenset(fault["cases"]) - unknown
-        if judged and judged <= failed and 2 * len(judged) >= len(fault["cases"]):
-            spoiled[fault["id"]] = judged
+        known_cases = frozenset(fault["cases"]) - unknown
+        if known_cases and known_cases <= failed and 2 * len(known_cases) >= len(fault["cases"]):
+            cases_by_fault[fault["id"]] = known_cases
     largest = {
         fault: cases
-        for fault, cases in spoiled.items()
-        if not any(cases < other for other in spoiled.values())
+        for fault, cases in cases_by_fault.items()
+        if not any(cases < other for other in cases_by_fault.values())
     }
     slight = {
         fault["id"]: failed.intersection(fault.get("slight", [])) for fault in index["faults"]
     }
-    explaining = {
+    explaining_faults = {
         cases
         for fault, cases in largest.items()
-        if len(cases | slight[fault]) >= _EXPLAINED * len(failed)
+        if len(cases | slight[fault]) >= _MIN_EXPLAINED_SHARE * len(failed)
     } or _explaining_pair(set(largest.values()), failed)
-    return [fault for fault in index["faults"] if largest.get(fault["id"]) in explaining]
+    return [fault for fault in index["faults"] if largest.get(fault["id"]) in explaining_faults]
 
 
-def _explaining_pair(spoiled: set[frozenset[str]], failed: set[str]) -> set[frozenset[str]]:
+def _explaining_pair(cases_by_fault: set[frozenset[str]], failed: set[str]) -> set[frozenset[str]]:
     """Return the two sets of cases whose union is ``failed``, if there is one such pair.
 
     Sets of one case take no part: any two failures would be explained by two of them.
     """
-    larger = [cases for cases in spoiled if len(cases) > 1]
-    pairs = [set(pair) for pair in combinations(larger, 2) if pair[0] | pair[1] == failed]
+    larger_case_sets = [cases for cases in cases_by_fault if len(cases) > 1]
+    pairs = [set(pair) for pair in combinations(larger_case_sets, 2) if pair[0] | pair[1] == failed]
     return pairs[0] if len(pairs) == 1 else set()
 
 
@@ -233,35 +233,35 @@ def compare(
     channel, or if its mean difference is above ``mean``. NaN differs from everything.
     """
     difference = np.nan_to_num(np.abs(actual - expected), nan=1.0, posinf=1.0)
-    worst = difference.max(axis=2)
-    share = float((worst > tolerance["pixel"]).mean())
+    max_difference = difference.max(axis=2)
+    share = float((max_difference > tolerance["pixel"]).mean())
     mean = float(difference.mean())
     exceeded = []
     if share > tolerance["share"]:
-        percent, most = 100 * share, 100 * tolerance["share"]
-        words = f"{_beyond(percent, most)} % of the pixels differ by more than "
-        words += f"{tolerance['pixel']:.3g}, expected at most {most:g} %"
-        exceeded.append(_exceeded("share", share, tolerance, words))
+        percent, max_allowed = 100 * share, 100 * tolerance["share"]
+        words = f"{_exceeding_text(percent, max_allowed)} % of the pixels differ by more than "
+        words += f"{tolerance['pixel']:.3g}, expected at most {max_allowed:g} %"
+        exceeded.append(_exceeded_entry("share", share, tolerance, words))
     if mean > tolerance["mean"]:
-        most = tolerance["mean"]
-        words = f"mean difference {_beyond(mean, most)}, expected at most {most:g}"
-        exceeded.append(_exceeded("mean", mean, tolerance, words))
+        max_allowed = tolerance["mean"]
+        words = f"mean difference {_exceeding_text(mean, max_allowed)}, expected at most {max_allowed:g}"
+        exceeded.append(_exceeded_entry("mean", mean, tolerance, words))
     return {
         "verdict": "failed" if exceeded else "passed",
-        "max": float(worst.max()),
+        "max": float(max_difference.max()),
         "mean": mean,
         "share": share,
         "exceeded": exceeded,
     }
 
 
-def _exceeded(
+def _exceeded_entry(
     limit: str, actual: float, tolerance: dict[str, float], message: str
 ) -> dict[str, Any]:
     return {"limit": limit, "actual": actual, "expected": tolerance[limit], "message": message}
 
 
-def _beyond(actual: float, limit: float) -> str:
+def _exceeding_text(actual: float, limit: float) -> str:
     """Return ``actual`` with as many digits as show that it is above ``limit``."""
     texts = (f"{actual:.{digits}g}" for digits in range(3, 18))
     return next((text for text in texts if float(text) > limit), repr(actual))
@@ -311,19 +311,21 @@ def _frame_html(kit: Path, pictures: Path, frame: dict[str, Any]) -> str:
     else:
         actual = read_picture(pictures, frame["picture"])
         images.append(("actual", actual))
-        images.append((f"difference × {_SHOWN_GAIN:g}", _SHOWN_GAIN * np.abs(actual - expected)))
+        images.append(
+            (f"difference × {_DIFFERENCE_GAIN:g}", _DIFFERENCE_GAIN * np.abs(actual - expected))
+        )
         words = (
             f"largest difference {frame['max']:.4f}, mean {frame['mean']:.5f}, "
             f"pixels beyond the tolerance {100 * frame['share']:.2f} %"
         )
         if frame["exceeded"]:
             words = f"{html.escape(_reason(frame))} ({words})"
-    figures = "".join(
+    figures_html = "".join(
         f'<figure><img alt="{label}" src="data:image/png;base64,'
         f'{base64.b64encode(encode_png(image)).decode()}"><figcaption>{label}</figcaption></figure>'
         for label, image in images
     )
-    return f"<div class=frame>{figures}</div><p><small>{html.escape(frame['picture'])}: {words}</small></p>"
+    return f"<div class=frame>{figures_html}</div><p><small>{html.escape(frame['picture'])}: {words}</small></p>"
 
 
 def _reason(frame: dict[str, Any]) -> str:
@@ -333,8 +335,8 @@ def _reason(frame: dict[str, Any]) -> str:
 def _notes(result: dict[str, Any]) -> list[str]:
     """Return what holds for the pictures as a whole: how many are missing, and no known fault."""
     counts = result["pictures"]
-    be = "is" if counts["missing"] == 1 else "are"
-    words = {"missing": f"{be} missing", "unreadable": "cannot be read"}
+    be_form = "is" if counts["missing"] == 1 else "are"
+    words = {"missing": f"{be_form} missing", "unreadable": "cannot be read"}
     notes = [
         f"{counts[cause]} of {counts['total']} pictures {verb}"
         for cause, verb in words.items()
@@ -384,16 +386,16 @@ def main(arguments: list[str] | None = None) -> int:
     sys.stdout.write(summary_of(result))
     try:
         if options.html:
-            _write(options.html, page_of(options.kit, options.pictures, result))
+            _write_text(options.html, page_of(options.kit, options.pictures, result))
         if options.json:
-            _write(options.json, json.dumps(result, indent=2, ensure_ascii=False) + "\n")
+            _write_text(options.json, json.dumps(result, indent=2, ensure_ascii=False) + "\n")
     except OSError as error:
         sys.stderr.write(f"check_viewer: {error.filename}: cannot be written: {error.strerror}\n")
         return 2
     return 1 if result["verdict"] == "failed" else 0
 
 
-def _write(path: Path, text: str) -> None:
+def _write_text(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, "utf-8")
 

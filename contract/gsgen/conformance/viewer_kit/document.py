@@ -20,7 +20,7 @@ RESULT_SCHEMA_FILE: Final = "viewer-kit-result-1.schema.json"
 Verdict = Literal["passed", "failed"]
 Row = tuple[float, float, float, float]
 Share = Annotated[float, Hint(minimum=0, maximum=1)]
-Pixels = Annotated[float, Hint(above=0)]
+Pixels = Annotated[float, Hint(exclusive_minimum=0)]
 Picture = Annotated[str, Hint(text="File name of a picture, without its suffix.", min_length=1)]
 CaseName = Annotated[str, Hint(text="Name of a case.", min_length=1)]
 RuleId = Annotated[str, Hint(pattern="^[A-Z]{2}[0-9]{3}$")]
@@ -70,7 +70,9 @@ class CameraEntry:
     cy: Annotated[float, Hint(text="Principal point from the upper edge, in pixels.")]
     width: Annotated[int, Hint(minimum=1)]
     height: Annotated[int, Hint(minimum=1)]
-    near: Annotated[float, Hint(text="Distance of the near plane, in world units.", above=0)]
+    near: Annotated[
+        float, Hint(text="Distance of the near plane, in world units.", exclusive_minimum=0)
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

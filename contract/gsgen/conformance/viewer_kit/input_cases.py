@@ -6,21 +6,31 @@ import numpy as np
 
 from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.fixture import Fixture
-from gsgen.conformance.fixtures.builders.moving import drifting, driven, looking
+from gsgen.conformance.fixtures.builders.moving import (
+    camera_dependent_model,
+    drifting_model,
+    input_driven_model,
+)
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.conformance.fixtures.valid import moving
-from gsgen.conformance.viewer_kit.case import EVERY_SH, KitCase, KitFrame, kit_camera, orbit_frame
+from gsgen.conformance.viewer_kit.case import (
+    COMMON_SH_FAULTS,
+    KitCase,
+    KitFrame,
+    kit_camera,
+    orbit_frame,
+)
 from gsgen.contract.spec.manifest import Input
 
-_SIDES = (KitFrame(camera=kit_camera()), KitFrame(camera=kit_camera((-1.6, -0.4, 2.2))))
-_SHIFTED = tuple(
+_TWO_SIDES = (KitFrame(camera=kit_camera()), KitFrame(camera=kit_camera((-1.6, -0.4, 2.2))))
+_SHIFTED_FRAMES = tuple(
     KitFrame(camera=kit_camera(eye, cx=24.0, cy=30.0))
     for eye in ((1.2, -1.0, -2.6), (-1.6, -0.4, 2.2))
 )
-_MOVED = (*EVERY_SH, "stale-outputs")
+_MOVING_FAULTS = (*COMMON_SH_FAULTS, "stale-outputs")
 
 
-def _projected() -> ModelSpec:
+def _projection_model() -> ModelSpec:
     """Return a model whose Gaussians move with the product of view and projection matrices."""
     entries = (
         Input(name="lens", role="projection", default="identity"),
@@ -30,25 +40,29 @@ def _projected() -> ModelSpec:
         "both = MatMul (eye, lens) column = MatMul (both, weights) "
         "top = Slice (column, first, last) shift = Transpose (top)"
     )
-    model = driven("float[4,4] lens, float[4,4] eye", entries, shift)
-    return model.weighing(
+    model = input_driven_model("float[4,4] lens, float[4,4] eye", entries, shift)
+    return model.with_weights(
         weights=np.array([[0.1], [0.2], [0.3], [0.05]], np.float32),
         first=np.array([0], np.int64),
         last=np.array([3], np.int64),
     )
 
 
-def _resized() -> ModelSpec:
+def _viewport_model() -> ModelSpec:
     entry = Input(name="pixels", role="viewport", default=(1280.0, 720.0))
     shift = "parts = Mul (pixels, small) all = ReduceSum <keepdims = 1> (parts) shift = Tanh (all)"
-    small = np.array([6e-3, 1e-3], np.float32)  # unequal: the order of the two numbers is seen
-    return driven("float[2] pixels", entry, shift).weighing(small=small)
+    small_variances = np.array(
+        [6e-3, 1e-3], np.float32
+    )  # unequal: the order of the two numbers is seen
+    return input_driven_model("float[2] pixels", entry, shift).with_weights(small=small_variances)
 
 
-def _eyed() -> ModelSpec:
+def _eye_position_model() -> ModelSpec:
     entry = Input(name="where", role="camera_position", default="zeros")
     shift = "bent = Mul (where, small) shift = Tanh (bent)"
-    return driven("float[3] where", entry, shift).weighing(small=np.array([0.3], np.float32))
+    return input_driven_model("float[3] where", entry, shift).with_weights(
+        small=np.array([0.3], np.float32)
+    )
 
 
 def _coefficients() -> ModelSpec:
@@ -58,10 +72,12 @@ def _coefficients() -> ModelSpec:
     )
     basis = np.random.default_rng(4).uniform(-0.3, 0.3, (15, 3)).astype(np.float32)
     shift = "joined = Concat <axis = 0> (betas, face) shift = MatMul (joined, basis)"
-    return driven("float[10] betas, float[5] face", entries, shift).weighing(basis=basis)
+    return input_driven_model("float[10] betas, float[5] face", entries, shift).with_weights(
+        basis=basis
+    )
 
 
-def _moved(
+def _moving_case(
     name: str,
     tests: str,
     faults: tuple[str, ...],
@@ -72,14 +88,14 @@ def _moved(
     return KitCase(
         name=name,
         tests=tests,
-        faults=(*_MOVED, *faults),
+        faults=(*_MOVING_FAULTS, *faults),
         spec=fixture.draw,
         frames=frames,
         slight=slight,
     )
 
 
-def _random(seed: int, *shape: int) -> np.ndarray:
+def _random_array(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.5, 0.5, shape).round(3)
 
 
@@ -87,54 +103,54 @@ INPUT_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="view-column",
         tests="A view matrix that the tensor holds transposed, as the manifest declares.",
-        faults=(*_MOVED, "matrix-order", "role-view", "order"),
-        spec=lambda: looking(20),
-        frames=_SIDES,
+        faults=(*_MOVING_FAULTS, "matrix-order", "role-view", "order"),
+        spec=lambda: camera_dependent_model(20),
+        frames=_TWO_SIDES,
     ),
     KitCase(
         name="view-row",
         tests="A view matrix that the tensor holds as it is, as the manifest declares.",
-        faults=(*_MOVED, "matrix-order", "matrix-order-ignored", "role-view", "order"),
-        spec=lambda: looking(20, order="row"),
-        frames=_SIDES,
+        faults=(*_MOVING_FAULTS, "matrix-order", "matrix-order-ignored", "role-view", "order"),
+        spec=lambda: camera_dependent_model(20, order="row"),
+        frames=_TWO_SIDES,
     ),
     KitCase(
         name="projection",
         tests="A projection with the principal point beside the middle, and a view matrix.",
         faults=(
-            *(*_MOVED, "matrix-order", "role-projection", "role-view"),
+            *(*_MOVING_FAULTS, "matrix-order", "role-projection", "role-view"),
             *("intrinsics", "projection-centre"),
         ),
-        spec=_projected,
-        frames=_SHIFTED,
+        spec=_projection_model,
+        frames=_SHIFTED_FRAMES,
     ),
     KitCase(
         name="camera-position",
         tests="The camera centre as an input.",
-        faults=(*_MOVED, "role-camera_position"),
-        spec=_eyed,
-        frames=_SIDES,
+        faults=(*_MOVING_FAULTS, "role-camera_position"),
+        spec=_eye_position_model,
+        frames=_TWO_SIDES,
         slight=("dilation",),
     ),
     KitCase(
         name="viewport",
         tests="The size of the picture as an input.",
-        faults=(*EVERY_SH, "role-viewport", "viewport-order"),
-        spec=_resized,
+        faults=(*COMMON_SH_FAULTS, "role-viewport", "viewport-order"),
+        spec=_viewport_model,
         frames=(orbit_frame(),),
         slight=("dilation",),
     ),
     KitCase(
         name="camera-lens",
         tests="A principal point beside the middle, and pixels that are not square.",
-        faults=(*EVERY_SH, "intrinsics", "order"),
+        faults=(*COMMON_SH_FAULTS, "intrinsics", "order"),
         spec=lambda: still(40),
         frames=(KitFrame(camera=kit_camera(fx=70.0, fy=48.0, cx=24.0, cy=30.0)),),
     ),
     KitCase(
         name="among-gaussians",
         tests="A camera among the Gaussians, of which some lie behind it.",
-        faults=(*EVERY_SH, "behind-camera", "order"),
+        faults=(*COMMON_SH_FAULTS, "behind-camera", "order"),
         spec=lambda: still(60),
         frames=(KitFrame(camera=kit_camera((0.1, 0.05, -0.3))),),
         slight=("dilation",),
@@ -142,26 +158,26 @@ INPUT_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="time-in-seconds",
         tests="Time from 2 to 10, forth and back.",
-        faults=(*_MOVED, "time-range", "role-time", "order"),
-        spec=lambda: drifting(12, span=(2.0, 10.0)),
+        faults=(*_MOVING_FAULTS, "time-range", "role-time", "order"),
+        spec=lambda: drifting_model(12, span=(2.0, 10.0)),
         frames=tuple(orbit_frame(time=[time]) for time in (2.0, 10.0, 5.0, 2.0)),
     ),
-    _moved(
+    _moving_case(
         "frame-index",
         "A frame number in int32.",
         ("role-frame_index",),
         moving.frame_table,
         *(orbit_frame(frame=[number]) for number in (1, 6, 3)),
     ),
-    _moved(
+    _moving_case(
         "pose",
         "Joint rotations of an avatar, and its translation.",
         ("role-pose", "role-root_translation"),
         moving.avatar,
-        orbit_frame(pose=_random(1, 4, 3), trans=_random(2, 3)),
-        orbit_frame(pose=_random(3, 4, 3), trans=_random(4, 3)),
+        orbit_frame(pose=_random_array(1, 4, 3), trans=_random_array(2, 3)),
+        orbit_frame(pose=_random_array(3, 4, 3), trans=_random_array(4, 3)),
     ),
-    _moved(
+    _moving_case(
         "root-rotation",
         "The rotation of an avatar's root as a matrix, stored row by row.",
         ("role-root_rotation",),
@@ -173,15 +189,15 @@ INPUT_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="coefficients",
         tests="Coefficients of a body's shape and of its expression.",
-        faults=(*_MOVED, "role-shape", "role-expression"),
+        faults=(*_MOVING_FAULTS, "role-shape", "role-expression"),
         spec=_coefficients,
         frames=(
-            orbit_frame(betas=_random(5, 10), face=_random(6, 5)),
-            orbit_frame(betas=_random(7, 10), face=_random(8, 5)),
+            orbit_frame(betas=_random_array(5, 10), face=_random_array(6, 5)),
+            orbit_frame(betas=_random_array(7, 10), face=_random_array(8, 5)),
         ),
         slight=("dilation",),
     ),
-    _moved(
+    _moving_case(
         "appearance-id",
         "An identity number in int32 that chooses the colours.",
         ("role-appearance_id",),
@@ -189,7 +205,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
         *(orbit_frame(look=[number]) for number in (3, 1)),
         slight=("dilation",),
     ),
-    _moved(
+    _moving_case(
         "control",
         "A slider with a label of its own.",
         ("role-control",),
@@ -199,7 +215,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="default",
         tests="A slider without a value, which has the default of the manifest.",
-        faults=(*EVERY_SH, "default"),
+        faults=(*COMMON_SH_FAULTS, "default"),
         spec=moving.slider.draw,
         frames=(orbit_frame(),),
     ),

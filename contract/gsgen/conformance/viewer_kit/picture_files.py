@@ -14,7 +14,7 @@ _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _ARRAY_MAGIC = b"\x93NUMPY"
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
 _MAX_BYTES = 64 << 20
-_BRIGHTEST = 8.0  # floats beyond it are in another unit, such as 0 to 255
+_MAX_FLOAT_VALUE = 8.0  # floats beyond it are in another unit, such as 0 to 255
 
 
 class PictureUnreadable(ValueError):
@@ -58,11 +58,11 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
 def _near_name(folder: Path, name: str) -> str:
     """Return a hint at the file that may be the picture ``name`` by another name, or nothing."""
     case, number = _name_parts(name)
-    others = {path.name: _name_parts(path.stem) for path in sorted(folder.iterdir())}
-    for file, parts in others.items():
+    name_parts = {path.name: _name_parts(path.stem) for path in sorted(folder.iterdir())}
+    for file, parts in name_parts.items():
         if parts == (case, number):
             return f"; found {file}, whose name or format is another"
-    for file, parts in others.items():
+    for file, parts in name_parts.items():
         if parts == (case, number + 1):
             return f"; found {file}, and frames are counted from 0"
     return ""
@@ -96,10 +96,10 @@ def _array_over_black(path: Path) -> np.ndarray:
             f"the array is {array.dtype}{list(array.shape)}, "
             "expected floats [height, width, 3 or 4] from 0 to 1"
         )
-    wrong = int(array.size - np.isfinite(array).sum())
-    if wrong:
-        raise PictureUnreadable(f"{wrong:,} of {array.size:,} values are not finite")
-    if array.size and array.max() > _BRIGHTEST:
+    non_finite_count = int(array.size - np.isfinite(array).sum())
+    if non_finite_count:
+        raise PictureUnreadable(f"{non_finite_count:,} of {array.size:,} values are not finite")
+    if array.size and array.max() > _MAX_FLOAT_VALUE:
         raise PictureUnreadable(f"values up to {array.max():g}, expected 0 to 1")
     return np.asarray(np.clip(array[..., :3], 0, 1), np.float64)
 
@@ -136,12 +136,12 @@ def decode_png(raw: bytes) -> np.ndarray:
             f"the picture of {width}×{height} pixels takes {(size + 1) * height:,} bytes, "
             f"expected at most {_MAX_BYTES:,}"
         )
-    inflated = _inflated(chunks.get(b"IDAT", b""), (size + 1) * height)
+    inflated = _inflate(chunks.get(b"IDAT", b""), (size + 1) * height)
     lines = np.frombuffer(inflated, np.uint8).reshape(height, size + 1)
-    return _unfiltered(lines, _CHANNELS[color]).reshape(height, width, _CHANNELS[color])
+    return _undo_filter(lines, _CHANNELS[color]).reshape(height, width, _CHANNELS[color])
 
 
-def _inflated(data: bytes, size: int) -> bytes:
+def _inflate(data: bytes, size: int) -> bytes:
     """Decompress ``size`` bytes of a PNG's pixels."""
     try:
         inflated = zlib.decompressobj().decompress(data, max(size, 1))
@@ -155,37 +155,41 @@ def _inflated(data: bytes, size: int) -> bytes:
     return inflated
 
 
-def _unfiltered(lines: np.ndarray, step: int) -> np.ndarray:
+def _undo_filter(lines: np.ndarray, step: int) -> np.ndarray:
     """Undo the filters of PNG lines; the first byte of each line is its filter type."""
     result = np.empty((len(lines), lines.shape[1] - 1), np.uint8)
-    above = np.zeros(lines.shape[1] - 1, np.uint8)
+    previous_line = np.zeros(lines.shape[1] - 1, np.uint8)
     for y, (method, line) in enumerate(zip(lines[:, 0].tolist(), lines[:, 1:], strict=True)):
         if method == 0:
             result[y] = line
         elif method == 1:  # the difference from the pixel before; sums of uint8 are modulo 256
             result[y] = np.cumsum(line.reshape(-1, step), axis=0, dtype=np.uint8).ravel()
         elif method == 2:
-            result[y] = line + above
+            result[y] = line + previous_line
         elif method in (3, 4):
-            result[y] = _unpredicted(method, line, above, step)
+            result[y] = _undo_prediction(method, line, previous_line, step)
         else:
             raise PictureUnreadable(f"a PNG line has filter type {method}, expected 0 to 4")
-        above = result[y]
+        previous_line = result[y]
     return result
 
 
-def _unpredicted(method: int, line: np.ndarray, above: np.ndarray, step: int) -> list[int]:
+def _undo_prediction(
+    method: int, line: np.ndarray, previous_line: np.ndarray, step: int
+) -> list[int]:
     """Undo the filter 3 (mean) or 4 (Paeth) of a line, which needs each pixel for the next."""
-    current, upper = [0] * step, [0] * step + above.tolist()
+    current_line, line_above = [0] * step, [0] * step + previous_line.tolist()
     for i, difference in enumerate(line.tolist()):
-        left, up, corner = current[i], upper[i + step], upper[i]
+        left_value, upper_value, upper_left = current_line[i], line_above[i + step], line_above[i]
         if method == 3:
-            guess = (left + up) // 2
+            predicted = (left_value + upper_value) // 2
         else:
-            estimate = left + up - corner
-            guess = min((left, up, corner), key=lambda value: abs(estimate - value))
-        current.append((difference + guess) & 255)
-    return current[step:]
+            estimate = left_value + upper_value - upper_left
+            predicted = min(
+                (left_value, upper_value, upper_left), key=lambda value: abs(estimate - value)
+            )
+        current_line.append((difference + predicted) & 255)
+    return current_line[step:]
 
 
 def encode_png(picture: np.ndarray) -> bytes:
@@ -193,8 +197,8 @@ def encode_png(picture: np.ndarray) -> bytes:
     values = np.rint(np.clip(np.nan_to_num(picture), 0, 1) * 255).astype(np.uint8)
     height, width = values.shape[:2]
     lines = np.concatenate([np.zeros((height, 1), np.uint8), values.reshape(height, -1)], axis=1)
-    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""))
+    header_data = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = ((b"IHDR", header_data), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""))
     return _PNG_MAGIC + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in parts

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsgen.conformance.fixtures.builders.clouds import Floats, still, summed
-from gsgen.conformance.fixtures.builders.moving import drifting
-from gsgen.conformance.fixtures.builders.scenes import Kind, pack, photographed, scene
+from gsgen.conformance.fixtures.builders.clouds import Floats, still, weighted_sum_model
+from gsgen.conformance.fixtures.builders.moving import drifting_model
+from gsgen.conformance.fixtures.builders.scenes import Kind, model_of_gaussians, pack, scene
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.conformance.fixtures.valid import still as valid
 from gsgen.conformance.viewer_kit.case import (
-    EVERY,
-    EVERY_SH,
+    COMMON_FAULTS,
+    COMMON_SH_FAULTS,
     KitCase,
     KitFrame,
     kit_camera,
@@ -21,68 +21,70 @@ from gsgen.conformance.viewer_kit.case import (
 )
 from gsgen.contract.spec.manifest import AppearanceOutput, WeightedSum
 
-_ONE = (orbit_frame(),)
-_TURNED = (KitFrame(camera=kit_camera((2.0, -1.2, 3.0))), orbit_frame())
-_SH = (*EVERY, "sh-offset", "sh-order", "sh-direction")
-_SH_SORTED = (*_SH, "sh-clamp", "order")
+_ONE_FRAME = (orbit_frame(),)
+_TWO_FRAMES = (KitFrame(camera=kit_camera((2.0, -1.2, 3.0))), orbit_frame())
+_SH_FAULTS = (*COMMON_FAULTS, "sh-offset", "sh-order", "sh-direction")
+_SORTED_SH_FAULTS = (*_SH_FAULTS, "sh-clamp", "order")
 _SH_GAIN = 4.0  # colours that change enough with the direction to be seen
 
 
-def _shown(kind: Kind, degree: int | None, dtype: Floats = "float32") -> ModelSpec:
+def _scene_model(kind: Kind, degree: int | None, dtype: Floats = "float32") -> ModelSpec:
     parts = scene(kind, 90)
     sh = parts.sh.copy()
     sh[:, 1:] *= _SH_GAIN
-    return photographed(pack(replace(parts, sh=sh), degree), dtype)
+    return model_of_gaussians(pack(replace(parts, sh=sh), degree), dtype)
 
 
 def _four_channels() -> ModelSpec:
     model = still(40, degree=None)
     rgb = model.weights["colors"]
-    padded = np.concatenate([rgb, np.full((len(rgb), 1), 0.25, np.float32)], axis=1)
-    return model.reworded("[40,3]", "[40,4]").weighing(colors=padded)
+    padded_rgb = np.concatenate([rgb, np.full((len(rgb), 1), 0.25, np.float32)], axis=1)
+    return model.replace_text("[40,3]", "[40,4]").with_weights(colors=padded_rgb)
 
 
-def _linear() -> ModelSpec:
+def _linear_color_model() -> ModelSpec:
     appearance = AppearanceOutput("color", "rgb", None, "linear")
-    return _shown("cloud", None).declaring_outputs(appearance=appearance)
+    return _scene_model("cloud", None).with_outputs(appearance=appearance)
 
 
-def _mip() -> ModelSpec:
-    model = _shown("cloud", 0)
-    thin = np.array(model.weights["rows"])
-    thin[:, 4:] *= 0.01
-    return model.weighing(rows=thin).declaring(antialias="mip")
+def _antialiased_model() -> ModelSpec:
+    model = _scene_model("cloud", 0)
+    thin_rows = np.array(model.weights["rows"])
+    thin_rows[:, 4:] *= 0.01
+    return model.with_weights(rows=thin_rows).with_manifest(antialias="mip")
 
 
 def _stale_rows() -> ModelSpec:
     """Return a model of twelve rows with a row count of five; later rows hold stale Gaussians."""
-    return still(12).weighing(live=np.array([5], np.int32))
+    return still(12).with_weights(live=np.array([5], np.int32))
 
 
-def _growing() -> ModelSpec:
+def _growing_count_model() -> ModelSpec:
     """Return a model of varying row count, whose rows after the count also hold Gaussians."""
-    grown = drifting(8).reworded(
+    growing_model = drifting_model(8).replace_text(
         "num_points = Identity (live)",
         "part = Mul (time, capacity) whole = Floor (part) num_points = Cast <to = 6> (whole)",
     )
-    weights = {name: array for name, array in grown.weights.items() if name != "live"}
-    return replace(grown, weights=weights).weighing(capacity=np.array([8], np.float32))
+    weights = {name: array for name, array in growing_model.weights.items() if name != "live"}
+    return replace(growing_model, weights=weights).with_weights(capacity=np.array([8], np.float32))
 
 
-def _decoy() -> ModelSpec:
+def _decoy_output_model() -> ModelSpec:
     """Return a model whose first output looks like Gaussians; its manifest names the second."""
     model = still(8)
     rows = model.weights["rows"]
-    moved = np.array(rows)
-    moved[:, :3] = -moved[:, 2::-1]
-    widened = model.reworded("float[8,10] gaussians", "float[8,10] old, float[8,10] gaussians")
-    return widened.reworded(
+    moved_rows = np.array(rows)
+    moved_rows[:, :3] = -moved_rows[:, 2::-1]
+    renamed_outputs = model.replace_text(
+        "float[8,10] gaussians", "float[8,10] old, float[8,10] gaussians"
+    )
+    return renamed_outputs.replace_text(
         "gaussians = Identity (rows)", "old = Identity (old_rows) gaussians = Identity (rows)"
-    ).weighing(old_rows=moved)
+    ).with_weights(old_rows=moved_rows)
 
 
-def _weighted() -> ModelSpec:
-    return summed(6, 4, degree=1).declaring(
+def _weighted_sum_model() -> ModelSpec:
+    return weighted_sum_model(6, 4, degree=1).with_manifest(
         weighted_sum=WeightedSum(background=0.1, depth_range=6.0)
     )
 
@@ -91,77 +93,77 @@ ROW_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="sh-degree-0",
         tests="One colour for each Gaussian, in three channels.",
-        faults=(*EVERY_SH, "order"),
-        spec=lambda: _shown("surface", 0),
-        frames=_ONE,
+        faults=(*COMMON_SH_FAULTS, "order"),
+        spec=lambda: _scene_model("surface", 0),
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="sh-degree-1",
         tests="Twelve channels of SH, seen from two sides.",
-        faults=(*_SH_SORTED, "sh-stride", "order-distance"),
-        spec=lambda: _shown("surface", 1),
-        frames=_TURNED,
+        faults=(*_SORTED_SH_FAULTS, "sh-stride", "order-distance"),
+        spec=lambda: _scene_model("surface", 1),
+        frames=_TWO_FRAMES,
     ),
     KitCase(
         name="sh-degree-2",
         tests="Twenty-seven channels of SH, seen from two sides.",
-        faults=(*_SH_SORTED, "sh-stride"),
-        spec=lambda: _shown("hair", 2),
-        frames=_TURNED,
+        faults=(*_SORTED_SH_FAULTS, "sh-stride"),
+        spec=lambda: _scene_model("hair", 2),
+        frames=_TWO_FRAMES,
     ),
     KitCase(
         name="sh-degree-3",
         tests="Forty-eight channels of SH, seen from two sides.",
-        faults=(*_SH_SORTED, "order-distance"),
-        spec=lambda: _shown("surface", 3),
-        frames=_TURNED,
+        faults=(*_SORTED_SH_FAULTS, "order-distance"),
+        spec=lambda: _scene_model("surface", 3),
+        frames=_TWO_FRAMES,
     ),
     KitCase(
         name="sh-float16",
         tests="Rows and SH of degree 3 in float16.",
-        faults=(*_SH_SORTED, "float16", "order-distance"),
-        spec=lambda: _shown("avatar", 3, "float16"),
-        frames=_TURNED,
+        faults=(*_SORTED_SH_FAULTS, "float16", "order-distance"),
+        spec=lambda: _scene_model("avatar", 3, "float16"),
+        frames=_TWO_FRAMES,
     ),
     KitCase(
         name="rgb",
         tests="Raw RGB of three channels, without harmonics.",
-        faults=(*EVERY, "order"),
-        spec=lambda: _shown("cloud", None),
-        frames=_ONE,
+        faults=(*COMMON_FAULTS, "order"),
+        spec=lambda: _scene_model("cloud", None),
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="rgb-four-channels",
         tests="Raw RGB with a fourth channel that has no meaning.",
-        faults=(*EVERY, "fourth-channel", "order", "order-distance"),
+        faults=(*COMMON_FAULTS, "fourth-channel", "order", "order-distance"),
         spec=_four_channels,
-        frames=_ONE,
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="rgb-float16",
         tests="Raw RGB in float16, padded to four channels.",
-        faults=(*EVERY, "float16", "fourth-channel", "order"),
-        spec=lambda: _shown("cloud", None, "float16"),
-        frames=_ONE,
+        faults=(*COMMON_FAULTS, "float16", "fourth-channel", "order"),
+        spec=lambda: _scene_model("cloud", None, "float16"),
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="linear-color",
         tests="Colours in linear light, which the screen shows encoded as sRGB.",
         faults=("rows", "dilation", "color-space", "order"),
-        spec=_linear,
-        frames=_ONE,
+        spec=_linear_color_model,
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="antialias-mip",
         tests="Gaussians thinner than a pixel, which antialiasing makes fainter.",
-        faults=(*EVERY_SH, "antialias"),
-        spec=_mip,
-        frames=_ONE,
+        faults=(*COMMON_SH_FAULTS, "antialias"),
+        spec=_antialiased_model,
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="one-gaussian",
         tests="A capacity of one row.",
-        faults=(*EVERY, "sh-offset"),
+        faults=(*COMMON_FAULTS, "sh-offset"),
         spec=lambda: still(1),
         frames=(KitFrame(camera=kit_camera((0.6, -0.4, -1.2))),),
         slight=("dilation",),
@@ -169,47 +171,47 @@ ROW_CASES: tuple[KitCase, ...] = (
     KitCase(
         name="three-hundred",
         tests="Three hundred rows, which do not fill whole workgroups.",
-        faults=(*EVERY_SH, "order", "order-distance"),
+        faults=(*COMMON_SH_FAULTS, "order", "order-distance"),
         spec=lambda: still(300),
-        frames=_ONE,
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="count-below-capacity",
         tests="Rows behind the count hold Gaussians that must not be drawn.",
-        faults=(*EVERY_SH, "count"),
+        faults=(*COMMON_SH_FAULTS, "count"),
         spec=_stale_rows,
-        frames=_ONE,
+        frames=_ONE_FRAME,
         breaks=("GV018",),
     ),
     KitCase(
         name="count-changes",
         tests="A count that differs from frame to frame and ends at 0, an empty picture.",
-        faults=(*EVERY_SH, "count", "stale-count", "stale-outputs", "role-time"),
-        spec=_growing,
+        faults=(*COMMON_SH_FAULTS, "count", "stale-count", "stale-outputs", "role-time"),
+        spec=_growing_count_model,
         frames=tuple(orbit_frame(time=[time]) for time in (0.5, 1.0, 0.25, 0.0)),
         breaks=("GV018",),
     ),
     KitCase(
         name="output-names",
         tests="The first output of the graph has the shape of rows, but the manifest names another.",
-        faults=(*EVERY_SH, "output-names"),
-        spec=_decoy,
-        frames=_ONE,
+        faults=(*COMMON_SH_FAULTS, "output-names"),
+        spec=_decoy_output_model,
+        frames=_ONE_FRAME,
     ),
     KitCase(
         name="external-data",
         tests="Colours in a file beside the model.",
-        faults=(*EVERY_SH, "external-data"),
+        faults=(*COMMON_SH_FAULTS, "external-data"),
         spec=valid.weights_beside.draw,
-        frames=_ONE,
+        frames=_ONE_FRAME,
         slight=("dilation",),
     ),
     KitCase(
         name="weighted-sum",
         tests="Gaussians in cells, summed by weights instead of sorted.",
-        faults=(*_SH, "sh-stride", "weighted-sum"),
-        spec=_weighted,
-        frames=_ONE,
+        faults=(*_SH_FAULTS, "sh-stride", "weighted-sum"),
+        spec=_weighted_sum_model,
+        frames=_ONE_FRAME,
     ),
 )
 """The cases of outputs."""

@@ -61,7 +61,7 @@ def write_kit(folder: Path, draw: DrawFrames) -> Path:
     with atomic_write(index_path) as draft:
         for name in ("models", "expected"):
             (draft.parent / name).mkdir()
-        document = _index([_write_case(draft.parent, case, draw) for case in kit_cases()])
+        document = _index_document([_write_case(draft.parent, case, draw) for case in kit_cases()])
         text = json.dumps(document, indent=1, ensure_ascii=False)
         draft.write_text(text + "\n", "utf-8")
         for name, schema in viewer_kit_schemas().items():
@@ -91,8 +91,8 @@ def _write_case(folder: Path, case: KitCase, draw: DrawFrames) -> dict[str, Any]
         np.save(folder / "expected" / f"{name}.npy", picture.astype(np.float32))
         entries.append(_frame_entry(name, frame))
     entry = {"name": case.name, "tests": case.tests, "model": f"models/{model.name}"}
-    breaks = {"breaks": list(case.breaks)} if case.breaks else {}
-    return {**entry, **breaks, "faults": list(case.faults), "frames": entries}
+    broken_rules = {"breaks": list(case.breaks)} if case.breaks else {}
+    return {**entry, **broken_rules, "faults": list(case.faults), "frames": entries}
 
 
 def _frame_entry(name: str, frame: KitFrame) -> dict[str, Any]:
@@ -112,11 +112,11 @@ def _spoiled_cases(fault: str) -> dict[str, list[str]]:
     """Return the cases that a fault spoils, and those that it may spoil, if any."""
     names = [case.name for case in kit_cases() if fault in case.faults]
     slight = [case.name for case in kit_cases() if fault in case.slight]
-    certain = {"cases": [name for name in names if name not in slight]}
-    return {**certain, "slight": slight} if slight else certain
+    fault_cases = {"cases": [name for name in names if name not in slight]}
+    return {**fault_cases, "slight": slight} if slight else fault_cases
 
 
-def _index(cases: list[dict[str, Any]]) -> dict[str, Any]:
+def _index_document(cases: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "schema": check_viewer.INDEX_SCHEMA,
         "tool": {"name": "gsgen", "version": version("gsgen")},

@@ -24,8 +24,11 @@ from gsgen.contract.model.shape_inference import first_line, infer, propagate
 Dims = tuple[int | str | None, ...]
 
 _MAX_DEPTH = 64
-_SPELLED = {"FLOAT": "float32", "DOUBLE": "float64", "UNDEFINED": None}
-_DTYPES = {code: _SPELLED.get(name, name.lower()) for name, code in TensorProto.DataType.items()}
+_SPECIAL_DTYPE_NAMES = {"FLOAT": "float32", "DOUBLE": "float64", "UNDEFINED": None}
+_DTYPES = {
+    code: _SPECIAL_DTYPE_NAMES.get(name, name.lower())
+    for name, code in TensorProto.DataType.items()
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,7 @@ class Conflict:
 
 
 @dataclass(slots=True)
-class _Facts:
+class _GraphFacts:
     """Results of ``onnx.checker`` and ONNX shape inference, collected while a model is read."""
 
     tensors: dict[str, Tensor]
@@ -102,10 +105,10 @@ class Graph:
         return {name: node for node in self.nodes for name in node.output if name}
 
     @cached_property
-    def uses(self) -> dict[str, int]:
+    def use_counts(self) -> dict[str, int]:
         """Map each tensor name to the number of main-graph nodes and outputs that read it."""
         count: dict[str, int] = {}
-        for names in self._reads.values():
+        for names in self._names_read_by_node.values():
             for name in names:
                 count[name] = count.get(name, 0) + 1
         for output in self.outputs:
@@ -113,9 +116,9 @@ class Graph:
         return count
 
     @cached_property
-    def _reads(self) -> dict[int, list[str]]:
+    def _names_read_by_node(self) -> dict[int, list[str]]:
         """Map the ``id`` of each node to the names of the tensors that the node reads."""
-        return {id(node): reads(node) for node in self.nodes}
+        return {id(node): names_read(node) for node in self.nodes}
 
     def output(self, name: str) -> Tensor | None:
         """Return the graph output called ``name``, or None."""
@@ -130,15 +133,15 @@ class Graph:
 
         The result is cached: do not modify it.
         """
-        if name not in self._lineages:
-            self._lineages[name] = self._traced(name)
-        return self._lineages[name]
+        if name not in self._ancestors_by_name:
+            self._ancestors_by_name[name] = self._trace_ancestors(name)
+        return self._ancestors_by_name[name]
 
     @cached_property
-    def _lineages(self) -> dict[str, tuple[set[str], list[NodeProto]]]:
+    def _ancestors_by_name(self) -> dict[str, tuple[set[str], list[NodeProto]]]:
         return {}
 
-    def _traced(self, name: str) -> tuple[set[str], list[NodeProto]]:
+    def _trace_ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
         names, nodes, queue = {name}, [], [name]
         visited: set[int] = set()
         while queue:
@@ -148,7 +151,7 @@ class Graph:
                 continue
             visited.add(key)
             nodes.append(node)
-            for name in self._reads[key]:
+            for name in self._names_read_by_node[key]:
                 if name not in names:
                     names.add(name)
                     queue.append(name)
@@ -165,16 +168,16 @@ class Graph:
 
     @cached_property
     def _all_nodes(self) -> list[NodeProto]:
-        return [inner for node in self.nodes for inner in _nested(node, 0)]
+        return [inner for node in self.nodes for inner in _nested_nodes(node, 0)]
 
 
-def reads(node: NodeProto) -> list[str]:
+def names_read(node: NodeProto) -> list[str]:
     """Return the tensor names that ``node`` reads, including reads inside its subgraphs."""
     names = list(filter(None, node.input))
     for attribute in node.attribute:
         for graph in subgraphs(attribute):
             for inner in graph.node:
-                names.extend(reads(inner))
+                names.extend(names_read(inner))
             names.extend(output.name for output in graph.output)
     return names
 
@@ -186,11 +189,13 @@ def read_graph(file: ModelFile) -> Graph:
     ONNX's own library checks.
     """
     graph = file.proto.graph
-    facts = _facts(file)
-    weights = {tensor.name: _of_weight(tensor) for tensor in graph.initializer}
-    weights |= {s.values.name: _of_weight(_dense(s)) for s in graph.sparse_initializer}
-    inputs = tuple(_of_value(v) for v in graph.input if v.name not in weights)
-    outputs = tuple(_best(_of_value(v), facts.tensors.get(v.name)) for v in graph.output)
+    facts = _infer_facts(file)
+    weights = {tensor.name: _weight_tensor(tensor) for tensor in graph.initializer}
+    weights |= {s.values.name: _weight_tensor(_to_dense(s)) for s in graph.sparse_initializer}
+    inputs = tuple(_value_tensor(v) for v in graph.input if v.name not in weights)
+    outputs = tuple(
+        _merge_declared(_value_tensor(v), facts.tensors.get(v.name)) for v in graph.output
+    )
     return Graph(
         inputs=inputs,
         outputs=outputs,
@@ -202,40 +207,42 @@ def read_graph(file: ModelFile) -> Graph:
         checker_fault=facts.checker,
         inference_fault=facts.inference,
         output_names=tuple(v.name for v in graph.output),
-        declared_outputs=tuple(map(_of_value, graph.output)),
+        declared_outputs=tuple(map(_value_tensor, graph.output)),
     )
 
 
-def _facts(file: ModelFile) -> _Facts:
+def _infer_facts(file: ModelFile) -> _GraphFacts:
     proto = _without_stubs(file)
-    facts = _Facts({})
+    facts = _GraphFacts({})
     try:
         onnx.checker.check_model(proto)
     except (onnx.checker.ValidationError, ValueError, RuntimeError) as error:
         facts.checker = first_line(error)
         return facts  # inference on a malformed graph repeats the same complaint
-    declared = {v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)}
+    declared = {v.name: _value_tensor(v) for v in (*proto.graph.output, *proto.graph.value_info)}
     for value in proto.graph.output:
         value.ClearField("type")
     del proto.graph.value_info[:]
     inferred, facts.inference = infer(proto)
     if inferred is None:
         return facts
-    tensors = _values(inferred)
+    tensors = _value_infos(inferred)
     if not facts.inference and _is_open(proto, tensors):
         inferred, facts.inference = propagate(proto, inferred)
-        tensors = _values(inferred)
-    facts.tensors = {name: _best(declared.get(name), tensor) for name, tensor in tensors.items()}
+        tensors = _value_infos(inferred)
+    facts.tensors = {
+        name: _merge_declared(declared.get(name), tensor) for name, tensor in tensors.items()
+    }
     facts.conflicts = tuple(
         Conflict(name, tensor, tensors[name])
         for name, tensor in declared.items()
-        if name in tensors and not _compatible(tensor, tensors[name])
+        if name in tensors and not _is_compatible(tensor, tensors[name])
     )
     return facts
 
 
-def _values(proto: ModelProto) -> dict[str, Tensor]:
-    return {v.name: _of_value(v) for v in (*proto.graph.value_info, *proto.graph.output)}
+def _value_infos(proto: ModelProto) -> dict[str, Tensor]:
+    return {v.name: _value_tensor(v) for v in (*proto.graph.value_info, *proto.graph.output)}
 
 
 def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
@@ -259,12 +266,12 @@ def _without_stubs(file: ModelFile) -> ModelProto:
     if file.whole:
         return copy
     graph_inputs = {value.name for value in copy.graph.input}
-    for tensor in _take_stubs(copy.graph):
+    for tensor in _remove_stubs(copy.graph):
         if tensor.name not in graph_inputs:
             _add_input(copy.graph, tensor)
     for body in bodies(copy):
         if isinstance(body, GraphProto):
-            for tensor in _take_stubs(body):
+            for tensor in _remove_stubs(body):
                 body.node.insert(0, _constant(tensor))
         _fill_nodes(body)
     return copy
@@ -274,7 +281,7 @@ def _is_stub(tensor: TensorProto) -> bool:
     return tensor.raw_data == STUB
 
 
-def _take_stubs(graph: GraphProto) -> list[TensorProto]:
+def _remove_stubs(graph: GraphProto) -> list[TensorProto]:
     """Remove and return a graph's weights whose data were not read from the file.
 
     Sparse weights too: a runtime makes them dense, but shape inference ignores that.
@@ -284,12 +291,12 @@ def _take_stubs(graph: GraphProto) -> list[TensorProto]:
     if stubs:
         del graph.initializer[:]
         graph.initializer.extend(tensor for tensor in weights if not _is_stub(tensor))
-    stubs += [_dense(sparse) for sparse in graph.sparse_initializer]
+    stubs += [_to_dense(sparse) for sparse in graph.sparse_initializer]
     del graph.sparse_initializer[:]
     return stubs
 
 
-def _dense(sparse: SparseTensorProto) -> TensorProto:
+def _to_dense(sparse: SparseTensorProto) -> TensorProto:
     kind = sparse.values.data_type
     return TensorProto(name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB)
 
@@ -318,9 +325,9 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
                         body.node.insert(index + 1, _squeeze(node))
                     _make_sparse(attribute, tensor)
                 elif _is_stub(tensor):
-                    tensor.CopyFrom(_nothing(tensor.data_type))
+                    tensor.CopyFrom(_empty_tensor(tensor.data_type))
             for sparse in (attribute.sparse_tensor, *attribute.sparse_tensors):
-                _empty(sparse)
+                _clear_sparse(sparse)
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
@@ -331,37 +338,37 @@ def _squeeze(node: NodeProto) -> NodeProto:
 
 
 def _make_sparse(attribute: AttributeProto, tensor: TensorProto) -> None:
-    sparse = SparseTensorProto(dims=tensor.dims or [1], values=_nothing(tensor.data_type))
-    sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
+    sparse = SparseTensorProto(dims=tensor.dims or [1], values=_empty_tensor(tensor.data_type))
+    sparse.indices.CopyFrom(_empty_tensor(TensorProto.INT64))
     kind = AttributeProto.SPARSE_TENSOR
     sparse_value = AttributeProto(name="sparse_value", type=kind, sparse_tensor=sparse)
     attribute.CopyFrom(sparse_value)
 
 
-def _empty(sparse: SparseTensorProto) -> None:
+def _clear_sparse(sparse: SparseTensorProto) -> None:
     if _is_stub(sparse.values) or _is_stub(sparse.indices):
-        sparse.values.CopyFrom(_nothing(sparse.values.data_type))
-        sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
+        sparse.values.CopyFrom(_empty_tensor(sparse.values.data_type))
+        sparse.indices.CopyFrom(_empty_tensor(TensorProto.INT64))
 
 
-def _nothing(dtype: int) -> TensorProto:
+def _empty_tensor(dtype: int) -> TensorProto:
     return TensorProto(data_type=dtype, dims=[0])
 
 
-def _nested(node: NodeProto, depth: int) -> Iterator[NodeProto]:
+def _nested_nodes(node: NodeProto, depth: int) -> Iterator[NodeProto]:
     yield node
     if depth < _MAX_DEPTH:
         for attribute in node.attribute:
             for graph in subgraphs(attribute):
                 for inner in graph.node:
-                    yield from _nested(inner, depth + 1)
+                    yield from _nested_nodes(inner, depth + 1)
 
 
-def _of_weight(tensor: TensorProto) -> Tensor:
+def _weight_tensor(tensor: TensorProto) -> Tensor:
     return Tensor(tensor.name, _DTYPES.get(tensor.data_type), tuple(tensor.dims))
 
 
-def _of_value(value: ValueInfoProto) -> Tensor:
+def _value_tensor(value: ValueInfoProto) -> Tensor:
     kind = value.type.tensor_type
     if not value.type.HasField("tensor_type"):
         return Tensor(value.name, None, None)
@@ -374,7 +381,7 @@ def _of_value(value: ValueInfoProto) -> Tensor:
     return Tensor(value.name, _DTYPES.get(kind.elem_type), dims)
 
 
-def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
+def _merge_declared(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
     """Merge a tensor's declared type with its inferred type; fixed sizes win over symbols."""
     if declared is None or inferred is None:
         known = declared or inferred
@@ -391,7 +398,7 @@ def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
     return Tensor(declared.name, declared.dtype or inferred.dtype, dims)
 
 
-def _compatible(declared: Tensor, inferred: Tensor) -> bool:
+def _is_compatible(declared: Tensor, inferred: Tensor) -> bool:
     if declared.dtype and inferred.dtype and declared.dtype != inferred.dtype:
         return False
     if declared.dims is None or inferred.dims is None:
@@ -407,7 +414,7 @@ def tensor_bytes(tensor: Tensor) -> int:
     dims = static_dims(tensor)
     if dims is None:
         return 0
-    bits = _BITS.get(tensor.dtype or "", 32)
+    bits = _DTYPE_BITS.get(tensor.dtype or "", 32)
     for dim in dims:
         bits *= int(dim)
     return -(-bits // 8)
@@ -422,7 +429,7 @@ def static_dims(tensor: Tensor) -> tuple[int, ...] | None:
 
 
 # Bits of an element of each dtype that does not have 32.
-_BITS = {
+_DTYPE_BITS = {
     "complex128": 128,
     "complex64": 64,
     "float64": 64,

@@ -59,7 +59,7 @@ class InspectedModel:
         return self.candidate.manifest if self.candidate else None
 
     @cached_property
-    def granted(self) -> Limits:
+    def sandbox_limits(self) -> Limits:
         """The time and memory limits for running the model, with memory added for its weights."""
         return self.limits.for_model(self.file.weight_bytes)
 
@@ -159,8 +159,8 @@ def raised_to_installed(target: Target, proto: ModelProto) -> Target:
     """
     low, high = target.opset
     main = (entry.version for entry in proto.opset_import if entry.domain in MAIN_DOMAIN)
-    is_within = max(main, default=0) <= high and proto.ir_version <= target.ir
-    if is_within or not target.follows_runtime:
+    is_supported = max(main, default=0) <= high and proto.ir_version <= target.ir
+    if is_supported or not target.follows_runtime:
         return target
     from gsgen.contract.model.installed_runtime import installed_bounds
 

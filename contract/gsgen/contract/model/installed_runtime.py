@@ -15,11 +15,11 @@ _OLD_OPSET, _OLD_IR = 13, 8
 @cache
 def installed_bounds() -> tuple[int, int]:
     """Return the highest operator set and the highest IR version that ONNX Runtime loads."""
-    opset = _highest(_OLD_OPSET, lambda version: _loads(version, _OLD_IR))
-    return opset, _highest(_OLD_IR, lambda version: _loads(_OLD_OPSET, version))
+    opset = _highest_supported(_OLD_OPSET, lambda version: _loads(version, _OLD_IR))
+    return opset, _highest_supported(_OLD_IR, lambda version: _loads(_OLD_OPSET, version))
 
 
-def _highest(first: int, loads: Callable[[int], bool]) -> int:
+def _highest_supported(first: int, loads: Callable[[int], bool]) -> int:
     return next(version for version in count(first) if not loads(version + 1))
 
 

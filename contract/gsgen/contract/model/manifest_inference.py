@@ -77,17 +77,17 @@ def infer_manifest(graph: Graph, name: str) -> Candidate:
 
 
 def _role_of(tensor: Tensor) -> str | None:
-    lowered = tensor.name.lower()
-    return next((role for role, names in _INPUT_NAMES.items() if lowered in names), None)
+    lower_name = tensor.name.lower()
+    return next((role for role, names in _INPUT_NAMES.items() if lower_name in names), None)
 
 
 def _input(tensor: Tensor, guesses: list[str]) -> Input:
     role = _role_of(tensor)
     assert role is not None
     guesses.append(f"input {tensor.name!r} is the {role}, by its name")
-    static = static_dims(tensor)
+    fixed_dims = static_dims(tensor)
     entry = ROLES[role]
-    free = static is not None and matching_shape(entry, static) is not None
+    has_free_shape = fixed_dims is not None and matching_shape(entry, fixed_dims) is not None
     has_named_axes = any(isinstance(dim, str) for shape in entry.shapes for dim in shape)
     span = (0.0, 1.0) if role == "time" or entry.needs_range else None
     if span:
@@ -95,30 +95,30 @@ def _input(tensor: Tensor, guesses: list[str]) -> Input:
     return Input(
         name=tensor.name,
         role=role,
-        shape=_sizes(static) if free and has_named_axes else None,
+        shape=_fixed_sizes(fixed_dims) if has_free_shape and has_named_axes else None,
         range=span,
         default="zeros",
     )
 
 
-def _sizes(dims: Shape | None) -> tuple[int, ...] | None:
+def _fixed_sizes(dims: Shape | None) -> tuple[int, ...] | None:
     return tuple(int(dim) for dim in dims) if dims is not None else None
 
 
-def _named(graph: Graph, names: tuple[str, ...]) -> Tensor | None:
+def _find_named(graph: Graph, names: tuple[str, ...]) -> Tensor | None:
     return next((t for t in graph.outputs if t.name.lower() in names), None)
 
 
-def _last(tensor: Tensor) -> int:
+def _last_dim(tensor: Tensor) -> int:
     dim = tensor.dims[-1] if tensor.dims else None
     return dim if isinstance(dim, int) else 0
 
 
 def _gaussians(graph: Graph, guesses: list[str]) -> GaussiansOutput | None:
-    tensor = _named(graph, _GAUSSIAN_NAMES)
-    packed = [tensor for tensor in graph.outputs if _last(tensor) == ROW]
-    if tensor is None and len(packed) == 1:
-        tensor = packed[0]
+    tensor = _find_named(graph, _GAUSSIAN_NAMES)
+    packed_outputs = [tensor for tensor in graph.outputs if _last_dim(tensor) == ROW]
+    if tensor is None and len(packed_outputs) == 1:
+        tensor = packed_outputs[0]
     if tensor is None:
         guesses.append(
             f"no output is named like packed Gaussians or is the only one ending in {ROW}"
@@ -135,11 +135,11 @@ def _float_dtype(tensor: Tensor) -> Literal["float32", "float16"]:
 
 
 def _appearance(graph: Graph, guesses: list[str]) -> AppearanceOutput | None:
-    tensor = _named(graph, _COLOR_NAMES)
+    tensor = _find_named(graph, _COLOR_NAMES)
     if tensor is None:
         guesses.append("no output is named like an appearance")
         return None
-    channels = _last(tensor)
+    channels = _last_dim(tensor)
     if channels in APPEARANCE_CHANNELS["sh"] and channels != 3:
         degree = degree_of(channels // 3)
         guesses.append(
@@ -151,7 +151,7 @@ def _appearance(graph: Graph, guesses: list[str]) -> AppearanceOutput | None:
 
 
 def _count(graph: Graph, guesses: list[str]) -> CountOutput | None:
-    tensor = _named(graph, _COUNT_NAMES)
+    tensor = _find_named(graph, _COUNT_NAMES)
     if tensor is None:
         guesses.append("no output is named like a row count")
         return None

@@ -38,7 +38,14 @@ from onnx import (
 )
 
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.model.protobuf_scan import BYTES, STUB, StrippedModel, WireFault, scan, skeleton
+from gsgen.contract.model.protobuf_scan import (
+    BYTES,
+    STUB,
+    StrippedModel,
+    WireFault,
+    scan,
+    strip_payloads,
+)
 from gsgen.contract.process.atomic_files import similar_file_hint
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
@@ -53,16 +60,16 @@ NEUTRAL_KEY = "gaussian-generator.manifest"
 
 _KEYS = (MANIFEST_KEY, NEUTRAL_KEY)
 _METADATA_FIELD = 14  # ModelProto.metadata_props
-_LONGEST = (1 << 63) - 1
-_DIGITS = 100  # Python refuses to read numbers of thousands
+_MAX_LENGTH = (1 << 63) - 1
+_MAX_DIGITS = 100  # Python refuses to read numbers of thousands
 
-_SPLATS = ": `gsgen export static` turns splats into a model, `gsgen convert` into other files"
+_SPLATS_HINT = ": `gsgen export static` turns splats into a model, `gsgen convert` into other files"
 # First bytes of files that people pass by mistake.
-_LOOKALIKES = (
-    (b"PK\x03\x04", f"a zip archive, such as a torch checkpoint{_SPLATS}"),
-    (b"ply", f"a PLY file{_SPLATS}"),
-    (b"glTF", f"a binary glTF file{_SPLATS}"),
-    (b"\x1f\x8b", f"a gzip file{_SPLATS}"),
+_OTHER_FORMATS = (
+    (b"PK\x03\x04", f"a zip archive, such as a torch checkpoint{_SPLATS_HINT}"),
+    (b"ply", f"a PLY file{_SPLATS_HINT}"),
+    (b"glTF", f"a binary glTF file{_SPLATS_HINT}"),
+    (b"\x1f\x8b", f"a gzip file{_SPLATS_HINT}"),
     (b"\x93NUMPY", "a NumPy array"),
     (b"\x89HDF", "an HDF5 file"),
     (b"\x89PNG", "a picture"),
@@ -109,7 +116,7 @@ class ModelFile:
     path: Path
     size: int
     proto: ModelProto
-    stripped: int
+    stripped_bytes: int
     external: tuple[ExternalRef, ...]
     whole: bool = False
 
@@ -126,9 +133,9 @@ class ModelFile:
         """
         ranges: dict[str, list[tuple[int, int]]] = {}
         for ref in self.external:
-            end = _LONGEST if ref.length is None else ref.offset + ref.length
+            end = _MAX_LENGTH if ref.length is None else ref.offset + ref.length
             ranges.setdefault(ref.location, []).append((ref.offset, end))
-        external_sizes = (_covered(self.path.parent, *item) for item in ranges.items())
+        external_sizes = (_covered_bytes(self.path.parent, *item) for item in ranges.items())
         return self.size + sum(external_sizes)
 
     @property
@@ -138,18 +145,18 @@ class ModelFile:
         return metadata.get(MANIFEST_KEY, metadata.get(NEUTRAL_KEY))
 
 
-def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
+def _covered_bytes(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
     """Return the size in bytes of the union of byte ranges of a file; 0 if the file is missing."""
     try:
         entry = (folder / location).stat()
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
     except (OSError, ValueError):  # a rule reports it
         return 0
-    total = reached = 0
+    total = end_reached = 0
     for start, end in sorted(ranges):
-        start, end = max(start, reached), min(end, size)
+        start, end = max(start, end_reached), min(end, size)
         total += max(0, end - start)
-        reached = max(reached, end)
+        end_reached = max(end_reached, end)
     return total
 
 
@@ -163,16 +170,21 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     size = _size(path)
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
-            bones = _skeleton(path, view)
+            stripped_model = _strip_weights(path, view)
     except OSError as error:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=str(path)) from error
-    proto = _parse(path, bones.data)
+    proto = _parse(path, stripped_model.data)
     parts = list(bodies(proto))
-    _check_texts(path, proto, parts, bones.data[:32])
+    _check_texts(path, proto, parts, stripped_model.data[:32])
     external = tuple(_detach_external(parts))
-    whole = not (bones.stripped or external or any(map(_has_sparse, parts)))
+    whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse, parts)))
     return ModelFile(
-        path=path, size=size, proto=proto, stripped=bones.stripped, external=external, whole=whole
+        path=path,
+        size=size,
+        proto=proto,
+        stripped_bytes=stripped_model.stripped_bytes,
+        external=external,
+        whole=whole,
     )
 
 
@@ -196,10 +208,10 @@ def _size(path: Path) -> int:
     return entry.st_size
 
 
-def _skeleton(path: Path, view: mmap.mmap) -> StrippedModel:
+def _strip_weights(path: Path, view: mmap.mmap) -> StrippedModel:
     with memoryview(view) as data:
         try:
-            return skeleton(data)
+            return strip_payloads(data)
         except WireFault as fault:
             raise _not_onnx(path, f"is damaged or cut off at {fault}", bytes(data[:32])) from fault
 
@@ -225,7 +237,7 @@ def _has_sparse(body: Body) -> bool:
 
 
 def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
-    for magic, name in _LOOKALIKES:
+    for magic, name in _OTHER_FORMATS:
         if head.startswith(magic):
             return ModelUnreadable(f"is not an ONNX model but {name}", where=str(path))
     if head[8:9] == b"{" and head[:8].endswith(bytes(3)):
@@ -239,9 +251,9 @@ def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
 
 def _is_text(head: bytes) -> bool:
     """Return whether a file starts like text; an ONNX model starts with a protobuf tag."""
-    written = head.decode("utf-8", errors="ignore")
-    return len(written) >= len(head) - 3 and all(
-        sign.isprintable() or sign in "\t\r\n" for sign in written
+    decoded_text = head.decode("utf-8", errors="ignore")
+    return len(decoded_text) >= len(head) - 3 and all(
+        char.isprintable() or char in "\t\r\n" for char in decoded_text
     )
 
 
@@ -257,16 +269,16 @@ def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
         yield ExternalRef(
             tensor.name,
             entries.get("location", ""),
-            _whole(entries.get("offset")) or 0,
-            _whole(entries.get("length")),
+            _parse_length(entries.get("offset")) or 0,
+            _parse_length(entries.get("length")),
         )
 
 
-def _whole(text: str | None) -> int | None:
+def _parse_length(text: str | None) -> int | None:
     """Parse a non-negative decimal number; return None if ``text`` is None or not a number."""
     if text is None or not (text.isascii() and text.isdigit()):
         return None
-    return min(int(text), _LONGEST) if len(text) <= _DIGITS else _LONGEST
+    return min(int(text), _MAX_LENGTH) if len(text) <= _MAX_DIGITS else _MAX_LENGTH
 
 
 def bodies(proto: ModelProto) -> Iterator[Body]:
@@ -354,21 +366,21 @@ def write_manifest(
 def write_manifest_text(source: Path, text: str, target: Path) -> None:
     """Copy a model file, and embed a manifest given as JSON text."""
     entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
-    appended = ModelProto(metadata_props=[entry]).SerializeToString()
+    metadata_bytes = ModelProto(metadata_props=[entry]).SerializeToString()
     open_model(source)  # raises if the source is not a model
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    temporary = Path(name)
+    temporary_path = Path(name)
     try:
         with os.fdopen(handle, "wb") as out, source.open("rb") as file:
             for start, end in _without_manifest(file.fileno()):
                 file.seek(start)
                 _copy_bytes(file, out, end - start)
-            out.write(appended)  # protobuf allows a repeated field anywhere in the message
-        shutil.copymode(source, temporary)
-        temporary.replace(target)
+            out.write(metadata_bytes)  # protobuf allows a repeated field anywhere in the message
+        shutil.copymode(source, temporary_path)
+        temporary_path.replace(target)
     except BaseException:
         with suppress(FileNotFoundError):
-            temporary.unlink()
+            temporary_path.unlink()
         raise
 
 
@@ -387,7 +399,7 @@ def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
 
 
 def _is_manifest(data: memoryview, start: int, end: int) -> bool:
-    key = next((f for f in scan(data, start, end) if f.number == 1 and f.wire == BYTES), None)
+    key = next((f for f in scan(data, start, end) if f.number == 1 and f.wire_type == BYTES), None)
     return key is not None and bytes(data[key.value : key.end]).decode(errors="replace") in _KEYS
 
 

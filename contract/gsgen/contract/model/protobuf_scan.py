@@ -5,7 +5,7 @@ the payload of large tensors, and leaves a model that protobuf parses in millise
 Source: "Encoding", protobuf.dev, and ``onnx.proto`` of ONNX 1.18 for the field numbers.
 """
 
-__all__ = ["STUB", "Field", "StrippedModel", "WireFault", "scan", "skeleton", "varint"]
+__all__ = ["STUB", "Field", "StrippedModel", "WireFault", "scan", "strip_payloads", "varint"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Buffer = bytes | memoryview
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 
 # Messages that may hold tensors: message → field number → message inside.
-_NESTED: dict[str, dict[int, str]] = {
+_NESTED_MESSAGES: dict[str, dict[int, str]] = {
     "Model": {7: "Graph", 20: "Training", 25: "Function"},
     "Training": {1: "Graph", 2: "Graph"},
     "Graph": {1: "Node", 5: "Tensor", 15: "Sparse"},
@@ -25,7 +25,7 @@ _NESTED: dict[str, dict[int, str]] = {
     "Sparse": {1: "Tensor", 2: "Tensor"},
 }
 # TensorProto: float_data int32_data string_data int64_data raw_data double_data uint64_data.
-_PAYLOAD = frozenset({4, 5, 6, 7, 9, 10, 11})
+_PAYLOAD_FIELDS = frozenset({4, 5, 6, 7, 9, 10, 11})
 _TENSOR_TYPE, _TENSOR_RAW = 2, 9
 _INTEGER_TYPES = frozenset({6, 7})  # int32, int64: shape inference may want their values
 
@@ -33,11 +33,11 @@ _INTEGER_TYPES = frozenset({6, 7})  # int32, int64: shape inference may want the
 STUB = b"\0"
 
 # A message up to this size is copied whole: scanning it would cost more than it saves.
-_SMALL = 2048
-_SMALL_INTEGERS = 1 << 20
+_MAX_SMALL_MESSAGE = 2048
+_MAX_INTEGER_PAYLOAD = 1 << 20
 _MAX_FIELDS = 1_000_000
 _MAX_DEPTH = 100
-_MAX_KEPT = 256 << 20
+_MAX_KEPT_BYTES = 256 << 20
 
 
 class WireFault(ValueError):
@@ -53,7 +53,7 @@ class Field:
     """One field of a protobuf message: its tag's offset and its value's byte range."""
 
     number: int
-    wire: int
+    wire_type: int
     start: int
     value: int
     end: int
@@ -64,7 +64,7 @@ class StrippedModel:
     """A serialised ONNX model without the payload of its large tensors."""
 
     data: bytes = b""
-    stripped: int = 0
+    stripped_bytes: int = 0
 
 
 def varint(data: Buffer, offset: int, end: int) -> tuple[int, int]:
@@ -92,32 +92,32 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
     while offset < end:
         tag_at = offset
         tag, offset = varint(data, offset, end)
-        number, wire = tag >> 3, tag & 7
-        if wire == BYTES:
+        number, wire_type = tag >> 3, tag & 7
+        if wire_type == BYTES:
             size, offset = varint(data, offset, end)
-            stop = offset + size
-        elif wire == VARINT:
-            _, stop = varint(data, offset, end)
-        elif wire in (FIXED32, FIXED64):
-            stop = offset + (4 if wire == FIXED32 else 8)
+            end_offset = offset + size
+        elif wire_type == VARINT:
+            _, end_offset = varint(data, offset, end)
+        elif wire_type in (FIXED32, FIXED64):
+            end_offset = offset + (4 if wire_type == FIXED32 else 8)
         else:
-            raise WireFault(tag_at, f"protobuf wire type {wire}, which ONNX does not use")
+            raise WireFault(tag_at, f"protobuf wire type {wire_type}, which ONNX does not use")
         if number == 0:
             raise WireFault(tag_at, "protobuf field number 0, expected 1 or more")
-        if stop > end:
+        if end_offset > end:
             raise WireFault(
-                tag_at, f"field {number} needs {stop - end} more bytes than the message has"
+                tag_at, f"field {number} needs {end_offset - end} more bytes than the message has"
             )
-        yield Field(number=number, wire=wire, start=tag_at, value=offset, end=stop)
-        offset = stop
+        yield Field(number=number, wire_type=wire_type, start=tag_at, value=offset, end=end_offset)
+        offset = end_offset
 
 
-def skeleton(data: Buffer) -> StrippedModel:
+def strip_payloads(data: Buffer) -> StrippedModel:
     """Return the serialised ONNX model in ``data`` without the payload of its large tensors."""
     builder = _Builder(data)
-    stripped = builder.result
-    stripped.data = b"".join(builder.message("Model", 0, len(data), 0))
-    return stripped
+    stripped_model = builder.result
+    stripped_model.data = b"".join(builder.message("Model", 0, len(data), 0))
+    return stripped_model
 
 
 class _Builder:
@@ -127,22 +127,26 @@ class _Builder:
         self.data = data
         self.result = StrippedModel()
         self.fields = 0
-        self.kept = 0
+        self.kept_bytes = 0
 
     def message(self, kind: str, start: int, end: int, depth: int) -> list[bytes]:
         if depth > _MAX_DEPTH:
             raise WireFault(start, f"graphs are nested more than {_MAX_DEPTH} deep")
         if kind == "Tensor":
             return self._tensor(start, end)
-        nested = _NESTED[kind]
+        nested = _NESTED_MESSAGES[kind]
         parts: list[bytes] = []
         for field in scan(self.data, start, end):
             self._count(field.start)
-            inside = nested.get(field.number)
-            if inside is None or field.wire != BYTES or field.end - field.value <= _SMALL:
-                parts.append(self._copy(field.start, field.end))
+            inner_message = nested.get(field.number)
+            if (
+                inner_message is None
+                or field.wire_type != BYTES
+                or field.end - field.value <= _MAX_SMALL_MESSAGE
+            ):
+                parts.append(self._copy_range(field.start, field.end))
                 continue
-            body = self.message(inside, field.value, field.end, depth + 1)
+            body = self.message(inner_message, field.value, field.end, depth + 1)
             parts.append(_header(field.number, sum(map(len, body))))
             parts.extend(body)
         return parts
@@ -152,27 +156,30 @@ class _Builder:
         for field in scan(self.data, start, end):
             self._count(field.start)
             fields.append(field)
-        dtype = next((f for f in fields if f.number == _TENSOR_TYPE and f.wire == VARINT), None)
+        dtype = next(
+            (f for f in fields if f.number == _TENSOR_TYPE and f.wire_type == VARINT), None
+        )
         code = varint(self.data, dtype.value, dtype.end)[0] if dtype else 0
-        if code in _INTEGER_TYPES and end - start <= _SMALL_INTEGERS:
-            return [self._copy(start, end)]
-        retained: list[bytes] = []
+        if code in _INTEGER_TYPES and end - start <= _MAX_INTEGER_PAYLOAD:
+            return [self._copy_range(start, end)]
+        retained_parts: list[bytes] = []
         payload = 0
         for field in fields:
-            if field.number in _PAYLOAD:
+            if field.number in _PAYLOAD_FIELDS:
                 payload += field.end - field.value
             else:
-                retained.append(self._copy(field.start, field.end))
-        self.result.stripped += payload
+                retained_parts.append(self._copy_range(field.start, field.end))
+        self.result.stripped_bytes += payload
         if payload:  # a stub, so that the tensor still has a data field
-            retained.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
-        return retained
+            retained_parts.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
+        return retained_parts
 
-    def _copy(self, start: int, end: int) -> bytes:
-        self.kept += end - start
-        if self.kept > _MAX_KEPT:
+    def _copy_range(self, start: int, end: int) -> bytes:
+        self.kept_bytes += end - start
+        if self.kept_bytes > _MAX_KEPT_BYTES:
             raise WireFault(
-                start, f"the model holds more than {_MAX_KEPT >> 20} MiB besides tensor payload"
+                start,
+                f"the model holds more than {_MAX_KEPT_BYTES >> 20} MiB besides tensor payload",
             )
         return bytes(self.data[start:end])
 

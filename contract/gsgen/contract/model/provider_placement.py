@@ -1,9 +1,9 @@
 """Predicts where a WebGPU provider runs each graph node, from tables of supported operators."""
 
 __all__ = [
-    "SIZED_BY_DATA",
+    "DATA_SIZED_OPERATORS",
     "VARIADIC",
-    "VIEWS",
+    "VIEW_OPERATORS",
     "Cause",
     "Placement",
     "frame_nodes",
@@ -18,7 +18,7 @@ from typing import Literal
 
 from onnx import ModelProto, NodeProto, TensorProto
 
-from gsgen.contract.model.graph import Graph, reads
+from gsgen.contract.model.graph import Graph, names_read
 from gsgen.contract.model.model_file import small_array
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
 from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable
@@ -29,9 +29,9 @@ Cause = Literal[
 ]
 
 # Outputs that depend on shapes alone, and are folded once shapes are fixed.
-_OF_SHAPES = frozenset({"Shape", "Size"})
+_SHAPE_OPERATORS = frozenset({"Shape", "Size"})
 # Operators whose output size depends on values.
-SIZED_BY_DATA = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
+DATA_SIZED_OPERATORS = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
 # Arguments that decide the shape of the result.
 _SHAPE_ARGUMENTS = {
     "ConstantOfShape": (0,),
@@ -48,7 +48,7 @@ _SHAPE_ARGUMENTS = {
     "TopK": (1,),
     "Unsqueeze": (1,),
 }
-_NORMS = frozenset(
+_NORM_OPERATORS = frozenset(
     {
         "BatchNormalization",
         "GroupNormalization",
@@ -83,23 +83,23 @@ class Placement:
 
 def frame_nodes(graph: Graph) -> list[NodeProto]:
     """Return the graph nodes that run every frame; others are folded or dropped at loading."""
-    varying = {tensor.name for tensor in graph.inputs}
-    resized: set[str] = set()  # tensors whose shape follows values
-    running: list[NodeProto] = []
+    varying_tensors = {tensor.name for tensor in graph.inputs}
+    resized_tensors: set[str] = set()  # tensors whose shape follows values
+    executed_nodes: list[NodeProto] = []
     for node in graph.nodes:
-        names = reads(node)
-        draws = node.op_type in RANDOM_OPERATORS and node.domain in MAIN_DOMAIN
-        changing = resized if node.op_type in _OF_SHAPES else varying
-        if draws or not changing.isdisjoint(names):
-            varying.update(node.output)
-            running.append(node)
-            if node.op_type in SIZED_BY_DATA or not resized.isdisjoint(names):
-                resized.update(node.output)
-    needed: set[str] = {tensor.name for tensor in graph.outputs}
+        names = names_read(node)
+        is_random = node.op_type in RANDOM_OPERATORS and node.domain in MAIN_DOMAIN
+        changing_tensors = resized_tensors if node.op_type in _SHAPE_OPERATORS else varying_tensors
+        if is_random or not changing_tensors.isdisjoint(names):
+            varying_tensors.update(node.output)
+            executed_nodes.append(node)
+            if node.op_type in DATA_SIZED_OPERATORS or not resized_tensors.isdisjoint(names):
+                resized_tensors.update(node.output)
+    needed_tensors: set[str] = {tensor.name for tensor in graph.outputs}
     nodes: list[NodeProto] = []
-    for node in reversed(running):
-        if not needed.isdisjoint(node.output):
-            needed.update(reads(node))
+    for node in reversed(executed_nodes):
+        if not needed_tensors.isdisjoint(node.output):
+            needed_tensors.update(names_read(node))
             nodes.append(node)
     return nodes[::-1]
 
@@ -113,28 +113,37 @@ def shape_arguments(node: NodeProto) -> list[str]:
 def placements(graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]) -> list[Placement]:
     """Predict for every node of a frame whether WebGPU graph capture supports the node."""
     nodes = frame_nodes(graph)
-    varying = {tensor.name for tensor in graph.inputs}
-    varying.update(name for node in nodes for name in node.output)
+    varying_tensors = {tensor.name for tensor in graph.inputs}
+    varying_tensors.update(name for node in nodes for name in node.output)
     opset = next((o.version for o in proto.opset_import if o.domain in MAIN_DOMAIN), 0)
-    backwards = _negative_weights(proto)
+    negative_weights = _negative_weights(proto)
     return [
-        _place(graph, node, _variant(graph, node, varying, backwards), varying, opset, tables)
+        _place_node(
+            graph,
+            node,
+            _kernel_variant(graph, node, varying_tensors, negative_weights),
+            varying_tensors,
+            opset,
+            tables,
+        )
         for node in nodes
     ]
 
 
-def _place(
+def _place_node(
     graph: Graph,
     node: NodeProto,
     variant: str,
-    varying: set[str],
+    varying_tensors: set[str],
     opset: int,
     tables: Sequence[OperatorTable],
 ) -> Placement:
     dtype = _kernel_dtype(graph, node)
     if node.op_type in CONTROL_FLOW:
         return Placement(node, dtype, "control flow", {})
-    if node.op_type in SIZED_BY_DATA or not varying.isdisjoint(shape_arguments(node)):
+    if node.op_type in DATA_SIZED_OPERATORS or not varying_tensors.isdisjoint(
+        shape_arguments(node)
+    ):
         return Placement(node, dtype, "shape", {})
     if "float64" in (dtype, variant.removeprefix("to ")):
         return Placement(node, dtype, "float64", {})
@@ -149,10 +158,10 @@ def _place(
     known = {runtime: outcome for runtime, outcome in failures.items() if outcome}
     if not known:
         return Placement(node, dtype, "unknown", failures)
-    return Placement(node, dtype, _cause(node, variant, dtype, known, tables), known)
+    return Placement(node, dtype, _placement_cause(node, variant, dtype, known, tables), known)
 
 
-def _cause(
+def _placement_cause(
     node: NodeProto,
     variant: str,
     dtype: str,
@@ -161,14 +170,14 @@ def _cause(
 ) -> Cause:
     if "int64" in (dtype, variant.removeprefix("to ")):
         return "int64"
-    elsewhere = [
+    other_opsets = [
         table.opset_with_kernel(node.op_type, variant, dtype)
         for table in tables
         if table.runtime in failing
     ]
-    if all(opset is not None for opset in elsewhere):
+    if all(opset is not None for opset in other_opsets):
         return "opset"
-    return "norm" if node.op_type in _NORMS else "operator"
+    return "norm" if node.op_type in _NORM_OPERATORS else "operator"
 
 
 def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
@@ -178,7 +187,9 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
     return next((t.dtype for t in tensors if t is not None and t.dtype), "")
 
 
-def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
+def _kernel_variant(
+    graph: Graph, node: NodeProto, varying_tensors: set[str], negative_weights: frozenset[str]
+) -> str:
     """Return a node's variant in operator support tables, e.g. ``cubic`` Resize; empty if usual."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
@@ -189,7 +200,7 @@ def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozen
         case "Conv":
             return "" if "dilations" in attributes else "implicit dilations"
         case "GatherND":
-            return "" if node.input[1] in varying else "constant"
+            return "" if node.input[1] in varying_tensors else "constant"
         case "GridSample":
             return "5d" if ranks[0] == 5 else ""
         case "MatMul":
@@ -200,7 +211,7 @@ def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozen
         case "ScatterND" | "ScatterElements":
             return "add" if "reduction" in attributes else ""
         case "Slice":
-            return "backwards" if not backwards.isdisjoint(node.input[4:5]) else ""
+            return "backwards" if not negative_weights.isdisjoint(node.input[4:5]) else ""
     return ""
 
 
@@ -211,12 +222,14 @@ def _rank(graph: Graph, name: str) -> int | None:
 
 def _negative_weights(proto: ModelProto) -> frozenset[str]:
     """Return the names of small integer weights that contain a negative number."""
-    whole = (TensorProto.INT32, TensorProto.INT64)
-    small = {w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole}
-    return frozenset(name for name, a in small.items() if a is not None and (a < 0).any())
+    integer_types = (TensorProto.INT32, TensorProto.INT64)
+    small_weights = {
+        w.name: small_array(w) for w in proto.graph.initializer if w.data_type in integer_types
+    }
+    return frozenset(name for name, a in small_weights.items() if a is not None and (a < 0).any())
 
 
-VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
+VIEW_OPERATORS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
 """Operators that return their first input in every case."""
 
 VARIADIC = frozenset({"Max", "Min"})
@@ -231,7 +244,7 @@ def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:
         inputs: The number of its inputs.
         keeps_all_axes: Whether a reduction keeps every axis: ``noop_with_empty_axes`` is 1, and no axes are given.
     """
-    if operator in VIEWS:
+    if operator in VIEW_OPERATORS:
         return True
     if operator.startswith("Reduce"):
         return keeps_all_axes

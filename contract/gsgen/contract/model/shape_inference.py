@@ -20,17 +20,17 @@ from gsgen.contract.model.model_file import subgraphs
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 
 # Exceptions of ONNX's library besides its own error.
-_ERRORS = (
+_INFERENCE_ERRORS = (
     onnx.shape_inference.InferenceError,
     onnx.checker.ValidationError,
     ValueError,
     RuntimeError,
     MemoryError,
 )
-_MOST_EXPANDED = 20_000
+_MAX_EXPANDED_NODES = 20_000
 _LONGEST = 4096
 # Limits of the child. If it exceeds them, the result without propagation is used.
-_SECONDS, _MEMORY = 5.0, 1 << 30
+_MAX_SECONDS, _MAX_MEMORY = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
@@ -38,39 +38,39 @@ def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
 
     No data is propagated: where sizes are unknown, :func:`propagate` may find them.
     """
-    if _expanded(proto) > _MOST_EXPANDED:
-        return None, f"its functions expand to more than {_MOST_EXPANDED} nodes"
-    return _strictly(proto)
+    if _expanded_node_count(proto) > _MAX_EXPANDED_NODES:
+        return None, f"its functions expand to more than {_MAX_EXPANDED_NODES} nodes"
+    return _infer_strictly(proto)
 
 
 def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
     """Run ONNX shape inference again, now with data propagation (values of shape tensors)."""
     if _may_be_long(inferred):
-        return _propagated_elsewhere(proto) or inferred, ""
+        return _propagate_in_subprocess(proto) or inferred, ""
     try:
-        return _propagated(proto, strict=True), ""
-    except _ERRORS as error:
+        return _propagate_data(proto, strict=True), ""
+    except _INFERENCE_ERRORS as error:
         return inferred, first_line(error)
 
 
-def _strictly(proto: ModelProto) -> tuple[ModelProto | None, str]:
+def _infer_strictly(proto: ModelProto) -> tuple[ModelProto | None, str]:
     run = onnx.shape_inference.infer_shapes
     try:
         return run(proto, check_type=True, strict_mode=True), ""
-    except _ERRORS as error:
+    except _INFERENCE_ERRORS as error:
         fault = first_line(error)
     try:
         return run(proto), fault
-    except _ERRORS:
+    except _INFERENCE_ERRORS:
         return None, fault  # the fault is already noted
 
 
-def _propagated(proto: ModelProto, *, strict: bool) -> ModelProto:
+def _propagate_data(proto: ModelProto, *, strict: bool) -> ModelProto:
     run = onnx.shape_inference.infer_shapes
     return run(proto, check_type=strict, strict_mode=strict, data_prop=True)
 
 
-def _expanded(proto: ModelProto) -> int:
+def _expanded_node_count(proto: ModelProto) -> int:
     """Return the number of nodes in a model after every function call is inlined."""
     if not proto.functions:
         return 0
@@ -86,7 +86,7 @@ def _expanded(proto: ModelProto) -> int:
                 sizes[key] = size(functions[key])
             total += 1 + sizes.get(key, 0)
             total += sum(size(g) for a in node.attribute for g in subgraphs(a))
-        return min(total, 2 * _MOST_EXPANDED)
+        return min(total, 2 * _MAX_EXPANDED_NODES)
 
     return size(proto.graph)
 
@@ -114,29 +114,33 @@ def _is_long(value: ValueInfoProto) -> bool:
     return len(dims) == 1 and not (dims[0].HasField("dim_value") and dims[0].dim_value <= _LONGEST)
 
 
-def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
+def _propagate_in_subprocess(proto: ModelProto) -> ModelProto | None:
     """Run ONNX data propagation in a child process; return None if it fails or exceeds limits."""
     try:
-        completed = subprocess.run(
+        finished_process = subprocess.run(
             [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],
             input=proto.SerializeToString(),
             capture_output=True,
-            timeout=_SECONDS,
+            timeout=_MAX_SECONDS,
             check=False,
         )
-        return ModelProto.FromString(completed.stdout) if completed.returncode == 0 else None
+        return (
+            ModelProto.FromString(finished_process.stdout)
+            if finished_process.returncode == 0
+            else None
+        )
     except (subprocess.TimeoutExpired, DecodeError, ValueError):
         return None
 
 
-def _be_the_child() -> int:
+def _run_child_process() -> int:
     from gsgen.contract.process.limits import limit_memory
 
-    limit_memory(_MEMORY)
+    limit_memory(_MAX_MEMORY)
     proto = ModelProto.FromString(sys.stdin.buffer.read())
     try:
-        inferred = _propagated(proto, strict=False)
-    except _ERRORS:
+        inferred = _propagate_data(proto, strict=False)
+    except _INFERENCE_ERRORS:
         return 1
     sys.stdout.buffer.write(inferred.SerializeToString())
     return 0
@@ -150,4 +154,4 @@ def first_line(error: Exception) -> str:
 
 if __name__ == "__main__":
     exit_with_parent()
-    sys.exit(_be_the_child())
+    sys.exit(_run_child_process())

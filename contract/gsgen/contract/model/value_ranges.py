@@ -16,7 +16,7 @@ from gsgen.contract.spec.manifest import Manifest
 Interval = tuple[float, float]
 
 _INT32 = (-(2.0**31), 2.0**31 - 1)
-_BOUNDED: dict[str, Interval] = {
+_BOUNDED_OPERATORS: dict[str, Interval] = {
     "Sigmoid": (0, 1),
     "HardSigmoid": (0, 1),
     "Softmax": (0, 1),
@@ -34,16 +34,16 @@ _BOUNDED: dict[str, Interval] = {
     **dict.fromkeys(("And", "IsInf", "IsNaN", "Not", "Or", "Xor"), (0, 1)),
 }
 # Operators whose outputs contain only numbers of their inputs.
-_MOVES = frozenset(
+_MOVING_OPERATORS = frozenset(
     {
         *("Identity", "Reshape", "Squeeze", "Unsqueeze", "Flatten", "Transpose", "Expand"),
         *("Slice", "Gather", "GatherElements", "GatherND", "Split", "Tile", "DepthToSpace", "TopK"),
         *("ReduceMax", "ReduceMin", "ReduceMean", "ReduceSum"),  # sums are counted afterwards
     }
 )
-_JOINS = frozenset({"Concat", "Where"})
+_JOINING_OPERATORS = frozenset({"Concat", "Where"})
 # Operators that return indices along one axis → which output holds them, and the default axis.
-_INDICES = {"ArgMax": (0, 0), "ArgMin": (0, 0), "TopK": (1, -1)}
+_INDEX_OUTPUTS = {"ArgMax": (0, 0), "ArgMin": (0, 0), "TopK": (1, -1)}
 
 
 def _products(a: Interval, b: Interval) -> Interval:
@@ -59,11 +59,11 @@ def _quotients(a: Interval, b: Interval) -> Interval:
 
 def _remainders(_: Interval, b: Interval) -> Interval:
     """Return the range of the remainders of an integer division, whichever sign they take."""
-    most = max(abs(b[0]), abs(b[1]))
-    return -most, most
+    max_magnitude = max(abs(b[0]), abs(b[1]))
+    return -max_magnitude, max_magnitude
 
 
-_OF_TWO: dict[str, Callable[[Interval, Interval], Interval]] = {
+_BINARY_INTERVALS: dict[str, Callable[[Interval, Interval], Interval]] = {
     "Add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "Sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
     "Mul": _products,
@@ -72,18 +72,18 @@ _OF_TWO: dict[str, Callable[[Interval, Interval], Interval]] = {
     "Max": lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
     "Mod": _remainders,
 }
-_OF_ONE: dict[str, Callable[[Interval], Interval]] = {
+_UNARY_INTERVALS: dict[str, Callable[[Interval], Interval]] = {
     "Neg": lambda a: (-a[1], -a[0]),
     "Abs": lambda a: (max(0.0, a[0], -a[1]), max(abs(a[0]), abs(a[1]))),
-    "Floor": lambda a: (_whole(a[0], math.floor), _whole(a[1], math.floor)),
-    "Ceil": lambda a: (_whole(a[0], math.ceil), _whole(a[1], math.ceil)),
-    "Round": lambda a: (_whole(a[0], math.floor), _whole(a[1], math.ceil)),
+    "Floor": lambda a: (_round_finite(a[0], math.floor), _round_finite(a[1], math.floor)),
+    "Ceil": lambda a: (_round_finite(a[0], math.ceil), _round_finite(a[1], math.ceil)),
+    "Round": lambda a: (_round_finite(a[0], math.floor), _round_finite(a[1], math.ceil)),
     "Relu": lambda a: (max(0.0, a[0]), max(0.0, a[1])),
     "Cast": lambda a: a,
 }
 
 
-def _whole(value: float, rounded: Callable[[float], int]) -> float:
+def _round_finite(value: float, rounded: Callable[[float], int]) -> float:
     return float(rounded(value)) if math.isfinite(value) else value
 
 
@@ -104,35 +104,35 @@ def intervals(
         elif ROLES[entry.role].index:
             known[entry.name] = _INT32
     for node in graph.nodes:
-        span = _of_node(node, [known.get(name) for name in node.input])
+        span = _node_interval(node, [known.get(name) for name in node.input])
         output = graph.tensors.get(node.output[0]) if node.output else None
         if span is not None and node.op_type == "ReduceSum":
-            span = _added(span, graph.tensors.get(node.input[0]), output)
+            span = _sum_interval(span, graph.tensors.get(node.input[0]), output)
         if output is not None and output.dtype == "bool":
             span = (0.0, 1.0)
         if span is None and output is not None and output.dtype == "int32":
             span = _INT32  # no other number fits
         if span is not None:
             known.update({name: span for name in node.output if name})
-        if node.op_type in _INDICES:
-            known.update(_of_indices(node, graph))
+        if node.op_type in _INDEX_OUTPUTS:
+            known.update(_index_intervals(node, graph))
     return known
 
 
-def _of_indices(node: NodeProto, graph: Graph) -> dict[str, Interval]:
+def _index_intervals(node: NodeProto, graph: Graph) -> dict[str, Interval]:
     """Return the range of the indices that ArgMax, ArgMin or TopK finds along an axis."""
-    output, axis = _INDICES[node.op_type]
+    output, axis = _INDEX_OUTPUTS[node.op_type]
     if output >= len(node.output) or not node.output[output]:
         return {}
     axis = next((entry.i for entry in node.attribute if entry.name == "axis"), axis)
     operand = graph.tensors.get(node.input[0])
     dims = operand.dims if operand is not None else None
     size = dims[axis] if dims is not None and -len(dims) <= axis < len(dims) else None
-    most = size - 1 if isinstance(size, int) and size > 0 else _INT32[1]
-    return {node.output[output]: (0, most)}
+    max_index = size - 1 if isinstance(size, int) and size > 0 else _INT32[1]
+    return {node.output[output]: (0, max_index)}
 
 
-def _added(span: Interval, operand: Tensor | None, output: Tensor | None) -> Interval | None:
+def _sum_interval(span: Interval, operand: Tensor | None, output: Tensor | None) -> Interval | None:
     """Return the range of a sum over an axis; None if the number of addends is unknown."""
     if operand is None or output is None or operand.dims is None or output.dims is None:
         return None
@@ -151,25 +151,25 @@ def _of_weight(weight: TensorProto) -> Interval | None:
     return (low, high) if low <= high else None  # NaN bounds nothing
 
 
-def _of_node(node: NodeProto, spans: Sequence[Interval | None]) -> Interval | None:
+def _node_interval(node: NodeProto, spans: Sequence[Interval | None]) -> Interval | None:
     kind = node.op_type
-    if kind in _BOUNDED:
-        return _BOUNDED[kind]
+    if kind in _BOUNDED_OPERATORS:
+        return _BOUNDED_OPERATORS[kind]
     if kind == "Clip" and len(spans) == 3:
         low, high = spans[1], spans[2]
         return (low[0], high[1]) if low and high else None
     first = spans[0] if spans else None
-    if kind in _MOVES:
+    if kind in _MOVING_OPERATORS:
         return first
-    if kind in _JOINS:
+    if kind in _JOINING_OPERATORS:
         parts = spans[1:] if kind == "Where" else spans
-        whole = [part for part in parts if part is not None]
-        if len(whole) != len(parts) or not whole:
+        known_intervals = [part for part in parts if part is not None]
+        if len(known_intervals) != len(parts) or not known_intervals:
             return None
-        return min(part[0] for part in whole), max(part[1] for part in whole)
-    if kind in _OF_ONE:
-        return None if first is None else _OF_ONE[kind](first)
-    if kind in _OF_TWO and len(spans) == 2:
+        return min(part[0] for part in known_intervals), max(part[1] for part in known_intervals)
+    if kind in _UNARY_INTERVALS:
+        return None if first is None else _UNARY_INTERVALS[kind](first)
+    if kind in _BINARY_INTERVALS and len(spans) == 2:
         second = spans[1]
-        return None if first is None or second is None else _OF_TWO[kind](first, second)
+        return None if first is None or second is None else _BINARY_INTERVALS[kind](first, second)
     return None

@@ -1,6 +1,13 @@
 """Test inputs of behaviour rules: range ends, flipped axes, loops, frames, order of runs."""
 
-__all__ = ["AWAY", "PATH_OFFSET", "REPEATED", "TILTED", "trial_probes", "turned_away"]
+__all__ = [
+    "LOOKING_AWAY_LABEL",
+    "PATH_OFFSET",
+    "REPEATED_LABEL",
+    "TILTED_LABEL",
+    "trial_probes",
+    "turned_away_probes",
+]
 
 import math
 from collections.abc import Iterator
@@ -14,31 +21,31 @@ from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
 
 # Suffix of the label of a probe that is run a second time.
-REPEATED = "once more"
+REPEATED_LABEL = "once more"
 
 # Displacement of a camera path, in world units.
 PATH_OFFSET = (3.0, -2.0, 5.0)
 
 # Camera displacement, as a fraction of the distance from the origin.
-_STEP = 0.3
+_CAMERA_STEP = 0.3
 # Relative overshoot beyond a declared range that rounding may cause.
-_BEYOND = 0.01
+_BEYOND_RANGE_FRACTION = 0.01
 # Up to this number of frames all are visited; of more, the ends and the middle in such windows.
-_ALL_FRAMES = 64
-_WINDOW = 8
-_FEW_FRAMES = 4
-_INTO_FRAME = 0.3
-_STEPS = 60
+_MAX_ALL_FRAMES = 64
+_WINDOW_FRAMES = 8
+_FRAMES_PER_WINDOW = 4
+_FRAME_FRACTION = 0.3
+_STEPS_PER_RANGE = 60
 # Suffixes of the labels of a camera that is turned about its own centre.
-TILTED, AWAY = "tilted", "looking away"
+TILTED_LABEL, LOOKING_AWAY_LABEL = "tilted", "looking away"
 # A tilt by 0.7 about the viewing axis and 0.15 about the vertical, and half a turn.
-_TILT = rotation_matrix(np.array([[0.9365, 0.0, 0.07, 0.3429]]))[0]
-_HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+_TILT_ROTATION = rotation_matrix(np.array([[0.9365, 0.0, 0.07, 0.3429]]))[0]
+_HALF_TURN_ROTATION = np.diag([-1.0, 1.0, -1.0])
 # Instants between those of other probes, and the short step of a time from 0 to 1.
-_INSTANTS = (0.35, 0.75)
-_FINE = 0.01
-_UNIT_RANGE = 1.0
-_REFRESH = 60.0
+_SAMPLE_TIMES = (0.35, 0.75)
+_SMALL_TIME_STEP = 0.01
+_MAX_UNIT_RANGE = 1.0
+_REFRESH_RATE = 60.0
 
 
 def trial_probes(
@@ -52,125 +59,138 @@ def trial_probes(
         first: The probes of value rules.
     """
     if isinstance(manifest, GeneratorManifest):
-        yield "moved", tuple(_moved(manifest, base))
-        yield "turned", tuple(_turned(manifest, base))
-        yield "flipped", tuple(_flipped(manifest, base))
-        yield "edges", tuple(_edges(manifest, base))
-        yield "outside", tuple(_outside(manifest, base))
+        yield "moved", tuple(_moved_camera_probes(manifest, base))
+        yield "turned", tuple(_turned_camera_probes(manifest, base))
+        yield "flipped", tuple(_flipped_axis_probes(manifest, base))
+        yield "edges", tuple(_edge_probes(manifest, base))
+        yield "outside", tuple(_outside_range_probes(manifest, base))
         for entry in manifest.inputs:
             if entry.role == "time" and entry.range is not None:
-                yield "loop", tuple(_loop(entry, base))
-                yield "paces", tuple(_paces(entry, base))
+                yield "loop", tuple(_loop_probes(entry, base))
+                yield "paces", tuple(_time_step_probes(entry, base))
                 yield "frames", tuple(_frames(entry, base))
-                yield "swept", tuple(_swept(manifest, entry, base))
+                yield "swept", tuple(_sweep_probes(manifest, entry, base))
             elif entry.role == "frame_index" and entry.range is not None:
                 yield "frames", tuple(_frame_numbers(entry, base))
     if isinstance(manifest, TrajectoryManifest):
-        yield "paths", tuple(_paths(manifest, base))
+        yield "paths", tuple(_path_probes(manifest, base))
     if len(first) > 1:
-        repeated = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
-        yield "again", tuple(_changed(first[index], REPEATED) for index in repeated)
-    yield "plain", (replace(_changed(base, "without optimisations"), optimise=False),)
+        repeated_indices = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
+        yield (
+            "again",
+            tuple(_changed_probe(first[index], REPEATED_LABEL) for index in repeated_indices),
+        )
+    yield "plain", (replace(_changed_probe(base, "without optimisations"), optimise=False),)
 
 
-def turned_away(manifest: Manifest, base: Probe) -> Iterator[Probe]:
+def turned_away_probes(manifest: Manifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs whose camera is turned by 180° about the camera's y axis."""
     if isinstance(manifest, GeneratorManifest):
         order = manifest.space.matrix_order if manifest.space else "column"
-        for entry in _of_role(manifest, "view")[:1]:
-            back = np.diag([-1.0, 1.0, -1.0, 1.0]) @ as_tensor(base.inputs[entry.name], order)
-            yield _changed(base, "looking away", **{entry.name: as_tensor(back, order)})
+        for entry in _inputs_of_role(manifest, "view")[:1]:
+            rear_view = np.diag([-1.0, 1.0, -1.0, 1.0]) @ as_tensor(base.inputs[entry.name], order)
+            yield _changed_probe(base, "looking away", **{entry.name: as_tensor(rear_view, order)})
 
 
-def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
+def _changed_probe(base: Probe, words: str, **inputs: Array) -> Probe:
     return Probe(label=f"{base.label} {words}", inputs=base.inputs | inputs, extra=True)
 
 
-def _paths(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
+def _path_probes(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs of camera paths: unchanged, moved, at rest, with negated quaternions."""
     quaternions = manifest.outputs.future.representation == "position+quaternion-wxyz"
-    for entry in _of_role(manifest, "camera_history")[:1]:
-        history = base.inputs[entry.name]
-        if history.ndim != 2:
+    for entry in _inputs_of_role(manifest, "camera_history")[:1]:
+        camera_history = base.inputs[entry.name]
+        if camera_history.ndim != 2:
             return
-        moved, negated = history.copy(), history.copy()
-        moved[:, :3] += np.array(PATH_OFFSET, history.dtype)
-        yield _changed(base, "again", **{entry.name: history})
-        yield _changed(base, "moved", **{entry.name: moved})
-        yield _changed(base, "at rest", **{entry.name: np.repeat(history[-1:], len(history), 0)})
+        moved_history, negated_history = camera_history.copy(), camera_history.copy()
+        moved_history[:, :3] += np.array(PATH_OFFSET, camera_history.dtype)
+        yield _changed_probe(base, "again", **{entry.name: camera_history})
+        yield _changed_probe(base, "moved", **{entry.name: moved_history})
+        yield _changed_probe(
+            base, "at rest", **{entry.name: np.repeat(camera_history[-1:], len(camera_history), 0)}
+        )
         if quaternions:
-            negated[:, 3:] *= -1
-            yield _changed(base, "with quaternions negated", **{entry.name: negated})
+            negated_history[:, 3:] *= -1
+            yield _changed_probe(base, "with quaternions negated", **{entry.name: negated_history})
 
 
-def _of_role(manifest: Manifest, role: str) -> list[Input]:
+def _inputs_of_role(manifest: Manifest, role: str) -> list[Input]:
     return [entry for entry in manifest.inputs if entry.role == role]
 
 
-def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+def _moved_camera_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs of the camera: unchanged, moved, and moved by the transposed matrix."""
     order = manifest.space.matrix_order if manifest.space else "column"
-    for entry in _of_role(manifest, "view")[:1]:
+    for entry in _inputs_of_role(manifest, "view")[:1]:
         view = base.inputs[entry.name]
         matrix = as_tensor(view, order)  # transposing is its own inverse
         step = np.zeros((4, 4))
-        step[:3, 3] = _STEP * max(float(np.linalg.norm(matrix[:3, 3])), 1.0)
+        step[:3, 3] = _CAMERA_STEP * max(float(np.linalg.norm(matrix[:3, 3])), 1.0)
         tensor = as_tensor(step, order)
-        yield _changed(base, "again", **{entry.name: view})
-        yield _changed(base, "moved", **{entry.name: view + tensor})
-        yield _changed(base, "moved, transposed", **{entry.name: view + tensor.T})
+        yield _changed_probe(base, "again", **{entry.name: view})
+        yield _changed_probe(base, "moved", **{entry.name: view + tensor})
+        yield _changed_probe(base, "moved, transposed", **{entry.name: view + tensor.T})
 
 
-def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+def _turned_camera_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs whose camera is turned about its own centre: tilted, and looking away."""
     order = manifest.space.matrix_order if manifest.space else "column"
-    for entry in _of_role(manifest, "view")[:1]:
+    for entry in _inputs_of_role(manifest, "view")[:1]:
         view = as_tensor(base.inputs[entry.name], order).astype(np.float64)
-        for words, rotation in ((TILTED, _TILT), (AWAY, _HALF_TURN)):
-            turn = np.eye(4)
-            turn[:3, :3] = rotation
-            yield _changed(base, words, **{entry.name: as_tensor(turn @ view, order)})
+        for words, rotation in (
+            (TILTED_LABEL, _TILT_ROTATION),
+            (LOOKING_AWAY_LABEL, _HALF_TURN_ROTATION),
+        ):
+            turn_matrix = np.eye(4)
+            turn_matrix[:3, :3] = rotation
+            yield _changed_probe(base, words, **{entry.name: as_tensor(turn_matrix @ view, order)})
 
 
-def _swept(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[Probe]:
+def _sweep_probes(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[Probe]:
     """Yield test inputs at instants over the time range, and at close pairs of instants."""
     assert entry.range is not None
     low, high = entry.range
-    is_short = entry.frames is None and 0 < high - low <= _UNIT_RANGE
+    is_short = entry.frames is None and 0 < high - low <= _MAX_UNIT_RANGE
     if is_short or len(manifest.inputs) > 1:  # otherwise the first probes hold such instants
-        yield from (_at(entry, base, along) for along in _INSTANTS)
+        yield from (
+            _probe_at_fraction(entry, base, range_fraction) for range_fraction in _SAMPLE_TIMES
+        )
     if is_short:
-        along = (float(base.inputs[entry.name].reshape(-1)[0]) - low) / (high - low)
-        yield from (_at(entry, base, start + _FINE) for start in (along, *_INSTANTS))
+        range_fraction = (float(base.inputs[entry.name].reshape(-1)[0]) - low) / (high - low)
+        yield from (
+            _probe_at_fraction(entry, base, start + _SMALL_TIME_STEP)
+            for start in (range_fraction, *_SAMPLE_TIMES)
+        )
 
 
-def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+def _flipped_axis_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs with the projection matrix unchanged, and with its second row negated."""
     order = manifest.space.matrix_order if manifest.space else "column"
-    for entry in _of_role(manifest, "projection")[:1]:
+    for entry in _inputs_of_role(manifest, "projection")[:1]:
         lens = base.inputs[entry.name]
-        signs = as_tensor(np.diag([1.0, -1.0, 1.0, 1.0]) @ as_tensor(lens, order), order)
-        yield _changed(base, "again", **{entry.name: lens})
-        yield _changed(base, "with y turned", **{entry.name: signs})
+        flipped_matrix = as_tensor(np.diag([1.0, -1.0, 1.0, 1.0]) @ as_tensor(lens, order), order)
+        yield _changed_probe(base, "again", **{entry.name: lens})
+        yield _changed_probe(base, "with y turned", **{entry.name: flipped_matrix})
 
 
-def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+def _edge_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs with one input role zero at a time, then all inputs at range ends."""
     for role in dict.fromkeys(entry.role for entry in manifest.inputs):
-        names = [entry.name for entry in _of_role(manifest, role)]
+        names = [entry.name for entry in _inputs_of_role(manifest, role)]
         zeros = {name: np.zeros_like(base.inputs[name]) for name in names}
-        yield _changed(base, f"with zero {role}", **zeros)
+        yield _changed_probe(base, f"with zero {role}", **zeros)
     for end, words in ((0, "at the lowest"), (1, "at the highest")):
         ends = {
-            entry.name: _filled(base.inputs[entry.name], span[end])
+            entry.name: _filled_array(base.inputs[entry.name], span[end])
             for entry in manifest.inputs
-            if (span := _span(entry, base.inputs[entry.name])) is not None
+            if (span := _input_range(entry, base.inputs[entry.name])) is not None
         }
         if ends:
-            yield _changed(base, words, **ends)
+            yield _changed_probe(base, words, **ends)
 
 
-def _span(entry: Input, value: Array) -> tuple[float, float] | None:
+def _input_range(entry: Input, value: Array) -> tuple[float, float] | None:
     """Return the ends of an input's range; rotation angles of poses are limited to ±π."""
     angles = entry.role in ("pose", "root_rotation") and value.shape[-1:] == (3,)
     if entry.range is None and angles and value.shape != (3, 3):
@@ -178,55 +198,58 @@ def _span(entry: Input, value: Array) -> tuple[float, float] | None:
     return entry.range
 
 
-def _outside(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+def _outside_range_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs with all ranged inputs just below their range, then just above it."""
-    ranged = [
+    ranged_inputs = [
         (entry, entry.range)
         for entry in manifest.inputs
         if entry.range is not None and not ROLES[entry.role].index
     ]
     for sign, end, words in ((-1, 0, "just below"), (1, 1, "just above")):
         inputs = {
-            entry.name: _filled(
-                base.inputs[entry.name], span[end] + sign * _BEYOND * (span[1] - span[0])
+            entry.name: _filled_array(
+                base.inputs[entry.name],
+                span[end] + sign * _BEYOND_RANGE_FRACTION * (span[1] - span[0]),
             )
-            for entry, span in ranged
+            for entry, span in ranged_inputs
         }
         if inputs:
-            yield _changed(base, f"{words} the declared ranges", **inputs)
+            yield _changed_probe(base, f"{words} the declared ranges", **inputs)
 
 
-def _filled(like: Array, value: float) -> Array:
-    if like.dtype.kind == "f":
-        limits = np.finfo(like.dtype)
+def _filled_array(template: Array, value: float) -> Array:
+    if template.dtype.kind == "f":
+        limits = np.finfo(template.dtype)
         value = min(max(value, float(limits.min)), float(limits.max))
-    return np.full_like(like, value)
+    return np.full_like(template, value)
 
 
-def _at(entry: Input, base: Probe, along: float) -> Probe:
+def _probe_at_fraction(entry: Input, base: Probe, range_fraction: float) -> Probe:
     assert entry.range is not None
     low, high = entry.range
-    value = low * (1 - along) + high * along
-    like = base.inputs[entry.name]
-    return _changed(base, f"at time={value:.6g}", **{entry.name: _filled(like, value)})
+    value = low * (1 - range_fraction) + high * range_fraction
+    template = base.inputs[entry.name]
+    return _changed_probe(
+        base, f"at time={value:.6g}", **{entry.name: _filled_array(template, value)}
+    )
 
 
-def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
+def _loop_probes(entry: Input, base: Probe) -> Iterator[Probe]:
     """Yield test inputs at the first two and the last two instants of a looping time range."""
     if entry.loop:
-        step = 1 / (entry.frames or _STEPS)
-        for along in (0.0, step, 1 - step, 1.0):
-            yield _at(entry, base, along)
+        step = 1 / (entry.frames or _STEPS_PER_RANGE)
+        for range_fraction in (0.0, step, 1 - step, 1.0):
+            yield _probe_at_fraction(entry, base, range_fraction)
 
 
-def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
+def _time_step_probes(entry: Input, base: Probe) -> Iterator[Probe]:
     """Yield test inputs at pairs of instants that are one 60 Hz screen refresh apart."""
     if entry.frames and entry.fps:
-        step = min(1.0, entry.fps / entry.frames / _REFRESH)
+        step = min(1.0, entry.fps / entry.frames / _REFRESH_RATE)
         for start in (0.0, (1 - step) / 2, 0.5, 1 - step):
             if start + step <= 1:
-                yield _at(entry, base, start)
-                yield _at(entry, base, start + step)
+                yield _probe_at_fraction(entry, base, start)
+                yield _probe_at_fraction(entry, base, start + step)
 
 
 def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
@@ -238,11 +261,11 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
     if not entry.frames or entry.frames < 2:
         return
     count = entry.frames
-    middle = int(_INTO_FRAME * count)
-    frame_numbers = {k for start in (0, middle - _WINDOW, middle, count - _WINDOW) for k in
-              range(max(0, start), min(count, start + _WINDOW))}  # fmt: skip
-    for frame in range(count) if count <= _ALL_FRAMES else sorted(frame_numbers):
-        probe = _at(entry, base, (frame + _INTO_FRAME) / count)
+    middle_frame = int(_FRAME_FRACTION * count)
+    frame_numbers = {k for start in (0, middle_frame - _WINDOW_FRAMES, middle_frame, count - _WINDOW_FRAMES) for k in
+              range(max(0, start), min(count, start + _WINDOW_FRAMES))}  # fmt: skip
+    for frame in range(count) if count <= _MAX_ALL_FRAMES else sorted(frame_numbers):
+        probe = _probe_at_fraction(entry, base, (frame + _FRAME_FRACTION) / count)
         yield replace(probe, label=f"frame {frame}", survey=True)
 
 
@@ -252,10 +275,12 @@ def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
     if not entry.frames or entry.frames < 2:
         return
     low, high = int(entry.range[0]), int(entry.range[1])
-    starts = (low, low + entry.frames // 2)
-    count, length = (1, _ALL_FRAMES) if entry.frames <= _ALL_FRAMES else (2, _FEW_FRAMES)
-    numbers = {k for start in starts[:count] for k in range(start, start + length)}
+    window_starts = (low, low + entry.frames // 2)
+    count, length = (
+        (1, _MAX_ALL_FRAMES) if entry.frames <= _MAX_ALL_FRAMES else (2, _FRAMES_PER_WINDOW)
+    )
+    numbers = {k for start in window_starts[:count] for k in range(start, start + length)}
     for number in sorted(numbers & set(range(low, min(high, low + entry.frames - 1) + 1))):
-        frame = _filled(base.inputs[entry.name], number)
-        probe = _changed(base, f"at frame {number}", **{entry.name: frame})
+        frame = _filled_array(base.inputs[entry.name], number)
+        probe = _changed_probe(base, f"at frame {number}", **{entry.name: frame})
         yield replace(probe, label=f"frame {number}", survey=True)

@@ -6,9 +6,9 @@ their neighbours within it.
 """
 
 __all__ = [
-    "FEWEST_DRAWN",
-    "LINEAR",
-    "PLANAR",
+    "MAX_PLANAR_SCATTER",
+    "MIN_DRAWN_ROWS",
+    "MIN_LINEAR_SCATTER",
     "SH_OFFSET",
     "DrawnSample",
     "LocalRotations",
@@ -29,21 +29,21 @@ from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITI
 from gsgen.contract.spec.spherical_harmonics import SH_DC
 
 # Below this number of drawn rows, a statistic says nothing.
-FEWEST_DRAWN = 32
+MIN_DRAWN_ROWS = 32
 
 # Neighbours lie in a plane (on a line) if the smallest (largest) eigenvalue of their scatter, whose
 # trace is 1, is below (above) this on average. Points of a volume have 0.12 (0.57).
-PLANAR, LINEAR = 0.08, 0.7
+MAX_PLANAR_SCATTER, MIN_LINEAR_SCATTER = 0.08, 0.7
 
 # Up to this number of rows, all are compared with each other.
-_WHOLE = 1024
+_MAX_WHOLE_ROWS = 1024
 # A larger scene is sampled in this many patches of this many rows; the inner ones are measured.
-_PATCHES, _PATCH, _INNER = 8, 256, 64
+_PATCH_COUNT, _PATCH_ROWS, _INNER_ROWS = 8, 256, 64
 # Rows that are taken evenly from the whole scene for statistics without neighbours.
-_EVEN = 1 << 13
-_NEIGHBOURS = 6
-_SPACING = 3
-_SMALLEST = 1e-30
+_MAX_EVEN_ROWS = 1 << 13
+_NEIGHBOUR_COUNT = 6
+_SPACING_NEIGHBOURS = 3
+_MIN_LENGTH = 1e-30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +63,8 @@ class DrawnSample:
     """
 
     emission: ModelOutputs
-    even: Float[np.ndarray, "e 10"]
-    even_color: Float[np.ndarray, "e c"] | None
+    even_rows: Float[np.ndarray, "e 10"]
+    even_row_color: Float[np.ndarray, "e c"] | None
     indices: Int[np.ndarray, " n"]
     rows: Float[np.ndarray, "n 10"]
     color: Float[np.ndarray, "n c"] | None
@@ -81,28 +81,28 @@ class DrawnSample:
     @cached_property
     def spacing(self) -> Float[np.ndarray, " m"]:
         """The mean distance of each sampled Gaussian to its three nearest neighbours."""
-        distance = np.linalg.norm(self.offsets[:, :_SPACING], axis=2).mean(axis=1)
-        return np.asarray(np.maximum(distance, _SMALLEST))
+        distance = np.linalg.norm(self.offsets[:, :_SPACING_NEIGHBOURS], axis=2).mean(axis=1)
+        return np.asarray(np.maximum(distance, _MIN_LENGTH))
 
     @cached_property
-    def _spectrum(self) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
+    def _variances_and_axes(self) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
         variances, axes = np.linalg.eigh(symmetric(self.rows[self.inner][:, COVARIANCE]))
         return np.maximum(variances, 0.0), axes
 
     @property
     def sigma(self) -> Float[np.ndarray, "m 3"]:
         """The standard deviations of each sampled Gaussian, the smallest first."""
-        return np.asarray(np.sqrt(self._spectrum[0]))
+        return np.asarray(np.sqrt(self._variances_and_axes[0]))
 
     @property
     def axes(self) -> Float[np.ndarray, "m 3 3"]:
         """The principal axes of each sampled Gaussian as columns, the thinnest first."""
-        return self._spectrum[1]
+        return self._variances_and_axes[1]
 
     @cached_property
     def scatter(self) -> Float[np.ndarray, "m 3 3"]:
         """The mean of d dᵀ over the unit vectors d from each sampled Gaussian to its neighbours."""
-        length = np.maximum(np.linalg.norm(self.offsets, axis=2, keepdims=True), _SMALLEST)
+        length = np.maximum(np.linalg.norm(self.offsets, axis=2, keepdims=True), _MIN_LENGTH)
         unit = self.offsets / length
         return np.asarray(unit.transpose(0, 2, 1) @ unit / unit.shape[1])
 
@@ -114,43 +114,43 @@ class DrawnSample:
     @property
     def is_planar(self) -> bool:
         """Whether the neighbours of most Gaussians lie in planes, as on a surface."""
-        return bool(self.scatter_eigenvalues[:, 0].mean() < PLANAR)
+        return bool(self.scatter_eigenvalues[:, 0].mean() < MAX_PLANAR_SCATTER)
 
     @property
     def is_linear(self) -> bool:
         """Whether the neighbours of most Gaussians lie on lines, as along a strand of hair."""
-        return bool(self.scatter_eigenvalues[:, 2].mean() > LINEAR)
+        return bool(self.scatter_eigenvalues[:, 2].mean() > MIN_LINEAR_SCATTER)
 
-    def share_along(self, axis: int) -> Float[np.ndarray, " m"]:
+    def neighbour_alignment(self, axis: int) -> Float[np.ndarray, " m"]:
         """Return the mean of (d · a)² of axes a over unit vectors d to a Gaussian's neighbours."""
-        along = self.axes[:, :, axis]
-        return np.asarray(np.einsum("mi,mij,mj->m", along, self.scatter, along))
+        axis_vectors = self.axes[:, :, axis]
+        return np.asarray(np.einsum("mi,mij,mj->m", axis_vectors, self.scatter, axis_vectors))
 
 
 def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
     """Return a sample of the visible Gaussians; None if too few are visible."""
-    packed = emission.gaussians
-    if packed is None or emission.zeros:
+    packed_rows = emission.gaussians
+    if packed_rows is None or emission.zeros:
         return None
-    drawn = np.flatnonzero(_drawn(emission))
-    if len(drawn) < FEWEST_DRAWN:
+    drawn = np.flatnonzero(_drawn_mask(emission))
+    if len(drawn) < MIN_DRAWN_ROWS:
         return None
-    evenly = drawn[:: -(-len(drawn) // _EVEN)]
-    patches = _patches(packed[:, POSITION][drawn].astype(np.float32))
-    members, inner, neighbours, start = [], [], [], 0
-    for patch, measured in patches:
-        position = packed[:, POSITION][drawn[patch]].astype(np.float64)
-        members.append(drawn[patch])
-        inner.append(start + np.arange(measured))
-        neighbours.append(start + _nearest(position, measured))
+    even_indices = drawn[:: -(-len(drawn) // _MAX_EVEN_ROWS)]
+    patches = _patches(packed_rows[:, POSITION][drawn].astype(np.float32))
+    member_indices, inner, neighbours, start = [], [], [], 0
+    for patch, measured_count in patches:
+        position = packed_rows[:, POSITION][drawn[patch]].astype(np.float64)
+        member_indices.append(drawn[patch])
+        inner.append(start + np.arange(measured_count))
+        neighbours.append(start + _nearest_rows(position, measured_count))
         start += len(patch)
-    indices = np.concatenate(members)
+    indices = np.concatenate(member_indices)
     return DrawnSample(
         emission=emission,
-        even=packed[evenly].astype(np.float64),
-        even_color=_colors(emission, evenly),
+        even_rows=packed_rows[even_indices].astype(np.float64),
+        even_row_color=_colors(emission, even_indices),
         indices=indices,
-        rows=packed[indices].astype(np.float64),
+        rows=packed_rows[indices].astype(np.float64),
         color=_colors(emission, indices),
         inner=np.concatenate(inner),
         neighbours=np.concatenate(neighbours),
@@ -158,7 +158,7 @@ def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
     )
 
 
-def _drawn(emission: ModelOutputs) -> Bool[np.ndarray, " n"]:
+def _drawn_mask(emission: ModelOutputs) -> Bool[np.ndarray, " n"]:
     """Return the mask of the Gaussians that are finite and opaque enough to change a pixel."""
     assert emission.gaussians is not None
     live = emission.gaussians[: emission.count]
@@ -176,31 +176,35 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
 def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
     """Return clusters of close Gaussians: row indices, and for how many to find neighbours."""
     total = len(position)
-    if total <= _WHOLE:
+    if total <= _MAX_WHOLE_ROWS:
         return [(np.arange(total), total)]
     patches = []
-    for middle in np.arange(_PATCHES) * (total // _PATCHES):
-        square = np.square(position - position[middle]).sum(axis=1)
-        nearest = np.argpartition(square, _PATCH)[:_PATCH]
-        patches.append((nearest[np.argsort(square[nearest], kind="stable")], _INNER))
+    for middle_row in np.arange(_PATCH_COUNT) * (total // _PATCH_COUNT):
+        square = np.square(position - position[middle_row]).sum(axis=1)
+        nearest_indices = np.argpartition(square, _PATCH_ROWS)[:_PATCH_ROWS]
+        patches.append(
+            (nearest_indices[np.argsort(square[nearest_indices], kind="stable")], _INNER_ROWS)
+        )
     return patches
 
 
-def _nearest(position: Float[np.ndarray, "p 3"], measured: int) -> Int[np.ndarray, "m k"]:
-    """Return, nearest first, the neighbours' indices of each of the first ``measured`` points."""
-    square = np.square(position[:measured, None] - position[None]).sum(axis=2)
-    square[np.arange(measured), np.arange(measured)] = np.inf
-    count = min(_NEIGHBOURS, len(position) - 1)
-    nearest = np.argpartition(square, count - 1, axis=1)[:, :count]
-    order = np.argsort(np.take_along_axis(square, nearest, 1), axis=1, kind="stable")
-    return np.asarray(np.take_along_axis(nearest, order, 1))
+def _nearest_rows(
+    position: Float[np.ndarray, "p 3"], measured_count: int
+) -> Int[np.ndarray, "m k"]:
+    """Return, nearest first, the neighbours' indices of each of the first ``measured_count`` points."""
+    square = np.square(position[:measured_count, None] - position[None]).sum(axis=2)
+    square[np.arange(measured_count), np.arange(measured_count)] = np.inf
+    count = min(_NEIGHBOUR_COUNT, len(position) - 1)
+    nearest_indices = np.argpartition(square, count - 1, axis=1)[:, :count]
+    order = np.argsort(np.take_along_axis(square, nearest_indices, 1), axis=1, kind="stable")
+    return np.asarray(np.take_along_axis(nearest_indices, order, 1))
 
 
 # A neighbourhood moves rigidly if this fraction of its size remains after the fit, or less.
-_RIGID = 0.05
+_MAX_RIGID_RESIDUAL = 0.05
 # Neighbours that lie on a line leave the rotation about it open.
-_COLLINEAR = 0.15
-_SMALLEST = 1e-30
+_MAX_COLLINEAR_SPREAD = 0.15
+_MIN_LENGTH = 1e-30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,27 +222,29 @@ class LocalRotations:
     is_rigid: Bool[np.ndarray, " m"]
 
 
-def fit_local_rotations(sample: DrawnSample, later: Float[np.ndarray, "n 10"]) -> LocalRotations:
+def fit_local_rotations(
+    sample: DrawnSample, later_rows: Float[np.ndarray, "n 10"]
+) -> LocalRotations:
     """Fit the rotation of each Gaussian's neighbourhood between two runs (Kabsch 1976).
 
     Args:
         sample: Drawn rows of the first run.
-        later: The same rows of the second run, in the order of ``sample.rows``, float64.
+        later_rows: The same rows of the second run, in the order of ``sample.rows``, float64.
     """
-    position = later[:, POSITION]
+    position = later_rows[:, POSITION]
     a, b = sample.offsets, position[sample.neighbours] - position[sample.inner][:, None]
-    left, stretch, right = np.linalg.svd(b.transpose(0, 2, 1) @ a)
+    left, singular_values, right = np.linalg.svd(b.transpose(0, 2, 1) @ a)
     sign = np.sign(np.linalg.det(left @ right))
     left[:, :, 2] *= np.where(sign == 0, 1, sign)[:, None]
     rotation = left @ right
-    size = np.maximum(np.sqrt(np.square(a).sum(axis=(1, 2))), _SMALLEST)
+    size = np.maximum(np.sqrt(np.square(a).sum(axis=(1, 2))), _MIN_LENGTH)
     residual = np.sqrt(np.square(b - a @ rotation.transpose(0, 2, 1)).sum(axis=(1, 2))) / size
-    spread = np.sqrt(stretch[:, 1] / np.maximum(stretch[:, 0], _SMALLEST))
+    spread = np.sqrt(singular_values[:, 1] / np.maximum(singular_values[:, 0], _MIN_LENGTH))
     cosine = (np.trace(rotation, axis1=1, axis2=2) - 1) / 2
     return LocalRotations(
         rotation=rotation,
         angle=np.arccos(np.clip(cosine, -1, 1)),
-        is_rigid=(residual <= _RIGID) & (spread >= _COLLINEAR),
+        is_rigid=(residual <= _MAX_RIGID_RESIDUAL) & (spread >= _MAX_COLLINEAR_SPREAD),
     )
 
 
@@ -248,7 +254,7 @@ SH_OFFSET = 0.5
 
 def displayed_colors(sample: DrawnSample) -> Float[np.ndarray, "e 3"] | None:
     """Return the unclamped RGB of sampled Gaussians; None if the appearance cannot be read."""
-    if sample.even_color is None or sample.emission.declared is None:
+    if sample.even_row_color is None or sample.emission.declared is None:
         return None
-    color = sample.even_color[:, :3]
+    color = sample.even_row_color[:, :3]
     return SH_OFFSET + SH_DC * color if sample.emission.is_sh else color

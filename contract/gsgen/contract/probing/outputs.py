@@ -1,6 +1,6 @@
 """A model's outputs for one set of test inputs, for rules to read whole or in chunks of rows."""
 
-__all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
+__all__ = ["CHUNK_ROWS", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITI
 from gsgen.contract.spec.manifest import AppearanceOutput
 
 # Rows checked at a time: their unpacked columns stay in the second-level cache.
-CHUNK = 16384
+CHUNK_ROWS = 16384
 
 _SAMPLE = 1 << 13
 _ORDER_SAMPLE = 1 << 10
@@ -23,7 +23,7 @@ _ORDER_SAMPLE = 1 << 10
 _HALF_STEP = 2.0**-25
 _EXPONENT = {2: 0x7C00, 4: 0x7F800000}
 _MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
-_WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
+_WORD_TYPES: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,18 +53,18 @@ class ModelOutputs:
     cells: Float[np.ndarray, "c 10"] | None = None
 
     @property
-    def rows_place(self) -> str:
+    def rows_label(self) -> str:
         """The name of the packed Gaussians' output in reports, such as ``gaussian``."""
         declared = self.subject.declared_gaussians
         return f"output {declared.name if declared else '?'}"
 
     @property
-    def color_place(self) -> str:
+    def color_label(self) -> str:
         """The name of the appearance output in reports, such as ``color``."""
         return f"output {self.declared.name if self.declared else '?'}"
 
     @property
-    def cells_place(self) -> str:
+    def cells_label(self) -> str:
         """The name of the output with cells (groups of Gaussians) in reports, such as ``cells``."""
         declared = self.subject.declared_cells
         return f"output {declared.name if declared else '?'}"
@@ -99,7 +99,7 @@ class ModelOutputs:
             self.gaussians[: self.count : step].astype(np.float64),
             (bounds.min, bounds.max) if bounds is not None else None,
             planes.astype(np.float64),
-            smallest=_HALF_STEP if self.gaussians.dtype == np.float16 else 0.0,
+            rounding_error=_HALF_STEP if self.gaussians.dtype == np.float16 else 0.0,
         )
 
 
@@ -115,19 +115,19 @@ def read_outputs(
         zeros: Whether all inputs of the probe are zero.
     """
 
-    def take(name: str | None) -> np.ndarray | None:
+    def take_output(name: str | None) -> np.ndarray | None:
         return outputs.get(name) if name else None
 
-    rows = _float_rows(take(getattr(subject.declared_gaussians, "name", None)), 10)
-    color = _float_rows(take(getattr(subject.declared_appearance, "name", None)), None)
+    rows = _float_rows(take_output(getattr(subject.declared_gaussians, "name", None)), 10)
+    color = _float_rows(take_output(getattr(subject.declared_appearance, "name", None)), None)
     if rows is not None and color is not None and len(rows) != len(color):
         color = None  # another rule reports it
-    count = take(getattr(subject.declared_count, "name", None))
+    count = take_output(getattr(subject.declared_count, "name", None))
     capacity = len(rows) if rows is not None else 0
-    whole = count is not None and count.size and count.dtype.kind in "iu"
-    live = int(count.reshape(-1)[0]) if count is not None and whole else capacity
-    clipped = min(max(live, 0), capacity)
-    cells = _float_rows(take(getattr(subject.declared_cells, "name", None)), 10)
+    is_integer_count = count is not None and count.size and count.dtype.kind in "iu"
+    live = int(count.reshape(-1)[0]) if count is not None and is_integer_count else capacity
+    clipped_count = min(max(live, 0), capacity)
+    cells = _float_rows(take_output(getattr(subject.declared_cells, "name", None)), 10)
     per_cell = getattr(subject.declared_cells, "per_cell", 0)
     if cells is not None and len(cells) * per_cell != capacity:
         cells = None  # another rule reports it
@@ -138,7 +138,7 @@ def read_outputs(
         outputs=outputs,
         gaussians=rows,
         appearance=color,
-        count=clipped,
+        count=clipped_count,
         declared=declared,
         subject=subject,
         cells=cells,
@@ -171,24 +171,24 @@ class Rows:
         return len(self.packed)
 
     @cached_property
-    def wide(self) -> Float[np.ndarray, "10 n"]:
+    def float32_columns(self) -> Float[np.ndarray, "10 n"]:
         """The packed Gaussians in float32, one contiguous array per column."""
         return np.ascontiguousarray(self.packed.T, np.float32)
 
     @property
     def position(self) -> Float[np.ndarray, "3 n"]:
         """The centres of the chunk's Gaussians, one array per axis."""
-        return np.asarray(self.wide[POSITION])
+        return np.asarray(self.float32_columns[POSITION])
 
     @property
     def opacity(self) -> Float[np.ndarray, " n"]:
         """The opacity of each packed Gaussian in the chunk."""
-        return np.asarray(self.wide[OPACITY])
+        return np.asarray(self.float32_columns[OPACITY])
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 n"]:
         """The covariances of the chunk's Gaussians, one array per entry of the upper triangle."""
-        return np.asarray(self.wide[COVARIANCE])
+        return np.asarray(self.float32_columns[COVARIANCE])
 
     @cached_property
     def live_rows(self) -> int:
@@ -203,7 +203,7 @@ class Rows:
     @cached_property
     def finite(self) -> Bool[np.ndarray, " n"]:
         """The mask of the Gaussians whose packed values and colours are all finite."""
-        is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
+        is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.float32_columns).all(axis=0)
         if self.color is not None:
             is_finite &= self.color_peak < _EXPONENT[self.color.itemsize]
         return is_finite
@@ -242,7 +242,7 @@ class Rows:
         return self.position.min(axis=1), self.position.max(axis=1)
 
     @cached_property
-    def widest(self) -> Float[np.ndarray, " n"]:
+    def max_variance(self) -> Float[np.ndarray, " n"]:
         """The largest variance of each Gaussian along x, y or z."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(np.maximum(np.maximum(xx, yy), zz))
@@ -250,15 +250,15 @@ class Rows:
 
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
     """Return float bits without the sign, which sort by magnitude; NaN and infinity sort last."""
-    word = _WORD[array.itemsize]
+    word = _WORD_TYPES[array.itemsize]
     return np.asarray(np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize]))
 
 
 def chunks(emission: ModelOutputs) -> Iterator[Rows]:
-    """Yield the packed Gaussians of a model run in chunks of :data:`CHUNK` rows."""
+    """Yield the packed Gaussians of a model run in chunks of :data:`CHUNK_ROWS` rows."""
     packed = emission.gaussians
-    for start in range(0, 0 if packed is None else len(packed), CHUNK):
+    for start in range(0, 0 if packed is None else len(packed), CHUNK_ROWS):
         assert packed is not None
-        part = slice(start, start + CHUNK)
+        part = slice(start, start + CHUNK_ROWS)
         color = None if emission.appearance is None else emission.appearance[part]
         yield Rows(emission, start, packed[part], color)

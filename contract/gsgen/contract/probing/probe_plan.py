@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.behaviour_probes import trial_probes, turned_away
+from gsgen.contract.probing.behaviour_probes import trial_probes, turned_away_probes
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.probing.survey_probes import survey_probes
 from gsgen.contract.probing.test_vectors import vector_probes
@@ -15,18 +15,18 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Input
 from gsgen.contract.spec.severity import Level
 
 # Budget of bytes for all distinct outputs, which are temporary files.
-_BUDGET = 1 << 30
-_MOST, _FEWEST = 8, 3
+_OUTPUT_BUDGET = 1 << 30
+_MAX_PROBES, _MIN_PROBES = 8, 3
 # Budget of bytes that survey probes compute, and the fewest of them: inside, in a Gaussian, far.
 _SURVEY_BUDGET = 1 << 28
-_FEWEST_SURVEYED = 3
-_VARIANTS = 2
+_MIN_SURVEY_PROBES = 3
+_MAX_VARIANTS = 2
 # Bytes of an element while inputs are drawn: float64.
-_WIDEST = 8
+_MAX_ITEM_BYTES = 8
 # Size that replaces an open dimension, such as the height of an image.
-_OPEN_SIZE = 64
+_DEFAULT_OPEN_SIZE = 64
 # Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is unknown.
-_FETCHABLE = (
+_FETCHABLE_DTYPES = (
     *("float32", "float16", "float64", "bool", None),
     *("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
 )
@@ -49,7 +49,7 @@ class Plan:
     probes: tuple[Probe, ...]
     values: int
     repeated: tuple[int, int] | None = None
-    revisited: tuple[int, int] | None = None
+    revisited_pair: tuple[int, int] | None = None
     variants: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
     trials: dict[str, tuple[int, ...]] = field(default_factory=dict)
     seed: int = 0
@@ -60,38 +60,38 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     manifest = subject.manifest
     assert manifest is not None
     shapes, dtypes = probed_shapes(subject), probed_dtypes(subject)
-    count = _affordable(subject)
+    count = _affordable_probes(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
     base = len(first) - 1 if len(first) == 1 else 1
-    away = tuple(turned_away(manifest, first[base]))
-    trials: dict[str, tuple[int, ...]] = {"away": (len(first),)} if away else {}
+    away_probes = tuple(turned_away_probes(manifest, first[base]))
+    trials: dict[str, tuple[int, ...]] = {"away": (len(first),)} if away_probes else {}
     if level < Level.BEHAVIOUR:
-        return Plan(probes=(*first, *away), values=len(first), trials=trials, seed=seed)
-    repeated_count = len(first) + len(away)
-    probes = [*first, *away, first[base], first[base]]
-    other_probes = (first[-1], first[len(first) // 2])[:_VARIANTS]
+        return Plan(probes=(*first, *away_probes), values=len(first), trials=trials, seed=seed)
+    repeated_count = len(first) + len(away_probes)
+    probes = [*first, *away_probes, first[base], first[base]]
+    other_probes = (first[-1], first[len(first) // 2])[:_MAX_VARIANTS]
     variants: dict[str, tuple[int, tuple[int, ...]]] = {}
-    for role, changed in dependency_probes(manifest, first[base], other_probes):
-        variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
-        probes.extend(changed)
+    for role, changed_probes in dependency_probes(manifest, first[base], other_probes):
+        variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed_probes))))
+        probes.extend(changed_probes)
     groups = [
         *vector_probes(manifest, shapes, dtypes, seed, count),
         *trial_probes(manifest, first[base], first),
     ]
     if isinstance(manifest, GeneratorManifest):
-        limit = max(_FEWEST_SURVEYED, _SURVEY_BUDGET // max(_frame_bytes(subject), 1))
+        limit = max(_MIN_SURVEY_PROBES, _SURVEY_BUDGET // max(_frame_bytes(subject), 1))
         # Survey probes come before the last group, which needs a session of its own.
         groups.insert(-1, ("survey", tuple(survey_probes(manifest, first, limit))))
     for name, group in groups:
         trials[name] = tuple(range(len(probes), len(probes) + len(group)))
         probes.extend(group)
-    revisited = (base, repeated_count) if len(first) > 1 else None
+    revisited_pair = (base, repeated_count) if len(first) > 1 else None
     repeated = (repeated_count, repeated_count + 1)
     return Plan(
         probes=tuple(probes),
         values=len(first),
         repeated=repeated,
-        revisited=revisited,
+        revisited_pair=revisited_pair,
         variants=variants,
         trials=trials,
         seed=seed,
@@ -103,7 +103,7 @@ def fetched_outputs(subject: InspectedModel) -> list[str]:
     graph = subject.graph
     declared = [graph.output(name) for name in subject.output_names]
     tensors = [tensor for tensor in declared if tensor] or graph.outputs
-    return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE]
+    return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE_DTYPES]
 
 
 def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
@@ -111,7 +111,7 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
     dims = tensor.dims if tensor.dims is not None else entry.shape or ()
     declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
     return tuple(
-        dim if isinstance(dim, int) else declared[axis] if declared else _OPEN_SIZE
+        dim if isinstance(dim, int) else declared[axis] if declared else _DEFAULT_OPEN_SIZE
         for axis, dim in enumerate(dims)
     )
 
@@ -133,12 +133,12 @@ def probed_dtypes(subject: InspectedModel) -> dict[str, str]:
 def probed_bytes(subject: InspectedModel) -> int:
     """Return the size in bytes of one complete set of test inputs."""
     shapes = probed_shapes(subject).values()
-    return sum(_WIDEST * math.prod(max(0, dim) for dim in shape) for shape in shapes)
+    return sum(_MAX_ITEM_BYTES * math.prod(max(0, dim) for dim in shape) for shape in shapes)
 
 
-def _affordable(subject: InspectedModel) -> int:
+def _affordable_probes(subject: InspectedModel) -> int:
     """Return the number of test runs whose inputs and outputs fit the memory budget."""
-    return max(_FEWEST, min(_MOST, _BUDGET // max(_frame_bytes(subject), 1)))
+    return max(_MIN_PROBES, min(_MAX_PROBES, _OUTPUT_BUDGET // max(_frame_bytes(subject), 1)))
 
 
 def _frame_bytes(subject: InspectedModel) -> int:

@@ -7,11 +7,11 @@ feed before the first real values.
 
 __all__ = [
     "INPUT_PREFIX",
-    "ORBIT",
+    "ORBIT_RADII",
     "Array",
     "CameraPlacement",
     "Probe",
-    "Surroundings",
+    "SceneExtent",
     "as_tensor",
     "default_probes",
     "dependency_probes",
@@ -35,13 +35,13 @@ INPUT_PREFIX = "input "
 # Images wide, square and tall, and lenses from the narrower to the wider angle: a model that
 # depends on either must show it.
 _VIEWPORTS = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
-_FOV = (np.deg2rad(50.0), np.deg2rad(70.0))
-_NEAR, _FAR = 0.01, 1000.0
+_FOV_RANGE = (np.deg2rad(50.0), np.deg2rad(70.0))
+_NEAR_PLANE, _FAR_PLANE = 0.01, 1000.0
 # Bounds beyond this count as unknown; its square is still a finite float32.
-_FARTHEST = 1e18
+_MAX_COORDINATE = 1e18
 # Distance of probe cameras from the centre, in half diagonals of the bounds.
-ORBIT = 2.2
-_UP = {"x": 0, "y": 1, "z": 2}
+ORBIT_RADII = 2.2
+_UP_AXES = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,16 +105,18 @@ def default_probes(
     """
     if not manifest.inputs:
         return (Probe(label="no inputs", inputs={}),)
-    zero = {i.name: np.zeros(shapes[i.name], dtypes[i.name]) for i in manifest.inputs}
-    probes = [Probe(label="all inputs zero", inputs=zero, zeros=True)]
+    zero_inputs = {i.name: np.zeros(shapes[i.name], dtypes[i.name]) for i in manifest.inputs}
+    probes = [Probe(label="all inputs zero", inputs=zero_inputs, zeros=True)]
     for index in range(count):
         rng = np.random.default_rng([seed, index])
-        along = index / (count - 1)
+        range_fraction = index / (count - 1)
         inputs = {
-            i.name: _cast(_sample(i, manifest, shapes[i.name], along, rng), dtypes[i.name])
+            i.name: _cast(
+                _sample_input(i, manifest, shapes[i.name], range_fraction, rng), dtypes[i.name]
+            )
             for i in manifest.inputs
         }
-        probes.append(Probe(label=_label(manifest, inputs, index), inputs=inputs))
+        probes.append(Probe(label=_probe_label(manifest, inputs, index), inputs=inputs))
     return tuple(probes)
 
 
@@ -131,11 +133,11 @@ def dependency_probes(
     if isinstance(manifest, GeneratorManifest):
         inputs = [entry.name for entry in manifest.inputs if entry.name in manifest.depends_on]
         groups |= {f"{INPUT_PREFIX}{name}": [name] for name in inputs}
-    for name, changed in groups.items():
+    for name, changed_names in groups.items():
         variants = tuple(
             Probe(
                 label=f"{base.label} with the {name} of {variant.label}",
-                inputs=base.inputs | {key: variant.inputs[key] for key in changed},
+                inputs=base.inputs | {key: variant.inputs[key] for key in changed_names},
             )
             for variant in other_probes
         )
@@ -149,29 +151,29 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
 
 
 # The annotation of a generator is quoted: NumPy loads its random module when it is named.
-def _sample(
+def _sample_input(
     spec: Input,
     manifest: Manifest,
     shape: tuple[int, ...],
-    along: float,
+    range_fraction: float,
     rng: "np.random.Generator",
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
     if spec.role == "view":
-        return as_tensor(_camera(manifest, along), order)
+        return as_tensor(_camera(manifest, range_fraction), order)
     if spec.role == "projection":
-        return as_tensor(_lens(along), order)
+        return as_tensor(_lens(range_fraction), order)
     if spec.role == "camera_position":
-        view = _camera(manifest, along)
+        view = _camera(manifest, range_fraction)
         return np.asarray(-view[:3, :3].T @ view[:3, 3])
     if spec.role == "viewport":
-        return np.asarray(_viewport(along))
+        return np.asarray(_viewport(range_fraction))
     if spec.role == "camera_history" and len(shape) == 2 and shape[1] in STATE_SIZES.values():
-        return _history(spec.range or (-1.0, 1.0), shape[0], shape[1], rng)
-    low, high = spec.range or _usual_range(spec)
+        return _random_camera_history(spec.range or (-1.0, 1.0), shape[0], shape[1], rng)
+    low, high = spec.range or _default_range(spec)
     if spec.role in ("time", "frame_index", "appearance_id", "timestep"):
-        value = _between(low, high, np.asarray(along))  # includes both ends
+        value = _interpolate(low, high, np.asarray(range_fraction))  # includes both ends
         return np.full(shape, np.rint(value) if ROLES[spec.role].index else value)
     if spec.role in ("pose", "root_rotation") and shape[-1] == 4:
         quaternion = rng.normal(size=shape)
@@ -180,17 +182,17 @@ def _sample(
         q, r = np.linalg.qr(rng.normal(size=(3, 3)))
         q = q * np.sign(np.diag(r))
         return np.asarray(q * np.linalg.det(q))
-    return _between(low, high, rng.random(shape))
+    return _interpolate(low, high, rng.random(shape))
 
 
-def _history(
+def _random_camera_history(
     span: tuple[float, float], count: int, size: int, rng: "np.random.Generator"
 ) -> Float[np.ndarray, "t s"]:
     """Return a smooth camera path for test inputs: one row per step, with centre and rotation."""
     steps = np.arange(count)[:, None]
-    sides = _between(*span, rng.random((2, 3)))
-    pace = (sides[1] - sides[0]) / max(count - 1, 1)
-    position = sides[0] + pace * steps * rng.uniform(0.2, 0.8)
+    path_ends = _interpolate(*span, rng.random((2, 3)))
+    step_length = (path_ends[1] - path_ends[0]) / max(count - 1, 1)
+    position = path_ends[0] + step_length * steps * rng.uniform(0.2, 0.8)
     first, last = rng.normal(size=(2, size - 3))
     if size == STATE_SIZES["position+axis-angle"]:
         return np.hstack([position, first / 2 + steps * last / (8 * count)])
@@ -198,9 +200,9 @@ def _history(
     return np.hstack([position, rotation / np.linalg.norm(rotation, axis=1, keepdims=True)])
 
 
-def _between(low: float, high: float, along: Array) -> Array:
+def _interpolate(low: float, high: float, range_fraction: Array) -> Array:
     """Interpolate linearly between two numbers without overflow of their difference."""
-    return np.asarray(low * (1 - along) + high * along)
+    return np.asarray(low * (1 - range_fraction) + high * range_fraction)
 
 
 def _cast(values: Array, dtype: str) -> Array:
@@ -212,40 +214,42 @@ def _cast(values: Array, dtype: str) -> Array:
     return np.asarray(values.astype(kind))
 
 
-def _usual_range(spec: Input) -> tuple[float, float]:
-    usual = {
+def _default_range(spec: Input) -> tuple[float, float]:
+    default_ranges = {
         "pose": (-0.6, 0.6),
         "root_rotation": (-0.6, 0.6),
         "root_translation": (-0.5, 0.5),
         "audio": (-1.0, 1.0),
     }
-    return usual.get(spec.role, (0.0, 1.0))
+    return default_ranges.get(spec.role, (0.0, 1.0))
 
 
-def _viewport(along: float) -> tuple[float, float]:
-    return _VIEWPORTS[round(along * (len(_VIEWPORTS) - 1))]
+def _viewport(range_fraction: float) -> tuple[float, float]:
+    return _VIEWPORTS[round(range_fraction * (len(_VIEWPORTS) - 1))]
 
 
-def _lens(along: float) -> Float[np.ndarray, "4 4"]:
+def _lens(range_fraction: float) -> Float[np.ndarray, "4 4"]:
     """Return the projection matrix of a test camera on a spiral around the scene."""
-    narrowest, widest = _FOV
-    width, height = _viewport(along)
-    return perspective(narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR)
+    min_fov, max_fov = _FOV_RANGE
+    width, height = _viewport(range_fraction)
+    return perspective(
+        min_fov + (max_fov - min_fov) * range_fraction, width / height, _NEAR_PLANE, _FAR_PLANE
+    )
 
 
-def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
+def _camera(manifest: Manifest, range_fraction: float) -> Float[np.ndarray, "4 4"]:
     """Return the view matrix of a test camera on a spiral around the declared bounds."""
-    scene = Surroundings.of(manifest)
+    scene = SceneExtent.from_manifest(manifest)
     side = np.roll(scene.up, 1)
-    azimuth = 1.75 * np.pi * along + 0.3
-    elevation = np.deg2rad(-30 + 80 * along)
+    azimuth = 1.75 * np.pi * range_fraction + 0.3
+    elevation = np.deg2rad(-30 + 80 * range_fraction)
     ring = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(scene.up, side)
     direction = np.cos(elevation) * ring + np.sin(elevation) * scene.up
-    return look_at(scene.center + ORBIT * scene.radius * direction, scene.center, scene.up)
+    return look_at(scene.center + ORBIT_RADII * scene.radius * direction, scene.center, scene.up)
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class SceneExtent:
     """The bounding box around which test cameras are placed, and the up direction."""
 
     center: Float[np.ndarray, " 3"]
@@ -253,14 +257,14 @@ class Surroundings:
     up: Float[np.ndarray, " 3"]
 
     @classmethod
-    def of(cls, manifest: Manifest) -> "Surroundings":
+    def from_manifest(cls, manifest: Manifest) -> "SceneExtent":
         """Return the bounding box in which test cameras are placed, from the manifest's bounds."""
         bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
-        low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
+        low, high = np.clip([bounds.min, bounds.max], -_MAX_COORDINATE, _MAX_COORDINATE)
         space = getattr(manifest, "space", None)
         axis = space.up if space else "-y"
         up = np.zeros(3)
-        up[_UP[axis[1]]] = 1.0 if axis[0] == "+" else -1.0
+        up[_UP_AXES[axis[1]]] = 1.0 if axis[0] == "+" else -1.0
         return cls((low + high) / 2, (high - low) / 2, up)
 
     @property
@@ -269,7 +273,7 @@ class Surroundings:
         return max(float(np.linalg.norm(self.half)), 1e-3)
 
 
-def _label(manifest: Manifest, inputs: dict[str, Array], index: int) -> str:
+def _probe_label(manifest: Manifest, inputs: dict[str, Array], index: int) -> str:
     words = []
     if any(i.role in ("view", "camera_position") for i in manifest.inputs):
         words.append(f"camera {index}")

@@ -12,7 +12,7 @@ from gsgen.contract.probing.differences import largest_difference, paired_blocks
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, Extremes, Sample
-from gsgen.contract.probing.sandbox_worker import thinned
+from gsgen.contract.probing.sandbox_worker import subsample_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class ProbeRun:
         """The run's outputs, sampled if they have many rows; empty if the run failed."""
         if self.sample is None:
             return {}
-        return {name: thinned(value) for name, value in self.sample.outputs.items()}
+        return {name: subsample_rows(value) for name, value in self.sample.outputs.items()}
 
     @property
     def digest(self) -> str:
@@ -94,61 +94,65 @@ class Behaviour:
 
     subject: InspectedModel
     repeated: Comparison
-    revisited: Comparison | None
-    varied: dict[str, tuple[Comparison, ...]]
+    revisited_pair: Comparison | None
+    comparisons_by_role: dict[str, tuple[Comparison, ...]]
     trial: ProbeRuns
     unfinished_probes: list[tuple[str, str]] = field(default_factory=list)
 
-    def for_a_rule(self) -> "Behaviour":
+    def without_unfinished(self) -> "Behaviour":
         """Copy the comparisons of model runs for one rule; its list of unfinished runs is empty."""
         return replace(self, unfinished_probes=[])
 
     @property
-    def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+    def probe_outputs(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         """The outputs that the rules about values check, except those of all-zero test inputs."""
-        return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
+        return [
+            runs
+            for runs in self._finished_outputs(range(self.trial.plan.values))
+            if not runs[0].zeros
+        ]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         """The base run, and runs whose inputs differ in one role alone, such as camera or time."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
-        return self._of((base, *variants)) if variants else []
+        return self._finished_outputs((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
         """The model runs whose outputs the rules about values check, in the planned order."""
-        return [self._visit(index) for index in range(self.trial.plan.values)]
+        return [self._probe_run(index) for index in range(self.trial.plan.values)]
 
     @property
     def base(self) -> ProbeRun:
         """The model run that most other runs are compared with."""
         repeated = self.trial.plan.repeated
         assert repeated is not None
-        return self._visit(repeated[0])
+        return self._probe_run(repeated[0])
 
     @property
     def seconds(self) -> list[float]:
         """The duration, in seconds, of each run whose outputs the rules about values check."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
-    def visits(self, trial: str) -> list[ProbeRun]:
+    def trial_runs(self, trial: str) -> list[ProbeRun]:
         """Return the finished model runs of a group of test inputs; record the unfinished ones."""
         probe_indices = self.trial.plan.trials.get(trial, ())
-        missed = (index for index in probe_indices if not self._ran(index))
+        unfinished_indices = (index for index in probe_indices if not self._has_finished(index))
         self.unfinished_probes.extend(
-            (self.trial.plan.probes[index].label, self.trial.execution.runs[index].lacked)
-            for index in missed
+            (self.trial.plan.probes[index].label, self.trial.execution.runs[index].missing_resource)
+            for index in unfinished_indices
         )
-        return [self._visit(index) for index in probe_indices if self._ran(index)]
+        return [self._probe_run(index) for index in probe_indices if self._has_finished(index)]
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
         """Return the finished model runs with the given indices in the planned list of runs."""
-        return [self._visit(index) for index in indices if self._ran(index)]
+        return [self._probe_run(index) for index in indices if self._has_finished(index)]
 
-    def _ran(self, index: int) -> bool:
+    def _has_finished(self, index: int) -> bool:
         run = self.trial.execution.runs[index]
         return run.sample >= 0 or bool(run.error)
 
-    def _visit(self, index: int) -> ProbeRun:
+    def _probe_run(self, index: int) -> ProbeRun:
         run, probe = self.trial.execution.runs[index], self.trial.plan.probes[index]
         sample = self.trial.execution.samples[run.sample] if run.sample >= 0 else None
         if run.center:
@@ -156,23 +160,29 @@ class Behaviour:
             probe = replace(probe, label=f"{probe.label} ({center})")
         return ProbeRun(probe, sample, run.error)
 
-    def _of(self, indices: Iterable[int]) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        visits = (self._visit(index) for index in indices)
-        return [(v.probe, v.sample.outputs) for v in visits if v.sample is not None]
+    def _finished_outputs(
+        self, indices: Iterable[int]
+    ) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        probe_runs = (self._probe_run(index) for index in indices)
+        return [(v.probe, v.sample.outputs) for v in probe_runs if v.sample is not None]
 
 
 def read_behaviour(trial: ProbeRuns) -> Behaviour:
     """Compare the model's outputs between test runs that repeat the inputs or vary one of them."""
     plan = trial.plan
     assert plan.repeated is not None
-    varied = {
+    comparisons_by_role = {
         role: tuple(_compare(trial, base, variant) for variant in variants)
         for role, (base, variants) in plan.variants.items()
     }
-    revisited = _compare(trial, *plan.revisited) if plan.revisited else None
+    revisited_pair = _compare(trial, *plan.revisited_pair) if plan.revisited_pair else None
     repeated = _compare(trial, *plan.repeated)
     return Behaviour(
-        subject=trial.subject, repeated=repeated, revisited=revisited, varied=varied, trial=trial
+        subject=trial.subject,
+        repeated=repeated,
+        revisited_pair=revisited_pair,
+        comparisons_by_role=comparisons_by_role,
+        trial=trial,
     )
 
 

@@ -83,15 +83,16 @@ class Sample:
 class Run:
     """One inference: its test inputs, the index of its stored outputs, and its duration.
 
-    An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or ``lacked`` names
-    the limit that was reached. ``center`` is where the sandbox moved the probe's camera to.
+    An extra probe may give no outputs: then ``sample`` is −1, and either ``error`` is the reason or
+    ``missing_resource`` names the limit that was reached. ``center`` is where the sandbox moved the
+    probe's camera to.
     """
 
     probe: int
     sample: int
     seconds: float
     error: str = ""
-    lacked: Literal["", "time", "memory"] = ""
+    missing_resource: Literal["", "time", "memory"] = ""
     center: tuple[float, ...] = ()
 
 
@@ -116,10 +117,10 @@ class Execution:
     events: tuple[Mapping[str, Any], ...] = ()
 
     @property
-    def inside(self) -> float:
+    def session_seconds(self) -> float:
         """The seconds spent within ONNX Runtime itself: creating sessions and running models."""
-        loading = (e["seconds"] for e in self.events if e["event"] == "loaded")
-        return float(sum(loading)) + sum(run.seconds for run in self.runs)
+        loading_times = (e["seconds"] for e in self.events if e["event"] == "loaded")
+        return float(sum(loading_times)) + sum(run.seconds for run in self.runs)
 
 
 @contextmanager
@@ -154,9 +155,9 @@ def execute(
             message = f"inputs cannot be written: {error.strerror or error}"
             hint = "Make room there, or set TMPDIR to a folder that has some."
             raise ConfigInvalid(message, where=str(folder.parent), hint=hint) from error
-        started = time.monotonic()
-        ended = _run_child(folder, limits.seconds, worker)
-        yield _collect(folder, ended, time.monotonic() - started, limits)
+        start_time = time.monotonic()
+        exit_status = _run_child(folder, limits.seconds, worker)
+        yield _collect_results(folder, exit_status, time.monotonic() - start_time, limits)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -207,10 +208,10 @@ def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
         except subprocess.TimeoutExpired:
             return None
         finally:
-            _stop(child)
+            _stop_child(child)
 
 
-def _stop(child: "subprocess.Popen[bytes]") -> None:
+def _stop_child(child: "subprocess.Popen[bytes]") -> None:
     if child.poll() is None:
         if hasattr(os, "killpg"):
             os.killpg(child.pid, signal.SIGKILL)
@@ -219,15 +220,15 @@ def _stop(child: "subprocess.Popen[bytes]") -> None:
         child.wait()
 
 
-def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
-    events = _events(folder / "events.jsonl")
+def _collect_results(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
+    events = _read_events(folder / "events.jsonl")
     runs = tuple(
         Run(
             probe=event["probe"],
             sample=event["sample"],
             seconds=event["seconds"],
             error=event.get("error", ""),
-            lacked=event.get("lacked", ""),
+            missing_resource=event.get("missing_resource", ""),
             center=tuple(event.get("center", ())),
         )
         for event in events
@@ -236,7 +237,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
     samples = tuple(
         Sample(
             index=event["sample"],
-            outputs=_load(folder, event["outputs"]),
+            outputs=_load_arrays(folder, event["outputs"]),
             digest=event["digest"],
             thin=event["thin"],
             not_finite=tuple(event["not_finite"]),
@@ -246,7 +247,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
         if event["event"] == "sample"
     )
     version = next((e["version"] for e in events if e["event"] == "started"), "")
-    fault = _fault(events, status, limits, folder / "log")
+    fault = _read_fault(events, status, limits, folder / "log")
     return Execution(
         runs=runs,
         samples=samples,
@@ -264,7 +265,7 @@ def _extremes(facts: dict[str, Any] | None) -> Extremes | None:
     return Extremes(count=facts["count"], capacity=facts["capacity"], low=low, high=high)
 
 
-def _events(path: Path) -> list[dict[str, Any]]:
+def _read_events(path: Path) -> list[dict[str, Any]]:
     """Read the log events (JSON lines) of a sandbox process, up to an incomplete last line."""
     events: list[dict[str, Any]] = []
     if path.exists():
@@ -276,11 +277,11 @@ def _events(path: Path) -> list[dict[str, Any]]:
     return events
 
 
-def _load(folder: Path, files: dict[str, str]) -> dict[str, np.ndarray]:
-    return {name: _map(folder / file) for name, file in files.items()}
+def _load_arrays(folder: Path, files: dict[str, str]) -> dict[str, np.ndarray]:
+    return {name: _map_array(folder / file) for name, file in files.items()}
 
 
-def _map(path: Path) -> np.ndarray:
+def _map_array(path: Path) -> np.ndarray:
     # Windows cannot delete a file while it is mapped.
     mode: Literal["r"] | None = None if os.name == "nt" else "r"
     try:
@@ -289,13 +290,13 @@ def _map(path: Path) -> np.ndarray:
         return np.asarray(np.load(path, allow_pickle=False))
 
 
-def _fault(
+def _read_fault(
     events: list[dict[str, Any]], status: int | None, limits: Limits, log: Path
 ) -> Fault | None:
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
-    marks = (event for event in reversed(events) if event["event"] in ("begin", "run"))
-    begun = next(marks, last)
-    probe = begun.get("probe") if begun["event"] == "begin" else None
+    run_events = (event for event in reversed(events) if event["event"] in ("begin", "run"))
+    begin_event = next(run_events, last)
+    probe = begin_event.get("probe") if begin_event["event"] == "begin" else None
     if last["event"] == "done" and status == 0:
         return None
     if last["event"] == "fault":
@@ -304,8 +305,8 @@ def _fault(
         return Fault("time", f"still running after {limits.seconds:g} s", probe)
     if status < 0:
         return Fault("crash", f"ended by signal {_signal_name(-status)}", probe)
-    tail = log.read_text("utf-8", errors="replace").strip().splitlines()[-1:] or ["no message"]
-    return Fault("crash", f"exit status {status}: {tail[0][:300]}", probe)
+    last_line = log.read_text("utf-8", errors="replace").strip().splitlines()[-1:] or ["no message"]
+    return Fault("crash", f"exit status {status}: {last_line[0][:300]}", probe)
 
 
 def _signal_name(number: int) -> str:

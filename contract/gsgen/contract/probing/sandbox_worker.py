@@ -5,17 +5,17 @@ an abort leaves everything that was done before. Other workers are made of the s
 """
 
 __all__ = [
-    "SHARE_FOR_EXTRAS",
+    "EXTRA_PROBE_TIME_SHARE",
     "Emit",
-    "digest_of",
+    "digest_outputs",
+    "error_line",
+    "fault_stage",
     "input_reader",
     "keep_outputs",
     "main",
-    "one_line",
-    "serve",
-    "stage_of",
-    "thinned",
-    "thinning_step",
+    "run_worker",
+    "subsample_rows",
+    "subsample_step",
 ]
 
 import hashlib
@@ -41,8 +41,8 @@ _OUT_OF_MEMORY = (
 )
 
 # Extra probes start only within this share of the time, so that they never use it up.
-SHARE_FOR_EXTRAS = 0.5
-_THIN_ROWS = 1 << 14
+EXTRA_PROBE_TIME_SHARE = 0.5
+_SUBSAMPLE_ROWS = 1 << 14
 _BLOCK_ROWS = 1 << 18
 # Arrays of inputs up to this size are kept in memory, since many probes share them.
 _SMALL_BYTES = 1 << 16
@@ -52,10 +52,10 @@ Emit = Callable[..., None]
 
 def main(folder: Path) -> int:
     """Run the sandbox job that ``job.json`` in a folder describes."""
-    return serve(folder, _work)
+    return run_worker(folder, _run_probes)
 
 
-def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
+def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int]) -> int:
     """Read a sandbox job from its folder, do the job, and return the exit status."""
     job = json.loads((folder / "job.json").read_text("utf-8"))
     with (folder / "events.jsonl").open("w", buffering=1, encoding="utf-8") as log:
@@ -63,19 +63,19 @@ def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> in
         def emit(event: str, **facts: object) -> None:
             log.write(json.dumps({"event": event} | facts) + "\n")
 
-        return work(folder, job, emit)
+        return run_job(folder, job, emit)
 
 
-def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _run_probes(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     import onnxruntime
 
-    work_started = time.monotonic()
+    start_time = time.monotonic()
     emit("started", version=onnxruntime.__version__)
     limit_memory(job["memory"])
-    deadline = work_started + SHARE_FOR_EXTRAS * job["seconds"]
+    deadline = start_time + EXTRA_PROBE_TIME_SHARE * job["seconds"]
     known: dict[str, int] = {}
     probe: int | None = None
-    optimised = True
+    is_optimised = True
     center: np.ndarray | None = None
     inputs_of = input_reader(folder, job)
     try:
@@ -84,13 +84,13 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
             emit("begin", probe=probe)
             extra = job["extra"][probe]
             if extra and time.monotonic() > deadline:
-                emit("run", probe=probe, sample=-1, seconds=0.0, lacked="time")
+                emit("run", probe=probe, sample=-1, seconds=0.0, missing_resource="time")
                 continue
             try:
-                if job["optimise"][probe] is not optimised:
-                    optimised = job["optimise"][probe]
+                if job["optimise"][probe] is not is_optimised:
+                    is_optimised = job["optimise"][probe]
                     del session  # first, so that two of them never need memory at once
-                    session = _session(job["model"], emit, optimise=optimised)
+                    session = _session(job["model"], emit, optimise=is_optimised)
                 inputs = inputs_of(probe)
                 placement, facts = job["placements"][probe], dict[str, object]()
                 if placement is not None and center is not None:
@@ -101,7 +101,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                 seconds = time.perf_counter() - started
                 by_name = dict(zip(job["outputs"], outputs, strict=True))
                 if probe and center is None and job["rows"] in by_name:
-                    center = _drawn_center(by_name[job["rows"]])
+                    center = _mean_drawn_center(by_name[job["rows"]])
                 if job["survey"][probe]:
                     sample = _survey_outputs(by_name, known, emit, job)
                 else:
@@ -109,13 +109,15 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
             except Exception as error:
                 if not extra:
                     raise
-                is_memory = stage_of(error, probe) == "memory"
-                reason = {"lacked": "memory"} if is_memory else {"error": one_line(error)}
+                is_memory = fault_stage(error, probe) == "memory"
+                reason = (
+                    {"missing_resource": "memory"} if is_memory else {"error": error_line(error)}
+                )
                 emit("run", probe=probe, sample=-1, seconds=0.0, **reason)
                 continue
             emit("run", probe=probe, sample=sample, seconds=seconds, **facts)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        emit("fault", stage=stage_of(error, probe), message=one_line(error), probe=probe)
+        emit("fault", stage=fault_stage(error, probe), message=error_line(error), probe=probe)
         return 0
     emit("done")
     return 0
@@ -137,20 +139,20 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
 
 def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str, np.ndarray]]:
     """Return a function that loads one set of a job's test inputs, by index, from a folder."""
-    cached: dict[int, np.ndarray] = {}
+    cached_arrays: dict[int, np.ndarray] = {}
 
     def array(number: int) -> np.ndarray:
-        if number in cached:
-            return cached[number]
+        if number in cached_arrays:
+            return cached_arrays[number]
         value: np.ndarray = np.load(folder / f"input_{number}.npy", allow_pickle=False)
         if value.nbytes <= _SMALL_BYTES:
-            cached[number] = value
+            cached_arrays[number] = value
         return value
 
     return lambda probe: {name: array(number) for name, number in job["probes"][probe]}
 
 
-def _drawn_center(rows: np.ndarray) -> np.ndarray | None:
+def _mean_drawn_center(rows: np.ndarray) -> np.ndarray | None:
     """Return the centre of the first visible packed row, in float64; None if no row is visible."""
     if rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind != "f":
         return None
@@ -176,11 +178,11 @@ def _survey_outputs(
     outputs: dict[str, np.ndarray], known: dict[str, int], emit: Emit, job: dict[str, Any]
 ) -> int:
     """Record the digest and extremes of a run's outputs; return the index of the record."""
-    digest = digest_of(outputs)
+    digest = digest_outputs(outputs)
     key = f"survey {digest}"
     if key not in known:
         known[key] = len(known)
-        not_finite = [name for name, value in outputs.items() if not _finite(value)]
+        not_finite = [name for name, value in outputs.items() if not _is_finite(value)]
         facts = {"digest": digest, "outputs": {}, "thin": True, "not_finite": not_finite}
         extremes = _extremes(outputs.get(job["rows"]), outputs.get(job["count"]))
         emit("sample", sample=known[key], extremes=extremes, **facts)
@@ -200,8 +202,8 @@ def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, An
     low, high = (
         (np.min([e[0] for e in ends], 0), np.max([e[1] for e in ends], 0)) if ends else ((), ())
     )
-    lists = {"low": [float(x) for x in low], "high": [float(x) for x in high]}
-    return {"count": live, "capacity": len(rows), **lists}
+    column_ranges = {"low": [float(x) for x in low], "high": [float(x) for x in high]}
+    return {"count": live, "capacity": len(rows), **column_ranges}
 
 
 def keep_outputs(
@@ -216,20 +218,20 @@ def keep_outputs(
 
     Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
     """
-    key = digest_of(outputs)
+    key = digest_outputs(outputs)
     if key not in known:
         known[key] = len(known)
         files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
         for name, file in files.items():
-            array = thinned(outputs[name]) if thin else outputs[name]
+            array = subsample_rows(outputs[name]) if thin else outputs[name]
             np.save(folder / file, array, allow_pickle=False)
-        not_finite = [name for name, value in outputs.items() if thin and not _finite(value)]
+        not_finite = [name for name, value in outputs.items() if thin and not _is_finite(value)]
         facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": not_finite}
         emit("sample", sample=known[key], **facts)
     return known[key]
 
 
-def digest_of(outputs: dict[str, np.ndarray]) -> str:
+def digest_outputs(outputs: dict[str, np.ndarray]) -> str:
     """Return the SHA-256 of model outputs: name, dtype, shape and bytes of each, in order."""
     digest = hashlib.sha256()
     for name, value in outputs.items():
@@ -241,29 +243,29 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
-def thinned(value: np.ndarray) -> np.ndarray:
+def subsample_rows(value: np.ndarray) -> np.ndarray:
     """Return about 16,384 evenly spaced rows of a model output, or all rows of a small one."""
-    step = thinning_step(len(value)) if value.ndim else 1
+    step = subsample_step(len(value)) if value.ndim else 1
     return value[::step] if step > 1 else value
 
 
-def thinning_step(rows: int) -> int:
+def subsample_step(rows: int) -> int:
     """Return the step between stored rows of a large output, of which about 16,384 are stored."""
-    return max(1, rows // _THIN_ROWS)
+    return max(1, rows // _SUBSAMPLE_ROWS)
 
 
-def _finite(value: np.ndarray) -> bool:
+def _is_finite(value: np.ndarray) -> bool:
     return value.dtype.kind != "f" or bool(np.isfinite(value).all())
 
 
-def stage_of(error: Exception, probe: int | None) -> str:
+def fault_stage(error: Exception, probe: int | None) -> str:
     """Return the limit that an error exceeded, or else the stage in which the run failed."""
     if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
         return "memory"
     return "load" if probe is None else "run"
 
 
-def one_line(error: Exception) -> str:
+def error_line(error: Exception) -> str:
     """Return an error's message without line breaks, truncated if it is long."""
     text = " ".join(str(error).split())
     return text[:500] or type(error).__name__

@@ -14,11 +14,11 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.probing.probes import (
-    ORBIT,
+    ORBIT_RADII,
     Array,
     CameraPlacement,
     Probe,
-    Surroundings,
+    SceneExtent,
     as_tensor,
 )
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, ROTATION_ROLES
@@ -31,17 +31,17 @@ SIDE_LABEL = "from side"
 _FAR = 40.0
 # Distances of the cameras on the twenty sides, in half diagonals; None stands for inside, at this
 # share of the half extents.
-_DISTANCES = (ORBIT, 1.1, None)
-_WITHIN = 0.6
+_CAMERA_DISTANCES = (ORBIT_RADII, 1.1, None)
+_INSIDE_FRACTION = 0.6
 # Combinations of range ends for models without a camera.
-_CORNERS = 8
-_GOLDEN = (1 + 5**0.5) / 2
+_MAX_CORNERS = 8
+_GOLDEN_RATIO = (1 + 5**0.5) / 2
 # The sides: vertices of a regular dodecahedron, of which eight are the diagonals of a cube.
 _SIDES = np.array(
     [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     + [
-        np.roll([0, a / _GOLDEN, b * _GOLDEN], turn)
-        for turn in range(3)
+        np.roll([0, a / _GOLDEN_RATIO, b * _GOLDEN_RATIO], axis_shift)
+        for axis_shift in range(3)
         for a in (-1, 1)
         for b in (-1, 1)
     ]
@@ -61,49 +61,55 @@ def survey_probes(
     """
     if len(first) < 2:
         return
-    others = [entry for entry in manifest.inputs if entry.role not in CAMERA_ROLES]
-    ranged = [entry for entry in others if entry.range is not None]
+    other_inputs = [entry for entry in manifest.inputs if entry.role not in CAMERA_ROLES]
+    ranged_inputs = [entry for entry in other_inputs if entry.range is not None]
     cameras = [entry for entry in manifest.inputs if entry.role in ("view", "camera_position")]
     if any(map(manifest.depends, cameras)):
-        yield from list(_viewed(manifest, ranged, first))[:limit]
-    elif sum(first[1].inputs[entry.name].size for entry in ranged) > 1:
-        for number in range(min(_CORNERS, limit)):
-            inputs = first[1].inputs | _corner(ranged, first[1], number)
-            yield _survey(f"corner {number} of the ranges", inputs)
+        yield from list(_camera_survey_probes(manifest, ranged_inputs, first))[:limit]
+    elif sum(first[1].inputs[entry.name].size for entry in ranged_inputs) > 1:
+        for number in range(min(_MAX_CORNERS, limit)):
+            inputs = first[1].inputs | _corner_inputs(ranged_inputs, first[1], number)
+            yield _survey_probe(f"corner {number} of the ranges", inputs)
 
 
-def _survey(label: str, inputs: dict[str, Array]) -> Probe:
+def _survey_probe(label: str, inputs: dict[str, Array]) -> Probe:
     return Probe(label=label, inputs=inputs, extra=True, survey=True)
 
 
-def _viewed(
-    manifest: GeneratorManifest, ranged: list[Input], first: tuple[Probe, ...]
+def _camera_survey_probes(
+    manifest: GeneratorManifest, ranged_inputs: list[Input], first: tuple[Probe, ...]
 ) -> Iterator[Probe]:
     """Yield the model's test inputs for each camera in and around the scene."""
-    scene, base = Surroundings.of(manifest), first[1]
+    scene, base = SceneExtent.from_manifest(manifest), first[1]
     forward = np.roll(scene.up, 1)
-    inside = _camera_at(scene.center, forward, scene.up)
-    middle = _survey("from the middle", base.inputs | _camera_inputs(manifest, base, inside))
-    yield middle
+    inner_view = _camera_at(scene.center, forward, scene.up)
+    middle_probe = _survey_probe(
+        "from the middle", base.inputs | _camera_inputs(manifest, base, inner_view)
+    )
+    yield middle_probe
     rows = manifest.outputs.gaussians
     if rows is not None:
         placement = CameraPlacement(
             rows=rows.name,
             order=manifest.space.matrix_order if manifest.space else "column",
-            view=_name_of(manifest, "view"),
-            position=_name_of(manifest, "camera_position"),
+            view=_input_name(manifest, "view"),
+            position=_input_name(manifest, "camera_position"),
         )
-        yield replace(middle, label="from the centre of a Gaussian", placement=placement)
-    away = _camera_at(scene.center - _FAR * scene.radius * forward, forward, scene.up)
-    yield _survey("from 20 diagonals", base.inputs | _camera_inputs(manifest, base, away))
+        yield replace(middle_probe, label="from the centre of a Gaussian", placement=placement)
+    far_view = _camera_at(scene.center - _FAR * scene.radius * forward, forward, scene.up)
+    yield _survey_probe("from 20 diagonals", base.inputs | _camera_inputs(manifest, base, far_view))
     for number, side in enumerate(_SIDES):
-        distance = _DISTANCES[number % len(_DISTANCES)]
-        reach = _WITHIN * scene.half if distance is None else distance * scene.radius
-        view = _camera_at(scene.center + reach * side, -side, scene.up)
+        distance = _CAMERA_DISTANCES[number % len(_CAMERA_DISTANCES)]
+        camera_distance = (
+            _INSIDE_FRACTION * scene.half if distance is None else distance * scene.radius
+        )
+        view = _camera_at(scene.center + camera_distance * side, -side, scene.up)
         other = first[1 + number % (len(first) - 1)]
         inputs = other.inputs | _camera_inputs(manifest, other, view)
         words = SIDE_LABEL if distance is not None else "from within, side"
-        yield _survey(f"{words} {number}", inputs | _corner(ranged, other, number))
+        yield _survey_probe(
+            f"{words} {number}", inputs | _corner_inputs(ranged_inputs, other, number)
+        )
 
 
 def _camera_at(
@@ -115,7 +121,7 @@ def _camera_at(
     return view
 
 
-def _name_of(manifest: GeneratorManifest, role: str) -> str:
+def _input_name(manifest: GeneratorManifest, role: str) -> str:
     return next((entry.name for entry in manifest.inputs if entry.role == role), "")
 
 
@@ -133,18 +139,18 @@ def _camera_inputs(
     }
 
 
-def _corner(ranged: list[Input], base: Probe, number: int) -> dict[str, Array]:
+def _corner_inputs(ranged_inputs: list[Input], base: Probe, number: int) -> dict[str, Array]:
     """Return test inputs with each number at a random end of its range; ``number`` is the seed."""
     rng = np.random.default_rng([_SEED, number])
     inputs = {}
-    for entry in ranged:
+    for entry in ranged_inputs:
         assert entry.range is not None
-        like = base.inputs[entry.name]
-        if entry.role in ROTATION_ROLES and (like.shape[-1] == 4 or like.shape == (3, 3)):
+        template = base.inputs[entry.name]
+        if entry.role in ROTATION_ROLES and (template.shape[-1] == 4 or template.shape == (3, 3)):
             continue  # ends of ranges form no quaternion and no rotation matrix
-        ends = np.where(rng.random(like.shape) < 0.5, *entry.range)
-        if like.dtype.kind == "f":
-            limits = np.finfo(like.dtype)
+        ends = np.where(rng.random(template.shape) < 0.5, *entry.range)
+        if template.dtype.kind == "f":
+            limits = np.finfo(template.dtype)
             ends = np.clip(ends, limits.min, limits.max)
-        inputs[entry.name] = np.asarray(ends).astype(like.dtype)
+        inputs[entry.name] = np.asarray(ends).astype(template.dtype)
     return inputs

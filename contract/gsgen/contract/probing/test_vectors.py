@@ -1,8 +1,8 @@
 """Test vectors: test inputs for which a manifest declares the digest of the outputs."""
 
 __all__ = [
-    "MOST_RECORDED",
-    "MOST_SEEDS",
+    "MAX_RECORDED_VECTORS",
+    "MAX_VECTOR_SEEDS",
     "probed_seeds",
     "record_input",
     "record_rows",
@@ -22,9 +22,9 @@ from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.spec.manifest import Manifest, TestVector, VectorInput, VectorRows
 
 # Vectors of so many seeds, besides the one that is probed anyway, are run.
-MOST_SEEDS = 4
+MAX_VECTOR_SEEDS = 4
 # Vectors with rows of the source's outputs, which bring their own inputs, are run up to so many.
-MOST_RECORDED = 4
+MAX_RECORDED_VECTORS = 4
 
 
 def vector_label(label: str, seed: int) -> str:
@@ -39,21 +39,21 @@ def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
         for vector in manifest.test_vectors
         if vector.seed != seed and not vector.outputs
     )
-    return tuple(seeds)[:MOST_SEEDS]
+    return tuple(seeds)[:MAX_VECTOR_SEEDS]
 
 
 def record_input(name: str, array: np.ndarray) -> VectorInput:
     """Return the values of one model input as a record for a test vector in a manifest."""
-    return VectorInput(name, array.shape, _shortest(array.reshape(-1)))
+    return VectorInput(name, array.shape, _shortest_decimals(array.reshape(-1)))
 
 
 def record_rows(name: str, array: np.ndarray, rows: Sequence[int]) -> VectorRows:
     """Return chosen rows of a model output as a record for a test vector in a manifest."""
     values = array[list(rows)].reshape(len(rows), -1)
-    return VectorRows(name, tuple(rows), tuple(_shortest(row) for row in values))
+    return VectorRows(name, tuple(rows), tuple(_shortest_decimals(row) for row in values))
 
 
-def _shortest(values: np.ndarray) -> tuple[float, ...]:
+def _shortest_decimals(values: np.ndarray) -> tuple[float, ...]:
     """Return numbers in the shortest decimal form that float32 reads back unchanged."""
     return tuple(float(str(value)) for value in values.astype(np.float32))
 
@@ -89,7 +89,7 @@ def _recorded_probes(
     manifest: Manifest, shapes: Mapping[str, tuple[int, ...]], dtypes: Mapping[str, str]
 ) -> Iterator[Probe]:
     recorded = [pair for pair in enumerate(manifest.test_vectors) if pair[1].outputs]
-    for index, vector in recorded[:MOST_RECORDED]:
+    for index, vector in recorded[:MAX_RECORDED_VECTORS]:
         inputs = recorded_inputs(vector, shapes, dtypes)
         if inputs is not None:
             yield Probe(label=recorded_label(vector, index), inputs=inputs, extra=True)

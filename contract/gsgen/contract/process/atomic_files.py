@@ -50,7 +50,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
             ignore_cleanup_errors=os.name == "nt",  # a file that is still mapped stays there
         )
     except OSError as error:
-        raise _unwritten(path, error) from error
+        raise _not_written_error(path, error) from error
     with folder as name:
         draft = Path(name) / path.name
         try:
@@ -60,7 +60,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         except OSError as error:
             if error.filename is not None and name not in str(error.filename):
                 raise  # raised by a file that the block reads
-            raise _unwritten(path, error) from error
+            raise _not_written_error(path, error) from error
         written_files = [file for file in Path(name).rglob("*") if not file.is_dir()]
         for file in sorted(written_files, key=lambda file: (file == draft, file)):
             target = path.parent / file.relative_to(name)
@@ -68,7 +68,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 file.replace(target)
             except OSError as error:
-                raise _unwritten(target, error) from error
+                raise _not_written_error(target, error) from error
 
 
 def refuse_folder(path: Path, example: str = "model.onnx") -> None:
@@ -101,8 +101,8 @@ def is_device(path: Path) -> bool:
     /dev/stdout counts as a device even where the shell redirects it to a file: a rename would
     replace the name for every other process.
     """
-    way = (path, path.readlink()) if path.is_symlink() else (path,)
-    if any(parent.parent.resolve().is_relative_to("/proc") for parent in way):
+    path_chain = (path, path.readlink()) if path.is_symlink() else (path,)
+    if any(parent.parent.resolve().is_relative_to("/proc") for parent in path_chain):
         return True
     return path.exists() and not path.is_file() and not path.is_dir()
 
@@ -150,7 +150,7 @@ def require_page(path: Path, sources: Iterable[Path] = ()) -> None:
         raise ConfigInvalid(f"{actual}, expected .html or .htm", where=str(path), hint=hint)
 
 
-def _unwritten(path: Path, error: OSError) -> ConfigInvalid:
+def _not_written_error(path: Path, error: OSError) -> ConfigInvalid:
     return ConfigInvalid(f"cannot be written: {error.strerror or error}", where=str(path))
 
 
@@ -160,7 +160,7 @@ def similar_file_hint(path: str | os.PathLike[str]) -> str:
 
     folder, name = os.path.split(path)
     with suppress(OSError):  # there is no such folder either
-        close = get_close_matches(name, os.listdir(folder or "."), n=1, cutoff=0.7)
-        if close and close[0] != name:
-            return f"Did you mean {os.path.join(folder, close[0])!r}?"
+        close_matches = get_close_matches(name, os.listdir(folder or "."), n=1, cutoff=0.7)
+        if close_matches and close_matches[0] != name:
+            return f"Did you mean {os.path.join(folder, close_matches[0])!r}?"
     return ""

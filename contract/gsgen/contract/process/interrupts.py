@@ -18,7 +18,7 @@ from typing import Final, final
 from gsgen.contract.errors import ExitCode
 
 _GRACE_SECONDS: Final = 2.0
-_OVER: Final = b"\0"  # no signal has this number
+_STOP_BYTE: Final = b"\0"  # no signal has this number
 
 
 @final
@@ -45,23 +45,23 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts
     read_end, write_end = os.pipe()
     if os.name != "nt":  # Windows needs no non-blocking descriptor
         os.set_blocking(write_end, False)
-    watch = threading.Thread(
-        target=_watch, args=(read_end, interrupts, seconds), name="interrupts", daemon=True
+    watch_thread = threading.Thread(
+        target=_watch_signals, args=(read_end, interrupts, seconds), name="interrupts", daemon=True
     )
-    before = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
-    watch.start()
+    previous_fd = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+    watch_thread.start()
     try:
         yield interrupts
     finally:
-        signal.set_wakeup_fd(before)
-        os.write(write_end, _OVER)
-        watch.join()
+        signal.set_wakeup_fd(previous_fd)
+        os.write(write_end, _STOP_BYTE)
+        watch_thread.join()
         os.close(write_end)
         os.close(read_end)
 
 
-def _watch(read_end: int, interrupts: Interrupts, seconds: float) -> None:
-    while (number := os.read(read_end, 1)) != _OVER:
+def _watch_signals(read_end: int, interrupts: Interrupts, seconds: float) -> None:
+    while (number := os.read(read_end, 1)) != _STOP_BYTE:
         if number[0] == signal.SIGINT and not interrupts.requested.is_set():
             interrupts.requested.set()
             end = threading.Timer(seconds, os._exit, (ExitCode.INTERRUPTED,))

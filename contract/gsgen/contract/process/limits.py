@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from gsgen.contract.errors import ConfigInvalid
 
-_COPIES = 5
+_MODEL_COPIES = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Limits:
 
         ONNX Runtime holds the parsed file, its own copy, a folded copy, and the outputs.
         """
-        return replace(self, memory=self.memory + _COPIES * size)
+        return replace(self, memory=self.memory + _MODEL_COPIES * size)
 
 
 def limit_memory(limit: int) -> None:
@@ -52,9 +52,9 @@ def limit_memory(limit: int) -> None:
     import resource
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    _, most = resource.getrlimit(resource.RLIMIT_DATA)
-    most = sys.maxsize if most == resource.RLIM_INFINITY else most
-    resource.setrlimit(resource.RLIMIT_DATA, (min(limit, most), min(limit, most)))
+    _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
+    hard_limit = sys.maxsize if hard_limit == resource.RLIM_INFINITY else hard_limit
+    resource.setrlimit(resource.RLIMIT_DATA, (min(limit, hard_limit), min(limit, hard_limit)))
 
 
 def available_cores() -> int:

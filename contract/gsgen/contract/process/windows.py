@@ -12,7 +12,7 @@ _EXTENDED_LIMIT_INFORMATION: Final = 9
 _LIMIT_PROCESS_MEMORY: Final = 0x100
 _DIE_ON_UNHANDLED_EXCEPTION: Final = 0x400  # instead of a dialog that waits for a click
 _SYNCHRONIZE: Final = 0x00100000
-_INFINITE: Final = 0xFFFFFFFF
+_INFINITE_TIMEOUT: Final = 0xFFFFFFFF
 
 
 class _BasicLimits(ctypes.Structure):
@@ -48,35 +48,37 @@ def limit_commit(limit: int) -> None:
     Raises:
         OSError: Windows refuses the limit.
     """
-    kernel = _kernel32()
+    kernel32 = _kernel32()
     limits = _ExtendedLimits()
     limits.BasicLimitInformation.LimitFlags = _LIMIT_PROCESS_MEMORY | _DIE_ON_UNHANDLED_EXCEPTION
     limits.ProcessMemoryLimit = limit
-    job = _checked(kernel.CreateJobObjectW(None, None))
+    job = _require_handle(kernel32.CreateJobObjectW(None, None))
     size = ctypes.sizeof(limits)
-    _checked(
-        kernel.SetInformationJobObject(job, _EXTENDED_LIMIT_INFORMATION, ctypes.byref(limits), size)
+    _require_handle(
+        kernel32.SetInformationJobObject(
+            job, _EXTENDED_LIMIT_INFORMATION, ctypes.byref(limits), size
+        )
     )
-    process = ctypes.c_void_p(kernel.GetCurrentProcess())
-    _checked(kernel.AssignProcessToJobObject(job, process))
+    process = ctypes.c_void_p(kernel32.GetCurrentProcess())
+    _require_handle(kernel32.AssignProcessToJobObject(job, process))
 
 
 def wait_for_exit(process_id: int) -> None:
     """Wait until a process ends; return at once if it cannot be opened, since it has ended."""
-    kernel = _kernel32()
-    handle = kernel.OpenProcess(_SYNCHRONIZE, False, process_id)
+    kernel32 = _kernel32()
+    handle = kernel32.OpenProcess(_SYNCHRONIZE, False, process_id)
     if handle:
-        kernel.WaitForSingleObject(ctypes.c_void_p(handle), _INFINITE)
+        kernel32.WaitForSingleObject(ctypes.c_void_p(handle), _INFINITE_TIMEOUT)
 
 
 def _kernel32() -> Any:
-    kernel = getattr(ctypes, "WinDLL")("kernel32", use_last_error=True)  # noqa: B009 (Windows only)
+    kernel32 = getattr(ctypes, "WinDLL")("kernel32", use_last_error=True)  # noqa: B009 (Windows only)
     for name in ("CreateJobObjectW", "GetCurrentProcess", "OpenProcess"):
-        getattr(kernel, name).restype = ctypes.c_void_p  # an int would cut the handle to 32 bits
-    return kernel
+        getattr(kernel32, name).restype = ctypes.c_void_p  # an int would cut the handle to 32 bits
+    return kernel32
 
 
-def _checked(result: int | None) -> ctypes.c_void_p:
+def _require_handle(result: int | None) -> ctypes.c_void_p:
     if not result:
         code = getattr(ctypes, "get_last_error")()  # noqa: B009
         raise OSError(f"Windows could not limit the memory of this process: error {code}")

@@ -9,7 +9,11 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Unreadable
 
-_COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
+_COMMAND_OF_SEVERITY = {
+    Severity.ERROR: "error",
+    Severity.WARNING: "warning",
+    Severity.INFO: "notice",
+}
 
 
 def to_github(entries: Sequence[Entry]) -> str:
@@ -31,12 +35,14 @@ def to_github(entries: Sequence[Entry]) -> str:
         for finding in entry.findings:
             if finding.counts:
                 lines.append(_annotation(entry.path, finding))
-        lines.append(_inert(f"gsgen: {entry.path}: {verdict_line(entry)}"))
-    return "\n".join([*lines, _inert(summary_line(entries))] if len(entries) > 1 else lines)
+        lines.append(_without_commands(f"gsgen: {entry.path}: {verdict_line(entry)}"))
+    return "\n".join(
+        [*lines, _without_commands(summary_line(entries))] if len(entries) > 1 else lines
+    )
 
 
 def _annotation(path: str, finding: Finding) -> str:
-    command = _COMMANDS[finding.severity]
+    command = _COMMAND_OF_SEVERITY[finding.severity]
     if finding.certainty == "possible" and command == "error":
         command = "warning"  # a possible finding does not fail the model
     text = f"{finding.where}: {finding.message}\nhint: {finding.hint}"
@@ -44,18 +50,18 @@ def _annotation(path: str, finding: Finding) -> str:
 
 
 def _command(command: str, path: str, title: str, text: str) -> str:
-    return f"::{command} file={_property(path)},title={_property(title)}::{_data(text)}"
+    return f"::{command} file={_escape_property(path)},title={_escape_property(title)}::{_escape_data(text)}"
 
 
-def _data(text: str) -> str:
-    return printable(text, keep="\n").replace("%", "%25").replace("\n", "%0A")
+def _escape_data(text: str) -> str:
+    return printable(text, kept_chars="\n").replace("%", "%25").replace("\n", "%0A")
 
 
-def _property(text: str) -> str:
+def _escape_property(text: str) -> str:
     escaped = printable(text).replace("%", "%25")
     return escaped.replace(":", "%3A").replace(",", "%2C")
 
 
-def _inert(text: str) -> str:
+def _without_commands(text: str) -> str:
     """Return a text as a line that GitHub does not take for a workflow command like ``##[``."""
     return printable(text).replace("##[", "## [")

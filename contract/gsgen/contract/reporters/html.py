@@ -23,28 +23,28 @@ from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Outcome, Picture, Report, Unreadable
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-_EXPECTED = "; expected "
+_SECURITY_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_EXPECTED_SEPARATOR = "; expected "
 
 
 def to_html(entries: Sequence[Entry]) -> str:
     """Return all validation reports as one HTML page."""
     style = files("gsgen.contract.reporters").joinpath("report.css").read_text("utf-8")
     title = summary_line(entries) if len(entries) != 1 else entries[0].path
-    sections = "\n".join(_section(entry, number) for number, entry in enumerate(entries, 1))
+    sections = "\n".join(_report_section(entry, number) for number, entry in enumerate(entries, 1))
     index = _index(entries) if len(entries) > 1 else ""
     return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
-<title>gsgen: {_text(title)}</title>
+<meta http-equiv="Content-Security-Policy" content="{_SECURITY_POLICY}">
+<title>gsgen: {_escape_text(title)}</title>
 <style>
 {style}</style>
 </head>
 <body>
-<header><h1>gsgen validate</h1><p>{_text(summary_line(entries))}</p></header>
+<header><h1>gsgen validate</h1><p>{_escape_text(summary_line(entries))}</p></header>
 <main>
 {index}{sections}
 </main>
@@ -52,13 +52,13 @@ def to_html(entries: Sequence[Entry]) -> str:
 </html>"""
 
 
-def _text(text: str) -> str:
-    return escape(printable(text, keep="\n"))
+def _escape_text(text: str) -> str:
+    return escape(printable(text, kept_chars="\n"))
 
 
 def _index(entries: Sequence[Entry]) -> str:
     items = "".join(
-        f'<li><a href="#model-{number}">{_text(entry.path)}</a> {_verdict(entry)}</li>'
+        f'<li><a href="#model-{number}">{_escape_text(entry.path)}</a> {_verdict(entry)}</li>'
         for number, entry in enumerate(entries, 1)
     )
     return f"<nav><ol>{items}</ol></nav>\n"
@@ -69,28 +69,28 @@ def _verdict(entry: Entry) -> str:
         return '<span class="chip error">unreadable</span>'
     passes = entry.verdict == "conforms" and not entry.unchecked
     kind = "pass" if passes else "error"
-    return f'<span class="chip {kind}">{_text(verdict_word(entry))}</span>'
+    return f'<span class="chip {kind}">{_escape_text(verdict_word(entry))}</span>'
 
 
-def _section(entry: Entry, number: int) -> str:
-    head = f'<section id="model-{number}"><h2>{_text(entry.path)} {_verdict(entry)}</h2>'
+def _report_section(entry: Entry, number: int) -> str:
+    head = f'<section id="model-{number}"><h2>{_escape_text(entry.path)} {_verdict(entry)}</h2>'
     if isinstance(entry, Unreadable):
-        return f"{head}<pre>{_text(str(entry.error))}</pre></section>"
+        return f"{head}<pre>{_escape_text(str(entry.error))}</pre></section>"
     counted = [finding for finding in entry.findings if finding.counts]
     remaining = [finding for finding in entry.findings if not finding.counts]
     parts = [
         head,
-        f"<p>{_text(verdict_line(entry))}</p>",
+        f"<p>{_escape_text(verdict_line(entry))}</p>",
         _facts(entry),
         _picture(entry.picture),
-        *(_unchecked(outcome) for outcome in entry.unchecked),
-        *(_finding(finding, entry) for finding in counted),
+        *(_unchecked_html(outcome) for outcome in entry.unchecked),
+        *(_finding_html(finding, entry) for finding in counted),
     ]
     if remaining:
-        cards = "".join(_finding(finding, entry) for finding in remaining)
+        finding_cards = "".join(_finding_html(finding, entry) for finding in remaining)
         title = f"{plural(len(remaining), 'finding')} waived or known"
-        parts.append(f"<details><summary>{title}</summary>{cards}</details>")
-    return "\n".join([*parts, _rules(entry), "</section>"])
+        parts.append(f"<details><summary>{title}</summary>{finding_cards}</details>")
+    return "\n".join([*parts, _rules_table(entry), "</section>"])
 
 
 def _facts(report: Report) -> str:
@@ -110,10 +110,10 @@ def _facts(report: Report) -> str:
         "runs of the model": "; ".join(runs),
         "took": f"{report.seconds:.2f} s" if report.timed else "",
     }
-    return _list((name, _text(value)) for name, value in facts.items() if value)
+    return _definition_list((name, _escape_text(value)) for name, value in facts.items() if value)
 
 
-def _list(items: Iterable[tuple[str, str]]) -> str:
+def _definition_list(items: Iterable[tuple[str, str]]) -> str:
     rows = "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in items)
     return f"<dl>{rows}</dl>"
 
@@ -121,46 +121,46 @@ def _list(items: Iterable[tuple[str, str]]) -> str:
 def _picture(picture: Picture | None) -> str:
     if picture is None or not picture.png:
         problem = picture.problem if picture else "pictures were not asked for"
-        return f'<p class="note">Not drawn: {_text(problem)}.</p>'
-    data, label = base64.b64encode(picture.png).decode(), _text(picture.probe)
+        return f'<p class="note">Not drawn: {_escape_text(problem)}.</p>'
+    data, label = base64.b64encode(picture.png).decode(), _escape_text(picture.probe)
     image = f'<img alt="The model at probe {label}" src="data:image/png;base64,{data}">'
     return f"<figure>{image}<figcaption>Probe {label}, drawn by gsgen.</figcaption></figure>"
 
 
-def _unchecked(outcome: Outcome) -> str:
-    name = _text(f"{outcome.rule.id} {outcome.rule.slug}")
-    reason = _text(f"{outcome.status}: {outcome.reason}")
-    chip = '<span class="chip error">required</span>'
-    return f"<article><h3>{chip} {name}</h3><p>Not checked. {reason}</p></article>"
+def _unchecked_html(outcome: Outcome) -> str:
+    name = _escape_text(f"{outcome.rule.id} {outcome.rule.slug}")
+    reason = _escape_text(f"{outcome.status}: {outcome.reason}")
+    severity_chip = '<span class="chip error">required</span>'
+    return f"<article><h3>{severity_chip} {name}</h3><p>Not checked. {reason}</p></article>"
 
 
-def _finding(finding: Finding, report: Report) -> str:
-    actual, _, expected = finding.message.rpartition(_EXPECTED)
+def _finding_html(finding: Finding, report: Report) -> str:
+    actual, _, expected = finding.message.rpartition(_EXPECTED_SEPARATOR)
     rule = next(o.rule for o in report.outcomes if o.rule.id == finding.rule)
     url = help_url(rule, report.docs_url)
-    name = _text(f"{finding.rule} {finding.slug}")
+    name = _escape_text(f"{finding.rule} {finding.slug}")
     title = f'<a href="{escape(url)}">{name}</a>' if url else name
-    doubt = ", possible" if finding.certainty == "possible" else ""
+    certainty_text = ", possible" if finding.certainty == "possible" else ""
     severity = finding.severity.word
     facts = [
-        ("where", _text(str(finding.where))),
-        ("actual", _text(actual or finding.message)),
-        ("expected", _text(expected)),
-        ("why", _text(rule.rationale)),
-        ("hint", _text(finding.hint)),
-        ("waived", _text(finding.waiver)),
+        ("where", _escape_text(str(finding.where))),
+        ("actual", _escape_text(actual or finding.message)),
+        ("expected", _escape_text(expected)),
+        ("why", _escape_text(rule.rationale)),
+        ("hint", _escape_text(finding.hint)),
+        ("waived", _escape_text(finding.waiver)),
     ]
     plots = [histogram(finding.distribution, str(finding.where)) if finding.distribution else ""]
     plots += [number_line(finding.statistic) if finding.statistic else ""]
-    chip = f'<span class="chip {severity}">{severity}{doubt}</span>'
-    body = _list((name, value) for name, value in facts if value)
-    return f"<article><h3>{chip} {title}</h3>{body}{''.join(plots)}</article>"
+    severity_chip = f'<span class="chip {severity}">{severity}{certainty_text}</span>'
+    body = _definition_list((name, value) for name, value in facts if value)
+    return f"<article><h3>{severity_chip} {title}</h3>{body}{''.join(plots)}</article>"
 
 
-def _rules(report: Report) -> str:
+def _rules_table(report: Report) -> str:
     rows = "".join(
-        f"<tr><td>{_text(o.rule.id)}</td><td>{_text(o.rule.slug)}</td>"
-        f"<td>{_text(o.status)}</td><td>{_text(o.reason)}</td></tr>"
+        f"<tr><td>{_escape_text(o.rule.id)}</td><td>{_escape_text(o.rule.slug)}</td>"
+        f"<td>{_escape_text(o.status)}</td><td>{_escape_text(o.reason)}</td></tr>"
         for o in report.outcomes
     )
     head = "<tr><th>rule</th><th>name</th><th>status</th><th>reason</th></tr>"

@@ -57,7 +57,7 @@ def to_json(entries: Sequence[Entry]) -> str:
 
 def to_dict(entry: Entry) -> dict[str, Any]:
     """Convert a model's validation report, or the error of an unreadable file, to JSON types."""
-    document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
+    document = _unreadable_document(entry) if isinstance(entry, Unreadable) else document_of(entry)
     data: dict[str, Any] = to_json_value(document)
     return data
 
@@ -77,7 +77,7 @@ def document_of(report: Report) -> Document:
         subject=_subject(report),
         target=report.target.label,
         level=report.level.word,
-        fail_on=_word(report.fail_on),
+        fail_on=_severity_name(report.fail_on),
         settings=report.settings,
         verdict=report.verdict,
         counts=_counts(report),
@@ -92,8 +92,8 @@ def document_of(report: Report) -> Document:
             for entry in report.levels
         ),
         findings=tuple(_finding(finding, rules[finding.rule]) for finding in report.findings),
-        causes=tuple(_cause(cause, report) for cause in report.causes),
-        rules=tuple(_outcome(outcome, timed=report.timed) for outcome in report.outcomes),
+        causes=tuple(_cause_entry(cause, report) for cause in report.causes),
+        rules=tuple(_rule_entry(outcome, with_times=report.timed) for outcome in report.outcomes),
         tolerances=tuple(
             ToleranceEntry(tolerance.field, tolerance.value, tolerance.unit, tolerance.source)
             for tolerance in report.tolerances
@@ -107,11 +107,13 @@ def document_of(report: Report) -> Document:
             for outcome in report.unchecked
         ),
         baseline=report.baseline or None,
-        gone=tuple(_gone(finding) for finding in report.resolved) if report.baseline else None,
+        gone=tuple(_resolved_entry(finding) for finding in report.resolved)
+        if report.baseline
+        else None,
     )
 
 
-def _unreadable(entry: Unreadable) -> UnreadableDocument:
+def _unreadable_document(entry: Unreadable) -> UnreadableDocument:
     error = entry.error
     fault = Fault(error.message, error.where, error.hint)
     subject = SubjectEntry(uri=entry.path)
@@ -146,15 +148,15 @@ def _finding(finding: Finding, rule: Rule) -> FindingEntry:
     return FindingEntry(
         rule=finding.rule,
         slug=finding.slug,
-        severity=_word(finding.severity),
+        severity=_severity_name(finding.severity),
         certainty=finding.certainty,
         where=WhereEntry(finding.where.subject, finding.where.field or None),
         message=finding.message,
         stats=Stats(
             finding.count,
             finding.total,
-            tuple(_example(example) for example in finding.examples),
-            _example(finding.worst) if finding.worst else None,
+            tuple(_example_entry(example) for example in finding.examples),
+            _example_entry(finding.worst) if finding.worst else None,
         ),
         why=rule.rationale,
         hint=finding.hint,
@@ -169,7 +171,7 @@ def _finding(finding: Finding, rule: Rule) -> FindingEntry:
     )
 
 
-def _gone(finding: ResolvedFinding) -> GoneEntry:
+def _resolved_entry(finding: ResolvedFinding) -> GoneEntry:
     where = WhereEntry(finding.where.subject, finding.where.field or None)
     return GoneEntry(
         rule=finding.rule,
@@ -180,26 +182,26 @@ def _gone(finding: ResolvedFinding) -> GoneEntry:
     )
 
 
-def _word(severity: Severity) -> Any:
+def _severity_name(severity: Severity) -> Any:
     return severity.word
 
 
-def _example(example: Example) -> ExampleEntry:
+def _example_entry(example: Example) -> ExampleEntry:
     return ExampleEntry(example.value, example.row, example.probe or None)
 
 
-def _cause(cause: Cause, report: Report) -> CauseEntry:
+def _cause_entry(cause: Cause, report: Report) -> CauseEntry:
     id = cause.outcome.rule.id
     fingerprints = tuple(finding.fingerprint for finding in report.findings if finding.rule == id)
-    blocked = tuple(rule.id for rule in cause.blocked)
-    return CauseEntry(id, cause.outcome.status, fingerprints, blocked)
+    blocked_ids = tuple(rule.id for rule in cause.blocked)
+    return CauseEntry(id, cause.outcome.status, fingerprints, blocked_ids)
 
 
-def _outcome(outcome: Outcome, *, timed: bool) -> RuleEntry:
+def _rule_entry(outcome: Outcome, *, with_times: bool) -> RuleEntry:
     entry = RuleEntry(id=outcome.rule.id, status=outcome.status, reason=outcome.reason or None)
     if outcome.status not in ("pass", "fail"):
         return entry
-    milliseconds = round(outcome.milliseconds, 3) if timed else None
+    milliseconds = round(outcome.milliseconds, 3) if with_times else None
     return RuleEntry(
         id=entry.id, status=entry.status, reason=entry.reason, ms=milliseconds, items=outcome.items
     )

@@ -12,7 +12,7 @@ from gsgen.contract.reporters.summary import printable
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Outcome, Report, Unreadable
 
-_COUNTED = ("failure", "error", "skipped")
+_COUNTED_TAGS = ("failure", "error", "skipped")
 
 
 def to_junit(entries: Sequence[Entry]) -> str:
@@ -23,7 +23,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
         if isinstance(entry, Unreadable):
             _unreadable(suite, entry)
         else:
-            _suite(suite, entry)
+            _fill_suite(suite, entry)
     for parent in (*root, root):
         _count(parent)
     indent(root)
@@ -34,7 +34,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
 def _count(parent: Element) -> None:
     """Set the numbers of tests, failures, errors and skips of the JUnit element ``parent``."""
     parent.set("tests", str(len(list(parent.iter("testcase")))))
-    for tag in _COUNTED:
+    for tag in _COUNTED_TAGS:
         name = tag if tag == "skipped" else f"{tag}s"
         parent.set(name, str(len(list(parent.iter(tag)))))
 
@@ -43,10 +43,10 @@ def _unreadable(suite: Element, entry: Unreadable) -> None:
     case = SubElement(suite, "testcase", classname=printable(entry.path), name="readable")
     error = SubElement(case, "error", message=printable(entry.error.message))
     error.set("type", type(entry.error).__name__)
-    error.text = printable(str(entry.error), keep="\n")
+    error.text = printable(str(entry.error), kept_chars="\n")
 
 
-def _suite(suite: Element, report: Report) -> None:
+def _fill_suite(suite: Element, report: Report) -> None:
     if report.timed:
         suite.set("time", f"{report.seconds:.3f}")
     findings_by_rule: dict[str, list[Finding]] = {}
@@ -66,7 +66,7 @@ def _add_result(
     if outcome.status == "crashed":
         last = outcome.reason.splitlines()[-1] if outcome.reason else ""
         error = SubElement(case, "error", message=printable(last), type="crashed")
-        error.text = printable(outcome.reason, keep="\n")
+        error.text = printable(outcome.reason, kept_chars="\n")
     elif outcome.status in ("skipped", "not-applicable"):
         reason = printable(f"{outcome.status}: {outcome.reason}")
         if outcome in report.unchecked:
@@ -90,4 +90,4 @@ def _finding_text(finding: Finding) -> str:
     notes += ["known"] if finding.known else []
     suffix = f" ({'; '.join(notes)})" if notes else ""
     text = f"{finding.severity.word}{suffix}: {finding.where}: {finding.message}"
-    return printable(f"{text}\nhint: {finding.hint}", keep="\n")
+    return printable(f"{text}\nhint: {finding.hint}", kept_chars="\n")

@@ -19,40 +19,40 @@ from gsgen.contract.reporters.summary import (
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 
-_SIGNS = {"conforms": "✅", "invalid": "❌", "internal-error": "💥"}
-_UNREADABLE = "⛔"
+_VERDICT_SIGNS = {"conforms": "✅", "invalid": "❌", "internal-error": "💥"}
+_UNREADABLE_SIGN = "⛔"
 
 
 def to_markdown(entries: Sequence[Entry]) -> str:
     """Return all reports as one Markdown page; several models get a table of results first."""
-    parts = [_table(entries)] if len(entries) != 1 else []
+    parts = [_summary_table(entries)] if len(entries) != 1 else []
     parts += [_section(entry) for entry in entries]
     return "\n\n".join(parts)
 
 
-def _table(entries: Sequence[Entry]) -> str:
+def _summary_table(entries: Sequence[Entry]) -> str:
     rows = ["| model | verdict | errors | warnings |", "|---|---|---|---|"]
     for entry in entries:
         name = code(entry.path).replace("|", "\\|")
         if isinstance(entry, Unreadable):
-            rows.append(f"| {name} | {_UNREADABLE} unreadable | | |")
+            rows.append(f"| {name} | {_UNREADABLE_SIGN} unreadable | | |")
             continue
         counts = [
             sum(f.counts and f.severity.word == word for f in entry.findings)
             for word in ("error", "warning")
         ]
-        verdict_text = f"{_SIGNS[entry.verdict]} {verdict_word(entry)}"
+        verdict_text = f"{_VERDICT_SIGNS[entry.verdict]} {verdict_word(entry)}"
         rows.append(f"| {name} | {verdict_text} | {counts[0]} | {counts[1]} |")
     return "\n".join([f"**{summary_line(entries)}**", "", *rows])
 
 
 def _section(entry: Entry) -> str:
     if isinstance(entry, Unreadable):
-        return f"### {_UNREADABLE} {code(entry.path)}\n\n{code(str(entry.error))}"
+        return f"### {_UNREADABLE_SIGN} {code(entry.path)}\n\n{code(str(entry.error))}"
     introduction = f"Validated for {entry.target.label} at level {entry.level.word}."
     parts = [
-        f"### {_SIGNS[entry.verdict]} {code(entry.path)}",
-        f"**{_escaped(verdict_line(entry))}**",
+        f"### {_VERDICT_SIGNS[entry.verdict]} {code(entry.path)}",
+        f"**{_escape_markdown(verdict_line(entry))}**",
         introduction,
     ]
     causes = {cause.outcome.rule.id: cause for cause in entry.causes}
@@ -61,22 +61,22 @@ def _section(entry: Entry) -> str:
     for rule, findings in groupby(counted, lambda finding: finding.rule):
         items += [_finding(finding) for finding in findings]
         if rule in causes:
-            blocked = causes[rule].blocked
-            names = ", ".join(blocked_rule.id for blocked_rule in blocked)
-            rules = plural(len(blocked), "rule")
+            blocked_rules = causes[rule].blocked
+            names = ", ".join(blocked_rule.id for blocked_rule in blocked_rules)
+            rules = plural(len(blocked_rules), "rule")
             items.append(f"  - so {rules} could not be checked: {names}")
     parts += ["\n".join(items)] if items else []
-    return "\n\n".join(parts + _details(entry))
+    return "\n\n".join(parts + _report_details(entry))
 
 
 def _finding(finding: Finding) -> str:
-    doubt = " (possible)" if finding.certainty == "possible" else ""
-    head = f"**{finding.rule} {finding.slug}** {finding.severity.word}{doubt}"
+    certainty_text = " (possible)" if finding.certainty == "possible" else ""
+    head = f"**{finding.rule} {finding.slug}** {finding.severity.word}{certainty_text}"
     location = f"{code(str(finding.where))}: {code(finding.message)}"
     return f"- {head} at {location}\n  - hint: {finding.hint}"
 
 
-def _details(report: Report) -> list[str]:
+def _report_details(report: Report) -> list[str]:
     parts = [
         f"🚫 **{outcome.rule.id}** is required, but {outcome.status}: {code(outcome.reason)}"
         for outcome in report.unchecked
@@ -88,23 +88,25 @@ def _details(report: Report) -> list[str]:
     for level in report.levels:
         if not level.ran:
             parts.append(f"Level {level.level.word} did not run: {code(level.reason)}")
-    waived = [
+    waived_findings = [
         f"- {finding.rule} {finding.slug} at {code(str(finding.where))}: {code(finding.waiver)}"
         for finding in report.findings
         if finding.waiver
     ]
-    return [*parts, "Waived:\n\n" + "\n".join(waived)] if waived else parts
+    return [*parts, "Waived:\n\n" + "\n".join(waived_findings)] if waived_findings else parts
 
 
 def code(text: str) -> str:
     """Return ``text`` as a Markdown code span whose fence does not occur in the text."""
     printable_text = printable(text)
-    longest = max((len(run) for run in re.findall("`+", printable_text)), default=0)
-    fence = "`" * (longest + 1)
-    pad = " " if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ") else ""
-    return f"{fence}{pad}{printable_text}{pad}{fence}"
+    longest_run = max((len(run) for run in re.findall("`+", printable_text)), default=0)
+    fence = "`" * (longest_run + 1)
+    padding = (
+        " " if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ") else ""
+    )
+    return f"{fence}{padding}{printable_text}{padding}{fence}"
 
 
-def _escaped(text: str) -> str:
+def _escape_markdown(text: str) -> str:
     """Escape Markdown punctuation in ``text`` for use outside a code span."""
     return re.sub(r"([\\`*_\[\]<>|~@&#])", r"\\\1", printable(text))

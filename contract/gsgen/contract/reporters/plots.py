@@ -7,29 +7,29 @@ from html import escape
 from gsgen.contract.validation.finding import Distribution, Statistic
 
 _WIDTH, _HEIGHT = 480, 120
-_MARGIN, _BASE = 8, 96
+_MARGIN, _BASELINE_Y = 8, 96
 # The axis of a number line is wider than what it shows, by this share.
-_ROOM = 0.15
+_MARGIN_FRACTION = 0.15
 
 
 def histogram(distribution: Distribution, name: str) -> str:
     """Return an SVG histogram of the values that a rule checked, valid and invalid ones stacked."""
     bars = list(zip(distribution.valid, distribution.invalid, strict=True))
-    tallest = max(valid + invalid for valid, invalid in bars)
+    max_count = max(valid + invalid for valid, invalid in bars)
     width = (_WIDTH - 2 * _MARGIN) / len(bars)
     parts = []
     for number, (valid, invalid) in enumerate(bars):
-        left, floor = _MARGIN + number * width, float(_BASE)
+        left, stack_top = _MARGIN + number * width, float(_BASELINE_Y)
         for count, kind in ((valid, "valid"), (invalid, "invalid")):
-            height = (_BASE - _MARGIN) * count / max(tallest, 1)
-            floor -= height
+            height = (_BASELINE_Y - _MARGIN) * count / max(max_count, 1)
+            stack_top -= height
             if count:
-                parts.append(_bar(kind, left, floor, width - 1, height))
-    low, high = _number(distribution.low), _number(distribution.high)
+                parts.append(_bar_svg(kind, left, stack_top, width - 1, height))
+    low, high = _format_number(distribution.low), _format_number(distribution.high)
     parts += [_label(_MARGIN, "start", low), _label(_WIDTH - _MARGIN, "end", high)]
-    broken = sum(distribution.invalid)
+    invalid_count = sum(distribution.invalid)
     label = (
-        f"Values of {name}: {broken} of {sum(distribution.valid) + broken} sampled rows "
+        f"Values of {name}: {invalid_count} of {sum(distribution.valid) + invalid_count} sampled rows "
         f"break the rule"
     )
     return _svg(parts, label)
@@ -39,7 +39,7 @@ def number_line(statistic: Statistic) -> str:
     """Return an SVG plot of a number as a mark, and its allowed range as a band."""
     limits = [limit for limit in (statistic.low, statistic.high) if limit is not None]
     ends = [*limits, statistic.value]
-    room = _ROOM * ((max(ends) - min(ends)) or abs(statistic.value) or 1.0)
+    room = _MARGIN_FRACTION * ((max(ends) - min(ends)) or abs(statistic.value) or 1.0)
     low, high = min(ends) - room, max(ends) + room
 
     def position(value: float) -> float:
@@ -47,18 +47,21 @@ def number_line(statistic: Statistic) -> str:
 
     left = position(low if statistic.low is None else statistic.low)
     right = position(high if statistic.high is None else statistic.high)
-    mark = position(statistic.value)
-    parts = [_bar("allowed", left, 40, right - left, 24), _bar("invalid", mark - 1.5, 28, 3, 48)]
-    parts += [_label(position(limit), "middle", _number(limit)) for limit in limits]
-    parts.append(_label(mark, "middle", _number(statistic.value), top=20))
-    return _svg(parts, f"{statistic.name}: {_number(statistic.value)}, allowed range shaded")
+    mark_x = position(statistic.value)
+    parts = [
+        _bar_svg("allowed", left, 40, right - left, 24),
+        _bar_svg("invalid", mark_x - 1.5, 28, 3, 48),
+    ]
+    parts += [_label(position(limit), "middle", _format_number(limit)) for limit in limits]
+    parts.append(_label(mark_x, "middle", _format_number(statistic.value), top=20))
+    return _svg(parts, f"{statistic.name}: {_format_number(statistic.value)}, allowed range shaded")
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def _bar(kind: str, left: float, top: float, width: float, height: float) -> str:
+def _bar_svg(kind: str, left: float, top: float, width: float, height: float) -> str:
     size = f'width="{max(width, 0):.1f}" height="{height:.1f}"'
     return f'<rect class="{kind}" x="{left:.1f}" y="{top:.1f}" {size}/>'
 

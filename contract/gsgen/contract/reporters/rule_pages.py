@@ -59,9 +59,9 @@ def page(rule: Rule, registry: Registry, example: str) -> str:
         ("needs", ", ".join(f"{id} {registry.rules[id].slug}" for id in rule.needs)),
         ("example that breaks it", f"`{example}`" if example else ""),
     ]
-    listed = "\n".join(f"- {name}: {value}" for name, value in facts if value)
+    fact_lines = "\n".join(f"- {name}: {value}" for name, value in facts if value)
     text = (
-        f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n{listed}\n\n"
+        f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n{fact_lines}\n\n"
         f"## Why\n\n{rule.rationale}\n\n## How to repair it\n\n{rule.hint}\n"
     )
     return f"{text}\n## Evidence\n\n{rule.evidence}\n" if rule.evidence else text

@@ -22,7 +22,7 @@ from gsgen.contract.validation.report import Entry, Outcome, Report, Unreadable
 from gsgen.contract.validation.rule import Rule
 
 _SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
-_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}
+_SARIF_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}
 # The name of the fingerprint; another way to compute it needs another name.
 _FINGERPRINT = "gsgen/1"
 
@@ -36,7 +36,7 @@ def to_sarif(entries: Sequence[Entry]) -> str:
         outcome.rule.id: outcome.rule
         for report in reports.values()
         for outcome in report.outcomes
-        if outcome.rule.id in _speaking(report)
+        if outcome.rule.id in _rules_of_findings(report)
     }
     docs_url = next((report.docs_url for report in reports.values()), "")
     numbers = {id: number for number, id in enumerate(rules)}
@@ -46,14 +46,14 @@ def to_sarif(entries: Sequence[Entry]) -> str:
         "rules": [_rule(rule, docs_url) for rule in rules.values()],
     }
     results = [
-        _result(report, finding, numbers[finding.rule], number)
+        _result_entry(report, finding, numbers[finding.rule], number)
         for number, report in reports.items()
         for finding in report.findings
     ]
     run = {
         "tool": {"driver": driver},
-        "artifacts": [_artifact(entry) for entry in entries],
-        "invocations": [_invocation(entries)],
+        "artifacts": [_artifact_entry(entry) for entry in entries],
+        "invocations": [_invocation_entry(entries)],
         "results": results,
     }
     log = {"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}
@@ -62,14 +62,14 @@ def to_sarif(entries: Sequence[Entry]) -> str:
     )  # in ASCII: a path may hold characters that UTF-8 cannot encode
 
 
-def _speaking(report: Report) -> set[str]:
+def _rules_of_findings(report: Report) -> set[str]:
     """Return the ids of the rules that a SARIF log refers to."""
-    silent_failures = [*_crashed(report), *report.unchecked]
+    silent_failures = [*_crashed_outcomes(report), *report.unchecked]
     rules_of_findings = {finding.rule for finding in report.findings}
     return rules_of_findings | {outcome.rule.id for outcome in silent_failures}
 
 
-def _crashed(report: Report) -> list[Outcome]:
+def _crashed_outcomes(report: Report) -> list[Outcome]:
     return [outcome for outcome in report.outcomes if outcome.status == "crashed"]
 
 
@@ -81,7 +81,7 @@ def _rule(rule: Rule, docs_url: str) -> Json:
         "shortDescription": {"text": rule.statement},
         "fullDescription": {"text": rule.rationale},
         "help": {"text": f"{rule.rationale}\n\nHow to repair it: {rule.hint}"},
-        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+        "defaultConfiguration": {"level": _SARIF_LEVELS[rule.severity]},
         "properties": {
             "slug": rule.slug,
             "level": rule.level.word,
@@ -90,34 +90,36 @@ def _rule(rule: Rule, docs_url: str) -> Json:
     }
 
 
-def _artifact(entry: Entry) -> Json:
-    artifact: Json = {"location": {"uri": _uri(entry.path)}, "roles": ["analysisTarget"]}
+def _artifact_entry(entry: Entry) -> Json:
+    artifact: Json = {"location": {"uri": _path_uri(entry.path)}, "roles": ["analysisTarget"]}
     if isinstance(entry, Report):
         artifact["length"] = entry.size
         artifact |= {"hashes": {"sha-256": entry.sha256}} if entry.sha256 else {}
     return artifact
 
 
-def _uri(path: str) -> str:
+def _path_uri(path: str) -> str:
     """Convert a file path to a URI reference; a relative path gives a relative one."""
-    quoted = quote(os.fsencode(Path(path).as_posix()))
-    return f"file://{quoted}" if Path(path).is_absolute() else quoted
+    quoted_path = quote(os.fsencode(Path(path).as_posix()))
+    return f"file://{quoted_path}" if Path(path).is_absolute() else quoted_path
 
 
-def _invocation(entries: Iterable[Entry]) -> Json:
+def _invocation_entry(entries: Iterable[Entry]) -> Json:
     failures = [
-        failure for number, entry in enumerate(entries) for failure in _failures(entry, number)
+        failure
+        for number, entry in enumerate(entries)
+        for failure in _entry_failures(entry, number)
     ]
     return {"executionSuccessful": not failures, "toolExecutionNotifications": failures}
 
 
-def _failures(entry: Entry, number: int) -> list[Json]:
+def _entry_failures(entry: Entry, number: int) -> list[Json]:
     """Return SARIF notifications of an unreadable file or of crashed validation rules."""
     if isinstance(entry, Unreadable):
         return [_failure_notification(entry.path, number, str(entry.error))]
     messages = [
         (outcome.rule, f"{outcome.rule.id} crashed: {outcome.reason}")
-        for outcome in _crashed(entry)
+        for outcome in _crashed_outcomes(entry)
     ]
     messages += [
         (outcome.rule, f"{outcome.rule.id} is required, but {outcome.status}: {outcome.reason}")
@@ -129,18 +131,21 @@ def _failures(entry: Entry, number: int) -> list[Json]:
 def _failure_notification(path: str, number: int, text: str, rule: Rule | None = None) -> Json:
     notification: Json = {
         "level": "error",
-        "message": {"text": printable(text, keep="\n")},
+        "message": {"text": printable(text, kept_chars="\n")},
         "locations": [{"physicalLocation": _physical_location(path, number)}],
     }
     return notification | ({"associatedRule": {"id": rule.id}} if rule else {})
 
 
 def _physical_location(path: str, number: int) -> Json:
-    return {"artifactLocation": {"uri": _uri(path), "index": number}, "region": {"startLine": 1}}
+    return {
+        "artifactLocation": {"uri": _path_uri(path), "index": number},
+        "region": {"startLine": 1},
+    }
 
 
-def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
-    level = _LEVELS[finding.severity]
+def _result_entry(report: Report, finding: Finding, rule: int, number: int) -> Json:
+    level = _SARIF_LEVELS[finding.severity]
     if finding.certainty == "possible" and level == "error":
         level = "warning"  # a possible finding does not fail the model
     result: Json = {
@@ -152,7 +157,7 @@ def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
         "locations": [
             {
                 "physicalLocation": _physical_location(report.path, number),
-                "logicalLocations": [_logical(finding)],
+                "logicalLocations": [_logical_location(finding)],
             }
         ],
         "partialFingerprints": {_FINGERPRINT: finding.fingerprint},
@@ -169,7 +174,7 @@ def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
     return result | {"suppressions": _suppressions(finding)}
 
 
-def _logical(finding: Finding) -> Json:
+def _logical_location(finding: Finding) -> Json:
     kind, _, name = finding.where.subject.partition(" ")
     return {
         "name": printable(finding.where.field or name or kind),

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 
-_CRASHED = "a rule crashed, no verdict"
+_CRASHED_TEXT = "a rule crashed, no verdict"
 
 
-def printable(text: str, *, keep: str = "") -> str:
+def printable(text: str, *, kept_chars: str = "") -> str:
     """Escape control characters, since a tensor's name must not control a terminal."""
-    return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)
+    return "".join(c if c.isprintable() or c in kept_chars else ascii(c)[1:-1] for c in text)
 
 
 def plural(count: int, noun: str) -> str:
@@ -32,7 +32,7 @@ def verdict_line(report: Report) -> str:
             parts.append(f"{count} info" if severity is Severity.INFO else counted_noun)
     if report.unchecked:
         parts.append(f"required but not checked: {', '.join(o.rule.id for o in report.unchecked)}")
-    parts += _uncounted(report)
+    parts += _uncounted_texts(report)
     for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
         if counted[status]:
             parts.append(f"{counted[status]} {words}")
@@ -41,15 +41,17 @@ def verdict_line(report: Report) -> str:
 
 def verdict_word(report: Report) -> str:
     """Return the conclusion of a validation report in words, such as ``conforms``."""
-    return _CRASHED if report.verdict == "internal-error" else report.verdict
+    return _CRASHED_TEXT if report.verdict == "internal-error" else report.verdict
 
 
-def _uncounted(report: Report) -> list[str]:
-    ignored = {finding.rule for finding in report.findings if finding.waived and not finding.waiver}
-    waived = sum(bool(finding.waiver) for finding in report.findings)
+def _uncounted_texts(report: Report) -> list[str]:
+    ignored_rules = {
+        finding.rule for finding in report.findings if finding.waived and not finding.waiver
+    }
+    waived_count = sum(bool(finding.waiver) for finding in report.findings)
     known = sum(finding.known for finding in report.findings)
-    parts = [f"ignored: {', '.join(sorted(ignored))}"] if ignored else []
-    parts += [f"{waived} waived"] if waived else []
+    parts = [f"ignored: {', '.join(sorted(ignored_rules))}"] if ignored_rules else []
+    parts += [f"{waived_count} waived"] if waived_count else []
     parts += [f"{known} known from {report.baseline}"] if known else []
     resolved = f"{len(report.resolved)} resolved since {report.baseline}"
     return parts + ([resolved] if report.resolved else [])
@@ -60,10 +62,10 @@ def summary_line(entries: Sequence[Entry]) -> str:
     words = Counter(
         "unreadable" if isinstance(entry, Unreadable) else verdict_word(entry) for entry in entries
     )
-    names = {"conforms": "conform", _CRASHED: "without verdict"}
+    names = {"conforms": "conform", _CRASHED_TEXT: "without verdict"}
     parts = [
         f"{words[word]} {word if word == 'conforms' and words[word] == 1 else name}"
-        for word in ("conforms", "invalid", _CRASHED, "unreadable")
+        for word in ("conforms", "invalid", _CRASHED_TEXT, "unreadable")
         if words[word] and (name := names.get(word, word))
     ]
     return f"{plural(len(entries), 'model')}: {', '.join(parts) or 'no model validated'}"

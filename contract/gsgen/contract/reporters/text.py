@@ -52,7 +52,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         report: The report of one model.
         verbose: Also show known findings, the outcome of every rule, tolerances and probes.
     """
-    lines = _head(report)
+    lines = _header_lines(report)
     causes = {cause.outcome.rule.id: cause for cause in report.causes}
     visible = [
         finding for finding in report.findings if finding.counts or (finding.known and verbose)
@@ -60,26 +60,26 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     for rule, findings in groupby(visible, lambda finding: finding.rule):
         lines += finding_lines(findings, verbose=verbose)
         if rule in causes:
-            lines += _consequence(causes.pop(rule), verbose=verbose)
-    lines += _crashes(report)
+            lines += _cause_lines(causes.pop(rule), verbose=verbose)
+    lines += _crash_lines(report)
     known = {finding.rule for finding in report.findings if finding.known}
     for cause in causes.values():
         rule, status = cause.outcome.rule, cause.outcome.status
         mark = " (known)" if rule.id in known else ""
         lines.append(Line(f"  {rule.id} {status}{mark}: {rule.slug}"))
-        lines += _consequence(cause, verbose=verbose)
+        lines += _cause_lines(cause, verbose=verbose)
     lines += (
-        _unchecked(report)
-        + _inapplicable(report)
-        + _not_run(report)
-        + _skipped(report)
-        + _waived(report)
-        + _resolved(report)
+        _unchecked_lines(report)
+        + _inapplicable_lines(report)
+        + _not_run_lines(report)
+        + _skipped_lines(report)
+        + _waived_lines(report)
+        + _resolved_lines(report)
     )
     if verbose:
         lines += _details(report)
     if verbose or report.timed:
-        lines += _costs(report)
+        lines += _cost_lines(report)
     if report.timed:
         inner = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
         lines.append(Line(f"  took {report.seconds:.2f} s, of which {inner}"))
@@ -87,7 +87,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     return [Line(printable(line.text), line.style) for line in lines]
 
 
-def _head(report: Report) -> list[Line]:
+def _header_lines(report: Report) -> list[Line]:
     facts = [report.kind or "kind unknown"]
     if report.name:
         facts.append(f"{report.name!r}, contract {report.contract}")
@@ -115,47 +115,51 @@ def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list
         verbose: Show all locations; otherwise the first few of a rule, and their number.
     """
     lines: list[Line] = []
-    for (head, hint), group in groupby(findings, lambda finding: (_head_of(finding), finding.hint)):
-        similar = list(group)
-        lines.append(Line(head, _STYLE[similar[0].severity]))
+    for (head, hint), group in groupby(
+        findings, lambda finding: (_finding_header(finding), finding.hint)
+    ):
+        similar_findings = list(group)
+        lines.append(Line(head, _STYLE[similar_findings[0].severity]))
         listed = (
-            similar
-            if verbose or len(similar) <= _MOST_LOCATIONS
-            else similar[: _MOST_LOCATIONS - 1]
+            similar_findings
+            if verbose or len(similar_findings) <= _MOST_LOCATIONS
+            else similar_findings[: _MOST_LOCATIONS - 1]
         )
         for finding in listed:
             lines += _location_lines(finding)
-        if unlisted := len(similar) - len(listed):
-            lines += _wrapped(f"and at {unlisted} more locations, which `gsgen validate -v` lists")
-        lines += _wrapped(f"hint: {hint}")
+        if unlisted_count := len(similar_findings) - len(listed):
+            lines += _wrap_text(
+                f"and at {unlisted_count} more locations, which `gsgen validate -v` lists"
+            )
+        lines += _wrap_text(f"hint: {hint}")
     return [Line(printable(line.text), line.style) for line in lines]
 
 
-def _head_of(finding: Finding) -> str:
-    doubt = "" if finding.certainty == "confirmed" else " (possible)"
+def _finding_header(finding: Finding) -> str:
+    certainty_text = "" if finding.certainty == "confirmed" else " (possible)"
     source = "" if finding.source == "contract" else f" [{finding.source}]"
     known = " (known)" if finding.known else ""
-    return f"  {finding.rule} {finding.severity.word}{doubt} {finding.slug}{source}{known}"
+    return f"  {finding.rule} {finding.severity.word}{certainty_text} {finding.slug}{source}{known}"
 
 
 def _location_lines(finding: Finding) -> list[Line]:
-    lines = _wrapped(f"{finding.where}: {finding.message}")
+    lines = _wrap_text(f"{finding.where}: {finding.message}")
     if len(finding.examples) > 1 and finding.examples[0].row is not None:
         examples = "; ".join(str(example) for example in finding.examples[1:])
-        lines += _wrapped(f"also {examples}")
+        lines += _wrap_text(f"also {examples}")
     if finding.truncated:
-        lines += _wrapped("and violations at further locations, which are not listed")
+        lines += _wrap_text("and violations at further locations, which are not listed")
     return lines
 
 
-def _consequence(cause: Cause, *, verbose: bool) -> list[Line]:
-    blocked = f"so {plural(len(cause.blocked), 'rule')} could not be checked"
+def _cause_lines(cause: Cause, *, verbose: bool) -> list[Line]:
+    blocked_text = f"so {plural(len(cause.blocked), 'rule')} could not be checked"
     if len(cause.blocked) > _MOST_BLOCKED and not verbose:
-        return _wrapped(f"{blocked}, which `gsgen validate -v` lists")
-    return _wrapped(f"{blocked}: {', '.join(rule.id for rule in cause.blocked)}")
+        return _wrap_text(f"{blocked_text}, which `gsgen validate -v` lists")
+    return _wrap_text(f"{blocked_text}: {', '.join(rule.id for rule in cause.blocked)}")
 
 
-def _wrapped(text: str) -> list[Line]:
+def _wrap_text(text: str) -> list[Line]:
     lines = textwrap.wrap(
         text,
         _WIDTH,
@@ -167,7 +171,7 @@ def _wrapped(text: str) -> list[Line]:
     return [Line(line) for line in lines]
 
 
-def _crashes(report: Report) -> list[Line]:
+def _crash_lines(report: Report) -> list[Line]:
     lines: list[Line] = []
     for outcome in report.outcomes:
         if outcome.status == "crashed":
@@ -177,26 +181,26 @@ def _crashes(report: Report) -> list[Line]:
     return lines
 
 
-def _unchecked(report: Report) -> list[Line]:
+def _unchecked_lines(report: Report) -> list[Line]:
     lines: list[Line] = []
     for outcome in report.unchecked:
         head = f"  {outcome.rule.id} required, but {outcome.status}: {outcome.rule.slug}"
         lines.append(Line(head, _FAILURE_STYLE))
-        lines += _wrapped(outcome.reason)
+        lines += _wrap_text(outcome.reason)
     return lines
 
 
-def _inapplicable(report: Report) -> list[Line]:
+def _inapplicable_lines(report: Report) -> list[Line]:
     """Return text lines that list the requested validation rules that do not apply to the model."""
     lines: list[Line] = []
     for outcome in report.outcomes:
         if outcome.rule.id in report.selected and outcome.status == "not-applicable":
             lines.append(Line(f"  {outcome.rule.id} not applicable: {outcome.rule.slug}", "yellow"))
-            lines += _wrapped(outcome.reason)
+            lines += _wrap_text(outcome.reason)
     return lines
 
 
-def _not_run(report: Report) -> list[Line]:
+def _not_run_lines(report: Report) -> list[Line]:
     return [
         Line(f"  level {outcome.level.word} did not run: {outcome.reason}", "yellow")
         for outcome in report.levels
@@ -204,41 +208,43 @@ def _not_run(report: Report) -> list[Line]:
     ]
 
 
-def _skipped(report: Report) -> list[Line]:
+def _skipped_lines(report: Report) -> list[Line]:
     """Return text lines that list rules that were skipped although their validation level ran."""
-    ran = {outcome.level for outcome in report.levels if outcome.ran}
+    levels_run = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
     for outcome in report.outcomes:
-        if outcome.status == "skipped" and outcome.rule.level in ran:
+        if outcome.status == "skipped" and outcome.rule.level in levels_run:
             lines.append(Line(f"  {outcome.rule.id} skipped: {outcome.rule.slug}", "yellow"))
-            lines += _wrapped(outcome.reason)
+            lines += _wrap_text(outcome.reason)
     return lines
 
 
-def _waived(report: Report) -> list[Line]:
+def _waived_lines(report: Report) -> list[Line]:
     lines: list[Line] = []
     for finding in report.findings:
         if finding.waiver:
             lines.append(Line(f"  {finding.rule} waived: {finding.slug}"))
-            lines += _wrapped(f"{finding.where}: {finding.waiver}")
+            lines += _wrap_text(f"{finding.where}: {finding.waiver}")
     return lines
 
 
-def _resolved(report: Report) -> list[Line]:
+def _resolved_lines(report: Report) -> list[Line]:
     lines: list[Line] = []
     for finding in report.resolved:
         lines.append(Line(f"  {finding.rule} resolved: {finding.slug}", "green"))
-        lines += _wrapped(f"{finding.where}: {finding.message}")
+        lines += _wrap_text(f"{finding.where}: {finding.message}")
     return lines
 
 
-def _costs(report: Report) -> list[Line]:
+def _cost_lines(report: Report) -> list[Line]:
     """Return lines with the number of model runs of each validation level, and their time."""
     lines = [Line("  levels:")]
     for level in report.levels:
         if level.ran:
-            took = f", {level.seconds:.2f} s" if report.timed else ""
-            lines.append(Line(f"    {level.level.word}: {plural(level.runs, 'run')}{took}"))
+            duration_text = f", {level.seconds:.2f} s" if report.timed else ""
+            lines.append(
+                Line(f"    {level.level.word}: {plural(level.runs, 'run')}{duration_text}")
+            )
     return lines
 
 
@@ -246,8 +252,8 @@ def _details(report: Report) -> list[Line]:
     lines = [Line("  rules:")]
     for outcome in report.outcomes:
         if outcome.status in ("pass", "fail"):
-            took = f"{outcome.milliseconds:.1f} ms, " if report.timed else ""
-            detail = f"{took}{outcome.items:,} checked"
+            duration_text = f"{outcome.milliseconds:.1f} ms, " if report.timed else ""
+            detail = f"{duration_text}{outcome.items:,} checked"
         else:
             detail = outcome.reason.splitlines()[-1]
         lines.append(

@@ -130,15 +130,15 @@ def installed_rules() -> Registry:
     backends: list[LevelBackend] = []
     for number, point in enumerate(registered_entry_points("gsgen.rules")):
         try:
-            loaded, loaded_backends = _load(point)
+            loaded_rules, loaded_backends = _load(point)
             # Raises if an id or a level is already taken.
-            Registry.of([*rules, *loaded], [*backends, *loaded_backends])
-            _require_owner(point, loaded)
+            Registry.from_rules([*rules, *loaded_rules], [*backends, *loaded_backends])
+            _require_owner(point, loaded_rules)
         except Exception as error:  # a third party's import may fail in any way
-            loaded, loaded_backends = [_unloadable(point, number, error)], []
-        rules.extend(loaded)
+            loaded_rules, loaded_backends = [_unloadable_rule(point, number, error)], []
+        rules.extend(loaded_rules)
         backends.extend(loaded_backends)
-    return Registry.of(rules, backends)
+    return Registry.from_rules(rules, backends)
 
 
 def _require_owner(point: EntryPoint, rules: list[Rule]) -> None:
@@ -152,11 +152,11 @@ def _require_owner(point: EntryPoint, rules: list[Rule]) -> None:
             )
 
 
-def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
+def _unloadable_rule(point: EntryPoint, number: int, error: Exception) -> Rule:
     """Return a rule that always crashes, to report that a plugin's rules cannot be loaded."""
-    letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
+    name_letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
-    @rule(f"{letters or 'plugin'}/XX{number:03}", Severity.ERROR, kinds=KINDS)
+    @rule(f"{name_letters or 'plugin'}/XX{number:03}", Severity.ERROR, kinds=KINDS)
     def plugin_loads(_: InspectedModel) -> Iterator[Violation]:
         """The rules of every installed plugin can be loaded.
 
@@ -167,24 +167,24 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
             Repair or uninstall the package that registers them.
         """
         message = f"rules {point.name} = {point.value} do not load: {error!r}"
-        raise ImportError(f"{message}{_place_of(error)}")
+        raise ImportError(f"{message}{_location_text(error)}")
 
     return plugin_loads
 
 
-def _place_of(error: BaseException) -> str:
+def _location_text(error: BaseException) -> str:
     """Return the file and line of a plugin's code that raised an error, if its code ran."""
-    own = str(Path(__file__).parents[1])
+    contract_folder = str(Path(__file__).parents[1])
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         is_import = frame.filename.startswith("<") or "importlib" in Path(frame.filename).parts
-        if not is_import and not frame.filename.startswith(own):
+        if not is_import and not frame.filename.startswith(contract_folder):
             return f", at {Path(frame.filename).name}:{frame.lineno} ({frame.line})"
     return ""
 
 
 def _load(point: EntryPoint) -> tuple[list[Rule], list[LevelBackend]]:
-    loaded = point.load()
-    if isinstance(loaded, ModuleType):
-        return rules_in(loaded), backends_in(loaded)
-    backends = [entry for entry in loaded if isinstance(entry, LevelBackend)]
-    return [entry for entry in loaded if not isinstance(entry, LevelBackend)], backends
+    plugin = point.load()
+    if isinstance(plugin, ModuleType):
+        return rules_in(plugin), backends_in(plugin)
+    backends = [entry for entry in plugin if isinstance(entry, LevelBackend)]
+    return [entry for entry in plugin if not isinstance(entry, LevelBackend)], backends

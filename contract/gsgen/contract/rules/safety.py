@@ -16,11 +16,11 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import RUNNABLE
 from gsgen.contract.validation.rule import rule
 
-_MOST_ELEMENTS = 1 << 40
+_MAX_ELEMENTS = 1 << 40
 # The limit of NumPy arrays, which hold every input and output.
-_MOST_AXES = 64
+_MAX_AXES = 64
 # The inputs of several probes are in memory at the same time.
-_PROBES = 4
+_PROBES_AT_ONCE = 4
 
 
 @rule("GS001", Severity.ERROR, kinds=KINDS)
@@ -48,30 +48,35 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
 
 def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
     """Return the fault of an external weight file's path, and the expected path; None if valid."""
-    windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
+    windows_path, posix_path = PureWindowsPath(ref.location), PurePosixPath(ref.location)
     if not ref.location or "\0" in ref.location:
         return "no file name", "a file beside the model"
-    if posix.is_absolute() or windows.is_absolute() or windows.drive or ".." in windows.parts:
+    if (
+        posix_path.is_absolute()
+        or windows_path.is_absolute()
+        or windows_path.drive
+        or ".." in windows_path.parts
+    ):
         return (
             f"leads out of the model's folder (weight {ref.tensor!r})",
             "a relative path below it",
         )
-    absent = f"no such file (weight {ref.tensor!r})", "a file beside the model"
+    missing_file = f"no such file (weight {ref.tensor!r})", "a file beside the model"
     try:
         path = (root / ref.location).resolve()
         if not path.is_relative_to(root):
             return f"is a link to {path}", "a file below the model's folder"
         status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
     except (FileNotFoundError, NotADirectoryError):
-        return absent
+        return missing_file
     except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
         reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
         return f"cannot be looked up: {reason}", "a file beside the model"
     if not S_ISREG(status.st_mode):
-        return absent
-    needed = ref.offset + (payload if ref.length is None else ref.length)
-    if needed > status.st_size:
-        return f"has {status.st_size} bytes (weight {ref.tensor!r})", f"at least {needed}"
+        return missing_file
+    needed_bytes = ref.offset + (payload if ref.length is None else ref.length)
+    if needed_bytes > status.st_size:
+        return f"has {status.st_size} bytes (weight {ref.tensor!r})", f"at least {needed_bytes}"
     if payload and ref.length not in (None, payload):
         return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     return None
@@ -95,28 +100,28 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
         ("weight", graph.initializers.values()),
     ):
         for tensor in tensors:
-            negative = any(isinstance(dim, int) and dim < 0 for dim in tensor.dims or ())
+            has_negative_dim = any(isinstance(dim, int) and dim < 0 for dim in tensor.dims or ())
             size = tensor_bytes(tensor)
             axes = len(tensor.dims or ())
-            if negative:
+            if has_negative_dim:
                 yield Violation.at(f"{kind} {tensor.name}", f"shape {tensor}", "sizes of 0 or more")
-            elif axes > _MOST_AXES:
-                expected = f"{_MOST_AXES} axes at most"
+            elif axes > _MAX_AXES:
+                expected = f"{_MAX_AXES} axes at most"
                 yield Violation.at(f"{kind} {tensor.name}", f"{axes} axes", expected)
-            elif size > limit or size > 8 * _MOST_ELEMENTS:
+            elif size > limit or size > 8 * _MAX_ELEMENTS:
                 actual = f"{format_mebibytes(size, 0)}, {tensor}"
                 yield Violation.at(
                     f"{kind} {tensor.name}", actual, f"{limit // MEBIBYTE} MiB at most"
                 )
     for name, shape in probed_shapes(subject).items():
         input_tensor = graph.input(name)
-        if len(shape) > _MOST_AXES and input_tensor is not None and input_tensor.dims is None:
+        if len(shape) > _MAX_AXES and input_tensor is not None and input_tensor.dims is None:
             actual = f"{len(shape)} axes in the manifest"
-            yield Violation.at(f"input {name}", actual, f"{_MOST_AXES} axes at most")
-    probed, most = probed_bytes(subject), limit // _PROBES
-    if probed > most:  # includes sizes that are not fixed in the graph
-        actual = f"{format_mebibytes(probed, 0)} in float64 in total"
-        yield Violation.at("inputs of a frame", actual, f"{most // MEBIBYTE} MiB at most")
+            yield Violation.at(f"input {name}", actual, f"{_MAX_AXES} axes at most")
+    probed_total, probe_limit = probed_bytes(subject), limit // _PROBES_AT_ONCE
+    if probed_total > probe_limit:  # includes sizes that are not fixed in the graph
+        actual = f"{format_mebibytes(probed_total, 0)} in float64 in total"
+        yield Violation.at("inputs of a frame", actual, f"{probe_limit // MEBIBYTE} MiB at most")
 
 
 @rule("GS004", Severity.ERROR, kinds=KINDS, needs=RUNNABLE)
@@ -132,6 +137,6 @@ def within_limits(trial: ProbeRuns) -> Iterator[Violation]:
     """
     fault = trial.execution.fault
     if fault is not None and fault.stage in ("time", "memory"):
-        limit = trial.subject.granted
+        limit = trial.subject.sandbox_limits
         expected = f"at most {limit.seconds:g} s and {limit.memory // MEBIBYTE} MiB"
         yield Violation.at("ONNX Runtime", fault.message, expected)

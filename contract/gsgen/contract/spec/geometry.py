@@ -88,11 +88,17 @@ def smallest_eigenvalue(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, " 
     """
     xx, xy, xz, yy, yz, zz = np.asarray(upper, np.float64).T
     mean = (xx + yy + zz) / 3
-    off = xy * xy + xz * xz + yz * yz
-    spread = np.sqrt(((xx - mean) ** 2 + (yy - mean) ** 2 + (zz - mean) ** 2 + 2 * off) / 6)
-    safe = np.where(spread > 0, spread, 1)
-    a, b, c = (xx - mean) / safe, (yy - mean) / safe, (zz - mean) / safe
-    d, e, f = xy / safe, xz / safe, yz / safe
+    off_diagonal_sum = xy * xy + xz * xz + yz * yz
+    spread = np.sqrt(
+        ((xx - mean) ** 2 + (yy - mean) ** 2 + (zz - mean) ** 2 + 2 * off_diagonal_sum) / 6
+    )
+    nonzero_spread = np.where(spread > 0, spread, 1)
+    a, b, c = (
+        (xx - mean) / nonzero_spread,
+        (yy - mean) / nonzero_spread,
+        (zz - mean) / nonzero_spread,
+    )
+    d, e, f = xy / nonzero_spread, xz / nonzero_spread, yz / nonzero_spread
     half_det = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2
     angle = np.arccos(np.clip(half_det, -1, 1)) / 3
     return np.asarray(mean + 2 * spread * np.cos(angle + 2 * np.pi / 3))

@@ -181,10 +181,14 @@ def decode(
             f"the packed Gaussians have shape {list(rows.shape)}, expected [N, {ROW}]",
             where="gaussians",
         )
-    allowed = APPEARANCE_CHANNELS[space]
-    if appearance.ndim != 2 or appearance.shape[1] not in allowed or len(appearance) != len(rows):
+    allowed_channels = APPEARANCE_CHANNELS[space]
+    if (
+        appearance.ndim != 2
+        or appearance.shape[1] not in allowed_channels
+        or len(appearance) != len(rows)
+    ):
         raise LayoutMismatch(
-            f"the appearance has shape {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed}",
+            f"the appearance has shape {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed_channels}",
             where="appearance",
         )
     position, opacity, covariance = decode_rows(rows)

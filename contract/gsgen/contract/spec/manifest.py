@@ -80,7 +80,7 @@ class Capture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Common:
+class _BaseManifest:
     """The manifest fields of every kind of model."""
 
     name: Annotated[str, Hint(text="What people call the model.", min_length=1)]
@@ -106,7 +106,7 @@ class _Common:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GeneratorManifest(_Common):
+class GeneratorManifest(_BaseManifest):
     """The manifest of a Gaussian Generator: frame inputs → packed Gaussians."""
 
     outputs: GeneratorOutputs
@@ -134,7 +134,7 @@ class GeneratorManifest(_Common):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PostProcessManifest(_Common):
+class PostProcessManifest(_BaseManifest):
     """The manifest of a post-process model: image (and conditioning) → image."""
 
     outputs: PostProcessOutputs
@@ -155,7 +155,7 @@ class TrajectoryTolerances:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryManifest(_Common):
+class TrajectoryManifest(_BaseManifest):
     """The manifest of a trajectory predictor: past camera states → future states, uncertainty."""
 
     outputs: TrajectoryOutputs
@@ -167,8 +167,10 @@ class TrajectoryManifest(_Common):
 
 Manifest = GeneratorManifest | PostProcessManifest | TrajectoryManifest
 
-_TYPES: dict[str, type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]]
-_TYPES = {
+_MANIFEST_TYPES: dict[
+    str, type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]
+]
+_MANIFEST_TYPES = {
     "gaussian-generator": GeneratorManifest,
     "post-process": PostProcessManifest,
     "trajectory-predictor": TrajectoryManifest,
@@ -183,6 +185,6 @@ def manifest_type(
     Raises:
         UnknownName: The kind does not exist.
     """
-    if kind not in _TYPES:
-        raise UnknownName.among("kind", kind, _TYPES)
-    return _TYPES[kind]
+    if kind not in _MANIFEST_TYPES:
+        raise UnknownName.among("kind", kind, _MANIFEST_TYPES)
+    return _MANIFEST_TYPES[kind]

@@ -64,11 +64,11 @@ def schemas() -> dict[str, dict[str, object]]:
     documents: dict[str, dict[str, object]] = {}
     for kind in KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
-        documents[schema_name(kind)] = body | {"required": _required(body)}
+        documents[schema_name(kind)] = body | {"required": _required_fields(body)}
     return documents
 
 
-def _required(body: dict[str, object]) -> list[object]:
+def _required_fields(body: dict[str, object]) -> list[object]:
     required = body["required"]
     assert isinstance(required, list)
     return ["contract", "kind", *required]
@@ -84,34 +84,34 @@ def _published_schema(kind: str) -> dict[str, Any]:
 def parse(text: str) -> Parsed:
     """Parse the JSON text of a manifest; faults are returned as data, never raised."""
     if len(text) > _MAX_BYTES:
-        return _failed("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
+        return _failed_parse("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
     try:
         return _parse_document(text)
     except RecursionError:
-        return _failed("syntax", "", _short(text), "fewer brackets inside each other")
+        return _failed_parse("syntax", "", _shorten(text), "fewer brackets inside each other")
 
 
 def _parse_document(text: str) -> Parsed:
     try:
         document = json.loads(
             text,
-            parse_float=_number,
-            parse_int=_integer,
-            parse_constant=_number,
+            parse_float=_parse_number,
+            parse_int=_parse_integer,
+            parse_constant=_parse_number,
             object_pairs_hook=_unique_keys,
         )
         json.dumps(document, ensure_ascii=False).encode()  # half a surrogate pair cannot be encoded
     except ValueError as error:
-        return _failed("syntax", "", _short(text), f"a JSON document ({error})")
+        return _failed_parse("syntax", "", _shorten(text), f"a JSON document ({error})")
     if not isinstance(document, dict):
-        return _failed("schema", "", _short(document), "a JSON object")
+        return _failed_parse("schema", "", _shorten(document), "a JSON object")
     version = _version(document.get("contract"))
     if version is None:
-        actual = _short(document.get("contract", "nothing"))
-        return _failed("version", "contract", actual, 'a version such as "1.0"')
+        actual = _shorten(document.get("contract", "nothing"))
+        return _failed_parse("version", "contract", actual, 'a version such as "1.0"')
     if version[0] != CURRENT[0]:
         complaint = Complaint(
-            "version", "contract", _dotted(version), f"major version {CURRENT[0]}"
+            "version", "contract", _version_text(version), f"major version {CURRENT[0]}"
         )
         return Parsed(None, (complaint,), version)
     return _parse_body(document, version)
@@ -120,13 +120,13 @@ def _parse_document(text: str) -> Parsed:
 def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     kind = document.get("kind")
     if kind not in KINDS:
-        return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
+        return _failed_parse("schema", "kind", _shorten(kind), f"one of {', '.join(KINDS)}")
     newer = version > CURRENT and version not in UPGRADES
     document = upgrade(document, version)
     faults = list(schema_faults(document, _published_schema(kind)))
     if newer:  # a newer minor may have fields that this reader does not know
         faults = [fault for fault in faults if fault.validator != "additionalProperties"]
-    complaints = tuple(_complaint(fault) for fault in sorted(faults, key=_place))
+    complaints = tuple(_complaint_from_fault(fault) for fault in sorted(faults, key=_fault_path))
     if complaints:
         return Parsed(None, complaints, version, newer)
     manifest: Manifest = from_json(manifest_type(kind), document)
@@ -161,15 +161,15 @@ def dumps(manifest: Manifest, *, indent: int | None = 2) -> str:
     return text
 
 
-def _failed(cause: str, where: str, actual: str, expected: str) -> Parsed:
+def _failed_parse(cause: str, where: str, actual: str, expected: str) -> Parsed:
     return Parsed(None, (Complaint(cause, where, actual, expected),))
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     """Parse a number of a JSON document; raise for NaN, infinity and numbers beyond float64."""
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{_short(text)} is not a finite number")
+        raise ValueError(f"{_shorten(text)} is not a finite number")
     return value
 
 
@@ -178,13 +178,13 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     document = dict(pairs)
     if len(document) != len(pairs):
         keys = [key for key, _ in pairs]
-        repeated = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {_short(repeated)} is repeated within an object")
+        repeated_key = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {_shorten(repeated_key)} is repeated within an object")
     return document
 
 
-def _integer(text: str) -> int:
-    _number(text)  # some fields take it as a float
+def _parse_integer(text: str) -> int:
+    _parse_number(text)  # some fields take it as a float
     return int(text)
 
 
@@ -195,17 +195,17 @@ def _version(value: object) -> Version | None:
     return int(parts[0]), int(parts[1])
 
 
-def _dotted(version: Version) -> str:
+def _version_text(version: Version) -> str:
     return f"{version[0]}.{version[1]}"
 
 
-def _short(value: object) -> str:
+def _shorten(value: object) -> str:
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
     text = text.encode(errors="replace").decode() or "an empty text"
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def _place(fault: SchemaFault) -> tuple[str | int, ...]:
+def _fault_path(fault: SchemaFault) -> tuple[str | int, ...]:
     return fault.absolute_path
 
 
@@ -215,7 +215,7 @@ def _is_unknown(name: str, fault: SchemaFault) -> bool:
     return not known and not any(re.search(pattern, name) for pattern in patterns)
 
 
-def _complaint(fault: SchemaFault) -> Complaint:
+def _complaint_from_fault(fault: SchemaFault) -> Complaint:
     """Translate a fault of the schema into location, actual and expected value."""
     where = ".".join(str(part) for part in fault.absolute_path)
     expected = fault.schema.get("description") if isinstance(fault.schema, dict) else None
@@ -227,11 +227,11 @@ def _complaint(fault: SchemaFault) -> Complaint:
         unmatched_entries = ", ".join(
             repr(name) for name in fault.instance if _is_unknown(name, fault)
         )
-        return Complaint("schema", where, _short(unmatched_entries), f"only the fields {known}")
+        return Complaint("schema", where, _shorten(unmatched_entries), f"only the fields {known}")
     if fault.validator == "enum":
         options = ", ".join(str(option) for option in fault.validator_value)
-        return Complaint("schema", where, _short(fault.instance), f"one of {options}")
+        return Complaint("schema", where, _shorten(fault.instance), f"one of {options}")
     detail = f"{fault.validator} {fault.validator_value}"
     return Complaint(
-        "schema", where, _short(fault.instance), f"{expected} ({detail})" if expected else detail
+        "schema", where, _shorten(fault.instance), f"{expected} ({detail})" if expected else detail
     )

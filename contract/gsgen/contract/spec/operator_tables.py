@@ -3,7 +3,7 @@
 Measured, not read from its documentation, and written by ``scripts/write_operator_tables.py``.
 """
 
-__all__ = ["FAILURES", "OperatorTable", "operator_table"]
+__all__ = ["FAILED_OUTCOMES", "OperatorTable", "operator_table"]
 
 import json
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from importlib import resources
 from gsgen.contract.errors import UnknownName
 
 # Outcomes of a node under graph capture, in words, besides the good one, ``capture``.
-FAILURES = {
+FAILED_OUTCOMES = {
     "stale": "runs, but repeats the first frame",
     "cpu": "falls to the CPU",
     "wrong": "runs, but computes something else",
@@ -43,8 +43,8 @@ class OperatorTable:
         steps = steps or self.outcomes.get((operator, dtype))
         if not steps:
             return ""
-        reached = [step for step in steps if step <= opset] or [min(steps)]
-        return steps[max(reached)]
+        earlier_opsets = [step for step in steps if step <= opset] or [min(steps)]
+        return steps[max(earlier_opsets)]
 
     def opset_with_kernel(self, operator: str, variant: str, dtype: str) -> int | None:
         """Return an opset in which this runtime's graph capture supports an operator, or None."""

@@ -1,6 +1,6 @@
 """The registry of manifest extensions, and the operator profiles that models declare."""
 
-__all__ = ["PROFILES", "REGISTERED", "Extension", "OperatorProfile", "smallest_profile"]
+__all__ = ["PROFILES", "REGISTERED_EXTENSIONS", "Extension", "OperatorProfile", "smallest_profile"]
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class Extension:
 
 
 # None is registered yet. An entry is added as docs/spec/extensions.md says.
-REGISTERED: dict[str, Extension] = {}
+REGISTERED_EXTENSIONS: dict[str, Extension] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class OperatorProfile:
         return self.opset[0] <= opset <= self.opset[1] and not self.missing(operators)
 
 
-_PORTABLE = """
+_PORTABLE_OPERATORS = """
 Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh AveragePool BatchNormalization Cast
 CastLike Ceil Clip Concat Constant Conv ConvTranspose Cos Cosh CumSum DepthToSpace
 DequantizeLinear Div Einsum Elu Equal Erf Exp Expand Flatten Floor Gather GatherElements
@@ -68,7 +68,7 @@ PROFILES = {
         OperatorProfile(
             "portable-1",
             (13, 20),
-            frozenset(_PORTABLE.split()),
+            frozenset(_PORTABLE_OPERATORS.split()),
             "What ONNX Runtime's WebGPU providers capture in float32; no control flow.",
         ),
     )

@@ -14,7 +14,7 @@ from typing import Any
 Schema = dict[str, Any]
 
 # Keywords that say nothing about validity, and one that `properties` needs.
-_NOTES = ("$schema", "$defs", "title", "description", "default", "examples")
+_ANNOTATION_KEYWORDS = ("$schema", "$defs", "title", "description", "default", "examples")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ def _faults(
     if isinstance(schema, bool):
         return
     for word, entry in schema.items():
-        if word in _NOTES:
+        if word in _ANNOTATION_KEYWORDS:
             continue
         if word == "$ref":
             yield from _faults(value, definitions[entry.split("/")[-1]], path, definitions)
@@ -67,7 +67,7 @@ def _faults(
             options = [list(_faults(value, option, path, definitions)) for option in entry]
             if all(options):
                 yield _fault(word, value, schema, path)
-        elif not _holds(word, entry, value):
+        elif not _is_constraint_met(word, entry, value):
             yield _fault(word, value, schema, path)
 
 
@@ -94,11 +94,11 @@ def _member_faults(
     """Yield the faults that one of the three keywords of an object's members has."""
     properties, patterns = schema.get("properties", {}), schema.get("patternProperties", {})
     for name, part in value.items():
-        matching = [rule for pattern, rule in patterns.items() if re.search(pattern, name)]
-        rules = matching if word == "patternProperties" else []
+        matching_rules = [rule for pattern, rule in patterns.items() if re.search(pattern, name)]
+        rules = matching_rules if word == "patternProperties" else []
         if word == "properties" and name in properties:
             rules = [properties[name]]
-        elif word == "additionalProperties" and name not in properties and not matching:
+        elif word == "additionalProperties" and name not in properties and not matching_rules:
             if schema[word] is False:
                 yield _fault(word, value, schema, path)
                 return  # one fault for all names
@@ -107,7 +107,7 @@ def _member_faults(
             yield from _faults(part, rule, (*path, name), definitions)
 
 
-def _holds(word: str, bound: Any, value: Any) -> bool:
+def _is_constraint_met(word: str, bound: Any, value: Any) -> bool:
     """Return whether a keyword without further schemas holds; False for unknown keywords."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if word == "type":

@@ -8,7 +8,7 @@ from typing import Self
 from gsgen.contract.errors import UnknownName
 
 
-class _Named(IntEnum):
+class _NamedEnum(IntEnum):
     """Base of ordered enumerations whose members users name in lower case."""
 
     @property
@@ -29,7 +29,7 @@ class _Named(IntEnum):
         return cls[word.upper()]
 
 
-class Severity(_Named):
+class Severity(_NamedEnum):
     """The severity of a rule's violation, from info to error."""
 
     INFO = 1
@@ -37,7 +37,7 @@ class Severity(_Named):
     ERROR = 3
 
 
-class Level(_Named):
+class Level(_NamedEnum):
     """The depth of a validation, such as static or values; each level includes the lower ones."""
 
     STATIC = 1

@@ -94,8 +94,8 @@ def largest_sum(
     """
     count, _, channels = sh.shape
     rows = np.swapaxes(sh, 1, 2).reshape(count * channels, weights.shape[1])
-    sums = np.abs(rows @ weights.T).reshape(count, channels * len(weights))
-    return np.asarray(sums.max(axis=1))
+    color_sums = np.abs(rows @ weights.T).reshape(count, channels * len(weights))
+    return np.asarray(color_sums.max(axis=1))
 
 
 def evaluate(

@@ -82,7 +82,7 @@ def target_from_json(text: str, where: str) -> Target:
 
 
 @cache
-def _own_targets() -> dict[str, Target]:
+def _contract_targets() -> dict[str, Target]:
     """Return the definitions of target runtimes and viewers that are part of gsgen."""
     folder = resources.files("gsgen.contract").joinpath("targets_data")
     files = sorted(folder.iterdir(), key=lambda entry: entry.name)
@@ -104,14 +104,14 @@ def known_targets() -> dict[str, Target]:
     Raises:
         ConfigInvalid: A registered target cannot be loaded.
     """
-    targets = dict(_own_targets())
+    targets = dict(_contract_targets())
     for point in registered_entry_points("gsgen.targets"):
-        target = _loaded(point)
+        target = _load_entry_point(point)
         targets[target.name] = target
     return targets
 
 
-def _loaded(point: EntryPoint) -> Target:
+def _load_entry_point(point: EntryPoint) -> Target:
     where = f"target {point.name} = {point.value}"
     try:
         loaded: Any = point.load()
@@ -133,7 +133,7 @@ def load_target(name: str, where: str = "--target") -> Target:
         ConfigInvalid: The target has another version.
     """
     base_name, _, version = name.partition("@")
-    contract_targets = _own_targets()
+    contract_targets = _contract_targets()
     targets = contract_targets if base_name in contract_targets else known_targets()
     if base_name not in targets:
         raise UnknownName.among("target", base_name, targets, where)

@@ -43,7 +43,7 @@ def format_mebibytes(size: int, digits: int = 1) -> str:
     return f"{size / MEBIBYTE:.{digits}f} MiB"
 
 
-_POWERS: Final = {"K": 10, "M": 20, "G": 30, "T": 40}
+_UNIT_POWERS: Final = {"K": 10, "M": 20, "G": 30, "T": 40}
 
 
 def parse_bytes(text: str, where: str) -> int:
@@ -58,5 +58,5 @@ def parse_bytes(text: str, where: str) -> int:
     if match is None:
         hint = "Write for example 2GB, 512MB or 0."
         raise ConfigInvalid(f"{text!r} is not a number of bytes", where=where, hint=hint)
-    unit = 1 if not match[2] else 1 << _POWERS[match[2]]
+    unit = 1 if not match[2] else 1 << _UNIT_POWERS[match[2]]
     return int(float(match[1]) * unit)

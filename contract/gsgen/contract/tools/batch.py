@@ -10,7 +10,7 @@ from pathlib import Path
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.validation.engine import Progress, silent
+from gsgen.contract.validation.engine import Progress, ignore_progress
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -29,7 +29,7 @@ def validate_all(
     settings: Settings,
     *,
     jobs: int = 1,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     validate: ValidateFile = validate_model,
     rules: Callable[[], Registry] = installed_rules,
 ) -> list[Entry]:
@@ -49,8 +49,10 @@ def validate_all(
     if jobs > 1 and len(paths) > 1:
         from gsgen.contract.tools.worker_pool import validate_in_processes
 
-        one = partial(_validate_entry, validate, progress=silent)
-        return validate_in_processes(one, rules, paths, settings, min(jobs, len(paths)), progress)
+        validate_one = partial(_validate_entry, validate, progress=ignore_progress)
+        return validate_in_processes(
+            validate_one, rules, paths, settings, min(jobs, len(paths)), progress
+        )
     return [_validate_entry(validate, path, settings, progress=progress) for path in paths]
 
 
@@ -68,28 +70,30 @@ _WILDCARDS = frozenset("*?[")
 
 
 def expand_paths(
-    names: Iterable[Path], is_one: Callable[[Path], bool] = lambda folder: False
+    names: Iterable[Path], is_entry_folder: Callable[[Path], bool] = lambda folder: False
 ) -> list[Path]:
     """Return the model files that names, folders and globs denote, each once, in order.
 
     A folder gives the models in it and below, sorted by path, without hidden files and folders. A
-    folder for which ``is_one`` returns True, such as that of a tileset, stays one entry. A name with wildcards that no file has by itself is a glob, in which ``**`` matches any folders.
+    folder for which ``is_entry_folder`` returns True, such as that of a tileset, stays one entry. A name with wildcards that no file has by itself is a glob, in which ``**`` matches any folders.
 
     Raises:
         ConfigInvalid: A folder holds no model, or a glob matches no file.
     """
-    return list(dict.fromkeys(path for name in names for path in _expand(name, is_one)))
+    return list(
+        dict.fromkeys(path for name in names for path in _expand_path(name, is_entry_folder))
+    )
 
 
-def _expand(name: Path, is_one: Callable[[Path], bool]) -> Iterator[Path]:
+def _expand_path(name: Path, is_entry_folder: Callable[[Path], bool]) -> Iterator[Path]:
     if not name.is_dir() and not name.exists() and _WILDCARDS & set(str(name)):
         matches = sorted(glob.glob(str(name), recursive=True))
         if not matches:
             hint = "Check the folder that the command runs in."
             raise ConfigInvalid("the pattern matches no file", where=str(name), hint=hint)
         for match in matches:
-            yield from _expand(Path(match), is_one)
-    elif name.is_dir() and not is_one(name):
+            yield from _expand_path(Path(match), is_entry_folder)
+    elif name.is_dir() and not is_entry_folder(name):
         models = sorted(path for path in name.rglob(f"*{MODEL_SUFFIX}") if _is_visible(path, name))
         if not models:
             hint = f"Name a folder with {MODEL_SUFFIX} files, or a file."
@@ -100,5 +104,5 @@ def _expand(name: Path, is_one: Callable[[Path], bool]) -> Iterator[Path]:
 
 
 def _is_visible(path: Path, folder: Path) -> bool:
-    hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-    return path.is_file() and not hidden
+    is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+    return path.is_file() and not is_hidden

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
-State = Literal["ok", "missing", "broken"]
+CheckState = Literal["ok", "missing", "broken"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +26,7 @@ class Check:
     """
 
     name: str
-    state: State
+    state: CheckState
     detail: str
     remedy: str = ""
     purpose: str = ""
@@ -52,10 +52,10 @@ def checks() -> Iterator[Check]:
     )
     for name in ("numpy", "onnx", "onnxruntime"):
         yield check_package(name, f"pip install {name}", purpose="validate")
-    yield _sandbox()
+    yield _check_sandbox()
 
 
-def _sandbox() -> Check:
+def _check_sandbox() -> Check:
     """Check that a minimal model runs in the sandbox (child process), as validation needs."""
     import tempfile
 

@@ -11,7 +11,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.report import Report
 
-_KINDS = {
+_KIND_TEXTS = {
     "gaussian-generator": "a Gaussian Generator: an ONNX model that turns its inputs into 3D "
     "Gaussians, every frame",
     "post-process": "a post-process model: an ONNX model that redraws a rendered image",
@@ -31,11 +31,11 @@ def model_card(report: Report, manifest: Manifest, file: str, picture: str = "")
     producer = manifest.producer
     licence = producer.license if producer and producer.license else ""
     tags = ["gaussian-splatting", "3dgs", "onnx", manifest.kind]
-    matter = ["---", *([f"license: {licence.lower()}"] if licence else [])]
-    matter += ["library_name: gsgen", "tags:", *(f"- {tag}" for tag in tags), "---"]
+    front_matter = ["---", *([f"license: {licence.lower()}"] if licence else [])]
+    front_matter += ["library_name: gsgen", "tags:", *(f"- {tag}" for tag in tags), "---"]
     title = f"# {manifest.name or file}"
-    summary = f"{code(file)} ({format_bytes(report.size)}) is {_KINDS[manifest.kind]}."
-    sections = ["\n".join(matter), title]
+    summary = f"{code(file)} ({format_bytes(report.size)}) is {_KIND_TEXTS[manifest.kind]}."
+    sections = ["\n".join(front_matter), title]
     if picture:
         probe = report.picture.probe if report.picture else ""
         sections.append(f"![The model drawn at the probe {probe}]({picture})")
@@ -43,7 +43,7 @@ def model_card(report: Report, manifest: Manifest, file: str, picture: str = "")
     if producer:
         source = f" from {code(producer.source)}" if producer.source else ""
         sections.append(f"It was written by {code(producer.tool)}{source}.")
-    sections += ["## Inputs", _inputs(manifest.inputs)]
+    sections += ["## Inputs", _input_table(manifest.inputs)]
     if isinstance(manifest, GeneratorManifest):
         sections += ["## Outputs", _outputs(manifest)]
     checked = (
@@ -60,7 +60,7 @@ def model_card(report: Report, manifest: Manifest, file: str, picture: str = "")
     return "\n\n".join(sections) + "\n"
 
 
-def _inputs(inputs: tuple[Input, ...]) -> str:
+def _input_table(inputs: tuple[Input, ...]) -> str:
     if not inputs:
         return "None: the model is static."
     lines = ["| name | role | shape | range | default | convention |", "|---|---|---|---|---|---|"]

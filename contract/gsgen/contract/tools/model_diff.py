@@ -72,38 +72,38 @@ def compare_models(
     """
     limits, target = limits or Limits(), load_target("core")
     a, b = (inspect_model(open_model(path), target, limits) for path in (first, second))
-    facts = [*_contract(a, b), *_graph(a, b)]
-    reason = _incomparable(a, b)
+    facts = [*_contract_differences(a, b), *_graph_differences(a, b)]
+    reason = _incomparable_reason(a, b)
     if reason:
         return facts, [], reason
     outputs, reason = _outputs(a, b)
     return facts, outputs, reason
 
 
-def _contract(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
-    yield from _changes("contract", _declared(a), _declared(b))
+def _contract_differences(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
+    yield from _changes("contract", _declared_fields(a), _declared_fields(b))
 
 
-def _declared(subject: InspectedModel) -> dict[str, str]:
+def _declared_fields(subject: InspectedModel) -> dict[str, str]:
     if subject.parsed is None or subject.manifest is None:
         return {"manifest": _NOTHING if subject.parsed is None else "(invalid)"}
     dumps(subject.manifest)  # raises for a manifest that cannot be written
-    return dict(_flat("", to_json(subject.manifest)))
+    return dict(_flatten("", to_json(subject.manifest)))
 
 
-def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
+def _flatten(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield from _flat(f"{prefix}.{key}" if prefix else key, inner)
+            yield from _flatten(f"{prefix}.{key}" if prefix else key, inner)
     elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
         for index, inner in enumerate(value):
             name = inner.get("name", index) if isinstance(inner, dict) else index
-            yield from _flat(f"{prefix}[{name}]", inner)
+            yield from _flatten(f"{prefix}[{name}]", inner)
     else:
         yield prefix, str(value)
 
 
-def _graph(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
+def _graph_differences(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
     yield from _changes("graph", _structure(a), _structure(b))
 
 
@@ -125,7 +125,7 @@ def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Differ
             yield Difference(kind, name, first, second)
 
 
-def _incomparable(a: InspectedModel, b: InspectedModel) -> str:
+def _incomparable_reason(a: InspectedModel, b: InspectedModel) -> str:
     """Return the reason why two models' outputs cannot be compared; empty if they can."""
     for subject in (a, b):
         if subject.generator is None or not subject.output_names:
@@ -141,7 +141,7 @@ def _outputs(a: InspectedModel, b: InspectedModel) -> tuple[list[OutputDifferenc
         runs: list[Execution] = []
         for subject in (a, b):
             names = [name for name in subject.output_names if subject.graph.output(name)]
-            job = execute(subject.file.path, names, plan.probes, subject.granted)
+            job = execute(subject.file.path, names, plan.probes, subject.sandbox_limits)
             runs.append(stack.enter_context(job))
             fault = runs[-1].fault
             if fault is not None:
@@ -157,16 +157,16 @@ def _output_differences(
         first, second = getattr(a, f"declared_{role}"), getattr(b, f"declared_{role}")
         if first is None or second is None:
             continue
-        worst = OutputDifference(role, 0.0, 0, "")
+        worst_difference = OutputDifference(role, 0.0, 0, "")
         for index, label in enumerate(labels):
             x = runs[0].samples[runs[0].runs[index].sample].outputs[first.name]
             y = runs[1].samples[runs[1].runs[index].sample].outputs[second.name]
             if role == "appearance" and _is_rgb(a) and _is_rgb(b):
                 x, y = (x[..., :3], y[..., :3])  # the fourth channel of float16 rows is padding
-            largest, rows = _distance(x, y)
-            if largest > worst.largest:
-                worst = OutputDifference(role, largest, rows, label)
-        yield worst
+            largest, rows = _largest_distance(x, y)
+            if largest > worst_difference.largest:
+                worst_difference = OutputDifference(role, largest, rows, label)
+        yield worst_difference
 
 
 def _is_rgb(subject: InspectedModel) -> bool:
@@ -174,11 +174,17 @@ def _is_rgb(subject: InspectedModel) -> bool:
     return declared is not None and declared.space == "rgb"
 
 
-def _distance(x: np.ndarray, y: np.ndarray) -> tuple[float, int]:
+def _largest_distance(x: np.ndarray, y: np.ndarray) -> tuple[float, int]:
     if x.shape != y.shape:
         return float("inf"), max(len(x), len(y))
-    gap = np.abs(x.astype(np.float64) - y.astype(np.float64))
-    both = np.isnan(x.astype(np.float64)) & np.isnan(y.astype(np.float64))
-    gap = np.where(both | (x == y), 0.0, np.nan_to_num(gap, nan=np.inf, posinf=np.inf))
-    rows = gap.reshape(len(gap), -1).max(axis=1) if gap.size else np.zeros(0)
-    return float(gap.max(initial=0)), int(np.count_nonzero(rows))
+    abs_difference = np.abs(x.astype(np.float64) - y.astype(np.float64))
+    both_nan = np.isnan(x.astype(np.float64)) & np.isnan(y.astype(np.float64))
+    abs_difference = np.where(
+        both_nan | (x == y), 0.0, np.nan_to_num(abs_difference, nan=np.inf, posinf=np.inf)
+    )
+    rows = (
+        abs_difference.reshape(len(abs_difference), -1).max(axis=1)
+        if abs_difference.size
+        else np.zeros(0)
+    )
+    return float(abs_difference.max(initial=0)), int(np.count_nonzero(rows))

@@ -55,8 +55,8 @@ def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) ->
 
 def evenly_spaced(items: Sequence[_Item], count: int) -> list[_Item]:
     """Return ``count`` evenly spaced items of a sequence; for two or more, with both ends."""
-    picked = np.rint(np.linspace(0, len(items) - 1, count)).astype(int)
-    return [items[index] for index in picked]
+    picked_indices = np.rint(np.linspace(0, len(items) - 1, count)).astype(int)
+    return [items[index] for index in picked_indices]
 
 
 def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
@@ -68,20 +68,20 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
     """
     file = open_model(source)
     subject = inspect_model(file, settings.target, settings.limits)
-    where, typed = str(source), shlex.quote(str(source))
+    where, quoted_path = str(source), shlex.quote(str(source))
     if subject.parsed is None:
         hint = (
-            f"`gsgen inspect {typed} --emit-manifest` derives one; correct it, and embed it "
-            f"with `gsgen fix {typed} --manifest FILE -o OUT.onnx`."
+            f"`gsgen inspect {quoted_path} --emit-manifest` derives one; correct it, and embed it "
+            f"with `gsgen fix {quoted_path} --manifest FILE -o OUT.onnx`."
         )
         raise RecordingRefused(
             "the model has no manifest to record outputs in", where=where, hint=hint
         )
     report = validate(source, replace(settings, level=Level.STATIC))
-    broken = [finding for finding in report.findings if finding.severity >= Severity.ERROR]
-    if broken:
-        message = f"the model breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
-        hint = f"Repair the model first; `gsgen validate {typed}` lists its faults."
+    failed_findings = [finding for finding in report.findings if finding.severity >= Severity.ERROR]
+    if failed_findings:
+        message = f"the model breaks {failed_findings[0].rule} at {failed_findings[0].where}: {failed_findings[0].message}"
+        hint = f"Repair the model first; `gsgen validate {quoted_path}` lists its faults."
         raise RecordingRefused(message, where=where, hint=hint)
     return subject
 
@@ -103,7 +103,7 @@ def run_at_probes(
         RecordingRefused: The model does not run.
     """
     path = subject.file.path
-    with execute(path, outputs, probes, subject.granted) as execution:
+    with execute(path, outputs, probes, subject.sandbox_limits) as execution:
         if execution.fault is not None:
             message = f"the model does not run: {execution.fault.message}"
             raise RecordingRefused(message, where=str(path))
@@ -111,18 +111,20 @@ def run_at_probes(
 
 
 @contextmanager
-def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path) -> Iterator[Path]:
+def write_recorded_copy(
+    file: ModelFile, changed_fields: Mapping[str, Any], model: Path
+) -> Iterator[Path]:
     """Write a copy of a model with changed manifest fields; unknown fields are kept.
 
     Args:
         file: The model; it is not changed, unless ``model`` is the same file.
-        changed: Field of the manifest → its JSON value.
+        changed_fields: Field of the manifest → its JSON value.
         model: The copy; external weight files are copied too.
 
     Yields:
         A temporary folder; its files are moved next to the copy if the block succeeds.
     """
-    document = json.loads(file.manifest_text or "{}") | dict(changed)
+    document = json.loads(file.manifest_text or "{}") | dict(changed_fields)
     try:
         with atomic_write(model) as draft:
             for location in dict.fromkeys(ref.location for ref in file.external):

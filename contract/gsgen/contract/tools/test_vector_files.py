@@ -24,7 +24,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution
-from gsgen.contract.probing.sandbox_worker import digest_of
+from gsgen.contract.probing.sandbox_worker import digest_outputs
 from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.manifest import TestVector, VectorFile
 from gsgen.contract.spec.severity import Level
@@ -41,11 +41,11 @@ from gsgen.contract.validation.settings import Settings
 
 MODEL = "model.onnx"
 _COUNT = 3
-_SET = re.compile(r"^test_data_set_[0-9]+$")
+_SET_NAME = re.compile(r"^test_data_set_[0-9]+$")
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
+class _RecordOptions:
     """The settings of a recording of test vectors: random seed, model copy, and output folder."""
 
     seed: int
@@ -111,7 +111,7 @@ def record_vectors(
     """
     settings = settings or Settings()
     model = model or folder / MODEL
-    existing = [path for path in _listed(folder) if _SET.match(path.name)]
+    existing = [path for path in _list_folder(folder) if _SET_NAME.match(path.name)]
     if not force:
         refuse_existing(existing, folder, "folder")
     progress(f"reading {source.name}")
@@ -120,9 +120,9 @@ def record_vectors(
     progress(f"running {len(probes)} probes twice in ONNX Runtime")
     with _staging_folder(folder) as stage:
         names = [tensor.name for tensor in subject.graph.outputs]
-        record = _Record(seed, model, folder)
-        twice = [probe for probe in probes for _ in range(2)]
-        with run_at_probes(subject, names, twice) as execution:
+        record = _RecordOptions(seed, model, folder)
+        repeated_probes = [probe for probe in probes for _ in range(2)]
+        with run_at_probes(subject, names, repeated_probes) as execution:
             vectors = tuple(
                 _write(stage / f"test_data_set_{index}", subject, probe, outputs, record)
                 for index, (probe, outputs) in enumerate(_outputs(source, probes, execution))
@@ -130,21 +130,23 @@ def record_vectors(
         progress(f"writing {model.name}")
         declared = subject.manifest.test_vectors if subject.manifest else ()
         source_rows = [vector for vector in declared if vector.outputs]
-        changed = current_document(subject) | {"test_vectors": to_json([*source_rows, *vectors])}
-        with write_recorded_copy(subject.file, changed, model):
+        changed_document = current_document(subject) | {
+            "test_vectors": to_json([*source_rows, *vectors])
+        }
+        with write_recorded_copy(subject.file, changed_document, model):
             pass
         for path in existing:
-            _remove(path)
+            _remove_path(path)
         for staged_path in sorted(stage.iterdir()):
             staged_path.replace(folder / staged_path.name)
     return RecordedVectors(model, folder, vectors)
 
 
-def _listed(folder: Path) -> list[Path]:
+def _list_folder(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.is_dir() else []
 
 
-def _remove(path: Path) -> None:
+def _remove_path(path: Path) -> None:
     if path.is_symlink() or not path.is_dir():
         path.unlink()  # the target of a link belongs to the user
     else:
@@ -154,10 +156,12 @@ def _remove(path: Path) -> None:
 def _subject(source: Path, settings: Settings) -> InspectedModel:
     subject = inspect_recordable(source, settings)
     # Without a manifest, every output that NumPy can hold is fetched.
-    fetched = fetched_outputs(replace(subject, parsed=None, candidate=None))
-    unread = [tensor.name for tensor in subject.graph.outputs if tensor.name not in fetched]
-    if unread:
-        message = f"output {unread[0]!r} has a dtype that NumPy cannot hold"
+    fetched_names = fetched_outputs(replace(subject, parsed=None, candidate=None))
+    unreadable_names = [
+        tensor.name for tensor in subject.graph.outputs if tensor.name not in fetched_names
+    ]
+    if unreadable_names:
+        message = f"output {unreadable_names[0]!r} has a dtype that NumPy cannot hold"
         raise RecordingRefused(message, where=str(source))
     return subject
 
@@ -166,8 +170,8 @@ def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe
     if count is None:
         count = min(_COUNT, len(probes))
     if count > len(probes):
-        have = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
-        message = f"{count} test vectors, but the model has only {have}"
+        probe_count_text = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
+        message = f"{count} test vectors, but the model has only {probe_count_text}"
         raise ConfigInvalid(message, where="--count", hint=f"--count {len(probes)} takes all.")
     if count < 1:
         raise ConfigInvalid(
@@ -179,7 +183,7 @@ def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe
 @contextmanager
 def _staging_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder inside ``folder`` for files that are not yet complete."""
-    fresh = not folder.exists()
+    is_new_folder = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         stage = tempfile.TemporaryDirectory(dir=folder, prefix=".vectors.")
@@ -189,7 +193,7 @@ def _staging_folder(folder: Path) -> Iterator[Path]:
         with stage as name:
             yield Path(name)
     except BaseException:
-        if fresh:
+        if is_new_folder:
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
@@ -211,7 +215,7 @@ def _write(
     subject: InspectedModel,
     probe: Probe,
     outputs: dict[str, np.ndarray],
-    record: "_Record",
+    record: "_RecordOptions",
 ) -> TestVector:
     folder.mkdir()
     files = []
@@ -227,7 +231,7 @@ def _write(
     declared = {name: outputs[name] for name in fetched_outputs(subject)}
     return TestVector(
         inputs=probe.label,
-        expected_sha256=digest_of(declared),
+        expected_sha256=digest_outputs(declared),
         seed=record.seed,
         files=tuple(files),
     )

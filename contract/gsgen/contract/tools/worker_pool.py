@@ -48,7 +48,7 @@ def validate_in_processes(
         WorkerDied: A process was killed.
     """
     context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
-    others = multiprocessing.active_children()
+    other_processes = multiprocessing.active_children()
     with ProcessPoolExecutor(jobs, context, _start_worker, (rules,)) as pool:
         futures = [pool.submit(validate, path, settings) for path in paths]
         try:
@@ -63,7 +63,7 @@ def validate_in_processes(
             ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()).difference(others):
+            for process in set(multiprocessing.active_children()).difference(other_processes):
                 process.terminate()
             raise
 

@@ -51,10 +51,10 @@ BLOCK: Final = 8192
 
 # Statement 8: half a unit in the last place, and the step of the smallest numbers, of a dtype.
 _ROUNDING = {"float32": 2.0**-24, "float16": 2.0**-11}
-_SMALLEST_STEP = {"float32": 2.0**-149, "float16": 2.0**-24}
+_SUBNORMAL_STEP = {"float32": 2.0**-149, "float16": 2.0**-24}
 # Other kernels round differently in every step: a long chain of them adds up to this.
-_ARITHMETIC = 2.0**-20
-_SMALLEST_TRACE = 1e-30
+_ARITHMETIC_EPSILON = 2.0**-20
+_MIN_TRACE = 1e-30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,11 +87,11 @@ class Allowance:
 
     def relative(self, dtype: np.dtype) -> float:
         """Return the relative error that rounding to a dtype may cause (statement 8)."""
-        return self.roundings * (_ROUNDING[dtype.name] + _ARITHMETIC)
+        return self.roundings * (_ROUNDING[dtype.name] + _ARITHMETIC_EPSILON)
 
     def absolute(self, dtype: np.dtype) -> float:
         """Return the error that rounding to a dtype may cause near zero (statement 8)."""
-        return self.roundings * 2 * _SMALLEST_STEP[dtype.name]
+        return self.roundings * 2 * _SUBNORMAL_STEP[dtype.name]
 
 
 Errors = dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
@@ -147,7 +147,7 @@ def _color_errors(
         magnitude = largest_sum(np.abs(weights), np.abs(a).reshape(shape))
     else:
         error, magnitude = _distance(a[:, :3], b[:, :3]), _largest(a[:, :3])
-    rounding = _finite(allowance.relative(colors[1].dtype) * magnitude)
+    rounding = _clamp_to_finite(allowance.relative(colors[1].dtype) * magnitude)
     return np.where(drawn, error, 0.0), allowance.tolerances.appearance + rounding
 
 
@@ -156,21 +156,21 @@ def _ellipsoid_errors(rows: Pair, drawn: Bool[np.ndarray, " n"], allowance: Allo
     dtype, allowed = rows[1].dtype, allowance.tolerances
     relative, absolute = allowance.relative(dtype), allowance.absolute(dtype)
     # Statements 4 and 5: the units are those of the reference's Gaussian.
-    trace = np.maximum(a[:, VARIANCES].sum(axis=1), _SMALLEST_TRACE)
+    trace = np.maximum(a[:, VARIANCES].sum(axis=1), _MIN_TRACE)
     sigma = np.sqrt(trace / 3)
-    position = _ratio(_distance(a[:, POSITION], b[:, POSITION]), sigma)
-    covariance = _ratio(_distance(a[:, COVARIANCE], b[:, COVARIANCE]), trace)
+    position = _divide_distances(_distance(a[:, POSITION], b[:, POSITION]), sigma)
+    covariance = _divide_distances(_distance(a[:, COVARIANCE], b[:, COVARIANCE]), trace)
     opacity = _distance(a[:, OPACITY : OPACITY + 1], b[:, OPACITY : OPACITY + 1])
     # Statement 8: rounding in proportion to the number, and in steps near zero.
     extent = _largest(a[:, POSITION])
     return {
         "position": (
             np.where(drawn, position, 0.0),
-            allowed.position + _finite((relative * extent + absolute) / sigma),
+            allowed.position + _clamp_to_finite((relative * extent + absolute) / sigma),
         ),
         "covariance": (
             np.where(drawn, covariance, 0.0),
-            allowed.covariance + _finite(relative + absolute / trace),
+            allowed.covariance + _clamp_to_finite(relative + absolute / trace),
         ),
         "opacity": (opacity, np.full(len(a), allowed.opacity + relative)),
     }
@@ -187,14 +187,14 @@ def excess_of(
 
 
 def keep_worst(
-    worst: dict[str, FieldError], errors: Errors, rows: Int[np.ndarray, " n"], probe: str
+    worst_errors: dict[str, FieldError], errors: Errors, rows: Int[np.ndarray, " n"], probe: str
 ) -> None:
     """Update the largest excess of each field with the errors of more rows."""
     for name, (error, allowed) in errors.items() if len(rows) else ():
         excess = excess_of(error, allowed)
         index = int(np.argmax(excess))
-        if name not in worst or excess[index] > worst[name].excess:
-            worst[name] = FieldError(
+        if name not in worst_errors or excess[index] > worst_errors[name].excess:
+            worst_errors[name] = FieldError(
                 field=name,
                 error=float(error[index]),
                 excess=float(excess[index]),
@@ -218,24 +218,24 @@ def field_errors(
     allowance = Allowance(values)
     live = max(first.count, second.count)
 
-    worst: dict[str, FieldError] = {}
+    worst_errors: dict[str, FieldError] = {}
     for start in range(0, live, BLOCK):
         block = slice(start, min(start + BLOCK, live))
-        seen = None if colors is None else (colors[0][block], colors[1][block])
-        packed = rows[0][block], rows[1][block]
-        errors = row_errors(packed, seen, allowance, is_sh=first.is_sh)
-        keep_worst(worst, errors, np.arange(block.start, block.stop), first.probe)
+        color_blocks = None if colors is None else (colors[0][block], colors[1][block])
+        packed_blocks = rows[0][block], rows[1][block]
+        errors = row_errors(packed_blocks, color_blocks, allowance, is_sh=first.is_sh)
+        keep_worst(worst_errors, errors, np.arange(block.start, block.stop), first.probe)
     if cells is not None:
         total = live_cells(live, len(rows[0]), len(cells[0]))
         drawn = np.logical_or(
             *(
-                drawn_cells(side[:, OPACITY], outputs.count, peers[:, VISIBILITY])
-                for side, outputs, peers in zip(rows, (first, second), cells, strict=True)
+                drawn_cells(side[:, OPACITY], outputs.count, side_cells[:, VISIBILITY])
+                for side, outputs, side_cells in zip(rows, (first, second), cells, strict=True)
             )
         )
         errors = cell_errors((cells[0][:total], cells[1][:total]), drawn[:total], allowance)
-        keep_worst(worst, errors, np.arange(total), first.probe)
-    yield from (error for error in worst.values() if error.excess > 1)
+        keep_worst(worst_errors, errors, np.arange(total), first.probe)
+    yield from (error for error in worst_errors.values() if error.excess > 1)
 
 
 def tolerance_of(error: FieldError, tolerances: Sequence[Tolerance]) -> Tolerance:
@@ -248,17 +248,17 @@ def comparable_parts(
     first: ModelOutputs, second: ModelOutputs
 ) -> tuple[Pair | None, Pair | None, Pair | None]:
     """Return the packed rows, colours and cells of two runs that can be compared field by field."""
-    rows = _pair(first.gaussians, second.gaussians)
+    rows = _both_or_none(first.gaussians, second.gaussians)
     if rows is None:
         return None, None, None
-    colors = _pair(first.appearance, second.appearance)
+    colors = _both_or_none(first.appearance, second.appearance)
     channels = APPEARANCE_CHANNELS["sh" if first.is_sh else "rgb"]
     if colors is not None and colors[0].shape[1] not in channels:
         colors = None
-    return rows, colors, _pair(first.cells, second.cells)
+    return rows, colors, _both_or_none(first.cells, second.cells)
 
 
-def _pair(first: np.ndarray | None, second: np.ndarray | None) -> Pair | None:
+def _both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> Pair | None:
     if first is None or second is None or first.shape != second.shape:
         return None
     return first, second
@@ -287,11 +287,11 @@ def _largest(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
     return np.asarray(reduce(np.maximum, np.abs(table).T))
 
 
-def _ratio(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:
+def _divide_distances(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Divide distances by a unit length; a distance of zero stays zero, even for a NaN unit."""
     return np.asarray(np.where(distance == 0, 0.0, distance / unit))
 
 
-def _finite(rounding: np.ndarray) -> np.ndarray:
+def _clamp_to_finite(rounding: np.ndarray) -> np.ndarray:
     """Return the allowed rounding errors; those of numbers that are not finite are zero."""
     return np.asarray(np.nan_to_num(rounding, posinf=0.0))

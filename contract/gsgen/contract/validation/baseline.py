@@ -16,8 +16,8 @@ from gsgen.contract.validation.report import REPORT_SCHEMA_FILE, Report, Resolve
 # Fingerprint → the finding of the earlier report.
 KnownFindings = Mapping[str, ResolvedFinding]
 
-_HINT = "Write one with: gsgen validate MODEL --format json -o FILE"
-_CHECKED = ("pass", "fail")
+_WRITE_HINT = "Write one with: gsgen validate MODEL --format json -o FILE"
+_CHECKED_STATUSES = ("pass", "fail")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,9 @@ class Baseline:
             for finding in report.findings
         )
         fingerprints = {finding.fingerprint for finding in findings}
-        checked = {outcome.rule.id for outcome in report.outcomes if outcome.status in _CHECKED}
+        checked = {
+            outcome.rule.id for outcome in report.outcomes if outcome.status in _CHECKED_STATUSES
+        }
         resolved = tuple(
             finding
             for fingerprint, finding in known.items()
@@ -81,17 +83,19 @@ def read_baseline(path: Path) -> Baseline:
         ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigInvalid(
-            f"the baseline is not JSON: {error}", where=where, hint=_HINT
+            f"the baseline is not JSON: {error}", where=where, hint=_WRITE_HINT
         ) from error
     _check_shape(document, where)
     known: dict[str, dict[str, ResolvedFinding]] = {}
     for report in document.get("reports", [document]):
-        listed = {entry["fingerprint"]: _read(entry) for entry in report.get("findings", ())}
-        known.setdefault(report["subject"]["uri"], {}).update(listed)
+        known_findings_by_fingerprint = {
+            entry["fingerprint"]: _read_finding(entry) for entry in report.get("findings", ())
+        }
+        known.setdefault(report["subject"]["uri"], {}).update(known_findings_by_fingerprint)
     return Baseline(where, known)
 
 
-def _read(entry: Mapping[str, Any]) -> ResolvedFinding:
+def _read_finding(entry: Mapping[str, Any]) -> ResolvedFinding:
     where = Location(entry["where"]["subject"], entry["where"].get("field", ""))
     keys = ("rule", "slug", "fingerprint", "message")
     return ResolvedFinding(where=where, **{key: entry[key] for key in keys})
@@ -107,7 +111,7 @@ def _check_shape(document: Any, where: str) -> None:
         message = (
             f"the baseline is not a validation report: {actual}; expected schema 'gsgen-report/1'"
         )
-        raise ConfigInvalid(message, where=where, hint=_HINT)
+        raise ConfigInvalid(message, where=where, hint=_WRITE_HINT)
     text = (
         resources.files("gsgen.contract").joinpath("schemas", REPORT_SCHEMA_FILE).read_text("utf-8")
     )
@@ -118,5 +122,5 @@ def _check_shape(document: Any, where: str) -> None:
         raise ConfigInvalid(
             f"the baseline is not a validation report: {error.message[:200]}",
             where=location,
-            hint=_HINT,
+            hint=_WRITE_HINT,
         )

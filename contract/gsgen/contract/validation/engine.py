@@ -1,6 +1,6 @@
 """Validates a model in stages: file, graph, outputs for test inputs, and behaviour."""
 
-__all__ = ["Progress", "silent", "validate_with"]
+__all__ = ["Progress", "ignore_progress", "validate_with"]
 
 import os
 import time
@@ -13,12 +13,12 @@ from pathlib import Path
 
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, draw_sample
+from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, execute
-from gsgen.contract.probing.sandbox_worker import SHARE_FOR_EXTRAS
+from gsgen.contract.probing.sandbox_worker import EXTRA_PROBE_TIME_SHARE
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.digest import digest
 from gsgen.contract.validation.finding import Finding
@@ -45,7 +45,7 @@ _BACKEND_SCOPES: dict[Level, Scope] = {Level.LIVE: "live", Level.RENDER: "render
 _version = cache(version)  # each call reads a metadata file
 
 
-def silent(_: str) -> None:
+def ignore_progress(_: str) -> None:
     """Ignore a progress message: the default progress callback of a validation."""
 
 
@@ -54,7 +54,7 @@ def validate_with(
     path: str | os.PathLike[str],
     settings: Settings,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Report:
     """Validate a model file by the rules of a registry, and return the report.
 
@@ -112,9 +112,9 @@ class _Validation:
             target=self.settings.target,
             level=self.settings.level,
             fail_on=self.settings.fail_on,
-            findings=self._findings(),
+            findings=self._collect_findings(),
             outcomes=tuple(self.results.outcomes[id] for id in self.registry.rules),
-            levels=tuple(self._with_cost(level) for level in self.levels),
+            levels=tuple(self._with_runtime(level) for level in self.levels),
             probes=self.probes,
             environment=self.environment,
             settings=self.settings.source,
@@ -129,22 +129,22 @@ class _Validation:
             docs_url=self.settings.docs_url,
         )
 
-    def _findings(self) -> tuple[Finding, ...]:
+    def _collect_findings(self) -> tuple[Finding, ...]:
         return apply_waivers(self.results.findings(), self.settings.waivers, self.settings.today)
 
-    def _with_cost(self, level: LevelOutcome) -> LevelOutcome:
+    def _with_runtime(self, level: LevelOutcome) -> LevelOutcome:
         """Return a validation level's outcome with the number of model runs and the time taken."""
         outcomes = self.results.outcomes.values()
         rules = sum(o.milliseconds for o in outcomes if o.rule.level is level.level) / 1000
         runs = self.runs.get(level.level, [])
         return replace(level, runs=len(runs), seconds=sum(runs) + rules)
 
-    def _of_scope(self, *scopes: Scope, upto: Level) -> list[Rule]:
+    def _rules_of_scope(self, *scopes: Scope, max_level: Level) -> list[Rule]:
         rules = self.registry.rules.values()
-        return [rule for rule in rules if rule.scope in scopes and rule.level <= upto]
+        return [rule for rule in rules if rule.scope in scopes and rule.level <= max_level]
 
     def _check_model(self) -> None:
-        for rule in _needs_first(self._of_scope("model", upto=Level.STATIC)):
+        for rule in _in_dependency_order(self._rules_of_scope("model", max_level=Level.STATIC)):
             if self.results.is_ready(rule):
                 self.results.check(rule, self.subject)
                 self.results.settle([rule], items=1)
@@ -153,16 +153,18 @@ class _Validation:
         level = self.settings.level
         if level < Level.VALUES:
             return
-        gates = _needs_first(self._of_scope("execution", upto=Level.VALUES))
-        if not self._can_run(gates):
+        gates = _in_dependency_order(self._rules_of_scope("execution", max_level=Level.VALUES))
+        if not self._require_runnable(gates):
             return
         plan = make_plan(self.subject, level, self.settings.seed)
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, fetched_outputs(self.subject)
         rows, count = self.subject.declared_gaussians, self.subject.declared_count
-        surveyed = {"rows": rows.name if rows else "", "count": count.name if count else ""}
-        with execute(path, names, plan.probes, self.subject.granted, **surveyed) as execution:
+        surveyed_outputs = {"rows": rows.name if rows else "", "count": count.name if count else ""}
+        with execute(
+            path, names, plan.probes, self.subject.sandbox_limits, **surveyed_outputs
+        ) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
             seconds = [run.seconds for run in execution.runs]
@@ -180,15 +182,17 @@ class _Validation:
                     self._check_behaviour(probe_runs)
                 self._check_backend_levels(probe_runs)
 
-    def _can_run(self, gates: list[Rule]) -> bool:
+    def _require_runnable(self, gates: list[Rule]) -> bool:
         """Return whether the model may be run; otherwise skip the rules that need outputs."""
         runs = self.registry.rules.get(MODEL_RUNS)
         if runs is None:
             reason = f"because no rule {MODEL_RUNS} is installed"
         else:
             gate = next(rule for rule in gates if rule.id in (MODEL_RUNS, *runs.needs))
-            ready = self.results.is_ready(gate)  # its needs are static rules, which are settled
-            reason = "" if ready else self.results.outcomes[gate.id].reason
+            gate_is_ready = self.results.is_ready(
+                gate
+            )  # its needs are static rules, which are settled
+            reason = "" if gate_is_ready else self.results.outcomes[gate.id].reason
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
                 message = f"the model was not run {reason}" if reason else ""
@@ -196,8 +200,10 @@ class _Validation:
         return not reason
 
     def _check_values(self, execution: Execution, plan: Plan) -> None:
-        whole = self.results.ready(self._of_scope("emission", upto=Level.VALUES))
-        emissions: list[ModelOutputs] = []
+        output_rules = self.results.ready_rules(
+            self._rules_of_scope("emission", max_level=Level.VALUES)
+        )
+        probe_outputs: list[ModelOutputs] = []
         visited: set[int] = set()
         rows = 0
         # All-zero inputs come last: some rules skip them, but not if another probe gave the same
@@ -210,36 +216,38 @@ class _Validation:
             probe = plan.probes[run.probe]
             outputs = execution.samples[run.sample].outputs
             emission = read_outputs(self.subject, probe.label, outputs, zeros=probe.zeros)
-            whole = [rule for rule in whole if self.results.check(rule, emission, probe.label)]
-            emissions.append(emission)
-        self.results.settle(whole, items=len(visited))
+            output_rules = [
+                rule for rule in output_rules if self.results.check(rule, emission, probe.label)
+            ]
+            probe_outputs.append(emission)
+        self.results.settle(output_rules, items=len(visited))
         # Rules of rows may need rules of whole outputs, such as the order of the fields.
-        by_rows = self.results.ready(self._of_scope("rows", upto=Level.VALUES))
-        for emission in emissions:
+        row_rules = self.results.ready_rules(self._rules_of_scope("rows", max_level=Level.VALUES))
+        for emission in probe_outputs:
             if emission.zeros:
                 continue  # a frame of zeroed matrices has to be finite, which GI009 checks
             for chunk in chunks(emission):
                 rows += len(chunk)
-                by_rows = [
+                row_rules = [
                     rule
-                    for rule in by_rows
+                    for rule in row_rules
                     if self.results.check(rule, chunk, emission.probe, chunk.start)
                 ]
         if not rows:
-            self.results.skip(by_rows, "no probe gave packed rows")
-        self.results.settle(by_rows, items=rows)
-        self._check_sample(emissions)
+            self.results.skip(row_rules, "no probe gave packed rows")
+        self.results.settle(row_rules, items=rows)
+        self._check_sample(probe_outputs)
 
-    def _check_sample(self, emissions: list[ModelOutputs]) -> None:
+    def _check_sample(self, probe_outputs: list[ModelOutputs]) -> None:
         """Check statistical rules on the first model run with enough visible Gaussians."""
-        rules = _needs_first(self._of_scope("sample", upto=Level.VALUES))
-        samples = (draw_sample(emission) for emission in emissions if rules)
+        rules = _in_dependency_order(self._rules_of_scope("sample", max_level=Level.VALUES))
+        samples = (draw_sample(emission) for emission in probe_outputs if rules)
         sample = next((sample for sample in samples if sample is not None), None)
         for rule in rules:
             if not self.results.is_ready(rule):
                 continue
             if sample is None:
-                self.results.exclude([rule], f"no probe draws {FEWEST_DRAWN} rows or more")
+                self.results.exclude([rule], f"no probe draws {MIN_DRAWN_ROWS} rows or more")
                 continue
             self.results.check(rule, sample, sample.emission.probe)
             self.results.settle([rule], items=sample.count)
@@ -247,21 +255,23 @@ class _Validation:
     def _check_behaviour(self, probe_runs: ProbeRuns) -> None:
         self.progress("comparing runs")
         behaviour: Behaviour = read_behaviour(probe_runs)
-        for rule in _needs_first(self._of_scope("runs", upto=Level.BEHAVIOUR)):
+        for rule in _in_dependency_order(self._rules_of_scope("runs", max_level=Level.BEHAVIOUR)):
             if self.results.is_ready(rule):
-                observed = behaviour.for_a_rule()
-                self.results.check(rule, observed)
-                if observed.unfinished_probes and not self.results.fails(rule):
-                    self.results.skip([rule], self._unfinished(observed.unfinished_probes))
+                rule_behaviour = behaviour.without_unfinished()
+                self.results.check(rule, rule_behaviour)
+                if rule_behaviour.unfinished_probes and not self.results.fails(rule):
+                    self.results.skip(
+                        [rule], self._unfinished_reason(rule_behaviour.unfinished_probes)
+                    )
                 self.results.settle([rule], items=len(probe_runs.execution.runs))
 
-    def _unfinished(self, probes: list[tuple[str, str]]) -> str:
+    def _unfinished_reason(self, probes: list[tuple[str, str]]) -> str:
         count = f"{len(probes)} of its probes" if len(probes) > 1 else "one of its probes"
-        label, lacked = probes[0]
-        if lacked == "memory":
+        label, missing_resource = probes[0]
+        if missing_resource == "memory":
             reason = "the memory limit was reached (see --memory)"
         else:
-            share = f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s"
+            share = f"{EXTRA_PROBE_TIME_SHARE:.0%} of the {self.settings.limits.seconds:g} s"
             reason = f"{share} were used up (see --timeout)"
         return f"{count} did not run, {label!r} first: {reason}"
 
@@ -271,11 +281,15 @@ class _Validation:
             backend = self.registry.backends.get(level)
             if backend is not None and level <= self.settings.level:
                 self.progress(backend.activity)
-                self._check_with(
-                    backend, probe_runs, _needs_first(self._of_scope(scope, upto=level))
+                self._check_with_backend(
+                    backend,
+                    probe_runs,
+                    _in_dependency_order(self._rules_of_scope(scope, max_level=level)),
                 )
 
-    def _check_with(self, backend: LevelBackend, probe_runs: ProbeRuns, rules: list[Rule]) -> None:
+    def _check_with_backend(
+        self, backend: LevelBackend, probe_runs: ProbeRuns, rules: list[Rule]
+    ) -> None:
         with ExitStack() as stack:
             try:
                 context = stack.enter_context(backend.prepare(probe_runs))
@@ -304,13 +318,13 @@ class _Validation:
     def _settle_remaining(self) -> None:
         """Mark every validation rule and level that was not executed as skipped."""
         requested_level = self.settings.level
-        settled = {outcome.level for outcome in self.levels}
+        settled_levels = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():
-            if level <= requested_level and level not in settled:
+            if level <= requested_level and level not in settled_levels:
                 known = level in self.registry.backends
                 message = "the model did not run to the end on the CPU" if known else reason
                 self.levels.append(LevelOutcome(level=level, ran=False, reason=message))
-        for rule in _needs_first(self.registry.rules.values()):
+        for rule in _in_dependency_order(self.registry.rules.values()):
             if rule.id in self.results.outcomes or rule.scope == "report":
                 continue
             if rule.level > requested_level:
@@ -322,26 +336,26 @@ class _Validation:
         """Check the validation rules about findings of other rules, such as unused waivers."""
         statuses = {id: outcome.status for id, outcome in self.results.outcomes.items()}
         settings = self.settings
-        review = Review(self._findings(), statuses, settings.waivers, settings.today)
-        for rule in self._of_scope("report", upto=settings.level):
+        review = Review(self._collect_findings(), statuses, settings.waivers, settings.today)
+        for rule in self._rules_of_scope("report", max_level=settings.level):
             if self.results.is_ready(rule):
                 self.results.check(rule, review)
                 self.results.settle([rule], items=1)
 
 
-def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
+def _in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
     """Sort validation rules so that each rule comes after the rules that it depends on."""
-    pending = {rule.id: rule for rule in rules}
-    ordered: list[Rule] = []
+    pending_rules = {rule.id: rule for rule in rules}
+    ordered_rules: list[Rule] = []
 
     def append(rule: Rule) -> None:
-        if pending.pop(rule.id, None) is None:
+        if pending_rules.pop(rule.id, None) is None:
             return
-        for need in rule.needs:
-            if need in pending:
-                append(pending[need])
-        ordered.append(rule)
+        for needed_rule in rule.needs:
+            if needed_rule in pending_rules:
+                append(pending_rules[needed_rule])
+        ordered_rules.append(rule)
 
-    for rule in list(pending.values()):
+    for rule in list(pending_rules.values()):
         append(rule)
-    return ordered
+    return ordered_rules

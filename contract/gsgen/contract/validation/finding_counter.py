@@ -17,8 +17,8 @@ from gsgen.contract.validation.finding import (
 
 _MAX_EXAMPLES = 5
 # Rows of a chunk that are sampled for a histogram, and its bins.
-_SAMPLED = 2048
-_BINS = 24
+_MAX_SAMPLED_VALUES = 2048
+_BIN_COUNT = 24
 
 
 @dataclass(slots=True, kw_only=True)
@@ -70,10 +70,10 @@ class FindingCounter:
         count = int(np.count_nonzero(violation.invalid_rows))
         if count:
             self.count += count
-            self._remember(violation, probe, start)
+            self._store_violation(violation, probe, start)
             self._sample(violation)
 
-    def _remember(self, violation: Violation, probe: str, start: int) -> None:
+    def _store_violation(self, violation: Violation, probe: str, start: int) -> None:
         assert violation.invalid_rows is not None
         assert violation.values is not None
         if len(self.examples) < _MAX_EXAMPLES:
@@ -82,17 +82,17 @@ class FindingCounter:
         if violation.magnitude is None:
             return
         magnitude = np.where(np.isnan(violation.magnitude), np.inf, violation.magnitude)
-        masked = np.where(violation.invalid_rows, magnitude, -np.inf)
-        worst = int(np.argmax(masked))
-        if masked[worst] > self.magnitude:
-            self.magnitude = float(masked[worst])
+        invalid_magnitude = np.where(violation.invalid_rows, magnitude, -np.inf)
+        worst = int(np.argmax(invalid_magnitude))
+        if invalid_magnitude[worst] > self.magnitude:
+            self.magnitude = float(invalid_magnitude[worst])
             self.worst = _example(violation.values, worst, probe, start)
 
     def _sample(self, violation: Violation) -> None:
         """Keep evenly spaced values of the checked rows, for a histogram."""
         values, invalid = violation.values, violation.invalid_rows
         if values is not None and invalid is not None and values.ndim == 1:
-            step = -(-len(values) // _SAMPLED)
+            step = -(-len(values) // _MAX_SAMPLED_VALUES)
             self.samples.append((values[::step].astype(np.float64), invalid[::step]))
 
     def distribution(self) -> Distribution | None:
@@ -100,13 +100,13 @@ class FindingCounter:
         if not self.samples:
             return None
         values, invalid = (np.concatenate(part) for part in zip(*self.samples, strict=True))
-        finite = np.isfinite(values)
-        values, invalid = values[finite], invalid[finite]
+        is_finite = np.isfinite(values)
+        values, invalid = values[is_finite], invalid[is_finite]
         if not len(values):
             return None
         ends = float(values.min()), float(values.max())
         counts = [
-            np.histogram(values[mask], _BINS, ends)[0].tolist() for mask in (~invalid, invalid)
+            np.histogram(values[mask], _BIN_COUNT, ends)[0].tolist() for mask in (~invalid, invalid)
         ]
         return Distribution(*ends, *map(tuple, counts))
 

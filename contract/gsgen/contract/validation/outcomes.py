@@ -34,10 +34,10 @@ class ResultCollector:
     settings: Settings
     kind: str
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _counters: dict[str, dict[str, FindingCounter]] = field(default_factory=dict)
-    _seconds: dict[str, float] = field(default_factory=dict)
+    _counters_by_rule: dict[str, dict[str, FindingCounter]] = field(default_factory=dict)
+    _seconds_by_rule: dict[str, float] = field(default_factory=dict)
 
-    def ready(self, rules: Iterable[Rule]) -> list[Rule]:
+    def ready_rules(self, rules: Iterable[Rule]) -> list[Rule]:
         """Return the validation rules that can be checked now; record an outcome for the others."""
         return [rule for rule in rules if self.is_ready(rule)]
 
@@ -49,8 +49,8 @@ class ResultCollector:
         if reason:
             self.outcomes[rule.id] = Outcome(rule=rule, status="not-applicable", reason=reason)
             return False
-        for need in rule.needs:
-            blocker = self._blocker(need)
+        for needed_rule in rule.needs:
+            blocker = self._blocking_rule(needed_rule)
             if blocker:
                 text = f"because {blocker} {self._blocking_reason(blocker)}"
                 self.outcomes[rule.id] = Outcome(
@@ -69,16 +69,18 @@ class ResultCollector:
             return f"only for kind {', '.join(rule.kinds)}"
         return ""
 
-    def _blocker(self, need: str) -> str:
-        outcome = self.outcomes.get(need)
+    def _blocking_rule(self, needed_rule: str) -> str:
+        outcome = self.outcomes.get(needed_rule)
         if outcome is None:
-            return need
-        return need if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
+            return needed_rule
+        return (
+            needed_rule if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
+        )
 
     def _blocking_reason(self, blocker: str) -> str:
         outcome = self.outcomes.get(blocker)
-        skipped = outcome is not None and outcome.status == "skipped"
-        return "was not checked" if skipped else "does not hold"
+        is_skipped = outcome is not None and outcome.status == "skipped"
+        return "was not checked" if is_skipped else "does not hold"
 
     def check(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
         """Run the check of a rule once, and count its violations; return False if it crashed."""
@@ -93,11 +95,11 @@ class ResultCollector:
             return False
         finally:
             seconds = time.perf_counter() - start_time
-            self._seconds[rule.id] = self._seconds.get(rule.id, 0.0) + seconds
+            self._seconds_by_rule[rule.id] = self._seconds_by_rule.get(rule.id, 0.0) + seconds
         return True
 
     def _add(self, rule: Rule, violation: Violation, probe: str, start: int) -> None:
-        counters = self._counters.setdefault(rule.id, {})
+        counters = self._counters_by_rule.setdefault(rule.id, {})
         key = str(violation.where)
         if key not in counters and len(counters) >= _MAX_LOCATIONS:
             key = next(iter(counters))
@@ -113,7 +115,7 @@ class ResultCollector:
 
     def fails(self, rule: Rule) -> bool:
         """Return whether the violations so far are enough for a validation rule to fail."""
-        return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
+        return any(counter.fails for counter in self._counters_by_rule.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
         """Convert the counted violations of checked validation rules to pass or fail outcomes."""
@@ -121,7 +123,7 @@ class ResultCollector:
             if rule.id in self.outcomes:
                 continue
             status: Status = "fail" if self.fails(rule) else "pass"
-            milliseconds = 1000 * self._seconds.get(rule.id, 0.0)
+            milliseconds = 1000 * self._seconds_by_rule.get(rule.id, 0.0)
             self.outcomes[rule.id] = Outcome(
                 rule=rule, status=status, milliseconds=milliseconds, items=items
             )
@@ -148,10 +150,12 @@ class ResultCollector:
         if not self.settings.target.runs_natively:
             return
         for rule in self.registry.rules.values():
-            measured = [self.outcomes.get(id) for id in rule.settled_by]
-            holds = all(outcome is not None and outcome.status == "pass" for outcome in measured)
-            if measured and holds and rule.id in self._counters:
-                del self._counters[rule.id]
+            settling_outcomes = [self.outcomes.get(id) for id in rule.settled_by]
+            holds = all(
+                outcome is not None and outcome.status == "pass" for outcome in settling_outcomes
+            )
+            if settling_outcomes and holds and rule.id in self._counters_by_rule:
+                del self._counters_by_rule[rule.id]
                 reason = f"because {' and '.join(rule.settled_by)} hold: level live ran the model"
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
                 self.outcomes[rule.id] = outcome
@@ -159,14 +163,14 @@ class ResultCollector:
     def withdraw_consequences(self) -> None:
         """Withdraw findings that another rule's failure, at a later level, already explains."""
         for rule in self.registry.rules.values():
-            causes = [id for id in rule.explained_by if self._explains(id)]
-            if causes and rule.id in self._counters:
-                del self._counters[rule.id]
+            causes = [id for id in rule.explained_by if self._explains_finding(id)]
+            if causes and rule.id in self._counters_by_rule:
+                del self._counters_by_rule[rule.id]
                 reason = f"because {causes[0]} explains what it found"
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
                 self.outcomes[rule.id] = outcome
 
-    def _explains(self, id: str) -> bool:
+    def _explains_finding(self, id: str) -> bool:
         outcome = self.outcomes.get(id)
         return outcome is not None and outcome.status == "fail"
 
@@ -175,7 +179,7 @@ class ResultCollector:
         findings = [
             self._finding(rule, counter)
             for rule in self.registry.rules.values()
-            for counter in self._counters.get(rule.id, {}).values()
+            for counter in self._counters_by_rule.get(rule.id, {}).values()
             if counter.fails
         ]
         return tuple(sorted(findings, key=lambda finding: -finding.severity))

@@ -277,9 +277,9 @@ def exit_code(reports: Iterable[Report]) -> ExitCode:
 
     A required rule that was not checked fails, too.
     """
-    listed = list(reports)
-    verdicts = {report.verdict for report in listed}
+    report_list = list(reports)
+    verdicts = {report.verdict for report in report_list}
     if "internal-error" in verdicts:
         return ExitCode.INTERNAL
-    failed = "invalid" in verdicts or any(report.unchecked for report in listed)
+    failed = "invalid" in verdicts or any(report.unchecked for report in report_list)
     return ExitCode.FAILURE if failed else ExitCode.SUCCESS

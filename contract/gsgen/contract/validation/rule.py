@@ -42,12 +42,12 @@ Scope = Literal[
 ]
 Check = Callable[[Any], Iterator[Violation]]
 
-_ID = re.compile(r"^(?:[a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
-_SLUG = re.compile(r"^[a-z0-9]+(?:-[a-z0-9]+)*$")
+_ID_PATTERN = re.compile(r"^(?:[a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
+_SLUG_PATTERN = re.compile(r"^[a-z0-9]+(?:-[a-z0-9]+)*$")
 # An id as people type it: GV3, gv-03, GV0003.
-_TYPED = re.compile(r"((?:[a-z][a-z0-9-]*/)?[a-z]{2})[-_ ]?([0-9]{1,9})", re.IGNORECASE)
-_MOST_SUGGESTED = 3
-_SCOPES: dict[type, Scope] = {
+_TYPED_ID_PATTERN = re.compile(r"((?:[a-z][a-z0-9-]*/)?[a-z]{2})[-_ ]?([0-9]{1,9})", re.IGNORECASE)
+_MAX_SUGGESTIONS = 3
+_SCOPE_OF_TYPE: dict[type, Scope] = {
     InspectedModel: "model",
     ProbeRuns: "execution",
     ModelOutputs: "emission",
@@ -56,7 +56,7 @@ _SCOPES: dict[type, Scope] = {
     Behaviour: "runs",
     Review: "report",
 }
-_LEVELS: dict[Scope, Level] = {
+_LEVEL_OF_SCOPE: dict[Scope, Level] = {
     "model": Level.STATIC,
     "execution": Level.VALUES,
     "rows": Level.VALUES,
@@ -156,18 +156,18 @@ def rule(
 
     def declare(check: Check) -> Rule:
         slug = check.__name__.replace("_", "-")
-        if not _ID.match(id) or not _SLUG.match(slug):
+        if not _ID_PATTERN.match(id) or not _SLUG_PATTERN.match(slug):
             raise ValueError(
                 f"the rule is named {id} {check.__name__}, expected an id like GV003 and a name "
                 "like opacity_range"
             )
         scope = over or _scope_of(id, check)
-        statement, rationale, hint, evidence = _sections(id, inspect.getdoc(check) or "")
+        statement, rationale, hint, evidence = _doc_sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
             slug=slug,
             severity=severity,
-            level=level or _LEVELS[scope],
+            level=level or _LEVEL_OF_SCOPE[scope],
             scope=scope,
             statement=statement,
             rationale=rationale,
@@ -188,13 +188,13 @@ def rule(
 def _scope_of(id: str, check: Check) -> Scope:
     """Return the scope that the type of a check's argument says."""
     argument = next(iter(inspect.signature(check).parameters.values()))
-    if argument.annotation not in _SCOPES:
-        types = ", ".join(entry.__name__ for entry in _SCOPES)
+    if argument.annotation not in _SCOPE_OF_TYPE:
+        types = ", ".join(entry.__name__ for entry in _SCOPE_OF_TYPE)
         raise ValueError(f"{id}: {argument} is the argument, expected one of {types}")
-    return _SCOPES[argument.annotation]
+    return _SCOPE_OF_TYPE[argument.annotation]
 
 
-def _sections(id: str, doc: str) -> tuple[str, str, str, str]:
+def _doc_sections(id: str, doc: str) -> tuple[str, str, str, str]:
     statement, why_marker, remainder = doc.partition("\nWhy:")
     rationale, hint_marker, remainder = remainder.partition("\nHint:")
     hint, _, evidence = remainder.partition("\nEvidence:")
@@ -229,7 +229,7 @@ class Registry:
     backends: dict[Level, LevelBackend] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
+    def from_rules(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
         """Build a registry of rules with unique ids, and with one backend per validation level.
 
         Raises:
@@ -241,9 +241,9 @@ class Registry:
                 raise ValueError(f"rule {entry.id} is declared twice, expected unique ids")
             by_id[entry.id] = entry
         for entry in by_id.values():
-            for need in entry.needs:
-                if need not in by_id:
-                    raise ValueError(f"rule {entry.id} needs {need}, which does not exist")
+            for needed_rule in entry.needs:
+                if needed_rule not in by_id:
+                    raise ValueError(f"rule {entry.id} needs {needed_rule}, which does not exist")
         by_level: dict[Level, LevelBackend] = {}
         for backend in backends:
             if backend.level in by_level:
@@ -255,22 +255,22 @@ class Registry:
 
     def of_scope(self, *, tilesets: bool) -> "Registry":
         """Return a registry with only the rules for 3D Tiles tilesets, or only the other rules."""
-        selected = {
+        scope_rules = {
             id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
         }
-        return Registry(selected, self.backends)
+        return Registry(scope_rules, self.backends)
 
     def with_needs(self, rule_ids: Iterable[str]) -> "Registry":
         """Return a registry with only the given rules and the rules on which they depend."""
-        queue, selected = [id for id in rule_ids if id in self.rules], set[str]()
+        queue, selected_ids = [id for id in rule_ids if id in self.rules], set[str]()
         if any(self.rules[id].level > Level.STATIC for id in queue):
             queue.append(MODEL_RUNS)
         while queue:
             id = queue.pop()
-            if id in self.rules and id not in selected:
-                selected.add(id)
+            if id in self.rules and id not in selected_ids:
+                selected_ids.add(id)
                 queue.extend(self.rules[id].needs)
-        rules = {id: rule for id, rule in self.rules.items() if id in selected}
+        rules = {id: rule for id, rule in self.rules.items() if id in selected_ids}
         return Registry(rules, self.backends)
 
     def find(self, name: str, where: str = "") -> Rule:
@@ -282,33 +282,35 @@ class Registry:
         for entry in self.rules.values():
             if name.lower() in (entry.id.lower(), entry.slug):
                 return entry
-        typed = _TYPED.fullmatch(name)
-        if typed is None:
+        typed_match = _TYPED_ID_PATTERN.fullmatch(name)
+        if typed_match is None:
             slugs = [entry.slug for entry in self.rules.values()]
             raise UnknownName.among("rule", name, slugs, where)
-        hint = _nearest(typed[1], int(typed[2]), list(self.rules))
+        hint = _nearest_id(typed_match[1], int(typed_match[2]), list(self.rules))
         raise UnknownName(f"unknown rule {name!r}", where=where, hint=hint)
 
 
-def _nearest(stem: str, number: int, ids: list[str]) -> str:
+def _nearest_id(stem: str, number: int, ids: list[str]) -> str:
     """Return a hint with the known rule ids that are most similar to a mistyped id."""
     owner, slash, letters = stem.rpartition("/")
     family = f"{owner.lower()}{slash}{letters.upper()}"
     code = f"{family}{number:03}"
     if slash and any(rule_id.startswith(f"{owner.lower()}/XX") for rule_id in ids):
         return f"The rules of {owner.lower()!r} do not load; `gsgen validate` tells why."
-    kin = [rule_id for rule_id in ids if rule_id[:-3] == family]
-    likely = [rule_id for rule_id in ids if rule_id == code or rule_id.endswith(f"/{code}")]
-    likely = likely or [rule_id for rule_id in kin if _mistyped(rule_id, code)]
-    if 0 < len(likely) <= _MOST_SUGGESTED:
-        return f"Did you mean {' or '.join(map(repr, likely))}?"
-    if kin:
-        return f"Ids of {family} are {min(kin)} to {max(kin)}; `gsgen rules` lists them."
+    family_ids = [rule_id for rule_id in ids if rule_id[:-3] == family]
+    likely_ids = [rule_id for rule_id in ids if rule_id == code or rule_id.endswith(f"/{code}")]
+    likely_ids = likely_ids or [rule_id for rule_id in family_ids if _is_mistyped(rule_id, code)]
+    if 0 < len(likely_ids) <= _MAX_SUGGESTIONS:
+        return f"Did you mean {' or '.join(map(repr, likely_ids))}?"
+    if family_ids:
+        return (
+            f"Ids of {family} are {min(family_ids)} to {max(family_ids)}; `gsgen rules` lists them."
+        )
     families = ", ".join(dict.fromkeys(rule_id[:-3] for rule_id in ids))
     return f"Ids begin with {families}; `gsgen rules` lists them."
 
 
-def _mistyped(id: str, typed: str) -> bool:
+def _is_mistyped(id: str, typed_id: str) -> bool:
     """Return whether two rule ids differ in one character, or in the order of two."""
-    wrong = sum(a != b for a, b in zip(id, typed, strict=False))
-    return len(id) == len(typed) and (wrong == 1 or sorted(id) == sorted(typed))
+    mismatch_count = sum(a != b for a, b in zip(id, typed_id, strict=False))
+    return len(id) == len(typed_id) and (mismatch_count == 1 or sorted(id) == sorted(typed_id))

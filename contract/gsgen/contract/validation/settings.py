@@ -102,10 +102,10 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
         data, where = data.get("tool", {}).get("gsgen", {}), f"{where}, tool.gsgen"
     _dates_to_text(data)
     _check_shape(data, config_schema(registry), where)
-    return _apply(base or Settings(), data, registry, where)
+    return _apply_config(base or Settings(), data, registry, where)
 
 
-def _apply(base: Settings, data: dict[str, Any], registry: Registry, where: str) -> Settings:
+def _apply_config(base: Settings, data: dict[str, Any], registry: Registry, where: str) -> Settings:
     section = data.get("validate", {})
     limits = Limits(
         section.get("timeout", base.limits.seconds),
@@ -152,7 +152,7 @@ def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiv
     for number, entry in enumerate(data.get("waive", [])):
         location = f"{where}, waive.{number}"
         try:
-            until = date.fromisoformat(entry["until"]) if "until" in entry else None
+            until_date = date.fromisoformat(entry["until"]) if "until" in entry else None
         except ValueError as error:
             message = f"{entry['until']!r} is not a date: expected one like 2027-01-01"
             raise ConfigInvalid(message, where=f"{location}.until") from error
@@ -164,7 +164,7 @@ def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiv
                 reason=reason,
                 where=subject,
                 model=entry.get("model", ""),
-                until=until,
+                until=until_date,
             )
         )
     return tuple(waivers)

@@ -61,10 +61,14 @@ def make_settings(
     path = config or _default_config()
     base = read_config(path, registry) if path is not None else Settings()
     ignored = _rule_ids(registry, ignore, f"{prefix}ignore")
-    selected = _rule_ids(registry, only, f"{prefix}only") or base.only
+    selected_ids = _rule_ids(registry, only, f"{prefix}only") or base.only
     required = base.required | _rule_ids(registry, require, f"{prefix}require-rules")
-    if selected and (unchecked := required - registry.with_needs(selected).rules.keys()):
-        message = f"{', '.join(sorted(unchecked))} is required, but not among the rules to check"
+    if selected_ids and (
+        unchecked_ids := required - registry.with_needs(selected_ids).rules.keys()
+    ):
+        message = (
+            f"{', '.join(sorted(unchecked_ids))} is required, but not among the rules to check"
+        )
         raise ConfigInvalid(message, where=f"{prefix}only", hint="Add it there.")
     severities = _severities(registry, severity, f"{prefix}severity")
     return replace(
@@ -74,7 +78,7 @@ def make_settings(
         fail_on=Severity.parse(fail_on, f"{prefix}fail-on") if fail_on else base.fail_on,
         ignore=base.ignore | ignored,
         severities={**base.severities, **severities},
-        only=selected,
+        only=selected_ids,
         required=required,
         timings=timings or base.timings,
         limits=_limits(base.limits, timeout, memory),
@@ -87,8 +91,8 @@ def _default_config() -> Path | None:
     if _DEFAULT_CONFIG.is_file():
         return _DEFAULT_CONFIG
     project = Path(PYPROJECT)
-    is_ours = project.is_file() and b"tool.gsgen" in project.read_bytes()
-    return project if is_ours else None
+    has_gsgen_table = project.is_file() and b"tool.gsgen" in project.read_bytes()
+    return project if has_gsgen_table else None
 
 
 def _rule_ids(registry: Registry, entries: Iterable[str], where: str) -> frozenset[str]:
@@ -101,8 +105,8 @@ def _severities(registry: Registry, entries: Iterable[str], where: str) -> dict[
     for entry in entries:
         name, sign, word = entry.partition("=")
         if not sign:
-            rule, colon, severity = name.partition(":")
-            hint = f"Write it as {rule}={severity if colon else 'error'}."
+            rule, separator, severity = name.partition(":")
+            hint = f"Write it as {rule}={severity if separator else 'error'}."
             raise ConfigInvalid(
                 f"{entry!r} has no '=': expected RULE=SEVERITY", where=where, hint=hint
             )

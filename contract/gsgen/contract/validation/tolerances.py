@@ -20,7 +20,7 @@ def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
     if subject.generator is None:
         return ()
     declared = subject.generator.tolerances
-    configured, sources = (
+    configured_values, sources = (
         subject.tolerances,
         _manifest_fields(subject) if declared is not None else {},
     )
@@ -28,9 +28,11 @@ def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
     return tuple(
         Tolerance(
             field=field.name,
-            value=configured.get(field.name, getattr(declared or Tolerances(), field.name)),
-            unit=_unit(hints[field.name]),
-            source="config" if field.name in configured else sources.get(field.name, "default"),
+            value=configured_values.get(field.name, getattr(declared or Tolerances(), field.name)),
+            unit=_unit_of_field(hints[field.name]),
+            source="config"
+            if field.name in configured_values
+            else sources.get(field.name, "default"),
         )
         for field in fields(Tolerances)
     )
@@ -44,7 +46,7 @@ def _manifest_fields(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
     return dict.fromkeys(document.get("tolerances", ()), "manifest")
 
 
-def _unit(hint: Any) -> str:
+def _unit_of_field(hint: Any) -> str:
     texts = [
         annotation.text
         for annotation in hint.__metadata__

@@ -70,8 +70,8 @@ def apply_waivers(
     """Mark each finding that a valid waiver covers, with the reason of the waiver."""
     active = [waiver for waiver in waivers if waiver.is_valid_on(today)]
 
-    def waived(finding: Finding) -> Finding:
+    def mark_waived(finding: Finding) -> Finding:
         waiver = next((candidate for candidate in active if candidate.covers(finding)), None)
         return replace(finding, waived=True, waiver=waiver.reason) if waiver else finding
 
-    return tuple(map(waived, findings))
+    return tuple(map(mark_waived, findings))

@@ -12,7 +12,7 @@ from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.builders.arrays import f32
 from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.fixture import fixtures_in, invalid
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.layout import COVARIANCE
 from gsgen.contract.spec.manifest import ReferenceImage
@@ -30,18 +30,18 @@ def too_fine_to_be_seen() -> ModelSpec:
     fine = still()
     rows = np.array(fine.weights["rows"])
     rows[:, COVARIANCE] *= 1e-9
-    return fine.weighing(rows=rows).declaring(antialias="mip")
+    return fine.with_weights(rows=rows).with_manifest(antialias="mip")
 
 
 @invalid("GB019", level=Level.RENDER)
 def grows_out_of_nothing() -> ModelSpec:
     """Fixture: ONNX generator whose Gaussians are invisibly small at time 0 and grow with time."""
-    growing = drifting().reworded(
+    growing = drifting_model().replace_text(
         "gaussians = Concat <axis = 1> (moved, opacity, spread)",
         "size = Max (time, least) wide = Mul (spread, size) "
         "gaussians = Concat <axis = 1> (moved, opacity, wide)",
     )
-    return growing.weighing(least=f32(1e-9)).declaring(antialias="mip")
+    return growing.with_weights(least=f32(1e-9)).with_manifest(antialias="mip")
 
 
 @invalid("GB020", level=Level.RENDER)
@@ -53,7 +53,7 @@ def opaque_behind_opaque() -> ModelSpec:
     rows[:, COVARIANCE] = 0.0
     rows[:, [4, 7, 9]] = 30.0**2
     colors[0], colors[1] = -1.7, 1.7
-    return sheets.weighing(rows=rows, colors=colors)
+    return sheets.with_weights(rows=rows, colors=colors)
 
 
 @invalid("GB021", level=Level.RENDER)
@@ -79,4 +79,4 @@ def with_reference(spec: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
     )
     declared = replace(reference, **changes)  # type: ignore[arg-type]
     with_file = replace(spec, beside={"reference.png": png})
-    return with_file.declaring(reference_images=(declared,))
+    return with_file.with_manifest(reference_images=(declared,))

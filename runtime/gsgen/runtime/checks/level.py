@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from gsgen.contract.probing.probes import ORBIT, Probe, as_tensor
+from gsgen.contract.probing.probes import ORBIT_RADII, Probe, as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.tools.recording import evenly_spaced
@@ -261,7 +261,7 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
     if eye is None or np.allclose(eye, center):
         return Camera.orbit(
             center.tolist(),
-            ORBIT * reach,
+            ORBIT_RADII * reach,
             azimuth=30,
             elevation=20,
             up=up,

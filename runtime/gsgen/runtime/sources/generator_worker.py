@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.contract.spec.reader_needs import REGISTERED
+from gsgen.contract.spec.reader_needs import REGISTERED_EXTENSIONS
 from gsgen.runtime.errors import SceneInvalid
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
         if manifest and manifest.kind == "post-process":
             hint = "Run post-process models on the drawn frames with `--post`."
         raise SceneInvalid(f"{kind}, expected a gaussian-generator", where=str(path), hint=hint)
-    unknown = [name for name in manifest.extensions_required if name not in REGISTERED]
+    unknown = [name for name in manifest.extensions_required if name not in REGISTERED_EXTENSIONS]
     if unknown:
         hint = "Ask the author of the model for a copy without them."
         message = f"requires extensions that this runtime does not know: {', '.join(unknown)}"

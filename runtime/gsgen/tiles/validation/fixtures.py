@@ -314,10 +314,10 @@ def tiles_unlike_root() -> TilesetSketch:
 
 
 def _neural() -> TilesetSketch:
-    from gsgen.conformance.fixtures.builders.moving import drifting
+    from gsgen.conformance.fixtures.builders.moving import drifting_model
 
     sketch = explicit_sketch()
-    model = drifting().build().SerializeToString()
+    model = drifting_model().build().SerializeToString()
     sketch.files["n/leaf.onnx"] = model
     leaf = sketch.document["root"]["children"][0]
     sketch.document["extensionsUsed"].append(NEURAL)

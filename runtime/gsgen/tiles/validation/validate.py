@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from gsgen.contract.spec.severity import Level
-from gsgen.contract.validation.engine import Progress, silent
+from gsgen.contract.validation.engine import Progress, ignore_progress
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
 from gsgen.contract.validation.rule import Registry, Rule
@@ -37,7 +37,7 @@ def validate(
     settings: Settings | None = None,
     *,
     registry: Registry | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Report:
     """Validate a tileset or a tile's content file, and return the report.
 

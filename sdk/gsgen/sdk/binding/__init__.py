@@ -28,7 +28,7 @@ __all__ = [
 ]  # fmt: skip
 
 # Public name → the module that defines it, or that it is.
-_HOMES: Final = {
+_MODULE_BY_NAME: Final = {
     "CameraLike": "gsgen.sdk.binding.camera_inputs",
     "Pinhole": "gsgen.sdk.binding.camera_inputs",
     "Frame": "gsgen.sdk.binding.frame",
@@ -47,9 +47,9 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_HOMES[name])
+    home = import_module(_MODULE_BY_NAME[name])
     globals()[name] = getattr(home, name, home)
     return globals()[name]
 

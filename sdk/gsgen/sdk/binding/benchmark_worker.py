@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.probing.sandbox_worker import Emit, serve
+from gsgen.contract.probing.sandbox_worker import Emit, run_worker
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.binding.providers.errors import ProviderUnavailable
@@ -23,7 +23,7 @@ _UNMEASURED = 3
 
 def main(folder: Path) -> int:
     """Run the benchmark that ``folder/job.json`` describes, and return the exit code."""
-    return serve(folder, _work)
+    return run_worker(folder, _work)
 
 
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:

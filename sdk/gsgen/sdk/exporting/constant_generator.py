@@ -166,7 +166,7 @@ def constant_manifest(
             CountOutput("num_points"),
         ),
         space=Space(),
-        bounds=Bounds.around(packed.rows[:, layout.POSITION], _BOUNDS_MARGIN),
+        bounds=Bounds.from_points(packed.rows[:, layout.POSITION], _BOUNDS_MARGIN),
         antialias=packed.antialias,
         tolerances=Tolerances(),
     )

@@ -198,7 +198,7 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
     """
     corners = [corner for r in references if not r.probe.zeros for corner in _corners(r)]
     points = np.array(corners) if corners else np.zeros((0, 3))
-    bounds = Bounds.around(points, _MARGIN)
+    bounds = Bounds.from_points(points, _MARGIN)
     if bounds is None:
         message = "no probe gives a single finite, visible Gaussian"
         hint = "Check that opacity is activated and that positions are finite."

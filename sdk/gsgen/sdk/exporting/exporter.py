@@ -14,7 +14,7 @@ import torch
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.test_vectors import MOST_RECORDED
+from gsgen.contract.probing.test_vectors import MAX_RECORDED_VECTORS
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage, TestVector, Tolerances
 from gsgen.contract.spec.targets import load_target
@@ -139,8 +139,8 @@ def export(
         progress=progress,
         rewrite=rewrite,
     )
-    if not 0 <= vectors <= MOST_RECORDED:
-        message = f"is {vectors}, expected from 0 to {MOST_RECORDED}"
+    if not 0 <= vectors <= MAX_RECORDED_VECTORS:
+        message = f"is {vectors}, expected from 0 to {MAX_RECORDED_VECTORS}"
         raise ConfigInvalid(message, where="vectors", hint="Give 0 to record no rows.")
     validate_module(generator, GaussianGenerator)
     generator = generator.eval().cpu()

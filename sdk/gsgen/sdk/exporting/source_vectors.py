@@ -14,7 +14,7 @@ import numpy as np
 
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import open_model, write_manifest_text
-from gsgen.contract.probing.sandbox_worker import digest_of, thinned, thinning_step
+from gsgen.contract.probing.sandbox_worker import digest_outputs, subsample_rows, subsample_step
 from gsgen.contract.probing.test_vectors import record_input, record_rows
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.rules.behaviour.recorded_vectors import vector_faults
@@ -57,9 +57,9 @@ class RowRecorder:
         """Record a sample of one run's output rows and a digest of all rows, for a test vector."""
         if index in self.indices:
             self.outputs[index] = {
-                name: np.array(thinned(array)) for name, array in outputs.items()
+                name: np.array(subsample_rows(array)) for name, array in outputs.items()
             }
-            self.digests[index] = digest_of(dict(outputs))
+            self.digests[index] = digest_outputs(dict(outputs))
 
 
 def add_source_vectors(
@@ -104,13 +104,13 @@ def _vector(
     if not rows:
         return None
     numbers = dict.fromkeys(source, rows)
-    steps = dict.fromkeys(source, thinning_step(capacity))
+    steps = dict.fromkeys(source, subsample_step(capacity))
     if manifest.outputs.count is not None:
         numbers[manifest.outputs.count.name], steps[manifest.outputs.count.name] = [0], 1
     if manifest.outputs.cells is not None:
         name = manifest.outputs.cells.name
         count = capacity // manifest.outputs.cells.per_cell
-        numbers[name], steps[name] = _drawn(source[name], VISIBILITY, count), thinning_step(count)
+        numbers[name], steps[name] = _drawn(source[name], VISIBILITY, count), subsample_step(count)
     outputs = tuple(
         record_rows(name, source[name], numbers[name]) for name in source if numbers[name]
     )
@@ -128,7 +128,7 @@ def _vector(
 
 def _drawn(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:
     """Return indices of a few finite, visible rows, chosen from the rows that validators sample."""
-    step = thinning_step(capacity)
+    step = subsample_step(capacity)
     sample = packed[::step]
     is_drawn = (sample[:, opacity] >= CULL_OPACITY) & np.isfinite(sample).all(axis=1)
     rows = [int(row) * step for row in np.flatnonzero(is_drawn)]

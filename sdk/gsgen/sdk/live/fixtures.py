@@ -12,7 +12,7 @@ import numpy as np
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
 from gsgen.conformance.fixtures.builders.fixture import fixtures_in, invalid
-from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting
+from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting_model
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.severity import Level
 
@@ -29,43 +29,43 @@ def live_fixtures() -> list[Fixture]:
 @invalid("GB011", level=Level.LIVE)
 def integers_of_64_bits() -> ModelSpec:
     """Fixture: ONNX generator that adds and removes a number above 2³², which a GPU truncates."""
-    counted = drifting().reworded(
+    counted = drifting_model().replace_text(
         SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
         "back = Cast <to = 1> (far) near = Div (back, size) "
         "later = Add (near, time) shift = Mul (speed, later)",
     )
     big = np.asarray([1 << 32], np.int64)
-    return counted.weighing(thousand=f32(1000), size=f32(1 << 32), big=big)
+    return counted.with_weights(thousand=f32(1000), size=f32(1 << 32), big=big)
 
 
 @invalid("GB014", level=Level.LIVE)
 def branches_by_if() -> ModelSpec:
     """Fixture: an ONNX generator with an If of different branches, which WebGPU cannot capture."""
-    branched = drifting().reworded(
+    branched = drifting_model().replace_text(
         SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
         "else_branch = e () => (float[1] b) { b = Abs (time) }> "
         "shift = Mul (speed, turned)",
     )
-    return branched.weighing(half=f32(0.5))
+    return branched.with_weights(half=f32(0.5))
 
 
 @invalid("GB015", level=Level.LIVE)
 def round_on_the_cpu() -> ModelSpec:
     """Fixture: an ONNX generator that rounds time to tenths by Round, which has no GPU kernel."""
-    stepped = drifting().reworded(
+    stepped = drifting_model().replace_text(
         SHIFT_NODE,
         "scaled = Mul (time, ten) whole = Round (scaled) step = Div (whole, ten) "
         "shift = Mul (speed, step)",
     )
-    return stepped.weighing(ten=f32(10))
+    return stepped.with_weights(ten=f32(10))
 
 
 @invalid("GB016", level=Level.LIVE)
 def output_from_idle_sum() -> ModelSpec:
     """Fixture: an ONNX generator whose output is a ReduceSum over no axes, which is only a copy."""
-    return drifting().reworded(
+    return drifting_model().replace_text(
         _OUTPUT_NODE,
         "packed = Concat <axis = 1> (moved, opacity, spread) "
         "gaussians = ReduceSum <noop_with_empty_axes = 1> (packed)",
@@ -76,9 +76,9 @@ def output_from_idle_sum() -> ModelSpec:
 def split_into_many() -> ModelSpec:
     """Fixture: an ONNX generator with a Split into more outputs than a GPU kernel may bind."""
     parts = ", ".join(f"part_{index}" for index in range(_PARTS))
-    wide_split = drifting().reworded(
+    wide_split = drifting_model().replace_text(
         SHIFT_NODE,
         f"many = Expand (time, parts) {parts} = Split <axis = 0, num_outputs = {_PARTS}> (many) "
         "again = Add (part_0, part_1) twice = Mul (speed, again) shift = Mul (twice, half)",
     )
-    return wide_split.weighing(parts=i64(_PARTS), half=f32(0.5))
+    return wide_split.with_weights(parts=i64(_PARTS), half=f32(0.5))

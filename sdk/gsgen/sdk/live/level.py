@@ -94,7 +94,7 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
     runs = _select_runs(trial)
     subject, probes = trial.subject, [trial.plan.probes[run] for run in runs]
     half = any(tensor.dtype == "float16" for tensor in subject.graph.tensors.values())
-    path, limits = subject.file.path, subject.granted
+    path, limits = subject.file.path, subject.sandbox_limits
     with execute(path, [], probes, limits, _WORKER, half=half) as execution:
         _raise_if_unavailable(execution)
         live = _read(trial, execution, runs)

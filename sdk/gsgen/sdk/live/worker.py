@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, serve
+from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, run_worker
 from gsgen.contract.process.limits import limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import BoundSession
@@ -41,7 +41,7 @@ class Opener(Protocol):
 
 def main(folder: Path) -> int:
     """Run the WebGPU job that ``folder/job.json`` describes, and return the exit code."""
-    return serve(folder, _work)
+    return run_worker(folder, _work)
 
 
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:

@@ -36,7 +36,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.contract.spec.operator_tables import FAILURES
+from gsgen.contract.spec.operator_tables import FAILED_OUTCOMES
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
 from gsgen.contract.validation.report import Report
@@ -347,7 +347,7 @@ def _capture_text(placement: Placement) -> str:
     """Return a node's name and operator, and why graph capture does not support it."""
     name = placement.node.name or placement.node.output[0]
     reasons = sorted(
-        {FAILURES.get(outcome, outcome) for outcome in placement.outcomes.values()} - {""}
+        {FAILED_OUTCOMES.get(outcome, outcome) for outcome in placement.outcomes.values()} - {""}
     )
     reason = ", ".join(reasons) or placement.cause
     return f"{name} ({placement.node.op_type} {placement.dtype}): {reason}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
-from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting
+from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting_model
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.validator import validate
@@ -24,16 +24,16 @@ _SELECTION = (
 def culled(edge: str, shift: str = SHIFT_NODE) -> ModelSpec:
     """Return a model that drops the rows whose rank, from 0 to 1, is not above ``edge``."""
     selected = (
-        drifting(_ROWS)
-        .reworded(SHIFT_NODE, f"{shift} edge = {edge}")
-        .reworded("gaussians = Concat <axis = 1> (moved, opacity, spread)", _SELECTION)
-        .reworded("color = Identity (colors)", "color = Gather (colors, rows)")
-        .reworded("num_points = Identity (live)", "num_points = Cast <to = 6> (sum)")
+        drifting_model(_ROWS)
+        .replace_text(SHIFT_NODE, f"{shift} edge = {edge}")
+        .replace_text("gaussians = Concat <axis = 1> (moved, opacity, spread)", _SELECTION)
+        .replace_text("color = Identity (colors)", "color = Gather (colors, rows)")
+        .replace_text("num_points = Identity (live)", "num_points = Cast <to = 6> (sum)")
     )
     rank = np.random.default_rng(5).permutation(_ROWS).astype(np.float32) / _ROWS
     order = np.arange(_ROWS, 0, -1).astype(np.float32)
     weights = {"rank": rank, "order": order, "half": f32(0.5), "degrees": f32(360.0)}
-    return selected.weighing(**weights, size=i64(_ROWS), one=i64(1))
+    return selected.with_weights(**weights, size=i64(_ROWS), one=i64(1))
 
 
 def motion_findings(model: ModelSpec, folder: Path) -> set[str]:
@@ -51,7 +51,7 @@ def test_dropped_rows_are_no_motion_of_the_rows_behind_them(tmp_path: Path) -> N
 
 def test_rows_dropped_between_two_refreshes_are_no_motion_either(tmp_path: Path) -> None:
     time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, frames=20, fps=20.0)
-    model = culled("Mul (time, half)").declaring(inputs=(time,))
+    model = culled("Mul (time, half)").with_manifest(inputs=(time,))
     assert motion_findings(model, tmp_path) == set()
 
 

@@ -16,14 +16,14 @@ from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 # A cone in front of every camera: half the opening of the narrowest lens.
-_CONE = 0.2
+_CONE_SLOPE = 0.2
 _NEAR = 0.1
-_CULLED_SHARE = 0.01
+_MIN_CULLED_SHARE = 0.01
 # Of the hidden rows, a sample is compared with the drawn ones: a method that fades rows, or replaces
 # them by others, leaves few of them bare (0 to 0.11 in exports), culling leaves most (0.75 and more).
 _SAMPLE = 64
-_COVERED = 2.0
-_BARE_SHARE = 0.4
+_COVERED_SIGMAS = 2.0
+_MAX_BARE_SHARE = 0.4
 
 
 @rule("GI007", Severity.ERROR, needs=(*REPRODUCIBLE, "GI001", "GM006"))
@@ -38,13 +38,13 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Declare the order that the model reads as space.matrix_order, or transpose inside the model.
     """
-    runs = behaviour.visits("moved")
+    runs = behaviour.trial_runs("moved")
     if len(runs) < 3 or not all(run.digest for run in runs):
         return
-    unmoved, moved, transposed = (run.digest for run in runs)
+    base_digest, moved_digest, transposed = (run.digest for run in runs)
     space = behaviour.subject.generator.space if behaviour.subject.generator else None
     order = space.matrix_order if space else "column"
-    if moved == unmoved and transposed != unmoved:
+    if moved_digest == base_digest and transposed != base_digest:
         actual = f"a moved camera changes nothing, read in {order} order; transposed it does"
         name = next(iter(behaviour.subject.inputs_of("view")))[0].name
         yield Violation.at(f"input {name}", actual, f"the {order} order, as declared")
@@ -61,13 +61,13 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Use absolute values of clip coordinates, or the view matrix alone.
     """
-    runs = behaviour.visits("flipped")
+    runs = behaviour.trial_runs("flipped")
     if len(runs) < 2 or not all(run.digest for run in runs):
         return
-    unflipped, flipped = runs
-    if unflipped.digest != flipped.digest:
-        for name, value in unflipped.outputs.items():
-            largest = largest_difference(value, flipped.outputs[name])
+    plain_run, flipped_run = runs
+    if plain_run.digest != flipped_run.digest:
+        for name, value in plain_run.outputs.items():
+            largest = largest_difference(value, flipped_run.outputs[name])
             if largest > 0:
                 actual = f"differs by up to {largest:.3g} with row 1 of the projection negated"
                 yield Violation.at(f"output {name}", actual, "the same for both signs")
@@ -99,16 +99,19 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     drawn = [rows[:, OPACITY] >= CULL_OPACITY for _, rows in probed_rows]
     for index, (probe, rows) in enumerate(probed_rows):
         matrix = as_tensor(probe.inputs[views[0][0].name], space.matrix_order)
-        middle = _in_cone(rows[:, POSITION], matrix) & (rows[:, OPACITY] == 0)
-        elsewhere = np.zeros(len(rows), bool)
+        is_hidden_in_view = _cone_mask(rows[:, POSITION], matrix) & (rows[:, OPACITY] == 0)
+        drawn_elsewhere = np.zeros(len(rows), bool)
         for other_index, (_, other_rows) in enumerate(probed_rows):
             if other_index != index and other_rows.shape == rows.shape:
-                same = (other_rows[:, POSITION] == rows[:, POSITION]).all(axis=1)
-                elsewhere |= same & drawn[other_index]
-        hidden = middle & elsewhere
-        culled = int(np.count_nonzero(hidden))
-        is_many = culled > _CULLED_SHARE * max(int(np.count_nonzero(drawn[index])), 1)
-        if is_many and _bare_share(rows[hidden], rows[drawn[index]]) > _BARE_SHARE:
+                is_same_center = (other_rows[:, POSITION] == rows[:, POSITION]).all(axis=1)
+                drawn_elsewhere |= is_same_center & drawn[other_index]
+        hidden_rows = is_hidden_in_view & drawn_elsewhere
+        culled = int(np.count_nonzero(hidden_rows))
+        is_significant = culled > _MIN_CULLED_SHARE * max(int(np.count_nonzero(drawn[index])), 1)
+        if (
+            is_significant
+            and _uncovered_share(rows[hidden_rows], rows[drawn[index]]) > _MAX_BARE_SHARE
+        ):
             actual = (
                 f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}, and "
                 "nothing is drawn in place of them"
@@ -117,21 +120,23 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
-def _bare_share(hidden: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]) -> float:
+def _uncovered_share(
+    hidden_rows: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]
+) -> float:
     """Return the fraction of culled Gaussians whose centre lies within no drawn Gaussian."""
     if not len(drawn):
         return 1.0
-    size = np.square(_COVERED) * drawn[:, list(VARIANCES)].max(axis=1)
-    sample = hidden[:: max(1, len(hidden) // _SAMPLE), POSITION]
-    squares = (np.square(drawn[:, POSITION] - centre).sum(axis=1) for centre in sample)
-    return float(np.mean([not (square <= size).any() for square in squares]))
+    size = np.square(_COVERED_SIGMAS) * drawn[:, list(VARIANCES)].max(axis=1)
+    sample = hidden_rows[:: max(1, len(hidden_rows) // _SAMPLE), POSITION]
+    squared_distances = (np.square(drawn[:, POSITION] - centre).sum(axis=1) for centre in sample)
+    return float(np.mean([not (square <= size).any() for square in squared_distances]))
 
 
-def _in_cone(
+def _cone_mask(
     position: Float[np.ndarray, "n 3"], view: Float[np.ndarray, "4 4"]
 ) -> Bool[np.ndarray, " n"]:
     x, y, z = (position @ view[:3, :3].T + view[:3, 3]).T
-    return np.asarray((z > _NEAR) & (np.abs(x) < _CONE * z) & (np.abs(y) < _CONE * z))
+    return np.asarray((z > _NEAR) & (np.abs(x) < _CONE_SLOPE * z) & (np.abs(y) < _CONE_SLOPE * z))
 
 
 @rule("GV017", Severity.WARNING, needs=("GV025", "GO010", "GO011", "GV016"))
@@ -152,11 +157,11 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
         return
     counts = {
         probe.label: int(outputs[declared.name].reshape(-1)[0])
-        for probe, outputs in behaviour.emitted
+        for probe, outputs in behaviour.probe_outputs
     }
     counts |= {
         run.probe.label: run.extremes.count
-        for run in behaviour.visits("survey")
+        for run in behaviour.trial_runs("survey")
         if run.extremes is not None and run.probe.label.startswith(SIDE_LABEL)
     }
     empty = [label for label, count in counts.items() if count == 0]

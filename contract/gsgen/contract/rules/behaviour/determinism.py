@@ -43,9 +43,9 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Make every output a function of the inputs alone.
     """
-    if behaviour.revisited is not None:
+    if behaviour.revisited_pair is not None:
         expected = "the same bits as before other inputs were run"
-        yield from _differences(behaviour.revisited, expected)
+        yield from _differences(behaviour.revisited_pair, expected)
 
 
 @rule("GB003", Severity.WARNING, needs=(*REPRODUCIBLE, "GV054"))
@@ -61,12 +61,14 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
         Export without detaching the input (numpy round trips, `.item()`, Python branches), or set
         "depends_on": {input or role: false}.
     """
-    for role, comparisons in behaviour.varied.items():
-        if not _leads_anywhere(behaviour.subject, role):
+    for role, comparisons in behaviour.comparisons_by_role.items():
+        if not _reaches_output(behaviour.subject, role):
             continue  # another rule reports it
         changes = any(comparison.changed for comparison in comparisons)
         location = _location(role)
-        if _depends(behaviour, role) and not (changes or _zero_changes(behaviour, role)):
+        if _declares_dependence(behaviour, role) and not (
+            changes or _zero_changes(behaviour, role)
+        ):
             actual = f"no output changes with it ({len(comparisons)} variations)"
             yield Violation.at(location, actual, "an effect, or depends_on false")
 
@@ -77,14 +79,14 @@ def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
     return [entry for entry in inputs if key in (entry.role, f"{INPUT_PREFIX}{entry.name}")]
 
 
-def _depends(behaviour: Behaviour, key: str) -> bool:
+def _declares_dependence(behaviour: Behaviour, key: str) -> bool:
     """Return whether the model's outputs may change with any input of an input role."""
     generator = behaviour.subject.generator
     entries = _inputs_of(behaviour.subject, key)
     return generator is None or any(map(generator.depends, entries))
 
 
-def _is_of_camera(subject: InspectedModel, key: str) -> bool:
+def _is_camera_role(subject: InspectedModel, key: str) -> bool:
     return any(entry.role in CAMERA_ROLES for entry in _inputs_of(subject, key))
 
 
@@ -96,16 +98,16 @@ def _zero_changes(behaviour: Behaviour, role: str) -> bool:
     """Return whether an output changes if all inputs of an input role are set to zero."""
     zero_runs = [
         run
-        for run in behaviour.visits("edges")
+        for run in behaviour.trial_runs("edges")
         if run.digest and run.probe.label.endswith(f" with zero {role}")
     ]
     return any(run.digest != behaviour.base.digest for run in zero_runs)
 
 
-def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
+def _reaches_output(subject: InspectedModel, role: str) -> bool:
     graph = subject.graph
-    used = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
-    return any(entry.name in used for entry in _inputs_of(subject, role))
+    used_names = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
+    return any(entry.name in used_names for entry in _inputs_of(subject, role))
 
 
 @rule("GB022", Severity.ERROR, needs=REPRODUCIBLE)
@@ -119,10 +121,10 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Remove the name from "depends_on", or set it to true.
     """
-    for role, comparisons in behaviour.varied.items():
+    for role, comparisons in behaviour.comparisons_by_role.items():
         changed = next((c.changed for c in comparisons if c.changed), None)
-        of_camera = _is_of_camera(behaviour.subject, role)
-        if changed and not of_camera and not _depends(behaviour, role):
+        is_camera_role = _is_camera_role(behaviour.subject, role)
+        if changed and not is_camera_role and not _declares_dependence(behaviour, role):
             actual = f"output {next(iter(changed))} changes with it"
             yield Violation.at(_location(role), actual, "depends_on true")
 
@@ -138,7 +140,7 @@ def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Set "depends_on": {"view": true}, or compute the camera-dependent part elsewhere.
     """
-    for role, comparisons in behaviour.varied.items():
-        if _is_of_camera(behaviour.subject, role) and not _depends(behaviour, role):
+    for role, comparisons in behaviour.comparisons_by_role.items():
+        if _is_camera_role(behaviour.subject, role) and not _declares_dependence(behaviour, role):
             for comparison in comparisons:
                 yield from _differences(comparison, f"the same at every {role}")

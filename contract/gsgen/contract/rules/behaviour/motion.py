@@ -14,22 +14,22 @@ from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 # The step from the end to the start may be this much larger than its neighbours.
-_JUMP = 3.0
+_MAX_JUMP_RATIO = 3.0
 # The rounding error, relative to the largest value.
 _ROUNDING = 2e-3
 # The largest motion between two pictures, as a fraction of the bounds' diagonal.
-_POP = 0.1
+_MAX_POP_FRACTION = 0.1
 
 
-def _floats(run: ProbeRun) -> dict[str, np.ndarray]:
+def _float_outputs(run: ProbeRun) -> dict[str, np.ndarray]:
     floats = {n: v for n, v in run.outputs.items() if v.dtype.kind == "f"}
     return floats if all(np.isfinite(v).all() for v in floats.values()) else {}
 
 
 def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray:
     """Return the row count that a run outputs; an empty array if the manifest declares none."""
-    declared, absent = behaviour.subject.declared_count, np.zeros(0)
-    return absent if declared is None else run.outputs.get(declared.name, absent)
+    declared, no_count = behaviour.subject.declared_count, np.zeros(0)
+    return no_count if declared is None else run.outputs.get(declared.name, no_count)
 
 
 @rule("GB004", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"))
@@ -42,19 +42,19 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Let the end of the range show what its start shows, or do not declare "loop".
     """
-    runs = behaviour.visits("loop")
+    runs = behaviour.trial_runs("loop")
     if len(runs) < 4:
         return
-    start, after, before, end = (_floats(run) for run in runs[:4])
-    for name in start.keys() & after.keys() & before.keys() & end.keys():
-        jump = largest_difference(start[name], end[name])
+    start, after_start, before_end, end = (_float_outputs(run) for run in runs[:4])
+    for name in start.keys() & after_start.keys() & before_end.keys() & end.keys():
+        loop_jump = largest_difference(start[name], end[name])
         step = max(
-            largest_difference(start[name], after[name]),
-            largest_difference(before[name], end[name]),
+            largest_difference(start[name], after_start[name]),
+            largest_difference(before_end[name], end[name]),
         )
-        peak = float(np.abs(start[name].astype(np.float64)).max(initial=0))
-        if jump > _JUMP * step + _ROUNDING * peak:
-            actual = f"jumps by up to {jump:.3g} from the end to the start"
+        max_magnitude = float(np.abs(start[name].astype(np.float64)).max(initial=0))
+        if loop_jump > _MAX_JUMP_RATIO * step + _ROUNDING * max_magnitude:
+            actual = f"jumps by up to {loop_jump:.3g} from the end to the start"
             expected = f"steps like the {step:.3g} before and after"
             yield Violation.at(f"output {name}", actual, expected)
 
@@ -71,22 +71,24 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
         Interpolate between frames of the same Gaussians; fade what appears. Check frames and fps.
     """
     generator, declared = behaviour.subject.generator, behaviour.subject.declared_gaussians
-    runs = behaviour.visits("paces")
+    runs = behaviour.trial_runs("paces")
     if generator is None or generator.bounds is None or declared is None:
         return
     diagonal = np.linalg.norm(np.subtract(generator.bounds.max, generator.bounds.min))
-    for early, late in zip(runs[::2], runs[1::2], strict=False):
-        a, b = (_floats(run).get(declared.name) for run in (early, late))
+    for first_run, second_run in zip(runs[::2], runs[1::2], strict=False):
+        a, b = (_float_outputs(run).get(declared.name) for run in (first_run, second_run))
         if a is None or b is None or a.shape != b.shape:
             continue
-        if not np.array_equal(_count(behaviour, early), _count(behaviour, late)):
+        if not np.array_equal(_count(behaviour, first_run), _count(behaviour, second_run)):
             continue  # rows behind a dropped one are those of other Gaussians
         drawn = np.minimum(a[:, OPACITY], b[:, OPACITY]) >= CULL_OPACITY
         paths = (a[drawn, POSITION].astype(np.float64), b[drawn, POSITION])
-        far = float(np.linalg.norm(paths[0] - paths[1], axis=1).max(initial=0.0))
-        if far > _POP * diagonal:
-            actual = f"moves by {far:.3g} within 1/60 s, {early.probe.label!r}"
-            expected = f"{_POP * diagonal:.3g} at most, a tenth of the bounds' diagonal"
+        max_distance = float(np.linalg.norm(paths[0] - paths[1], axis=1).max(initial=0.0))
+        if max_distance > _MAX_POP_FRACTION * diagonal:
+            actual = f"moves by {max_distance:.3g} within 1/60 s, {first_run.probe.label!r}"
+            expected = (
+                f"{_MAX_POP_FRACTION * diagonal:.3g} at most, a tenth of the bounds' diagonal"
+            )
             yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
@@ -102,12 +104,14 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         Take frame floor(time · frames), clamped to the last, for a time from 0 to 1. If the scene
         stands still for a while, ignore this rule.
     """
-    runs = [run for run in behaviour.visits("frames") if run.digest]
-    twice = [
-        later.probe.label for earlier, later in pairwise(runs) if earlier.digest == later.digest
+    runs = [run for run in behaviour.trial_runs("frames") if run.digest]
+    repeated_labels = [
+        later_run.probe.label
+        for earlier_run, later_run in pairwise(runs)
+        if earlier_run.digest == later_run.digest
     ]
-    if twice:
-        actual = f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
+    if repeated_labels:
+        actual = f"{len(repeated_labels)} of {len(runs)} frames show what the frame before did, {repeated_labels[0]}"
         yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")
 
 
@@ -122,7 +126,7 @@ def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Divide in float32, and check the unit of the range and the number of frames.
     """
-    runs = [run for run in behaviour.visits("frames") if run.digest]
+    runs = [run for run in behaviour.trial_runs("frames") if run.digest]
     distinct = len({run.digest for run in runs})
     if len(runs) > 2 and 2 * distinct <= len(runs):
         actual = f"{distinct} of {len(runs)} frames differ"

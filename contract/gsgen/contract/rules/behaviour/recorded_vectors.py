@@ -12,10 +12,10 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probe_plan import probed_dtypes, probed_shapes
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
-from gsgen.contract.probing.sandbox_worker import thinning_step
+from gsgen.contract.probing.sandbox_worker import subsample_step
 from gsgen.contract.probing.test_vectors import (
-    MOST_RECORDED,
-    MOST_SEEDS,
+    MAX_RECORDED_VECTORS,
+    MAX_VECTOR_SEEDS,
     probed_seeds,
     recorded_inputs,
     recorded_label,
@@ -70,15 +70,15 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
     assert manifest is not None
     label, same_seed = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
     if not same_seed and vector.seed not in probed_seeds(manifest, plan.seed):
-        return Violation.at("", f"seed {vector.seed}", f"{MOST_SEEDS} other seeds at most")
-    runs = behaviour.values if same_seed else behaviour.visits("vectors")
+        return Violation.at("", f"seed {vector.seed}", f"{MAX_VECTOR_SEEDS} other seeds at most")
+    runs = behaviour.values if same_seed else behaviour.trial_runs("vectors")
     digests = {run.probe.label: run.digest for run in runs}
     digest = digests.get(vector.inputs if same_seed else label)
     if digest:
         return digest
     known = [run.probe.label for run in behaviour.values]
-    planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
-    if not same_seed and label in planned:
+    planned_labels = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
+    if not same_seed and label in planned_labels:
         actual = f"no outputs at {label!r}"
         return Violation.at("", actual, "a run within the time limit", certainty="possible")
     actual = f"no probe {vector.inputs!r} with seed {vector.seed}"
@@ -103,15 +103,15 @@ def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:
         lower precision, raise the vector's `tolerances`.
     """
     subject = behaviour.subject
-    runs = {run.probe.label: run for run in behaviour.visits("vectors")}
+    runs = {run.probe.label: run for run in behaviour.trial_runs("vectors")}
     recorded = 0
     for index, vector in enumerate(subject.generator.test_vectors if subject.generator else ()):
         if not vector.outputs:
             continue
         recorded += 1
         where = f"manifest test_vectors.{index}"
-        if recorded > MOST_RECORDED:
-            expected = f"{MOST_RECORDED} at most"
+        if recorded > MAX_RECORDED_VECTORS:
+            expected = f"{MAX_RECORDED_VECTORS} at most"
             yield Violation.at(where, f"vector {recorded} with outputs", expected)
         elif recorded_inputs(vector, probed_shapes(subject), probed_dtypes(subject)) is None:
             expected = "the numbers and the shape of each input of the model, and no others"
@@ -130,7 +130,7 @@ def _run_faults(subject: InspectedModel, vector: TestVector, run: ProbeRun) -> I
         for name in run.sample.outputs:
             tensor = subject.graph.output(name)
             dims = static_dims(tensor) if tensor else None
-            steps[name] = thinning_step(dims[0]) if dims else 1
+            steps[name] = subsample_step(dims[0]) if dims else 1
     yield from vector_faults(subject, vector, run.sample.outputs, steps)
 
 
@@ -159,7 +159,7 @@ def vector_faults(
         if subject.declared_appearance is not None and not _is_sh(subject, part):
             # A fourth channel of RGB has no meaning.
             columns = min(columns, *APPEARANCE_CHANNELS["rgb"])
-        fault = _part_fault(part, len(array) * step, columns, step)
+        fault = _record_fault(part, len(array) * step, columns, step)
         if fault is not None:
             yield fault
             return
@@ -181,7 +181,7 @@ def _is_sh(subject: InspectedModel, part: VectorRows) -> bool:
     return declared is None or part.output != declared.name or declared.space == "sh"
 
 
-def _part_fault(part: VectorRows, length: int, columns: int, step: int) -> Fault | None:
+def _record_fault(part: VectorRows, length: int, columns: int, step: int) -> Fault | None:
     """Return the fault that keeps recorded rows from comparison with model outputs, or None."""
     if len(part.rows) != len(part.values) or not part.rows:
         return f"{len(part.values)} lists of values", f"one for each of {len(part.rows)} rows"
@@ -236,23 +236,25 @@ def _field_faults(
     expected: ModelOutputs,
     tolerances: tuple[Tolerance, ...],
     numbers: tuple[int, ...],
-    element: str,
+    element_name: str,
 ) -> Iterator[Fault]:
     for error in field_errors(expected, actual, tolerances):
-        allowed = tolerance_of(error, tolerances)
+        field_tolerance = tolerance_of(error, tolerances)
         yield (
-            f"{allowed.field} of {element} {numbers[error.row]} is {error.error:.3g} from the "
+            f"{field_tolerance.field} of {element_name} {numbers[error.row]} is {error.error:.3g} from the "
             "source's",
-            f"at most {allowed.value:g} ({allowed.unit})",
+            f"at most {field_tolerance.value:g} ({field_tolerance.unit})",
         )
 
 
 def _tolerances(subject: InspectedModel, vector: TestVector) -> tuple[Tolerance, ...]:
     """Return tolerances for a test vector: the user's, else the vector's, else the manifest's."""
-    own = vector.tolerances
+    vector_tolerances = vector.tolerances
     return tuple(
         tolerance
-        if own is None or tolerance.source == "config"
-        else replace(tolerance, value=getattr(own, tolerance.field), source="manifest")
+        if vector_tolerances is None or tolerance.source == "config"
+        else replace(
+            tolerance, value=getattr(vector_tolerances, tolerance.field), source="manifest"
+        )
         for tolerance in effective_tolerances(subject)
     )

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.probing.behaviour_probes import REPEATED
+from gsgen.contract.probing.behaviour_probes import REPEATED_LABEL
 from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probes import Probe
@@ -25,11 +25,11 @@ from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
 # The rounding error of a graph rewrite, relative to an output's largest value.
-_REWRITTEN = 1e-2
-_INERT_SHARE = 0.5
+_MAX_REWRITE_ERROR = 1e-2
+_MIN_INERT_SHARE = 0.5
 
 
-def _broken(runs: list[ProbeRun]) -> Iterator[Violation]:
+def _broken_runs(runs: list[ProbeRun]) -> Iterator[Violation]:
     for run in runs:
         if run.error:
             yield Violation.at("ONNX Runtime", f"{run.error} ({run.probe.label})", "no error")
@@ -50,7 +50,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Clamp under the square root, and before division and logarithm.
     """
-    yield from _broken(behaviour.visits("edges"))
+    yield from _broken_runs(behaviour.trial_runs("edges"))
 
 
 @rule("GI010", Severity.WARNING, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"))
@@ -64,7 +64,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Clip inputs to their range inside the model.
     """
-    yield from _broken(behaviour.visits("outside"))
+    yield from _broken_runs(behaviour.trial_runs("outside"))
 
 
 @rule("GB010", Severity.WARNING, needs=(*REPRODUCIBLE, "GG020"), kinds=KINDS)
@@ -83,28 +83,32 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
     """
     subject, base = behaviour.subject, behaviour.base
     tolerances = effective_tolerances(subject)
-    for unoptimised in behaviour.visits("plain"):
-        if not unoptimised.outputs:
+    for unoptimised_run in behaviour.trial_runs("plain"):
+        if not unoptimised_run.outputs:
             continue
         first, second = (
             read_outputs(subject, compared_run.probe.label, compared_run.outputs)
-            for compared_run in (base, unoptimised)
+            for compared_run in (base, unoptimised_run)
         )
         for error in field_errors(first, second, tolerances):
-            yield _too_far(error, tolerance_of(error, tolerances), first)
+            yield _tolerance_violation(error, tolerance_of(error, tolerances), first)
         parts = (subject.declared_gaussians, subject.declared_appearance, subject.declared_cells)
-        both = zip(parts, comparable_parts(first, second), strict=True)
-        compared = {part.name for part, pair in both if part is not None and pair is not None}
+        part_pairs = zip(parts, comparable_parts(first, second), strict=True)
+        compared_names = {
+            part.name for part, pair in part_pairs if part is not None and pair is not None
+        }
         for name, value in base.outputs.items():
-            if name not in compared and name in unoptimised.outputs:
-                yield from _loosely(name, value, unoptimised.outputs[name])
+            if name not in compared_names and name in unoptimised_run.outputs:
+                yield from _compare_loosely(name, value, unoptimised_run.outputs[name])
 
 
-def _too_far(error: FieldError, tolerance: Tolerance, emission: ModelOutputs) -> Violation:
+def _tolerance_violation(
+    error: FieldError, tolerance: Tolerance, emission: ModelOutputs
+) -> Violation:
     field = error.field.removeprefix("cell ")
-    output = emission.color_place if field == "appearance" else emission.rows_place
+    output = emission.color_label if field == "appearance" else emission.rows_label
     if field != error.field:
-        output = emission.cells_place
+        output = emission.cells_label
     location = Location(output, field)
     actual = f"row {error.row} differs by {error.error:.3g} without optimisations"
     source = {"default": "the contract's own", "config": "by the configuration"}
@@ -115,14 +119,16 @@ def _too_far(error: FieldError, tolerance: Tolerance, emission: ModelOutputs) ->
     return Violation(where=location, expected=expected, actual=actual)
 
 
-def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[Violation]:
+def _compare_loosely(
+    name: str, value: np.ndarray, unoptimised_value: np.ndarray
+) -> Iterator[Violation]:
     """Report an output if graph optimisation changes it by over 1 % of its largest value."""
-    peak = float(np.abs(value.astype(np.float64)).max(initial=0))
-    least = 1.0 if value.dtype.kind in "iu" else 0.0
-    largest = largest_difference(value, unoptimised)
-    if largest > max(_REWRITTEN * peak, least):
+    max_magnitude = float(np.abs(value.astype(np.float64)).max(initial=0))
+    min_difference = 1.0 if value.dtype.kind in "iu" else 0.0
+    largest = largest_difference(value, unoptimised_value)
+    if largest > max(_MAX_REWRITE_ERROR * max_magnitude, min_difference):
         actual = f"differs by up to {largest:.3g} without optimisations"
-        expected = f"{_REWRITTEN * peak:.3g} at most, 1 % of the largest value"
+        expected = f"{_MAX_REWRITE_ERROR * max_magnitude:.3g} at most, 1 % of the largest value"
         yield Violation.at(f"output {name}", actual, expected)
 
 
@@ -137,8 +143,8 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
         Make every output a function of the inputs alone.
     """
     first = {_input_bytes(run.probe): run.digest for run in behaviour.values}  # labels are rounded
-    for later_run in behaviour.visits("again"):
-        label = later_run.probe.label.removesuffix(f" {REPEATED}")
+    for later_run in behaviour.trial_runs("again"):
+        label = later_run.probe.label.removesuffix(f" {REPEATED_LABEL}")
         if later_run.digest and later_run.digest != first[_input_bytes(later_run.probe)]:
             yield Violation.at(
                 f"probe {label!r}", "other output bits than in the first run", "the same bits"
@@ -167,12 +173,14 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
     declared, count = subject.declared_gaussians, subject.declared_count
     if declared is None or count is None or count.semantics != "exact":
         return
-    for probe, outputs in behaviour.emitted:
+    for probe, outputs in behaviour.probe_outputs:
         live = max(0, int(outputs[count.name].reshape(-1)[0]))
         opacity = outputs[declared.name][:live, OPACITY]
-        inert = int(np.count_nonzero(opacity == 0))
+        inert_count = int(np.count_nonzero(opacity == 0))
         # If nearly all are inert, GV004 reports it.
-        if _INERT_SHARE * len(opacity) < inert <= MOSTLY_INVISIBLE * len(opacity):
-            actual = f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
+        if _MIN_INERT_SHARE * len(opacity) < inert_count <= MOSTLY_INVISIBLE * len(opacity):
+            actual = (
+                f"{inert_count} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
+            )
             yield Violation.at(f"output {count.name}", actual, "live rows first")
             return

@@ -16,15 +16,15 @@ from gsgen.contract.validation.rule import rule
 
 _FEWEST = 4
 # All rows move alike if they differ by less than this fraction, and as told within the second.
-_ALIKE = 5e-3
-_AGREES = 0.02
+_MAX_RIGID_ERROR = 5e-3
+_MAX_VALUE_ERROR = 0.02
 # Distances of rotations, as the Frobenius norm of their difference.
-_SAME_TURN, _OTHER_TURN = 0.02, 0.2
+_MAX_SAME_ROTATION, _MIN_OTHER_ROTATION = 0.02, 0.2
 
-_Pair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+_RunPair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
 
 
-def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
+def _pairs(behaviour: Behaviour, role: str) -> Iterator[_RunPair]:
     """Yield pairs of model runs that differ in one input, and the Gaussians' centres in both."""
     declared = behaviour.subject.declared_gaussians
     runs = behaviour.variants(role)
@@ -55,15 +55,23 @@ def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
     for base, probe, first, second in _pairs(behaviour, "root_translation"):
         name = behaviour.subject.inputs_of("root_translation")[0][0].name
         translation = (probe.inputs[name] - base.inputs[name]).astype(np.float64)
-        moves = second - first
-        moved, length = moves.mean(axis=0), float(np.linalg.norm(translation))
-        alike = np.abs(moves - moved).max() <= _ALIKE * max(length, float(np.abs(moved).max()))
-        if alike and length > 0 and np.linalg.norm(moved - translation) > _AGREES * length:
-            factor = float(np.linalg.norm(moved)) / length
-            actual = f"a translation by {_vector(translation)} moves all rows by {_vector(moved)}"
+        row_motion = second - first
+        mean_motion, length = row_motion.mean(axis=0), float(np.linalg.norm(translation))
+        is_uniform = np.abs(row_motion - mean_motion).max() <= _MAX_RIGID_ERROR * max(
+            length, float(np.abs(mean_motion).max())
+        )
+        if (
+            is_uniform
+            and length > 0
+            and np.linalg.norm(mean_motion - translation) > _MAX_VALUE_ERROR * length
+        ):
+            factor = float(np.linalg.norm(mean_motion)) / length
+            actual = (
+                f"a translation by {_vector(translation)} moves all rows by {_vector(mean_motion)}"
+            )
             cause = (
                 "the translation is rotated, so it is added before the rotation"
-                if abs(factor - 1) <= _AGREES
+                if abs(factor - 1) <= _MAX_VALUE_ERROR
                 else f"a factor of {factor:.3g}: another unit"
             )
             expected = f"the translation itself, added last; {cause}"
@@ -88,14 +96,17 @@ def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
     """
     for base, probe, first, second in _pairs(behaviour, "root_rotation"):
         name = behaviour.subject.inputs_of("root_rotation")[0][0].name
-        old, new = (_rotation(entry.inputs[name]) for entry in (base, probe))
-        turn = _fitted_rotation(first, second)
-        if old is None or new is None or turn is None:
+        rotation_before, rotation_after = (_rotation(entry.inputs[name]) for entry in (base, probe))
+        fitted_rotation = _fitted_rotation(first, second)
+        if rotation_before is None or rotation_after is None or fitted_rotation is None:
             continue
-        forwards, backwards = new @ old.T, new.T @ old
+        forward_rotation, reverse_rotation = (
+            rotation_after @ rotation_before.T,
+            rotation_after.T @ rotation_before,
+        )
         if (
-            np.linalg.norm(turn - backwards) <= _SAME_TURN
-            and np.linalg.norm(turn - forwards) >= _OTHER_TURN
+            np.linalg.norm(fitted_rotation - reverse_rotation) <= _MAX_SAME_ROTATION
+            and np.linalg.norm(fitted_rotation - forward_rotation) >= _MIN_OTHER_ROTATION
         ):
             actual = "the body turns backwards, by the inverse rotation: the matrix is transposed"
             yield Violation.at(f"input {name}", actual, "M p for each centre p")
@@ -122,7 +133,7 @@ def _fitted_rotation(
     left, sizes, right = np.linalg.svd(a.T @ b)
     if sizes[1] <= np.finfo(np.float32).eps * sizes[0]:
         return None  # the points lie on a line
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    turn = (left @ flip @ right).T
-    rigid = np.abs(a @ turn.T - b).max() <= _ALIKE * np.abs(b).max()
-    return np.asarray(turn) if rigid else None
+    handedness = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    fitted_rotation = (left @ handedness @ right).T
+    is_rigid = np.abs(a @ fitted_rotation.T - b).max() <= _MAX_RIGID_ERROR * np.abs(b).max()
+    return np.asarray(fitted_rotation) if is_rigid else None

@@ -14,8 +14,8 @@ from gsgen.contract.validation.rule import rule
 _VARIANCE_SLACK = 1e-5
 
 
-def _surveyed(behaviour: Behaviour) -> list[ProbeRun]:
-    return [*behaviour.visits("survey"), *behaviour.visits("frames")]
+def _surveyed_runs(behaviour: Behaviour) -> list[ProbeRun]:
+    return [*behaviour.trial_runs("survey"), *behaviour.trial_runs("frames")]
 
 
 @rule("GB043", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"))
@@ -30,13 +30,13 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
         Guard the division by the distance to the camera, such as max(distance, 1e-8). If a frame is
         named, look at its part of the table, or at the floor and the clamp of its index.
     """
-    runs = _surveyed(behaviour)
-    broken = [run for run in runs if run.error or run.not_finite]
-    if broken:
-        first = broken[0]
+    runs = _surveyed_runs(behaviour)
+    failed_runs = [run for run in runs if run.error or run.not_finite]
+    if failed_runs:
+        first = failed_runs[0]
         where = f"output {first.not_finite[0]}" if first.not_finite else "ONNX Runtime"
         problem = "not finite" if first.not_finite else first.error
-        share = f"{len(broken)} of {len(runs)} views and frames"
+        share = f"{len(failed_runs)} of {len(runs)} views and frames"
         actual = f"{problem} at {first.probe.label!r}, {share}"
         yield Violation.at(where, actual, "finite values everywhere")
 
@@ -59,7 +59,7 @@ def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
     declared, counted = behaviour.subject.declared_gaussians, behaviour.subject.declared_count
     if declared is None:
         return
-    runs = [(run, run.extremes) for run in _surveyed(behaviour) if run.extremes is not None]
+    runs = [(run, run.extremes) for run in _surveyed_runs(behaviour) if run.extremes is not None]
     places = {
         "count": Location(f"output {counted.name if counted else '?'}"),
         "opacity": Location(f"output {declared.name}", "opacity"),
@@ -71,14 +71,18 @@ def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
         "covariance": "xx, yy, zz >= 0",
     }
     for field, where in places.items():
-        wrong = [(run, text) for run, extremes in runs if (text := _outside(field, extremes))]
-        if wrong:
-            run, text = wrong[0]
-            actual = f"{text} at {run.probe.label!r}, {len(wrong)} of {len(runs)} views and frames"
+        faulty_runs = [
+            (run, text) for run, extremes in runs if (text := _out_of_range_text(field, extremes))
+        ]
+        if faulty_runs:
+            run, text = faulty_runs[0]
+            actual = (
+                f"{text} at {run.probe.label!r}, {len(faulty_runs)} of {len(runs)} views and frames"
+            )
             yield Violation(where=where, expected=expected[field], actual=actual)
 
 
-def _outside(field: str, extremes: Extremes) -> str:
+def _out_of_range_text(field: str, extremes: Extremes) -> str:
     """Return an out-of-range row count, opacity or variance as text; empty if all are in range."""
     if field == "count":
         return "" if 0 <= extremes.count <= extremes.capacity else f"{extremes.count}"
@@ -89,6 +93,6 @@ def _outside(field: str, extremes: Extremes) -> str:
         if high > 1 + OPACITY_SLACK:
             return f"{high:.4g}"
         return f"{low:.4g}" if low < -OPACITY_SLACK else ""
-    lowest = min(extremes.low[k] for k in VARIANCES)
+    min_variance = min(extremes.low[k] for k in VARIANCES)
     largest = max(extremes.high[k] for k in VARIANCES)
-    return f"{lowest:.4g}" if lowest < -_VARIANCE_SLACK * largest else ""
+    return f"{min_variance:.4g}" if min_variance < -_VARIANCE_SLACK * largest else ""

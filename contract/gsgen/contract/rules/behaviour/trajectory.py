@@ -18,7 +18,7 @@ _ROTATION = slice(3, None)
 # The largest difference of a quaternion's length from 1.
 _UNIT_SLACK = 1e-3
 # The largest drift of a predicted state, relative to the size of the coordinates.
-_DRIFT = 2e-3
+_MAX_DRIFT = 2e-3
 
 
 @rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))
@@ -52,11 +52,11 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """
     manifest = probe_runs.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
-    doubt = manifest.outputs.uncertainty
+    uncertainty_output = manifest.outputs.uncertainty
     for name, value, label in _values(probe_runs):
-        if name != doubt.name:
+        if name != uncertainty_output.name:
             continue
-        if doubt.semantics == "covariance-upper":
+        if uncertainty_output.semantics == "covariance-upper":
             size = STATE_SIZES[manifest.outputs.future.representation]
             rows = np.arange(size)
             value = value[:, rows * size - rows * (rows - 1) // 2]
@@ -80,7 +80,7 @@ def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
     assert isinstance(manifest, TrajectoryManifest)
     if manifest.outputs.future.representation != "position+quaternion-wxyz":
         return
-    for name, value, label in _values(probe_runs, with_zeros=False):
+    for name, value, label in _values(probe_runs, includes_zeros=False):
         if name != manifest.outputs.future.name:
             continue
         length = np.linalg.norm(value[:, _ROTATION].astype(np.float64), axis=1)
@@ -91,7 +91,7 @@ def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 def _values(
-    probe_runs: ProbeRuns, *, with_zeros: bool = True
+    probe_runs: ProbeRuns, *, includes_zeros: bool = True
 ) -> Iterator[tuple[str, np.ndarray, str]]:
     """Yield output name, array and test input label of both outputs of a trajectory predictor."""
     manifest = probe_runs.subject.manifest
@@ -104,7 +104,7 @@ def _values(
         outputs = probe_runs.execution.samples[run.sample].outputs if run.sample >= 0 else {}
         for name in names:
             value = outputs.get(name)
-            if value is not None and value.ndim == 2 and (with_zeros or not probe.zeros):
+            if value is not None and value.ndim == 2 and (includes_zeros or not probe.zeros):
                 yield name, value, probe.label
 
 
@@ -119,11 +119,11 @@ def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Subtract the last position from the history inside the model, and add it to the result.
     """
-    runs = behaviour.visits("paths")
+    runs = behaviour.trial_runs("paths")
     if len(runs) < 2:
         return
-    expected = _future(behaviour, runs[0])
-    actual = _future(behaviour, runs[1])
+    expected = _future_states(behaviour, runs[0])
+    actual = _future_states(behaviour, runs[1])
     if expected is None or actual is None:
         return
     expected = expected.copy()
@@ -142,12 +142,12 @@ def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Predict from differences of states, without a bias in the last layer.
     """
-    runs = behaviour.visits("paths")
+    runs = behaviour.trial_runs("paths")
     manifest = behaviour.subject.manifest
     if len(runs) < 3 or not isinstance(manifest, TrajectoryManifest):
         return
     name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
-    actual = _future(behaviour, runs[2])
+    actual = _future_states(behaviour, runs[2])
     if actual is not None:
         state = runs[2].probe.inputs[name][-1].astype(np.float64)
         yield from _compare(behaviour, actual, np.tile(state, (len(actual), 1)), "a camera at rest")
@@ -164,15 +164,15 @@ def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Multiply the history by the sign of its last w, or predict from relative rotations.
     """
-    runs = behaviour.visits("paths")
+    runs = behaviour.trial_runs("paths")
     if len(runs) < 4:
         return
-    expected, actual = (_future(behaviour, runs[index]) for index in (0, 3))
+    expected, actual = (_future_states(behaviour, runs[index]) for index in (0, 3))
     if expected is not None and actual is not None:
         yield from _compare(behaviour, actual, expected, "a history with quaternions negated")
 
 
-def _future(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
+def _future_states(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
     """Return the predicted camera states of a run in float64; None if they are not finite."""
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
@@ -183,7 +183,7 @@ def _future(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
 
 
 def _compare(
-    behaviour: Behaviour, actual: np.ndarray, expected: np.ndarray, situation: str
+    behaviour: Behaviour, actual: np.ndarray, expected: np.ndarray, situation_text: str
 ) -> Iterator[Violation]:
     """Yield a violation if predicted states differ from the expected ones beyond rounding.
 
@@ -200,10 +200,10 @@ def _compare(
         actual[products < 0, _ROTATION] *= -1
     scale = max(1.0, float(np.abs(expected).max(initial=0)))
     difference = np.abs(actual - expected)
-    if not (difference <= _DRIFT * scale).all():
+    if not (difference <= _MAX_DRIFT * scale).all():
         row, column = np.unravel_index(int(difference.argmax()), difference.shape)
         yield Violation.at(
             f"output {future.name}",
-            f"row {row} is off by {difference[row, column]:.4g} in column {column} for {situation}",
-            f"a difference of {_DRIFT * scale:.2g} at most",
+            f"row {row} is off by {difference[row, column]:.4g} in column {column} for {situation_text}",
+            f"a difference of {_MAX_DRIFT * scale:.2g} at most",
         )

@@ -14,17 +14,17 @@ from gsgen.contract.model.provider_placement import Cause, Placement, is_copy, s
 from gsgen.contract.model.value_ranges import Interval, intervals
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.contract.spec.operator_tables import FAILURES
+from gsgen.contract.spec.operator_tables import FAILED_OUTCOMES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
 _CAPTURE = "graph_capture"
-_LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
-_SCATTERS = frozenset({"ScatterElements", "ScatterND"})
+_INT32_MIN, _INT32_MAX = -(2.0**31), 2.0**31 - 1
+_SCATTER_OPERATORS = frozenset({"ScatterElements", "ScatterND"})
 # The operator is not in the user's code: the SDK selects rows with it.
-_SELECTION = (
+_SELECTION_HINT = (
     "if gsgen.sdk.math.keep_rows selects rows by TopK, multiply opacity by the mask instead"
 )
 
@@ -33,14 +33,14 @@ def _node_location(node: NodeProto) -> str:
     return f"node {node.name or node.output[0]} ({node.op_type})"
 
 
-def _of_cause(subject: InspectedModel, cause: Cause) -> list[Placement]:
+def _placements_of_cause(subject: InspectedModel, cause: Cause) -> list[Placement]:
     return [placement for placement in subject.placements if placement.cause == cause]
 
 
 def _outcomes_text(placement: Placement) -> str:
     """Return as text how each release of the target runtime executes a node."""
     runtimes_by_text = {
-        FAILURES[outcome]: [
+        FAILED_OUTCOMES[outcome]: [
             r for r, runtime_outcome in placement.outcomes.items() if runtime_outcome == outcome
         ]
         for outcome in placement.outcomes.values()
@@ -49,11 +49,11 @@ def _outcomes_text(placement: Placement) -> str:
     return f"{placement.dtype} {'; '.join(texts)}"
 
 
-def _expected(subject: InspectedModel, node: NodeProto, usual: str) -> str:
+def _expected(subject: InspectedModel, node: NodeProto, default_hint: str) -> str:
     """Return the expectation of a node, with the remedy if the node selects rows by TopK."""
     producers = (subject.graph.producers.get(name) for name in node.input)
-    selects = any(n is not None and n.op_type == "TopK" for n in (node, *producers))
-    return f"{usual}; {_SELECTION}" if selects else usual
+    is_selection = any(n is not None and n.op_type == "TopK" for n in (node, *producers))
+    return f"{default_hint}; {_SELECTION_HINT}" if is_selection else default_hint
 
 
 @rule(
@@ -75,7 +75,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
         Keep all rows, set the opacity of those that are not wanted to zero with Where, and lower
         num_points.
     """
-    for placement in _of_cause(subject, "shape"):
+    for placement in _placements_of_cause(subject, "shape"):
         names = shape_arguments(placement.node)
         actual = f"the shape comes from {names[0]!r}" if names else "as many as values say"
         yield Violation.at(
@@ -94,7 +94,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Cast to int32 first; frame numbers and identities come as int32 already.
     """
-    for placement in _of_cause(subject, "int64"):
+    for placement in _placements_of_cause(subject, "int64"):
         yield Violation.at(
             _node_location(placement.node),
             _outcomes_text(placement),
@@ -114,7 +114,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         Write the operation with operators that have kernels: Round as Floor(x + 0.5), Mod as
         x − Floor(x / y) · y, Sign as a difference of two comparisons.
     """
-    for placement in _of_cause(subject, "operator"):
+    for placement in _placements_of_cause(subject, "operator"):
         yield Violation.at(
             _node_location(placement.node),
             _outcomes_text(placement),
@@ -140,10 +140,14 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
         if node.op_type == "Split" and len(node.output) > limits["split_outputs"]:
             expected = f"{limits['split_outputs']} at most"
             yield Violation.at(_node_location(node), f"{len(node.output)} outputs", expected)
-        widest = limits.get("concat_inputs")
-        if node.op_type == "Concat" and widest is not None and len(node.input) > widest:
+        max_concat_inputs = limits.get("concat_inputs")
+        if (
+            node.op_type == "Concat"
+            and max_concat_inputs is not None
+            and len(node.input) > max_concat_inputs
+        ):
             yield Violation.at(
-                _node_location(node), f"{len(node.input)} inputs", f"{widest} at most"
+                _node_location(node), f"{len(node.input)} inputs", f"{max_concat_inputs} at most"
             )
 
 
@@ -159,7 +163,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         Write it out: subtract the mean, divide by the root of the mean square, and clamp under the
         root rather than add a small number.
     """
-    for placement in _of_cause(subject, "norm"):
+    for placement in _placements_of_cause(subject, "norm"):
         yield Violation.at(
             _node_location(placement.node), _outcomes_text(placement), "Mul, ReduceSum and Sqrt"
         )
@@ -177,7 +181,7 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Export at operator set 18.
     """
-    for placement in _of_cause(subject, "opset"):
+    for placement in _placements_of_cause(subject, "opset"):
         yield Violation.at(
             _node_location(placement.node), _outcomes_text(placement), "operator set 18"
         )
@@ -201,7 +205,7 @@ def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Run `gsgen validate --level live`, which captures the model in the real provider.
     """
-    for placement in _of_cause(subject, "unknown"):
+    for placement in _placements_of_cause(subject, "unknown"):
         runtimes = " and ".join(placement.outcomes)
         actual = f"{placement.dtype or 'unknown dtype'} was not measured in {runtimes}"
         yield Violation.at(
@@ -223,18 +227,18 @@ def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
     """
     proto = subject.file.proto
     spans = intervals(subject.graph, proto.graph.initializer, subject.manifest)
-    doubtful: set[str] = set()  # so are all values computed from them
+    doubtful_names: set[str] = set()  # so are all values computed from them
     for placement in subject.placements:
         node, output_name = placement.node, placement.node.output[0]
-        if not doubtful.isdisjoint(node.input):
-            doubtful.add(output_name)
+        if not doubtful_names.isdisjoint(node.input):
+            doubtful_names.add(output_name)
             continue
         if placement.cause or not _makes_int64(subject, placement):
             continue
         span = spans.get(output_name)
-        if span is None or not (span[0] >= _LOWEST and span[1] <= _HIGHEST):
-            doubtful.add(output_name)
-            yield _out_of_range(placement, span)
+        if span is None or not (span[0] >= _INT32_MIN and span[1] <= _INT32_MAX):
+            doubtful_names.add(output_name)
+            yield _range_violation(placement, span)
 
 
 def _makes_int64(subject: InspectedModel, placement: Placement) -> bool:
@@ -242,9 +246,9 @@ def _makes_int64(subject: InspectedModel, placement: Placement) -> bool:
     return tensor is not None and tensor.dtype == "int64"
 
 
-def _out_of_range(placement: Placement, span: Interval | None) -> Violation:
+def _range_violation(placement: Placement, span: Interval | None) -> Violation:
     location = _node_location(placement.node)
-    expected = f"values from {_LOWEST:.0f} to {_HIGHEST:.0f}"
+    expected = f"values from {_INT32_MIN:.0f} to {_INT32_MAX:.0f}"
     if span is None:
         actual = "int64 whose range is not known"
         return Violation.at(location, actual, expected, certainty="possible")
@@ -276,28 +280,28 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
         if not graph.varies(tensor.name):
             continue
         producer = graph.producers.get(tensor.name)
-        if producer is not None and _copies(graph, producer):
+        if producer is not None and _copies_input(graph, producer):
             yield Violation.at(location, f"made by {producer.op_type}", "an operator that computes")
         for node in graph.ancestors(tensor.name)[1]:
-            if node.op_type in _SCATTERS and _shares_base(graph, node):
+            if node.op_type in _SCATTER_OPERATORS and _shares_base(graph, node):
                 location = f"node {node.name or node.op_type} ({node.op_type})"
                 actual = "updates a tensor that others read"
                 yield Violation.at(location, actual, "Where or Concat")
 
 
-def _copies(graph: Graph, node: NodeProto) -> bool:
+def _copies_input(graph: Graph, node: NodeProto) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
-    idle = any(
+    is_idle = any(
         attribute.name == "noop_with_empty_axes" and attribute.i for attribute in node.attribute
     )
     has_axes = any(attribute.name == "axes" and attribute.ints for attribute in node.attribute)
     axes_inputs = [name for name in node.input[1:2] if name]
     axes = graph.tensors.get(axes_inputs[0]) if axes_inputs else None
     empty = not axes_inputs or (axes is not None and axes.dims is not None and 0 in axes.dims)
-    return is_copy(node.op_type, len(node.input), keeps_all_axes=idle and empty and not has_axes)
+    return is_copy(node.op_type, len(node.input), keeps_all_axes=is_idle and empty and not has_axes)
 
 
 def _shares_base(graph: Graph, node: NodeProto) -> bool:
     base = node.input[0]
-    return base not in graph.producers or graph.uses.get(base, 0) > 1
+    return base not in graph.producers or graph.use_counts.get(base, 0) > 1

@@ -51,9 +51,9 @@ def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Export without custom operators; write the operation with standard ones.
     """
-    graph, allowed = subject.graph, subject.target.domains
+    graph, allowed_domains = subject.graph, subject.target.domains
     for node in graph.all_nodes():
-        known = node.domain in allowed or (node.domain, node.op_type) in graph.functions
+        known = node.domain in allowed_domains or (node.domain, node.op_type) in graph.functions
         if not known:
             actual = f"domain {node.domain!r}"
             yield Violation.at(
@@ -127,9 +127,9 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
     for node in graph.nodes:
         if node.op_type != "MatMul" or node.domain not in MAIN_DOMAIN or len(node.input) != 2:
             continue
-        maker, right = graph.producers.get(node.input[0]), graph.tensors.get(node.input[1])
-        turned = maker is not None and maker.op_type == "Transpose"
-        if turned and right is not None and right.dims is not None and len(right.dims) == 1:
+        producer, right = graph.producers.get(node.input[0]), graph.tensors.get(node.input[1])
+        is_transposed = producer is not None and producer.op_type == "Transpose"
+        if is_transposed and right is not None and right.dims is not None and len(right.dims) == 1:
             yield Violation.at(
                 _node_location(node), f"Transpose times {right}", "a right operand of rank 2"
             )

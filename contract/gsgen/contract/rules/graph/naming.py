@@ -12,11 +12,11 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 # A browser holds the file, the runtime's copy and the uploaded weights at the same time.
-_LARGEST_FILE = 1500 * MEBIBYTE
+_MAX_FILE_BYTES = 1500 * MEBIBYTE
 # Every pass that edits a node copies its constant, and copies are not shared.
-_LARGEST_CONSTANT = MEBIBYTE
+_MAX_CONSTANT_BYTES = MEBIBYTE
 
-_NOTHING = Tensor("", None, None)
+_UNKNOWN_TENSOR = Tensor("", None, None)
 
 
 @rule("GG012", Severity.ERROR, kinds=KINDS)
@@ -56,13 +56,13 @@ def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
         Store large weights as initialisers, in a file beside the model if they are many.
     """
     file = subject.file
-    if file.size > _LARGEST_FILE:
-        expected = f"{format_mebibytes(_LARGEST_FILE, 0)} at most, and weights beside it"
+    if file.size > _MAX_FILE_BYTES:
+        expected = f"{format_mebibytes(_MAX_FILE_BYTES, 0)} at most, and weights beside it"
         yield Violation.at("file", format_mebibytes(file.size, 0), expected)
     for node in subject.graph.all_nodes():
         if node.op_type != "Constant" or not node.output:
             continue
-        size = tensor_bytes(subject.graph.tensors.get(node.output[0], _NOTHING))
-        if size > _LARGEST_CONSTANT:
+        size = tensor_bytes(subject.graph.tensors.get(node.output[0], _UNKNOWN_TENSOR))
+        if size > _MAX_CONSTANT_BYTES:
             actual = f"a constant of {format_mebibytes(size)}"
             yield Violation.at(f"node {node.name or node.output[0]}", actual, "an initialiser")

@@ -7,7 +7,7 @@ from onnx import NodeProto, TensorProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import small_array
-from gsgen.contract.model.provider_placement import SIZED_BY_DATA
+from gsgen.contract.model.provider_placement import DATA_SIZED_OPERATORS
 from gsgen.contract.spec.fields.roles import GENERATOR, KINDS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN, RANDOM_OPERATORS
@@ -17,18 +17,20 @@ from gsgen.contract.validation.gates import MANIFEST_PARSED, WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
 # Training layers draw by these operators, which a network has no other use for.
-_TRAINING_DRAWS = frozenset({"Bernoulli"})
+_RANDOM_TRAINING_OPERATORS = frozenset({"Bernoulli"})
 _TRAINING_FLAG = 2  # the input of Dropout that switches it on
 
 
-def _nodes(subject: InspectedModel) -> Iterator[NodeProto]:
+def _all_nodes(subject: InspectedModel) -> Iterator[NodeProto]:
     """Yield the standard ONNX nodes that the outputs need, in subgraphs and functions too."""
     graph = subject.graph
-    needed = {id(node) for tensor in graph.outputs for node in graph.ancestors(tensor.name)[1]}
-    idle = {id(node) for node in graph.nodes} - needed
+    needed_nodes = {
+        id(node) for tensor in graph.outputs for node in graph.ancestors(tensor.name)[1]
+    }
+    idle_nodes = {id(node) for node in graph.nodes} - needed_nodes
     functions = (node for function in subject.file.proto.functions for node in function.node)
     for node in chain(graph.all_nodes(), functions):
-        if node.domain in MAIN_DOMAIN and id(node) not in idle:
+        if node.domain in MAIN_DOMAIN and id(node) not in idle_nodes:
             yield node
 
 
@@ -47,10 +49,10 @@ def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Draw the numbers before export and store them as weights.
     """
-    for node in _nodes(subject):
+    for node in _all_nodes(subject):
         if node.op_type in RANDOM_OPERATORS:
-            seeded = any(attribute.name == "seed" for attribute in node.attribute)
-            actual = "draws on from run to run despite its seed" if seeded else "no seed"
+            has_seed = any(attribute.name == "seed" for attribute in node.attribute)
+            actual = "draws on from run to run despite its seed" if has_seed else "no seed"
             yield Violation.at(_location(node), actual, "stored numbers")
 
 
@@ -66,11 +68,11 @@ def inference_mode(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Call model.eval() before the export, and export without training mode.
     """
-    flags = _true_constants(subject)
-    for node in _nodes(subject):
-        if node.op_type in _TRAINING_DRAWS:
+    true_constants = _true_constants(subject)
+    for node in _all_nodes(subject):
+        if node.op_type in _RANDOM_TRAINING_OPERATORS:
             yield Violation.at(_location(node), "draws a mask, as in training", "model.eval()")
-        elif node.op_type == "Dropout" and flags.intersection(node.input[_TRAINING_FLAG:]):
+        elif node.op_type == "Dropout" and true_constants.intersection(node.input[_TRAINING_FLAG:]):
             yield Violation.at(_location(node), "training_mode is true", "model.eval()")
         elif node.op_type == "BatchNormalization" and any(
             attribute.name == "training_mode" and attribute.i for attribute in node.attribute
@@ -82,7 +84,7 @@ def inference_mode(subject: InspectedModel) -> Iterator[Violation]:
 def _true_constants(subject: InspectedModel) -> set[str]:
     """Return the names of boolean graph constants that are true."""
     weights = list(subject.file.proto.graph.initializer)
-    for node in _nodes(subject):
+    for node in _all_nodes(subject):
         if node.op_type == "Constant" and node.output:
             for attribute in node.attribute:
                 if attribute.name == "value":
@@ -90,8 +92,8 @@ def _true_constants(subject: InspectedModel) -> set[str]:
                     weight.CopyFrom(attribute.t)
                     weight.name = node.output[0]
                     weights.append(weight)
-    flags = (weight for weight in weights if weight.data_type == TensorProto.BOOL)
-    arrays = ((weight.name, small_array(weight)) for weight in flags)
+    bool_weights = (weight for weight in weights if weight.data_type == TensorProto.BOOL)
+    arrays = ((weight.name, small_array(weight)) for weight in bool_weights)
     return {name for name, array in arrays if array is not None and array.any()}
 
 
@@ -113,17 +115,21 @@ def promised_shapes_static(subject: InspectedModel) -> Iterator[Violation]:
         declare "capture": {"static_shapes": false}.
     """
     manifest = subject.generator or subject.manifest
-    promised = subject.generator.capture if subject.generator else None
+    capture_promise = subject.generator.capture if subject.generator else None
     if isinstance(manifest, PostProcessManifest):
-        promised = manifest.capture
-    if promised is None or not promised.static_shapes or subject.candidate is not None:
+        capture_promise = manifest.capture
+    if (
+        capture_promise is None
+        or not capture_promise.static_shapes
+        or subject.candidate is not None
+    ):
         return
-    written = '"capture"' in (subject.file.manifest_text or "")
+    has_capture_key = '"capture"' in (subject.file.manifest_text or "")
     for placement in subject.placements:
-        if placement.node.op_type in SIZED_BY_DATA:
+        if placement.node.op_type in DATA_SIZED_OPERATORS:
             yield Violation.at(
                 _location(placement.node),
                 "as many elements as values say",
                 "static shapes, as capture.static_shapes promises",
-                certainty="confirmed" if written else "possible",
+                certainty="confirmed" if has_capture_key else "possible",
             )

@@ -30,9 +30,11 @@ def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
             continue
         shape = shape_of(subject, entry)
         if entry.role != "pose":
-            yield _at(entry, f"role {entry.role} with joints", "role pose")
+            yield _input_violation(entry, f"role {entry.role} with joints", "role pose")
         elif shape is not None and len(entry.joints) != shape[0]:
-            yield _at(entry, f"{len(entry.joints)} joints", f"{shape[0]}, one for each row")
+            yield _input_violation(
+                entry, f"{len(entry.joints)} joints", f"{shape[0]}, one for each row"
+            )
         else:
             yield from _order_faults(entry)
 
@@ -41,10 +43,10 @@ def _order_faults(entry: Input) -> Iterator[Violation]:
     earlier_names: set[str] = set()
     for joint in entry.joints:
         if joint.name in earlier_names:
-            yield _at(entry, f"two joints {joint.name!r}", "different names")
+            yield _input_violation(entry, f"two joints {joint.name!r}", "different names")
         if joint.parent is not None and joint.parent not in earlier_names:
             actual = f"joint {joint.name!r} before its parent {joint.parent!r}"
-            yield _at(entry, actual, "parents first")
+            yield _input_violation(entry, actual, "parents first")
         earlier_names.add(joint.name)
 
 
@@ -62,7 +64,7 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
         if entry.convention == _ARKIT and entry.range is not None:
             low, high = entry.range
             if not 0 <= low <= high <= 1:
-                yield _at(entry, f"range {[low, high]}", "within [0, 1]")
+                yield _input_violation(entry, f"range {[low, high]}", "within [0, 1]")
 
 
 @rule("GI032", Severity.ERROR, needs=("GM004", "GI015"))
@@ -79,18 +81,22 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
         declared = [name for name in _SOUND if getattr(entry, name) is not None]
         if entry.role != "audio":
             if declared:
-                yield _at(entry, f"role {entry.role} with {', '.join(declared)}", "role audio")
+                yield _input_violation(
+                    entry, f"role {entry.role} with {', '.join(declared)}", "role audio"
+                )
             continue
         shape = shape_of(subject, entry)
         is_mel = entry.convention == _MEL or (shape is not None and len(shape) > 1)
-        needed = _SOUND if is_mel else _SOUND[:1]
-        missing = [name for name in needed if name not in declared]
+        required_fields = _SOUND if is_mel else _SOUND[:1]
+        missing = [name for name in required_fields if name not in declared]
         if missing:
-            yield _at(entry, f"no {', '.join(missing)}", f"{', '.join(needed)} of the sound")
+            yield _input_violation(
+                entry, f"no {', '.join(missing)}", f"{', '.join(required_fields)} of the sound"
+            )
         elif is_mel and (entry.hop or 0) > (entry.window or 0):
             actual = f"hop {entry.hop} beyond the window {entry.window}"
-            yield _at(entry, actual, "hop <= window, so that no sample is skipped")
+            yield _input_violation(entry, actual, "hop <= window, so that no sample is skipped")
 
 
-def _at(entry: Input, actual: str, expected: str) -> Violation:
+def _input_violation(entry: Input, actual: str, expected: str) -> Violation:
     return Violation.at(f"manifest input {entry.name}", actual, expected)

@@ -15,13 +15,13 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
-_PREFIX = "gsgen."
+_METADATA_PREFIX = "gsgen."
 # A PNG file begins with these bytes, and a reference image has this size at most.
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_IMAGE_BYTES = 32 * MEBIBYTE
-_NAME = r"[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?"
-_TERM = rf"\(*\s*{_NAME}\s*\)*"
-_SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
+_LICENSE_NAME = r"[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?"
+_LICENSE_TERM = rf"\(*\s*{_LICENSE_NAME}\s*\)*"
+_SPDX = re.compile(rf"^{_LICENSE_TERM}(?:\s+(?:AND|OR|WITH)\s+{_LICENSE_TERM})*$")
 
 
 @rule("GM007", Severity.ERROR, needs=MANIFEST_PARSED)
@@ -55,8 +55,8 @@ def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.declared_appearance is None or subject.file.manifest_text is None:
         return
-    written = json.loads(subject.file.manifest_text)["outputs"]["appearance"]
-    if "color_space" not in written:
+    appearance_document = json.loads(subject.file.manifest_text)["outputs"]["appearance"]
+    if "color_space" not in appearance_document:
         yield Violation.at("manifest outputs.appearance", "no color_space", "srgb or linear")
 
 
@@ -98,7 +98,7 @@ def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(
             "manifest producer.license", repr(producer.license), "an SPDX expression"
         )
-    if not any(letter.isdigit() for letter in producer.tool):
+    if not any(char.isdigit() for char in producer.tool):
         yield Violation.at("manifest producer.tool", repr(producer.tool), "name and version")
 
 
@@ -123,7 +123,7 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
         (w.name, [entry.key for entry in w.metadata_props]) for w in graph.initializer
     ]
     for name, keys in metadata_keys:
-        contract_keys = [key for key in keys if key.startswith(_PREFIX)]
+        contract_keys = [key for key in keys if key.startswith(_METADATA_PREFIX)]
         if contract_keys:
             yield Violation.at(f"tensor {name}", f"key {contract_keys[0]!r}", "the manifest")
 
@@ -147,11 +147,11 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
     for role in generator.depends_on:
         if role not in known:
             actual = "no input has this role" if role in ROLES else "neither an input nor a role"
-            listed = ", ".join(known) or "none: there are no inputs"
+            known_text = ", ".join(known) or "none: there are no inputs"
             yield Violation.at(
                 f"manifest depends_on {role!r}",
                 actual,
-                f"one of {listed}",
+                f"one of {known_text}",
                 certainty="possible" if role in ROLES else "confirmed",
             )
 
@@ -178,10 +178,10 @@ def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
 def _image_fault(folder: Path, image: ReferenceImage) -> tuple[str, str] | None:
     """Return the fault of a reference image's file, and the expected value; None if valid."""
     expected = "a PNG in the model's folder or below it"
-    windows = PureWindowsPath(image.path)
-    if "\0" in image.path or PurePosixPath(image.path).is_absolute() or windows.anchor:
+    windows_path = PureWindowsPath(image.path)
+    if "\0" in image.path or PurePosixPath(image.path).is_absolute() or windows_path.anchor:
         return "an absolute path", expected
-    if ".." in windows.parts:
+    if ".." in windows_path.parts:
         return "leads out of the model's folder", expected
     try:
         path = (folder / image.path).resolve()

@@ -8,7 +8,7 @@ from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, ROW
 from gsgen.contract.spec.manifest import GeneratorManifest, TrajectoryManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.contract.spec.reader_needs import PROFILES, REGISTERED
+from gsgen.contract.spec.reader_needs import PROFILES, REGISTERED_EXTENSIONS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.finding import Violation
@@ -29,9 +29,9 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
         Add the name to "extensions_used".
     """
     manifest = subject.manifest
-    used = manifest.extensions_used if manifest else ()
+    used_extensions = manifest.extensions_used if manifest else ()
     for name in manifest.extensions_required if manifest else ():
-        if name not in used:
+        if name not in used_extensions:
             actual = f"{name} is not in extensions_used"
             yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
 
@@ -49,8 +49,8 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
         Register the extension as the page of extensions says, or do not require it.
     """
     for name in subject.manifest.extensions_required if subject.manifest else ():
-        if name not in REGISTERED:
-            known = ", ".join(REGISTERED) or "none is registered yet"
+        if name not in REGISTERED_EXTENSIONS:
+            known = ", ".join(REGISTERED_EXTENSIONS) or "none is registered yet"
             expected = f"a registered extension ({known})"
             yield Violation.at("manifest extensions_required", name, expected)
 
@@ -82,8 +82,10 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest operator_profile", f"operator set {opset}", expected)
     missing = profile.missing(node.op_type for node in subject.graph.all_nodes())
     if missing:
-        remainder = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
-        actual = f"{', '.join(missing[:_MOST_NAMED])}{remainder} in the graph"
+        remainder_text = (
+            f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+        )
+        actual = f"{', '.join(missing[:_MOST_NAMED])}{remainder_text} in the graph"
         yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
 
 

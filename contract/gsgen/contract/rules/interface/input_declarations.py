@@ -20,12 +20,12 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_TIMED = ("time", "frame_index")
-_SQUARE = ((4, 4), (3, 3))
+_TIME_ROLES = ("time", "frame_index")
+_SQUARE_SHAPES = ((4, 4), (3, 3))
 _QUATERNION = 4
 _AXIS_ANGLE = 3
 # Two decimals more than 2π: a range may be rounded up.
-_FULL_TURN = 6.3
+_FULL_TURN_RADIANS = 6.3
 # The rounding error of a decimal number that is read as binary.
 _ROUNDING = 1e-6
 # A runtime knows the camera, the clock, the window and the picture; users set these roles.
@@ -35,7 +35,7 @@ _USER_ROLES = (
 )
 
 
-def _place(entry: Input) -> str:
+def _input_location(entry: Input) -> str:
     return f"manifest input {entry.name}"
 
 
@@ -68,9 +68,9 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
         low, high = entry.range
         actual = f"range {[low, high]}"
         if not low <= high:
-            yield Violation.at(_place(entry), actual, "low <= high")
+            yield Violation.at(_input_location(entry), actual, "low <= high")
         elif ROLES[entry.role].index and not (low.is_integer() and high.is_integer()):
-            yield Violation.at(_place(entry), actual, "whole numbers")
+            yield Violation.at(_input_location(entry), actual, "whole numbers")
 
 
 @rule(
@@ -94,32 +94,32 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
         shape = shape_of(subject, entry)
         if entry.default is None or shape is None:
             continue
-        fault = _misfit(entry, shape)
+        fault = _default_fault(entry, shape)
         if fault is not None:
-            yield Violation.at(_place(entry), *fault)
+            yield Violation.at(_input_location(entry), *fault)
 
 
-def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
+def _default_fault(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
     """Return the fault of an input's default value, and the expected value; None if it fits."""
     default = entry.default
-    turns = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
-    if default == "identity" and not (shape in _SQUARE or turns):
+    is_quaternion_pose = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
+    if default == "identity" and not (shape in _SQUARE_SHAPES or is_quaternion_pose):
         return f"default identity for shape {list(shape)}", "a matrix or quaternions"
     if isinstance(default, tuple) and len(default) != prod(shape):
         actual = f"default of {len(default)} numbers for shape {list(shape)}"
         return actual, f"{prod(shape)} numbers"
-    numbers = _numbers(entry)
+    numbers = _default_numbers(entry)
     low, high = entry.range or (min(numbers, default=0), max(numbers, default=0))
     room = _ROUNDING * max(abs(low), abs(high), 1.0)
-    beyond = [number for number in numbers if not low - room <= number <= high + room]
-    if beyond:
-        return f"default {beyond[0]:g} beyond the range {[low, high]}", "one within"
+    out_of_range = [number for number in numbers if not low - room <= number <= high + room]
+    if out_of_range:
+        return f"default {out_of_range[0]:g} beyond the range {[low, high]}", "one within"
     if ROLES[entry.role].index and not all(number.is_integer() for number in numbers):
         return f"default {numbers[0]:g} of an input that counts", "a whole number"
     return None
 
 
-def _numbers(entry: Input) -> tuple[float, ...]:
+def _default_numbers(entry: Input) -> tuple[float, ...]:
     """Return the distinct numbers that an input's default consists of."""
     words: dict[object, tuple[float, ...]] = {"zeros": (0.0,), "identity": (0.0, 1.0)}
     default = entry.default
@@ -146,17 +146,19 @@ def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
         actual = f"convention {entry.convention!r}"
         if entry.convention not in known:
             expected = f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
-            yield Violation.at(_place(entry), actual, expected)
-        elif shape is not None and not _holds(entry, shape):
+            yield Violation.at(_input_location(entry), actual, expected)
+        elif shape is not None and not _shape_fits_convention(entry, shape):
             expected = "a shape that can hold it"
-            yield Violation.at(_place(entry), f"{actual} for shape {list(shape)}", expected)
+            yield Violation.at(
+                _input_location(entry), f"{actual} for shape {list(shape)}", expected
+            )
         elif shape is not None and shape[0] not in JOINTS.get(entry.convention, shape[:1]):
             joints = " or ".join(map(str, JOINTS[entry.convention]))
             expected = f"{joints} joints; a skeleton of its own has no convention of SMPL"
-            yield Violation.at(_place(entry), f"{actual} for {shape[0]} joints", expected)
+            yield Violation.at(_input_location(entry), f"{actual} for {shape[0]} joints", expected)
 
 
-def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
+def _shape_fits_convention(entry: Input, shape: tuple[int, ...]) -> bool:
     convention = entry.convention
     if (entry.role, convention) in CONVENTION_SHAPES:
         return matches_shape(CONVENTION_SHAPES[entry.role, str(convention)], shape)
@@ -181,13 +183,13 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
         the scene was recorded at; leave fps out if it is unknown.
     """
     for entry in declared_inputs(subject):
-        timing = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
-        declared = [name for name, value in timing.items() if value is not None]
-        if declared and entry.role not in _TIMED:
+        timing_fields = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
+        declared = [name for name, value in timing_fields.items() if value is not None]
+        if declared and entry.role not in _TIME_ROLES:
             actual = f"role {entry.role} with {', '.join(declared)}"
-            yield Violation.at(_place(entry), actual, "role time or frame_index")
+            yield Violation.at(_input_location(entry), actual, "role time or frame_index")
         elif entry.fps == 0:
-            yield Violation.at(_place(entry), "fps 0", "frames per second above 0")
+            yield Violation.at(_input_location(entry), "fps 0", "frames per second above 0")
     if isinstance(subject.manifest, TrajectoryManifest) and not subject.manifest.step_seconds:
         yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
 
@@ -209,7 +211,7 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
         numbers = int(entry.range[1] - entry.range[0]) + 1
         if entry.frames > numbers:
             actual = f"{entry.frames} frames in the range {list(entry.range)}"
-            yield Violation.at(_place(entry), actual, f"{numbers} distinct frames at most")
+            yield Violation.at(_input_location(entry), actual, f"{numbers} distinct frames at most")
 
 
 @rule("GI018", Severity.ERROR, needs=("GM004", "GI015"), kinds=KINDS)
@@ -228,9 +230,9 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
         if entry.role not in ROTATION_ROLES or entry.range is None or shape is None:
             continue
         is_vector = shape[-1:] == (_AXIS_ANGLE,) and entry.convention != "matrix"
-        if is_vector and shape != (3, 3) and max(map(abs, entry.range)) > _FULL_TURN:
+        if is_vector and shape != (3, 3) and max(map(abs, entry.range)) > _FULL_TURN_RADIANS:
             actual = f"range {list(entry.range)}, which looks like degrees"
-            yield Violation.at(_place(entry), actual, "radians, within ±2π (±6.28)")
+            yield Violation.at(_input_location(entry), actual, "radians, within ±2π (±6.28)")
 
 
 @rule("GI016", Severity.WARNING, needs=("GM004",), kinds=KINDS)
@@ -251,4 +253,4 @@ def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
         if entry.role in _USER_ROLES and entry.default is None:
             low = "zeros" if entry.range is None else f"{entry.range[0]:g}, the low end,"
             actual = f"role {entry.role} without a default: {low} would be fed"
-            yield Violation.at(_place(entry), actual, '"default"')
+            yield Violation.at(_input_location(entry), actual, '"default"')

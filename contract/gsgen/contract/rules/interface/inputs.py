@@ -122,10 +122,10 @@ def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(
                 location, f"role {entry.role} without a range", '"range": [low, high]'
             )
-        yield from _feedable(tensor, entry.role, manifest.kind if manifest else "")
+        yield from _feed_faults(tensor, entry.role, manifest.kind if manifest else "")
 
 
-def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
+def _feed_faults(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
     if role in _SHAPE_RULES and kind == GENERATOR:
         return
     location = f"input {tensor.name}"
@@ -194,12 +194,12 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
         it, or set "depends_on": {input or role: false}.
     """
     graph, generator = subject.graph, subject.generator
-    used: set[str] = set()
+    used_names: set[str] = set()
     for tensor in graph.outputs:
-        used |= graph.ancestors(tensor.name)[0]
+        used_names |= graph.ancestors(tensor.name)[0]
     for entry in subject.manifest.inputs if subject.manifest else ():
         expected = generator is None or generator.depends(entry)
-        if entry.name not in used and expected:
+        if entry.name not in used_names and expected:
             yield Violation.at(
                 f"input {entry.name}",
                 "no output depends on it",

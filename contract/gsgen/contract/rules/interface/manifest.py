@@ -31,8 +31,8 @@ def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
         embed it with `gsgen.contract.write_manifest`.
     """
     if subject.parsed is None:
-        misplaced = _misplaced_manifest(subject)
-        actual = f"no key {MANIFEST_KEY!r}" + (f", but {misplaced}" if misplaced else "")
+        misplaced_text = _misplaced_manifest(subject)
+        actual = f"no key {MANIFEST_KEY!r}" + (f", but {misplaced_text}" if misplaced_text else "")
         yield Violation.at("metadata_props", actual, "a manifest under that key")
 
 
@@ -55,8 +55,8 @@ def _misplaced_manifest(subject: InspectedModel) -> str:
 
 def _looks_like_manifest(text: str) -> bool:
     """Return whether a text begins like a JSON object and names a kind of model."""
-    opening = text[:_MANIFEST_OPENING].lstrip()
-    return opening.startswith("{") and any(f'"{kind}"' in opening for kind in KINDS)
+    first_text = text[:_MANIFEST_OPENING].lstrip()
+    return first_text.startswith("{") and any(f'"{kind}"' in first_text for kind in KINDS)
 
 
 @rule("GM002", Severity.ERROR, kinds=KINDS)
@@ -114,11 +114,13 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     declared = [i.name for i in manifest.inputs]
     for name in declared:
         if name not in inputs:
-            yield Violation.at(f"manifest input {name!r}", "no such graph input", _one_of(inputs))
+            yield Violation.at(
+                f"manifest input {name!r}", "no such graph input", _one_of_text(inputs)
+            )
     for name in subject.output_names:
         if name not in outputs:
             yield Violation.at(
-                f"manifest output {name!r}", "no such graph output", _one_of(outputs)
+                f"manifest output {name!r}", "no such graph output", _one_of_text(outputs)
             )
     for names in (declared, list(subject.output_names)):
         for name in sorted({entry for entry in names if names.count(entry) > 1}):
@@ -127,9 +129,9 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-def _one_of(names: list[str]) -> str:
-    listed = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
-    return f"one of {listed}" if names else "a tensor that exists; the graph has none"
+def _one_of_text(names: list[str]) -> str:
+    names_text = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+    return f"one of {names_text}" if names else "a tensor that exists; the graph has none"
 
 
 @rule("GM005", Severity.ERROR, needs=("GM004",))
@@ -175,9 +177,9 @@ def _gaussians_agree(subject: InspectedModel) -> Iterator[Violation]:
         return
     location = f"output {tensor.name}"
     first = tensor.dims[0] if tensor.dims else None
-    guessed = subject.candidate is not None  # taken from the graph, so it cannot disagree
+    is_inferred = subject.candidate is not None  # taken from the graph, so it cannot disagree
     known = len(tensor.dims) == 2 and isinstance(first, int) and first > 0
-    if known and not guessed and first != declared.capacity:
+    if known and not is_inferred and first != declared.capacity:
         expected = f"the declared capacity {declared.capacity}"
         yield Violation.at(location, f"graph has {first} rows", expected)
 
@@ -200,8 +202,8 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, f"the degree of {channels} SH channels")
         return
     expected_channels = appearance_channels("sh", declared.degree, 4)
-    legal = {appearance_channels("sh", degree, 4) for degree in range(4)}
-    if channels in legal and channels != expected_channels:
+    valid_channels = {appearance_channels("sh", degree, 4) for degree in range(4)}
+    if channels in valid_channels and channels != expected_channels:
         expected = f"{expected_channels} channels, as SH degree {declared.degree} has"
         yield Violation.at(f"output {tensor.name}", f"graph has {channels} channels", expected)
 

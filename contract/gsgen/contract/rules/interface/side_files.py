@@ -51,8 +51,10 @@ def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
     for number, vector in enumerate(manifest.test_vectors if manifest else ()):
         where = f"manifest test_vectors.{number}"
         if vector.files and sorted(file.input for file in vector.files) != names:
-            listed = ", ".join(file.input for file in vector.files)
-            yield Violation.at(where, f"files for {listed}", f"one for each of {', '.join(names)}")
+            input_names = ", ".join(file.input for file in vector.files)
+            yield Violation.at(
+                where, f"files for {input_names}", f"one for each of {', '.join(names)}"
+            )
         yield from _check_files(where, vector.files, folder)
 
 
@@ -75,10 +77,10 @@ def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
         Ship the weights that were exported with the model; after a change, write the digests again.
     """
     subject = probe_runs.subject
-    used = {ref.location for ref in subject.file.external}
+    used_locations = {ref.location for ref in subject.file.external}
     for entry in subject.manifest.external_data if subject.manifest else ():
         where = f"external data {entry.path!r}"
-        if entry.path not in used:
+        if entry.path not in used_locations:
             yield Violation.at(where, "no weight lies there", "a file that the model uses")
             continue
         fault = _fault(subject.file.path.parent, entry.path, entry.sha256)

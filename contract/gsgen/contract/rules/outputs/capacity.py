@@ -15,13 +15,13 @@ from gsgen.contract.validation.rule import rule
 # Capacities may be rounded up to whole workgroups.
 _ROUNDING = 256
 # Fewer padding rows have no measurable cost.
-_WASTE_ROWS = 4096
-_WASTE_SHARE = 0.5
+_MIN_WASTED_ROWS = 4096
+_MIN_USED_SHARE = 0.5
 _FRAMES = 60
 
 
-def _wasteful(most: int, capacity: int) -> bool:
-    return most < _WASTE_SHARE * capacity and capacity - most >= _WASTE_ROWS
+def _is_wasteful(max_count: int, capacity: int) -> bool:
+    return max_count < _MIN_USED_SHARE * capacity and capacity - max_count >= _MIN_WASTED_ROWS
 
 
 @rule("GO012", Severity.INFO, needs=COUNTED_ROWS[:-1])
@@ -40,7 +40,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     if rows is None or declared is None or subject.graph.varies(declared.name):
         return
     padding = len(rows) - emission.count
-    if padding >= _ROUNDING and not _wasteful(emission.count, len(rows)):
+    if padding >= _ROUNDING and not _is_wasteful(emission.count, len(rows)):
         actual = f"always {emission.count}, with {padding} rows behind it"
         yield Violation.at(f"output {declared.name}", actual, f"a capacity of {emission.count}")
 
@@ -61,14 +61,14 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     capacity = tensor.dims[0] if tensor is not None and tensor.dims else None
     counts = [
         int(outputs[declared.name].reshape(-1)[0])
-        for _, outputs in behaviour.emitted
+        for _, outputs in behaviour.probe_outputs
         if declared is not None
     ]
     if not isinstance(capacity, int) or not counts:
         return
-    if _wasteful(max(counts), capacity) and declared is not None:
+    if _is_wasteful(max(counts), capacity) and declared is not None:
         actual = f"at most {max(counts)} of {capacity} rows, at {len(counts)} probes"
-        yield Violation.at(f"output {declared.name}", actual, f"{_WASTE_SHARE:.0%} or more")
+        yield Violation.at(f"output {declared.name}", actual, f"{_MIN_USED_SHARE:.0%} or more")
 
 
 @rule("GL005", Severity.INFO, needs=("GM004", "GL001", "GL002"), limit="frame_bytes")
@@ -102,12 +102,17 @@ def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Make the model smaller, or declare the rate that it reaches.
     """
-    times = sorted(behaviour.seconds)
+    run_times = sorted(behaviour.seconds)
     for entry, tensor in behaviour.subject.inputs_of("time"):
-        if not entry.fps or not times:
+        if not entry.fps or not run_times:
             continue
-        median, late = times[len(times) // 2], times[int(0.95 * (len(times) - 1))]
+        median, slow_time = (
+            run_times[len(run_times) // 2],
+            run_times[int(0.95 * (len(run_times) - 1))],
+        )
         if median > 1 / entry.fps:
-            actual = f"median {1e3 * median:.3g} ms, 95 % within {1e3 * late:.3g} ms on this CPU"
+            actual = (
+                f"median {1e3 * median:.3g} ms, 95 % within {1e3 * slow_time:.3g} ms on this CPU"
+            )
             expected = f"{1e3 / entry.fps:.3g} ms, as {entry.fps:g} frames a second need"
             yield Violation.at(f"input {tensor.name}", actual, expected, certainty="possible")

@@ -72,10 +72,12 @@ def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     manifest = subject.manifest
     if not isinstance(manifest, TrajectoryManifest):
         return
-    future, doubt = manifest.outputs.future, manifest.outputs.uncertainty
+    future, uncertainty_output = manifest.outputs.future, manifest.outputs.uncertainty
     state, graph = STATE_SIZES[future.representation], subject.graph
-    doubt_size = {"covariance-upper": state * (state + 1) // 2}.get(doubt.semantics, state)
-    for name, expected in ((future.name, state), (doubt.name, doubt_size)):
+    doubt_size = {"covariance-upper": state * (state + 1) // 2}.get(
+        uncertainty_output.semantics, state
+    )
+    for name, expected in ((future.name, state), (uncertainty_output.name, doubt_size)):
         yield from _check_size(graph.output(name), f"output {name}", (future.steps, expected))
     for entry, tensor in subject.inputs_of("camera_history"):
         yield from _check_size(tensor, f"input {entry.name}", (None, state))
@@ -87,11 +89,11 @@ def _check_size(
     if tensor is None or tensor.dims is None:
         return
     expected_shape = f"[{'T' if expected[0] is None else expected[0]}, {expected[1]}]"
-    fits = len(tensor.dims) == 2 and all(
+    has_fitting_shape = len(tensor.dims) == 2 and all(
         size is None or not isinstance(dim, int) or dim == size
         for dim, size in zip(tensor.dims, expected, strict=True)
     )
-    if not fits:
+    if not has_fitting_shape:
         yield Violation.at(location, f"shape {tensor}", f"{expected_shape}, as the manifest fixes")
     elif tensor.dtype not in (None, "float32"):
         yield Violation.at(location, str(tensor.dtype), "float32")

@@ -58,6 +58,6 @@ def outputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """
     declared = subject.output_names
     for name in dict.fromkeys(subject.graph.output_names):
-        passed_on = subject.graph.input(name) is not None  # another rule reports it
-        if declared and name not in declared and not passed_on:
+        is_graph_input = subject.graph.input(name) is not None  # another rule reports it
+        if declared and name not in declared and not is_graph_input:
             yield Violation.at(f"output {name}", "not declared", f"only {', '.join(declared)}")

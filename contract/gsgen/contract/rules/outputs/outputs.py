@@ -11,7 +11,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
 
-MEANINGS: Final = {
+COLUMN_MEANINGS: Final = {
     7: "x y z, opacity and three scales without a rotation",
     11: "x y z, opacity, three scales and a quaternion",
     13: "x y z, opacity and the full matrix of nine covariances",
@@ -22,7 +22,7 @@ MEANINGS: Final = {
 """What rows of another width usually hold, by their columns."""
 
 
-def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
+def _dim_of_axis(tensor: Tensor | None, axis: int) -> int | str | None:
     return tensor.dims[axis] if tensor is not None and tensor.dims else None
 
 
@@ -56,18 +56,18 @@ def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
         after its sigmoid. The SDK packs for you.
     """
     tensor = subject.gaussians
-    if tensor is not None and _dim(tensor, -1) != ROW:
+    if tensor is not None and _dim_of_axis(tensor, -1) != ROW:
         expected = f"[N, {ROW}]" + _likely_columns(tensor)
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
 def _likely_columns(tensor: Tensor) -> str:
     """Return the likely meaning of packed rows that are not ten wide, as text; empty if unknown."""
-    columns = _dim(tensor, -1)
-    if _dim(tensor, 0) == ROW:
+    columns = _dim_of_axis(tensor, -1)
+    if _dim_of_axis(tensor, 0) == ROW:
         return "; this one is transposed, channels first"
-    if isinstance(columns, int) and columns in MEANINGS:
-        return f"; {columns} columns usually are {MEANINGS[columns]}"
+    if isinstance(columns, int) and columns in COLUMN_MEANINGS:
+        return f"; {columns} columns usually are {COLUMN_MEANINGS[columns]}"
     return ""
 
 
@@ -83,8 +83,8 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     """
     tensor = subject.gaussians
     if tensor is not None and (tensor.dims is None or len(tensor.dims) != 2):
-        flat = tensor.dims is not None and len(tensor.dims) == 1
-        expected = "two axes, [N, 10]" + ("; these rows are flattened" if flat else "")
+        is_flat = tensor.dims is not None and len(tensor.dims) == 1
+        expected = "two axes, [N, 10]" + ("; these rows are flattened" if is_flat else "")
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
@@ -101,7 +101,7 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
         rows, and return the count in num_points.
     """
     tensor = subject.gaussians
-    first = _dim(tensor, 0)
+    first = _dim_of_axis(tensor, 0)
     if tensor is not None and not (isinstance(first, int) and first > 0):
         yield Violation.at(
             f"output {tensor.name}", f"shape {tensor}", "a fixed, positive number of rows"
@@ -143,11 +143,15 @@ def appearance_channels(subject: InspectedModel) -> Iterator[Violation]:
     tensor, declared = subject.appearance, subject.declared_appearance
     if tensor is None or declared is None:
         return
-    allowed = APPEARANCE_CHANNELS[declared.space]
-    channels = _dim(tensor, -1)
-    if tensor.dims is None or len(tensor.dims) != 2 or channels not in allowed:
-        expected = f"[N, C] with C in {list(allowed)} for {declared.space}"
-        if declared.space == "sh" and isinstance(channels, int) and channels + 3 in allowed:
+    allowed_channels = APPEARANCE_CHANNELS[declared.space]
+    channels = _dim_of_axis(tensor, -1)
+    if tensor.dims is None or len(tensor.dims) != 2 or channels not in allowed_channels:
+        expected = f"[N, C] with C in {list(allowed_channels)} for {declared.space}"
+        if (
+            declared.space == "sh"
+            and isinstance(channels, int)
+            and channels + 3 in allowed_channels
+        ):
             expected += f"; {channels} is f_rest without the constant term f_dc"
         elif tensor.dims is not None and len(tensor.dims) == 3:
             expected += "; reshape the last two axes into one"
@@ -164,8 +168,8 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Pad both outputs to the same capacity.
     """
-    tensor, rows = subject.appearance, _dim(subject.gaussians, 0)
-    row_count = _dim(tensor, 0)
+    tensor, rows = subject.appearance, _dim_of_axis(subject.gaussians, 0)
+    row_count = _dim_of_axis(tensor, 0)
     if tensor is not None and isinstance(rows, int) and row_count != rows:
         yield Violation.at(f"output {tensor.name}", f"{row_count} rows", f"{rows} rows")
 
@@ -216,7 +220,7 @@ def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
         Pad float16 RGB to four channels, and SH to 12 or 48 channels.
     """
     for tensor in (subject.gaussians, subject.appearance):
-        channels = _dim(tensor, -1)
+        channels = _dim_of_axis(tensor, -1)
         if tensor is None or not isinstance(channels, int):
             continue
         size = channels * ITEMSIZE.get(tensor.dtype or "", WORD_BYTES)

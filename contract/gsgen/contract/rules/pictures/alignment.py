@@ -1,6 +1,12 @@
 """How well flat and long Gaussians align with the surface or the strand of their neighbours."""
 
-__all__ = ["FITTING", "RANDOM", "Alignment", "is_of_shape", "measure_alignment"]
+__all__ = [
+    "MAX_FITTING_DEVIATION",
+    "RANDOM_DEVIATION",
+    "Alignment",
+    "is_of_shape",
+    "measure_alignment",
+]
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,17 +14,22 @@ from typing import Literal
 import numpy as np
 
 from gsgen.contract._array_types import Bool
-from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, LINEAR, PLANAR, DrawnSample
+from gsgen.contract.probing.drawn_sample import (
+    MAX_PLANAR_SCATTER,
+    MIN_DRAWN_ROWS,
+    MIN_LINEAR_SCATTER,
+    DrawnSample,
+)
 
 # A deviation below this is that of Gaussians which follow their neighbours.
-FITTING = 0.3
+MAX_FITTING_DEVIATION = 0.3
 # The mean of (d · a)² over unit vectors d that are drawn at random.
-RANDOM = 1 / 3
+RANDOM_DEVIATION = 1 / 3
 
 # A disc has a shortest axis below this fraction of its middle one, a needle a middle axis below
 # this fraction of its longest; there is an alignment if most rows are discs or needles.
-_FLAT = 0.5
-_MOST = 0.6
+_MAX_FLATNESS = 0.5
+_MIN_SHAPE_SHARE = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +53,24 @@ def measure_alignment(sample: DrawnSample) -> Alignment | None:
     """Measure how discs or needles align with neighbouring Gaussians; None without such shapes."""
     scatter = sample.scatter_eigenvalues
     discs, needles = is_of_shape(sample, 0), is_of_shape(sample, 2)
-    if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < PLANAR:
-        share = sample.share_along(0)[discs].mean()
-        return Alignment(float((share - limit) / (RANDOM - limit)), 0, "plane")
-    if _is_enough(needles) and (limit := scatter[needles, 2].mean()) > LINEAR:
-        share = sample.share_along(2)[needles].mean()
-        return Alignment(float((limit - share) / (limit - RANDOM)), 2, "line")
+    if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < MAX_PLANAR_SCATTER:
+        share = sample.neighbour_alignment(0)[discs].mean()
+        return Alignment(float((share - limit) / (RANDOM_DEVIATION - limit)), 0, "plane")
+    if _is_enough(needles) and (limit := scatter[needles, 2].mean()) > MIN_LINEAR_SCATTER:
+        share = sample.neighbour_alignment(2)[needles].mean()
+        return Alignment(float((limit - share) / (limit - RANDOM_DEVIATION)), 2, "line")
     return None
 
 
 def is_of_shape(sample: DrawnSample, axis: Literal[0, 2]) -> Bool[np.ndarray, " m"]:
     """Return the mask of disc-like (axis 0, thin) or needle-like (axis 2, long) Gaussians."""
-    shortest, middle, longest = sample.sigma.T
-    return np.asarray(shortest < _FLAT * middle if axis == 0 else middle < _FLAT * longest)
+    shortest_axis, middle_axis, longest_axis = sample.sigma.T
+    return np.asarray(
+        shortest_axis < _MAX_FLATNESS * middle_axis
+        if axis == 0
+        else middle_axis < _MAX_FLATNESS * longest_axis
+    )
 
 
 def _is_enough(mask: Bool[np.ndarray, " m"]) -> bool:
-    return bool(mask.mean() >= _MOST and np.count_nonzero(mask) >= FEWEST_DRAWN // 2)
+    return bool(mask.mean() >= _MIN_SHAPE_SHARE and np.count_nonzero(mask) >= MIN_DRAWN_ROWS // 2)

@@ -15,14 +15,14 @@ from gsgen.contract.validation.rule import rule
 
 _ROUNDING = 1e-3
 # RGB taken for a constant term: from near 0 to near 1, never below 0 or above 1.
-_NEAR_ZERO, _FEWEST_NEAR_ZERO, _SPREAD = 0.25, 0.02, 0.4
+_MAX_NEAR_ZERO, _MIN_NEAR_ZERO_SHARE, _MIN_SPREAD = 0.25, 0.02, 0.4
 # A constant term multiplied by its basis function, as viewers do once more, stays below 0.5.
-_GREY, _EITHER_SIDE = 0.5, 0.1
+_MAX_GREY, _MIN_EITHER_SIDE = 0.5, 0.1
 # The fraction of channels that are brighter than white after the offset is added twice.
-_FEWEST_BRIGHT = 0.3
+_MIN_BRIGHT_SHARE = 0.3
 # The fraction of channels that viewers clip after a second division by the basis function.
-_CLIP_MARGIN, _FEWEST_CLIPPED = 0.1, 0.3
-_BYTES = 20.0
+_CLIP_MARGIN, _MIN_CLIPPED_SHARE = 0.1, 0.3
+_MIN_BYTE_VALUE = 20.0
 
 
 @rule("GV045", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"))
@@ -37,38 +37,40 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
         Store f_dc = (rgb - 0.5) / 0.28209479 of colours from 0 to 1. If the scene has such colours,
         ignore this rule.
     """
-    if not sample.emission.is_sh or sample.even_color is None:
+    if not sample.emission.is_sh or sample.even_row_color is None:
         return
-    constant = sample.even_color[:, :3]
-    mistake = _mistake(constant)
+    constant = sample.even_row_color[:, :3]
+    mistake = _diagnose_sh_constant(constant)
     if mistake:
         low, high = SH_OFFSET + SH_DC * float(constant.min()), SH_OFFSET + SH_DC * constant.max()
         actual = (
             f"DC from {constant.min():.3g} to {constant.max():.3g}, which shows as {low:.3g} "
             f"to {high:.3g}, as if {mistake}"
         )
-        location = Location(sample.emission.color_place, "degree 0")
+        location = Location(sample.emission.color_label, "degree 0")
         expected = "colours that reach both halves of 0 to 1, and are rarely clipped"
         yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
 
 
-def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
+def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> str:
     """Return the wrong RGB-to-SH conversion that explains degree-0 coefficients; empty if none."""
     low, high = float(constant.min()), float(constant.max())
-    shown = SH_OFFSET + SH_DC * constant
-    bright = float((shown > 1).mean())
-    clipped = float(((shown < -_CLIP_MARGIN) | (shown > 1 + _CLIP_MARGIN)).mean())
-    dark = float((constant < _NEAR_ZERO).mean())
-    if high > _BYTES and low >= 0:
+    displayed_rgb = SH_OFFSET + SH_DC * constant
+    bright_share = float((displayed_rgb > 1).mean())
+    clipped_share = float(
+        ((displayed_rgb < -_CLIP_MARGIN) | (displayed_rgb > 1 + _CLIP_MARGIN)).mean()
+    )
+    dark_share = float((constant < _MAX_NEAR_ZERO).mean())
+    if high > _MIN_BYTE_VALUE and low >= 0:
         return "bytes 0 to 255 were stored as DC"
     if low >= -_ROUNDING and high <= 1 + _ROUNDING:
-        if dark >= _FEWEST_NEAR_ZERO and high - low >= _SPREAD:
+        if dark_share >= _MIN_NEAR_ZERO_SHARE and high - low >= _MIN_SPREAD:
             return "RGB were stored as DC"
-    elif low >= -_ROUNDING and high <= 1 / SH_DC + _ROUNDING and bright >= _FEWEST_BRIGHT:
+    elif low >= -_ROUNDING and high <= 1 / SH_DC + _ROUNDING and bright_share >= _MIN_BRIGHT_SHARE:
         return "0.5 had not been subtracted from RGB before the division"
-    elif -_GREY <= low < -_EITHER_SIDE and _EITHER_SIDE < high <= _GREY:
+    elif -_MAX_GREY <= low < -_MIN_EITHER_SIDE and _MIN_EITHER_SIDE < high <= _MAX_GREY:
         return "DC had been multiplied by 0.2821 already"
-    elif clipped >= _FEWEST_CLIPPED:
+    elif clipped_share >= _MIN_CLIPPED_SHARE:
         return "DC had been divided by 0.2821 once too often"
     return ""
 
@@ -86,20 +88,22 @@ def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
         Load the colours before the export, by the names of their columns. A scene of one colour
         needs numbers other than zero.
     """
-    stored = sample.even_color
-    if stored is None or displayed_colors(sample) is None or stored[:, :3].any():
+    stored_color = sample.even_row_color
+    if stored_color is None or displayed_colors(sample) is None or stored_color[:, :3].any():
         return
-    shade = "grey" if sample.emission.is_sh else "black"
-    numbers = "all colours" if not stored.any() else "all coefficients of degree 0"
-    actual = f"{numbers} of {len(stored)} rows are zero, so everything is the same {shade}"
-    location = Location(sample.emission.color_place)
+    shade_name = "grey" if sample.emission.is_sh else "black"
+    numbers = "all colours" if not stored_color.any() else "all coefficients of degree 0"
+    actual = (
+        f"{numbers} of {len(stored_color)} rows are zero, so everything is the same {shade_name}"
+    )
+    location = Location(sample.emission.color_label)
     yield Violation(where=location, expected="colours", actual=actual, certainty="possible")
 
 
 # Colours of a photograph differ less between neighbours than between any two rows: the ratio of
 # the mean squared differences is 0 for smooth and 1 for unrelated colours. Smooth: below the first.
 # Unrelated: above the second.
-_SMOOTH, _UNRELATED = 0.5, 0.75
+_MAX_SMOOTH_ROUGHNESS, _MIN_UNRELATED_ROUGHNESS = 0.5, 0.75
 # The columns whose order, ascending or descending, exporters sort rows by.
 _KEYS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
 
@@ -115,33 +119,38 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     Hint:
         Apply one permutation to positions, covariances, opacities and colours.
     """
-    whole = len(sample.rows) == len(sample.inner) == sample.count
-    if sample.color is None or not whole:
+    is_whole_scene = len(sample.rows) == len(sample.inner) == sample.count
+    if sample.color is None or not is_whole_scene:
         return  # the order of a part says nothing of the whole
     color = sample.color[:, :3]
-    stored = _roughness(sample, color)
-    if stored <= _UNRELATED:
+    stored_roughness = _roughness(sample, color)
+    if stored_roughness <= _MIN_UNRELATED_ROUGHNESS:
         return
     for name, column in _KEYS.items():
         for sign, direction in ((1, "ascending"), (-1, "descending")):
             order = np.argsort(sign * sample.rows[:, column], kind="stable")
-            restored = np.empty_like(color)
-            restored[order] = color
-            roughness = _roughness(sample, restored)
-            if roughness < _SMOOTH:
+            restored_color = np.empty_like(color)
+            restored_color[order] = color
+            roughness = _roughness(sample, restored_color)
+            if roughness < _MAX_SMOOTH_ROUGHNESS:
                 actual = (
-                    f"colours of neighbours differ by {stored:.2f} of what any two rows do, and by "
+                    f"colours of neighbours differ by {stored_roughness:.2f} of what any two rows do, and by "
                     f"{roughness:.2f} if colours are taken in the order of {direction} {name}"
                 )
                 expected = "colours in the order of the rows"
-                location = Location(sample.emission.color_place)
-                usual = Statistic("colour difference of neighbours", stored, 0.0, _UNRELATED)
+                location = Location(sample.emission.color_label)
+                usual_statistic = Statistic(
+                    "colour difference of neighbours",
+                    stored_roughness,
+                    0.0,
+                    _MIN_UNRELATED_ROUGHNESS,
+                )
                 yield Violation(
                     where=location,
                     expected=expected,
                     actual=actual,
                     certainty="possible",
-                    statistic=usual,
+                    statistic=usual_statistic,
                 )
                 return
 
@@ -149,17 +158,21 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
 def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
     """Return the mean squared colour difference of neighbours, relative to that of random pairs."""
     variance = color.var(axis=0).sum()
-    nearest = color[sample.neighbours[:, 0]] - color[sample.inner]
-    return float(np.square(nearest).sum(axis=1).mean() / (2 * variance)) if variance > 0 else 0.0
+    neighbour_difference = color[sample.neighbours[:, 0]] - color[sample.inner]
+    return (
+        float(np.square(neighbour_difference).sum(axis=1).mean() / (2 * variance))
+        if variance > 0
+        else 0.0
+    )
 
 
 # sigmoid(0) and sigmoid(1): what a sigmoid makes of colours; and a range that is wide for them.
-_SIGMOID_TWICE, _WIDE = (0.5, 0.7311), 0.15
+_SIGMOID_TWICE_RANGE, _MIN_WIDTH = (0.5, 0.7311), 0.15
 # Colours without their offset are exactly 0 in this share of all channels, and hardly above 0.5.
-_AT_ZERO, _WITHOUT_OFFSET, _MOST_BELOW = 0.15, 0.55, 99
+_MIN_ZERO_SHARE, _MAX_RGB_WITHOUT_OFFSET, _DARK_PERCENTILE = 0.15, 0.55, 99
 # Scenes of a few chosen colours say nothing: they may well have zeros, and none above a half.
-_FEWEST_COLORS = 32
-_DARKEST = 1.02 / 255
+_MIN_DISTINCT_COLORS = 32
+_MAX_DIVIDED_TWICE = 1.02 / 255
 
 
 @rule("GV063", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"))
@@ -175,27 +188,27 @@ def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
         Apply the sigmoid or the division once, and add 0.5 to 0.2821 · f_dc. If the scene has such
         colours, ignore this rule.
     """
-    if sample.emission.is_sh or sample.even_color is None:
+    if sample.emission.is_sh or sample.even_row_color is None:
         return
-    rgb = sample.even_color[:, :3]
-    mistake = _rgb_mistake(rgb)
+    rgb = sample.even_row_color[:, :3]
+    mistake = _diagnose_rgb(rgb)
     if mistake:
         actual = f"RGB from {rgb.min():.3g} to {rgb.max():.3g}, as if {mistake}"
-        location = Location(sample.emission.color_place)
+        location = Location(sample.emission.color_label)
         expected = "colours that reach both halves of 0 to 1"
         yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
 
 
-def _rgb_mistake(rgb: Float[np.ndarray, "e 3"]) -> str:
+def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> str:
     """Return the conversion error that RGB values suggest, such as a second sigmoid, or empty."""
     low, high = float(rgb.min()), float(rgb.max())
-    if 0 < high <= _DARKEST:
+    if 0 < high <= _MAX_DIVIDED_TWICE:
         return "they were divided by 255 twice"
-    start, end = _SIGMOID_TWICE
-    if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _WIDE:
+    start, end = _SIGMOID_TWICE_RANGE
+    if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _MIN_WIDTH:
         return "the sigmoid was applied twice"
     zeros = float((rgb == 0).mean())
-    is_dark = np.percentile(rgb, _MOST_BELOW) <= _WITHOUT_OFFSET
-    if zeros >= _AT_ZERO and is_dark and len(np.unique(rgb)) > _FEWEST_COLORS:
+    is_dark = np.percentile(rgb, _DARK_PERCENTILE) <= _MAX_RGB_WITHOUT_OFFSET
+    if zeros >= _MIN_ZERO_SHARE and is_dark and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
         return "0.5 had not been added to 0.2821 · f_dc"
     return ""

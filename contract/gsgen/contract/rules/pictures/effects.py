@@ -18,15 +18,15 @@ from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
-_SERIES = ("time", "frame_index")
+_SERIES_ROLES = ("time", "frame_index")
 # Instants within the range that must differ from each other, of at least this many.
-_FEWEST_INSTANTS = 3
+_MIN_INSTANTS = 3
 # The statistic is the largest of three motions within a hundredth of the range, over the largest
 # motion in it: 0.03 of one swing in the range, 0.2 of seven, and up to 1 of fifty. A single motion
 # may be a cut from one scene to the next, so another one must reach a part of it.
-_ERRATIC, _ANOTHER = 0.45, 0.15
+_MAX_FIRST_STEP, _MAX_SECOND_STEP = 0.45, 0.15
 # Fewer drawn rows say nothing of the motion of a scene.
-_FEWEST_MOVED = 16
+_MIN_MOVED_ROWS = 16
 _NEAR = (0.005, 0.02)
 
 
@@ -44,15 +44,15 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
         to be that small, set "depends_on": {role: false}.
     """
     subject, tolerances = behaviour.subject, effective_tolerances(behaviour.subject)
-    for role in behaviour.varied:
+    for role in behaviour.comparisons_by_role:
         indices = behaviour.trial.plan.variants.get(role, (0, ()))[1]
-        changed = any(comparison.changed for comparison in behaviour.varied[role])
+        has_changed = any(comparison.changed for comparison in behaviour.comparisons_by_role[role])
         entries = [entry for entry, _ in subject.inputs_of(role)]  # none of a single input's key
         depends = subject.generator is not None and any(map(subject.generator.depends, entries))
-        if role in CAMERA_ROLES or not changed or not depends:
+        if role in CAMERA_ROLES or not has_changed or not depends:
             continue
-        base = _outputs(behaviour, behaviour.base)
-        variants = [_outputs(behaviour, run) for run in behaviour.runs(indices)]
+        base = _run_outputs(behaviour, behaviour.base)
+        variants = [_run_outputs(behaviour, run) for run in behaviour.runs(indices)]
         if not any(_differs(base, variant, tolerances) for variant in variants):
             actual = f"its {len(variants)} variations change nothing beyond the tolerances"
             expected = "a visible effect, or depends_on false"
@@ -72,15 +72,15 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
         If nothing happens before the end, ignore this rule.
     """
     tolerances = effective_tolerances(behaviour.subject)
-    for entry, series in _all_series(behaviour):
+    for entry, series in _iterate_series(behaviour):
         assert entry.range is not None
         low, high = entry.range
         inner = [outputs for value, outputs in series if low < value < high]
         ends = [outputs for value, outputs in series if value in (low, high)]
-        if len(inner) < _FEWEST_INSTANTS or not ends:
+        if len(inner) < _MIN_INSTANTS or not ends:
             continue
-        still = not any(_differs(inner[0], outputs, tolerances) for outputs in inner[1:])
-        if still and any(_differs(inner[0], outputs, tolerances) for outputs in ends):
+        is_still = not any(_differs(inner[0], outputs, tolerances) for outputs in inner[1:])
+        if is_still and any(_differs(inner[0], outputs, tolerances) for outputs in ends):
             actual = f"{len(inner)} instants within {low:g} to {high:g} are the same; only an end differs"
             expected = "change throughout the range"
             yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
@@ -98,39 +98,46 @@ def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
         Check the unit of time, declare the range in seconds, or declare frames and fps. If the
         scene trembles by design, ignore this rule.
     """
-    for entry, series in _all_series(behaviour):
+    for entry, series in _iterate_series(behaviour):
         assert entry.range is not None
         span = entry.range[1] - entry.range[0]
         if entry.role != "time" or entry.frames or span > 1 or not _is_aligned(series):
             continue
-        pairs = [(b - a, _motion(x, y)) for (a, x), (b, y) in pairwise(series)]
-        steps = [motion for gap, motion in pairs if _NEAR[0] * span < gap < _NEAR[1] * span]
-        from_start = (_motion(series[0][1], outputs) for _, outputs in series[1:])
-        largest = max([*(motion for _, motion in pairs), *from_start], default=0.0)
+        pairs = [(b - a, _mean_motion(x, y)) for (a, x), (b, y) in pairwise(series)]
+        steps = [
+            motion for value_gap, motion in pairs if _NEAR[0] * span < value_gap < _NEAR[1] * span
+        ]
+        motion_from_start = (_mean_motion(series[0][1], outputs) for _, outputs in series[1:])
+        largest = max([*(motion for _, motion in pairs), *motion_from_start], default=0.0)
         second, first = sorted([0.0, 0.0, *steps])[-2:]
-        if first > _ERRATIC * largest and second > _ANOTHER * largest:
+        if first > _MAX_FIRST_STEP * largest and second > _MAX_SECOND_STEP * largest:
             share = first / largest
             actual = (
                 f"a hundredth of the range moves Gaussians by {share:.0%} of the largest motion"
             )
-            expected = f"{_ERRATIC:.0%} at most, as smooth motion has"
-            where, usual = f"input {entry.name}", Statistic("share of motion", share, 0.0, _ERRATIC)
-            yield Violation.at(where, actual, expected, certainty="possible", statistic=usual)
+            expected = f"{_MAX_FIRST_STEP:.0%} at most, as smooth motion has"
+            where, usual_statistic = (
+                f"input {entry.name}",
+                Statistic("share of motion", share, 0.0, _MAX_FIRST_STEP),
+            )
+            yield Violation.at(
+                where, actual, expected, certainty="possible", statistic=usual_statistic
+            )
 
 
-Series = list[tuple[float, ModelOutputs]]
+OutputSeries = list[tuple[float, ModelOutputs]]
 
 
-def _all_series(behaviour: Behaviour) -> Iterator[tuple[Input, Series]]:
+def _iterate_series(behaviour: Behaviour) -> Iterator[tuple[Input, OutputSeries]]:
     """Yield each time or frame input with the outputs of the runs that vary only that input."""
     generator = behaviour.subject.generator
-    behaviour.visits("swept")  # a rule whose probes did not run is skipped
+    behaviour.trial_runs("swept")  # a rule whose probes did not run is skipped
     for entry in generator.inputs if generator else ():
-        if entry.role in _SERIES and entry.range is not None:
-            yield entry, _series(behaviour, entry)
+        if entry.role in _SERIES_ROLES and entry.range is not None:
+            yield entry, _input_series(behaviour, entry)
 
 
-def _is_aligned(series: Series) -> bool:
+def _is_aligned(series: OutputSeries) -> bool:
     """Return whether all runs have the same row count, so that a row is the same Gaussian in each.
 
     Where rows are dropped or added, those behind them move up or down in the output.
@@ -138,23 +145,23 @@ def _is_aligned(series: Series) -> bool:
     return len({outputs.count for _, outputs in series}) <= 1
 
 
-def _series(behaviour: Behaviour, entry: Input) -> Series:
+def _input_series(behaviour: Behaviour, entry: Input) -> OutputSeries:
     assert entry.range is not None
     low, high = entry.range
     base = behaviour.base.probe.inputs
-    others = [name for name in base if name != entry.name]
-    by_value: dict[float, ModelOutputs] = {}
+    other_names = [name for name in base if name != entry.name]
+    outputs_by_value: dict[float, ModelOutputs] = {}
     for run in behaviour.runs(range(len(behaviour.trial.execution.runs))):
         inputs = run.probe.inputs
         value = float(inputs[entry.name].reshape(-1)[0])
-        same = all(np.array_equal(inputs[name], base[name]) for name in others)
-        same &= low <= value <= high
-        if same and run.digest and run.probe.optimise and value not in by_value:
-            by_value[value] = _outputs(behaviour, run)
-    return sorted(by_value.items(), key=lambda item: item[0])
+        is_same = all(np.array_equal(inputs[name], base[name]) for name in other_names)
+        is_same &= low <= value <= high
+        if is_same and run.digest and run.probe.optimise and value not in outputs_by_value:
+            outputs_by_value[value] = _run_outputs(behaviour, run)
+    return sorted(outputs_by_value.items(), key=lambda item: item[0])
 
 
-def _outputs(behaviour: Behaviour, run: ProbeRun) -> ModelOutputs:
+def _run_outputs(behaviour: Behaviour, run: ProbeRun) -> ModelOutputs:
     return read_outputs(behaviour.subject, run.probe.label, run.outputs)
 
 
@@ -164,12 +171,12 @@ def _differs(a: ModelOutputs, b: ModelOutputs, tolerances: tuple[Tolerance, ...]
     return not same_count or next(field_errors(a, b, tolerances), None) is not None
 
 
-def _motion(a: ModelOutputs, b: ModelOutputs) -> float:
+def _mean_motion(a: ModelOutputs, b: ModelOutputs) -> float:
     """Return the root mean square motion of visible Gaussians between two model runs."""
     x, y = a.gaussians, b.gaussians
     if x is None or y is None or x.shape != y.shape:
         return 0.0
     drawn = np.minimum(x[:, OPACITY], y[:, OPACITY]) >= CULL_OPACITY
     offset = x[drawn, POSITION].astype(np.float64) - y[drawn, POSITION]
-    enough = len(offset) >= _FEWEST_MOVED
-    return float(np.sqrt(np.square(offset).sum(axis=1).mean())) if enough else 0.0
+    has_enough_rows = len(offset) >= _MIN_MOVED_ROWS
+    return float(np.sqrt(np.square(offset).sum(axis=1).mean())) if has_enough_rows else 0.0

@@ -12,21 +12,21 @@ from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 # sigmoid(0) and sigmoid(1): what a sigmoid makes of opacities.
-_SIGMOID_TWICE = (0.5, 0.7311)
+_SIGMOID_TWICE_RANGE = (0.5, 0.7311)
 _ROUNDING = 1e-3
 # Equal opacities say nothing of their activation.
-_SPREAD = 0.08
+_MIN_SPREAD = 0.08
 # Logits that are clamped to [0, 1] are exactly 0 or 1 in at least these fractions of the live rows,
 # and in between in the last one. A sigmoid gives neither, and rows that are culled have no 1.
-_AT_ZERO, _AT_ONE, _BETWEEN = 0.03, 0.2, 0.05
+_MIN_ZERO_SHARE, _MIN_ONE_SHARE, _MIN_BETWEEN_SHARE = 0.03, 0.2, 0.05
 
 # Colours multiplied by opacity are never brighter than it. The rule applies if enough rows are
 # transparent; the logarithms of both then correlate. Right scenes have up to 0.25, and a factor
 # of opacity gives 0.9 to 1.
-_TRANSPARENT, _FEWEST_TRANSPARENT = 0.4, 0.08
-_DARKER = 0.995
+_MAX_TRANSPARENT_OPACITY, _MIN_TRANSPARENT_SHARE = 0.4, 0.08
+_MIN_DARKER_SHARE = 0.995
 _CORRELATED = 0.7
-_BLACK = 1e-3
+_MIN_BRIGHTNESS = 1e-3
 
 
 @rule("GV043", Severity.WARNING, needs=VALID_ROWS)
@@ -42,11 +42,13 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
         Apply the sigmoid once, and do not clamp: opacities from a renderer or a file of activated
         values have it already.
     """
-    opacity = sample.even[:, OPACITY]
+    opacity = sample.even_rows[:, OPACITY]
     low, high = float(opacity.min()), float(opacity.max())
-    is_within = _SIGMOID_TWICE[0] - _ROUNDING <= low and high <= _SIGMOID_TWICE[1] + _ROUNDING
-    location = Location(sample.emission.rows_place, "opacity")
-    if is_within and high - low > _SPREAD:
+    is_in_sigmoid_range = (
+        _SIGMOID_TWICE_RANGE[0] - _ROUNDING <= low and high <= _SIGMOID_TWICE_RANGE[1] + _ROUNDING
+    )
+    location = Location(sample.emission.rows_label, "opacity")
+    if is_in_sigmoid_range and high - low > _MIN_SPREAD:
         actual = f"opacities from {low:.4g} to {high:.4g}, as if the sigmoid were applied twice"
         expected = "opacities also below 0.5 or above 0.7311"
         yield Violation(
@@ -55,14 +57,18 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
             actual=actual,
             certainty="possible",
             statistic=Statistic(
-                "range of opacities", high - low, _SIGMOID_TWICE[1] - _SIGMOID_TWICE[0]
+                "range of opacities", high - low, _SIGMOID_TWICE_RANGE[1] - _SIGMOID_TWICE_RANGE[0]
             ),
         )
         return
-    zeros, ones = _shares_at_ends(sample)
-    if zeros >= _AT_ZERO and ones >= _AT_ONE and 1 - zeros - ones >= _BETWEEN:
+    zero_share, one_share = _zero_and_one_shares(sample)
+    if (
+        zero_share >= _MIN_ZERO_SHARE
+        and one_share >= _MIN_ONE_SHARE
+        and 1 - zero_share - one_share >= _MIN_BETWEEN_SHARE
+    ):
         actual = (
-            f"opacities are exactly 0 in {zeros:.0%} and exactly 1 in {ones:.0%} of the live rows, "
+            f"opacities are exactly 0 in {zero_share:.0%} and exactly 1 in {one_share:.0%} of the live rows, "
             "as if logits were clamped and had no sigmoid"
         )
         expected = "opacities between 0 and 1, as a sigmoid gives them"
@@ -71,11 +77,11 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
             expected=expected,
             actual=actual,
             certainty="possible",
-            statistic=Statistic("share of rows with opacity 1", ones, 0.0, _AT_ONE),
+            statistic=Statistic("share of rows with opacity 1", one_share, 0.0, _MIN_ONE_SHARE),
         )
 
 
-def _shares_at_ends(sample: DrawnSample) -> tuple[float, float]:
+def _zero_and_one_shares(sample: DrawnSample) -> tuple[float, float]:
     """Return the fractions of Gaussians (rows in use) with opacity exactly 0, and exactly 1."""
     assert sample.emission.gaussians is not None
     opacity = sample.emission.gaussians[: sample.emission.count, OPACITY]
@@ -96,20 +102,24 @@ def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
     color = displayed_colors(sample)
     if color is None:
         return
-    opacity, brightest = sample.even[:, OPACITY], color.max(axis=1)
-    transparent = float((opacity < _TRANSPARENT).mean())
-    darker = float((brightest <= opacity * (1 + _ROUNDING)).mean())
-    if transparent < _FEWEST_TRANSPARENT or darker < _DARKER or np.ptp(brightest) == 0:
+    opacity, max_channel = sample.even_rows[:, OPACITY], color.max(axis=1)
+    transparent_share = float((opacity < _MAX_TRANSPARENT_OPACITY).mean())
+    darker_share = float((max_channel <= opacity * (1 + _ROUNDING)).mean())
+    if (
+        transparent_share < _MIN_TRANSPARENT_SHARE
+        or darker_share < _MIN_DARKER_SHARE
+        or np.ptp(max_channel) == 0
+    ):
         return
-    logarithms = np.log(np.maximum([brightest, opacity], _BLACK))
+    logarithms = np.log(np.maximum([max_channel, opacity], _MIN_BRIGHTNESS))
     correlation = float(np.corrcoef(logarithms)[0, 1])
     if correlation > _CORRELATED:
         actual = (
-            f"no colour is brighter than its opacity in {darker:.1%} of {len(color)} rows, and "
+            f"no colour is brighter than its opacity in {darker_share:.1%} of {len(color)} rows, and "
             f"both correlate by {correlation:.2f}, as if colours were multiplied by opacity"
         )
         expected = f"transparent rows of any brightness, or a correlation below {_CORRELATED}"
-        location = Location(sample.emission.color_place)
+        location = Location(sample.emission.color_label)
         yield Violation(
             where=location,
             expected=expected,

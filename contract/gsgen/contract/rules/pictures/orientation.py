@@ -8,8 +8,8 @@ import numpy as np
 from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.rules.pictures.alignment import (
-    FITTING,
-    RANDOM,
+    MAX_FITTING_DEVIATION,
+    RANDOM_DEVIATION,
     Alignment,
     is_of_shape,
     measure_alignment,
@@ -23,8 +23,8 @@ from gsgen.contract.validation.rule import rule
 _UNRELATED = 0.55
 
 # Axis-aligned Gaussians of which the longest axis is this much longer than the shortest.
-_LONG = 10.0
-_ALIGNED = 0.99
+_MIN_ASPECT_RATIO = 10.0
+_MAX_ALIGNED_SHARE = 0.99
 
 
 @rule("GV041", Severity.WARNING, needs=(*VALID_ROWS, "GV042"), explained_by=("GB035",))
@@ -47,11 +47,11 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
         f"deviation {alignment.deviation:.2f} of the orientation from the neighbours' "
         f"{alignment.shape}"
     )
-    turned = _explaining_axes(sample, alignment)
-    if turned:
-        actual += f"; it would fit if the axes of the covariances were {turned}"
+    axis_order = _find_axis_order(sample, alignment)
+    if axis_order:
+        actual += f"; it would fit if the axes of the covariances were {axis_order}"
     expected = f"below {_UNRELATED}: 0 is along the surface or strand, 1 is random"
-    location = Location(sample.emission.rows_place, "covariance")
+    location = Location(sample.emission.rows_label, "covariance")
     yield Violation(
         where=location,
         expected=expected,
@@ -61,21 +61,24 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
     )
 
 
-def _explaining_axes(sample: DrawnSample, alignment: Alignment) -> str:
+def _find_axis_order(sample: DrawnSample, alignment: Alignment) -> str:
     """Return the axis permutation that aligns Gaussians with their neighbours; empty if none."""
     axis = alignment.axis
     is_shape = is_of_shape(sample, axis)
-    along, scatter = sample.axes[is_shape][:, :, axis], sample.scatter[is_shape]
+    axis_vectors, scatter = sample.axes[is_shape][:, :, axis], sample.scatter[is_shape]
     limit = sample.scatter_eigenvalues[is_shape, axis].mean()
-    best, name = FITTING, ""
+    best_deviation, name = MAX_FITTING_DEVIATION, ""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=2):
-            turned = along[:, order] * (*signs, 1.0)
-            share = np.einsum("mi,mij,mj->m", turned, scatter, turned).mean()
-            deviation = float((share - limit) / (RANDOM - limit))
-            if deviation < best:
+            turned_axes = axis_vectors[:, order] * (*signs, 1.0)
+            share = np.einsum("mi,mij,mj->m", turned_axes, scatter, turned_axes).mean()
+            deviation = float((share - limit) / (RANDOM_DEVIATION - limit))
+            if deviation < best_deviation:
                 words = zip((*signs, 1.0), order, strict=True)
-                best, name = deviation, " ".join(f"{'-' * (s < 0)}{'xyz'[i]}" for s, i in words)
+                best_deviation, name = (
+                    deviation,
+                    " ".join(f"{'-' * (s < 0)}{'xyz'[i]}" for s, i in words),
+                )
     return name
 
 
@@ -91,29 +94,31 @@ def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
         Build R S Sᵀ Rᵀ of scales and quaternion, and write all six entries. If the scene is made of
         upright boxes, ignore this rule.
     """
-    upper = sample.even[:, 4:]
-    aligned = float((upper[:, [1, 2, 4]] == 0).all(axis=1).mean())
-    if aligned < _ALIGNED:
+    upper = sample.even_rows[:, 4:]
+    aligned_share = float((upper[:, [1, 2, 4]] == 0).all(axis=1).mean())
+    if aligned_share < _MAX_ALIGNED_SHARE:
         return
     alignment = measure_alignment(sample)
     variances = upper[:, [0, 3, 5]]
-    long = np.sqrt(variances.max(axis=1) / np.maximum(variances.min(axis=1), np.finfo(float).tiny))
+    aspect_ratio = np.sqrt(
+        variances.max(axis=1) / np.maximum(variances.min(axis=1), np.finfo(float).tiny)
+    )
     if alignment is not None and alignment.deviation <= _UNRELATED:
         return
-    if alignment is None and np.median(long) < _LONG:
+    if alignment is None and np.median(aspect_ratio) < _MIN_ASPECT_RATIO:
         return
     actual = (
-        f"all off-diagonal entries are 0 in {aligned:.0%} of {len(upper)} rows, "
-        f"whose longest axis is {_median(long):.3g} times the shortest"
+        f"all off-diagonal entries are 0 in {aligned_share:.0%} of {len(upper)} rows, "
+        f"whose longest axis is {_median(aspect_ratio):.3g} times the shortest"
     )
     expected = "rotated covariances, or axes along the surface of the neighbours"
-    location = Location(sample.emission.rows_place, "covariance")
+    location = Location(sample.emission.rows_label, "covariance")
     yield Violation(
         where=location,
         expected=expected,
         actual=actual,
         certainty="possible",
-        statistic=Statistic("share of rows along the axes", aligned, 0.0, _ALIGNED),
+        statistic=Statistic("share of rows along the axes", aligned_share, 0.0, _MAX_ALIGNED_SHARE),
     )
 
 

@@ -26,24 +26,24 @@ from gsgen.contract.validation.rule import rule
 _FEWEST_ROWS = 12
 # A scene whose motion bends everywhere has a few neighbourhoods that turn rigidly by chance; a limb
 # that turns is a larger fraction of the sample.
-_LEAST_FRACTION = 0.05
+_MIN_ROW_FRACTION = 0.05
 # Rows count whose neighbourhood turns rigidly by at least this angle, and whose covariance should
 # change by at least this fraction of its size.
-_TURNED, _CHANGED = 0.2, 0.1
+_MIN_ROTATION, _MIN_COVARIANCE_CHANGE = 0.2, 0.1
 # The statistic is the median error of a covariance over the change that it should have made:
 # 1e-5 where it turns along, 1 where it stays, up to 2 where it turns backwards.
-_FOLLOWS = 0.3
+_MAX_FOLLOWING_CHANGE = 0.3
 
 # A neighbourhood fits a joint if it turns as the joint does, within this angle in radians.
-_FITTING = 0.1
+_MAX_FITTING_DIFFERENCE = 0.1
 # A reading of the pose explains the motion if at least the first fraction of rows fits a joint, and
 # fails to if at most the second does.
-_EXPLAINED, _UNEXPLAINED = 0.25, 0.02
+_MIN_EXPLAINED_SHARE, _MAX_UNEXPLAINED_SHARE = 0.25, 0.02
 # Joints that turn by less say nothing of the reading.
-_LEAST_ANGLE = 0.3
+_MIN_JOINT_ANGLE = 0.3
 # Radians taken for degrees turn the body by 1/57 of the angle.
-_DEGREES = (0.5 * np.pi / 180, 2 * np.pi / 180)
-_LEAST_MOTION = 1e-4
+_DEGREES_RATIO_RANGE = (0.5 * np.pi / 180, 2 * np.pi / 180)
+_MIN_SEEN_ANGLE = 1e-4
 
 
 @rule("GB035", Severity.WARNING, needs=(*REPRODUCIBLE, *VALID_ROWS))
@@ -58,11 +58,11 @@ def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
         Turn each covariance by the rotation of its positions, R Σ Rᵀ, with R the linear part of the
         skinning transform; Rᵀ Σ R turns it backwards.
     """
-    for role in behaviour.varied:
+    for role in behaviour.comparisons_by_role:
         if role in CAMERA_ROLES or not any(behaviour.subject.inputs_of(role)):
             continue  # the key of a single input repeats that of its role
-        for sample, later, motion, run in _motions(behaviour, role):
-            violation = _deviation(sample, later, motion, role, run)
+        for sample, later_rows, motion, run in _local_motions(behaviour, role):
+            violation = _deviation(sample, later_rows, motion, role, run)
             if violation is not None:
                 yield violation
                 break
@@ -70,38 +70,44 @@ def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
 
 def _deviation(
     sample: DrawnSample,
-    later: Float[np.ndarray, "n 10"],
+    later_rows: Float[np.ndarray, "n 10"],
     motion: LocalRotations,
     role: str,
     run: ProbeRun,
 ) -> Violation | None:
-    before = symmetric(sample.rows[sample.inner][:, COVARIANCE])
-    after = symmetric(later[sample.inner][:, COVARIANCE])
-    turned = motion.rotation @ before @ motion.rotation.transpose(0, 2, 1)
-    size = np.maximum(np.linalg.norm(before, axis=(1, 2)), np.finfo(float).tiny)
-    change = np.linalg.norm(turned - before, axis=(1, 2)) / size
-    counts = motion.is_rigid & (motion.angle > _TURNED) & (change > _CHANGED)
-    if np.count_nonzero(counts) < max(_FEWEST_ROWS, _LEAST_FRACTION * len(counts)):
+    covariance_before = symmetric(sample.rows[sample.inner][:, COVARIANCE])
+    covariance_after = symmetric(later_rows[sample.inner][:, COVARIANCE])
+    rotated_covariance = motion.rotation @ covariance_before @ motion.rotation.transpose(0, 2, 1)
+    size = np.maximum(np.linalg.norm(covariance_before, axis=(1, 2)), np.finfo(float).tiny)
+    change = np.linalg.norm(rotated_covariance - covariance_before, axis=(1, 2)) / size
+    counts = motion.is_rigid & (motion.angle > _MIN_ROTATION) & (change > _MIN_COVARIANCE_CHANGE)
+    if np.count_nonzero(counts) < max(_FEWEST_ROWS, _MIN_ROW_FRACTION * len(counts)):
         return None
-    error = np.linalg.norm(after - turned, axis=(1, 2)) / size
-    stays = np.linalg.norm(after - before, axis=(1, 2)) / size
+    error = np.linalg.norm(covariance_after - rotated_covariance, axis=(1, 2)) / size
+    covariance_difference = np.linalg.norm(covariance_after - covariance_before, axis=(1, 2)) / size
     statistic = float(np.median((error / change)[counts]))
-    if statistic <= _FOLLOWS:
+    if statistic <= _MAX_FOLLOWING_CHANGE:
         return None
-    manner = (
-        "stay as they were" if np.median((stays / change)[counts]) < _FOLLOWS else "turn otherwise"
+    covariance_change_text = (
+        "stay as they were"
+        if np.median((covariance_difference / change)[counts]) < _MAX_FOLLOWING_CHANGE
+        else "turn otherwise"
     )
     actual = (
-        f"covariances {manner} where {np.count_nonzero(counts)} neighbourhoods turn by "
+        f"covariances {covariance_change_text} where {np.count_nonzero(counts)} neighbourhoods turn by "
         f"{np.degrees(np.median(motion.angle[counts])):.0f}° with the {role}: error {statistic:.2f} "
         f"of the rotation at {run.probe.label!r}"
     )
-    expected = f"covariances that turn with their neighbours: an error below {_FOLLOWS}"
-    usual = Statistic("error of the rotation", statistic, 0.0, _FOLLOWS)
-    return Violation.at(f"role {role}", actual, expected, certainty="possible", statistic=usual)
+    expected = (
+        f"covariances that turn with their neighbours: an error below {_MAX_FOLLOWING_CHANGE}"
+    )
+    change_statistic = Statistic("error of the rotation", statistic, 0.0, _MAX_FOLLOWING_CHANGE)
+    return Violation.at(
+        f"role {role}", actual, expected, certainty="possible", statistic=change_statistic
+    )
 
 
-def _motions(
+def _local_motions(
     behaviour: Behaviour, role: str
 ) -> Iterator[tuple[DrawnSample, Float[np.ndarray, "n 10"], LocalRotations, ProbeRun]]:
     """Yield visible Gaussians in runs at two poses, and the rotations of their neighbourhoods."""
@@ -121,9 +127,9 @@ def _motions(
             or run.sample.outputs[declared.name].shape != outputs[declared.name].shape
         ):
             continue
-        later = run.sample.outputs[declared.name][sample.indices].astype(np.float64)
-        if np.isfinite(later).all():
-            yield sample, later, fit_local_rotations(sample, later), run
+        later_rows = run.sample.outputs[declared.name][sample.indices].astype(np.float64)
+        if np.isfinite(later_rows).all():
+            yield sample, later_rows, fit_local_rotations(sample, later_rows), run
 
 
 @rule("GB036", Severity.WARNING, needs=(*REPRODUCIBLE, *VALID_ROWS, "GI016"))
@@ -140,13 +146,15 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
     """
     for role in ("pose", "root_rotation"):
         entries = [entry for entry, _ in behaviour.subject.inputs_of(role)]
-        if role not in behaviour.varied or len(entries) != 1:
+        if role not in behaviour.comparisons_by_role or len(entries) != 1:
             continue
-        for _, _, motion, run in _motions(behaviour, role):
+        for _, _, motion, run in _local_motions(behaviour, role):
             base = behaviour.base.probe.inputs[entries[0].name]
-            reading = _reading(entries[0], base, run.probe.inputs[entries[0].name], motion)
-            if reading:
-                actual = f"neighbourhoods turn {reading} at {run.probe.label!r}"
+            convention_fault = _diagnose_convention(
+                entries[0], base, run.probe.inputs[entries[0].name], motion
+            )
+            if convention_fault:
+                actual = f"neighbourhoods turn {convention_fault} at {run.probe.label!r}"
                 expected = "rotations as the convention declares them"
                 yield Violation.at(
                     f"input {entries[0].name}", actual, expected, certainty="possible"
@@ -154,30 +162,36 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
                 break
 
 
-def _reading(entry: Input, base: np.ndarray, value: np.ndarray, motion: LocalRotations) -> str:
+def _diagnose_convention(
+    entry: Input, base: np.ndarray, value: np.ndarray, motion: LocalRotations
+) -> str:
     """Return the wrong interpretation of a pose that explains the motion (e.g. degrees), or ""."""
-    rigid = motion.is_rigid
-    if np.count_nonzero(rigid) < _FEWEST_ROWS or base.shape == (3, 3):
+    is_rigid_row = motion.is_rigid
+    if np.count_nonzero(is_rigid_row) < _FEWEST_ROWS or base.shape == (3, 3):
         return ""
-    before, after = base.reshape(-1, base.shape[-1]), value.reshape(-1, base.shape[-1])
-    width = before.shape[1]
+    pose_before, pose_after = (base.reshape(-1, base.shape[-1]), value.reshape(-1, base.shape[-1]))
+    width = pose_before.shape[1]
     if width not in (3, 4):
         return ""
-    declared = _between(before, after, _MATRICES[width])
+    declared = _joint_rotations(pose_before, pose_after, _MATRICES_OF_WIDTH[width])
     largest = float(_angles(declared).max())
-    if largest < _LEAST_ANGLE:
+    if largest < _MIN_JOINT_ANGLE:
         return ""
-    seen = float(np.quantile(motion.angle[rigid], 0.95))
-    if width == 3 and seen > _LEAST_MOTION and _DEGREES[0] < seen / largest < _DEGREES[1]:
+    seen_angle = float(np.quantile(motion.angle[is_rigid_row], 0.95))
+    if (
+        width == 3
+        and seen_angle > _MIN_SEEN_ANGLE
+        and _DEGREES_RATIO_RANGE[0] < seen_angle / largest < _DEGREES_RATIO_RANGE[1]
+    ):
         return (
-            f"by {np.degrees(seen):.1f}° where joints turn by {np.degrees(largest):.0f}°, "
+            f"by {np.degrees(seen_angle):.1f}° where joints turn by {np.degrees(largest):.0f}°, "
             "as if radians were taken for degrees"
         )
-    if _explained(motion, declared) > _UNEXPLAINED:
+    if _explained_share(motion, declared) > _MAX_UNEXPLAINED_SHARE:
         return ""
-    for name, matrices in _OTHER_READINGS[width].items():
-        share = _explained(motion, _between(before, after, matrices))
-        if share >= _EXPLAINED:
+    for name, matrices in _WRONG_CONVENTIONS[width].items():
+        share = _explained_share(motion, _joint_rotations(pose_before, pose_after, matrices))
+        if share >= _MIN_EXPLAINED_SHARE:
             return f"as no joint does, and in {share:.0%} of rows as if {name}"
     return ""
 
@@ -186,12 +200,12 @@ Matrices = Callable[[np.ndarray], Float[np.ndarray, "j 3 3"]]
 
 
 def _from_axis_angle(vectors: np.ndarray) -> Float[np.ndarray, "j 3 3"]:
-    half = np.linalg.norm(vectors, axis=1, keepdims=True).astype(float) / 2
-    scale = np.sinc(half / np.pi) / 2
-    return rotation_matrix(np.concatenate([np.cos(half), scale * vectors], axis=1))
+    half_angle = np.linalg.norm(vectors, axis=1, keepdims=True).astype(float) / 2
+    scale = np.sinc(half_angle / np.pi) / 2
+    return rotation_matrix(np.concatenate([np.cos(half_angle), scale * vectors], axis=1))
 
 
-def _inverse(matrices: Matrices) -> Matrices:
+def _inverted(matrices: Matrices) -> Matrices:
     return lambda values: matrices(values).transpose(0, 2, 1)
 
 
@@ -199,10 +213,10 @@ def _axes(order: tuple[int, ...]) -> Matrices:
     return lambda vectors: _from_axis_angle(vectors[:, order])
 
 
-_MATRICES: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
-_OTHER_READINGS: dict[int, dict[str, Matrices]] = {
+_MATRICES_OF_WIDTH: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
+_WRONG_CONVENTIONS: dict[int, dict[str, Matrices]] = {
     3: {
-        "rotations were inverted": _inverse(_from_axis_angle),
+        "rotations were inverted": _inverted(_from_axis_angle),
         "angles were halved": lambda v: _from_axis_angle(v / 2),
         "angles were doubled": lambda v: _from_axis_angle(v * 2),
         "numbers of all joints were read x first, then y and z": lambda v: _from_axis_angle(
@@ -218,16 +232,16 @@ _OTHER_READINGS: dict[int, dict[str, Matrices]] = {
         "quaternions w x y z were read as x y z w": lambda q: rotation_matrix(
             np.roll(q, 1, axis=1)
         ),
-        "rotations were inverted": _inverse(rotation_matrix),
+        "rotations were inverted": _inverted(rotation_matrix),
     },
 }
 
 
-def _between(
-    before: np.ndarray, after: np.ndarray, matrices: Matrices
+def _joint_rotations(
+    pose_before: np.ndarray, pose_after: np.ndarray, matrices: Matrices
 ) -> Float[np.ndarray, "j 3 3"]:
     """Return the rotation of each joint from one pose to another."""
-    return np.asarray(matrices(after) @ matrices(before).transpose(0, 2, 1))
+    return np.asarray(matrices(pose_after) @ matrices(pose_before).transpose(0, 2, 1))
 
 
 def _angles(matrices: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "..."]:
@@ -235,8 +249,8 @@ def _angles(matrices: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "..."]:
     return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def _explained(motion: LocalRotations, joints: Float[np.ndarray, "j 3 3"]) -> float:
+def _explained_share(motion: LocalRotations, joints: Float[np.ndarray, "j 3 3"]) -> float:
     """Return the fraction of rigid neighbourhoods of Gaussians that rotate like some joint."""
     rotation = motion.rotation[motion.is_rigid]
     difference = _angles(rotation[:, None] @ joints.transpose(0, 2, 1)[None])
-    return float((difference.min(axis=1) < _FITTING).mean())
+    return float((difference.min(axis=1) < _MAX_FITTING_DIFFERENCE).mean())

@@ -15,16 +15,16 @@ from gsgen.contract.validation.rule import rule
 
 # Positions lie on a lattice if their differences are multiples of the smallest one, within this
 # fraction of it, and it is this many steps of float32 long: shorter ones are steps of float32.
-_MULTIPLE, _STEPS = 0.02, 64
+_MAX_LATTICE_ERROR, _STEPS = 0.02, 64
 _AXES = 2
 # A lattice shows if its step exceeds the thinnest axis, and this fraction of the middle one. In
 # files that quantise positions, the fraction is below 0.05.
-_SHOWS = 0.1
+_MAX_VISIBLE_STEP = 0.1
 # Gaussians on purpose on a grid, such as voxels, are not turned.
 _TURNED = 0.5
 
 # A range is divided too coarsely if float32 has fewer numbers in it than this.
-_FEWEST_NUMBERS = 64
+_MIN_RANGE_STEPS = 64
 
 
 @rule("GV049", Severity.WARNING, needs=(*VALID_ROWS, "GV009"))
@@ -41,23 +41,28 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
     """
     position = sample.rows[:, POSITION]
     steps = [step for axis in range(3) if (step := _lattice_step(position[:, axis])) > 0]
-    turned = float((sample.rows[:, [5, 6, 8]] != 0).any(axis=1).mean())
-    if len(steps) < _AXES or turned < _TURNED:
+    rotated_share = float((sample.rows[:, [5, 6, 8]] != 0).any(axis=1).mean())
+    if len(steps) < _AXES or rotated_share < _TURNED:
         return
-    step, thin, middle = min(steps), *(float(np.median(sample.sigma[:, i])) for i in (0, 1))
-    if step > thin and step > _SHOWS * middle:
+    step, thin_sigma, middle_sigma = (
+        min(steps),
+        *(float(np.median(sample.sigma[:, i])) for i in (0, 1)),
+    )
+    if step > thin_sigma and step > _MAX_VISIBLE_STEP * middle_sigma:
         actual = (
-            f"positions are multiples of {step:.4g} along {len(steps)} axes, {step / thin:.3g} times "
+            f"positions are multiples of {step:.4g} along {len(steps)} axes, {step / thin_sigma:.3g} times "
             "the smallest standard deviation, as bfloat16, integers or a coarse grid leave them"
         )
         expected = "a precision finer than the smallest standard deviation"
-        location = Location(sample.emission.rows_place, "position")
+        location = Location(sample.emission.rows_label, "position")
         yield Violation(
             where=location,
             expected=expected,
             actual=actual,
             certainty="possible",
-            statistic=Statistic("step over the smallest standard deviation", step / thin, 0.0, 1.0),
+            statistic=Statistic(
+                "step over the smallest standard deviation", step / thin_sigma, 0.0, 1.0
+            ),
         )
 
 
@@ -70,7 +75,7 @@ def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     if step < _STEPS * np.spacing(np.float32(np.abs(distinct).max())):
         return 0.0
     multiples = (distinct - distinct[0]) / step
-    return step if np.abs(multiples - np.rint(multiples)).max() < _MULTIPLE else 0.0
+    return step if np.abs(multiples - np.rint(multiples)).max() < _MAX_LATTICE_ERROR else 0.0
 
 
 @rule("GI045", Severity.WARNING, needs=DECLARED)
@@ -90,7 +95,7 @@ def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
             continue
         low, high = entry.range
         step = float(np.spacing(np.float32(max(abs(low), abs(high)))))
-        if 0 < high - low < _FEWEST_NUMBERS * step:
+        if 0 < high - low < _MIN_RANGE_STEPS * step:
             actual = f"float32 has steps of {step:g} in the range {low:g} to {high:g}"
-            expected = f"{_FEWEST_NUMBERS} steps or more within the range"
+            expected = f"{_MIN_RANGE_STEPS} steps or more within the range"
             yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")

@@ -6,7 +6,7 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
-from gsgen.contract.rules.pictures.alignment import FITTING, measure_alignment
+from gsgen.contract.rules.pictures.alignment import MAX_FITTING_DEVIATION, measure_alignment
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import VALID_ROWS
@@ -15,51 +15,59 @@ from gsgen.contract.validation.rule import rule
 # The statistic is the median of the longest standard deviation over the spacing, which is the mean
 # distance to the three nearest neighbours. Right scenes lie between 0.1 (points far apart) and 2.2
 # (anchors with ten Gaussians each); an initialisation by the spacing gives 1, dust 0.005 to 0.02.
-_SMALLEST, _LARGEST = 0.002, 5.0
+_MIN_RATIO, _MAX_RATIO = 0.002, 5.0
 # Discs that lie in the surface of their neighbours, and needles on their strand, are not dust: they
 # leave holes below this. Right ones have 0.11 to 3.3.
-_HOLES = 0.05
+_MAX_HOLES_RATIO = 0.05
 # Within these limits, a scene is suspected only if one known mistake explains it: undone, the
 # statistic lies in the narrower range that scenes without holes and without blur have.
-_SMALL, _LARGE, _HUGE = 0.12, 0.8, 2.5
-_USUAL = (0.25, 0.6)
+_SMALL_RATIO, _LARGE_RATIO, _HUGE_RATIO = 0.12, 0.8, 2.5
+_USUAL_RATIO_RANGE = (0.25, 0.6)
 # Gaussians that follow their neighbours are not dust: below the first, a mistake is undone up to the
 # second.
-_SPARSE, _DENSE = 0.1, 2.2
+_MAX_SPARSE_RATIO, _MAX_DENSE_RATIO = 0.1, 2.2
 # A square root makes discs and needles, whose shortest axis is below a tenth of the longest, about
 # this thick. Other shapes are suspected only where their axes were written without a rotation.
-_THICK = (0.17, 0.45)
-_ROUND = 0.83
+_THICKNESS_RANGE = (0.17, 0.45)
+_MAX_ROUND_THICKNESS = 0.83
 # exp(exp(x)) is never below 1, and hardly above where scales are small.
-_EXP_TWICE = (0.999, 1.05)
+_EXP_TWICE_RANGE = (0.999, 1.05)
 
 # The blur that renderers add to variances on the screen, in pixels²: in a scene, it is a floor of
 # the shortest axis that most discs and needles stand on.
-_SCREEN_BLUR, _FLOOR_SHARE = (0.2999, 0.301), 0.5
+_SCREEN_BLUR_RANGE, _MIN_BLURRED_SHARE = (0.2999, 0.301), 0.5
 
 Sigma = Float[np.ndarray, "m 3"]
 
 
-def _times(factor: float) -> Callable[[Sigma], Sigma]:
+def _multiply_by(factor: float) -> Callable[[Sigma], Sigma]:
     return lambda sigma: sigma * factor
 
 
 # The mistake, the interval of the statistic it is suspected in, and the function that undoes it.
-_NOT_SQUARED = "standard deviations stand where variances belong"
-_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[Sigma], Sigma]], ...] = (
-    ("log scales were squared, and exp is missing", (_HUGE, np.inf), lambda sigma: np.exp(-sigma)),
-    (_NOT_SQUARED, (_LARGE, np.inf), np.square),
-    ("variances were squared once more", (0.0, _SMALL), np.sqrt),
+_NOT_SQUARED_TEXT = "standard deviations stand where variances belong"
+_KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[Sigma], Sigma]], ...] = (
+    (
+        "log scales were squared, and exp is missing",
+        (_HUGE_RATIO, np.inf),
+        lambda sigma: np.exp(-sigma),
+    ),
+    (_NOT_SQUARED_TEXT, (_LARGE_RATIO, np.inf), np.square),
+    ("variances were squared once more", (0.0, _SMALL_RATIO), np.sqrt),
     (
         "10 was raised to natural logarithms in place of e",
-        (0.0, _SMALL),
+        (0.0, _SMALL_RATIO),
         lambda sigma: sigma ** (1 / np.log(10)),
     ),
     *(
-        (f"positions were multiplied by {factor} and scales were not", (0.0, _SMALL), undo)
-        for factor, undo in ((1000, _times(1000)), (100, _times(100)))
+        (
+            f"positions were multiplied by {factor} and scales were not",
+            (0.0, _SMALL_RATIO),
+            revert_mistake,
+        )
+        for factor, revert_mistake in ((1000, _multiply_by(1000)), (100, _multiply_by(100)))
     ),
-    ("positions and variances were both multiplied by 100", (0.0, _SMALL), _times(10)),
+    ("positions and variances were both multiplied by 100", (0.0, _SMALL_RATIO), _multiply_by(10)),
 )
 
 
@@ -82,36 +90,46 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     sigma, spacing = sample.sigma, sample.spacing
     ratio = float(np.median(sigma[:, 2] / spacing))
     actual = f"median standard deviation {ratio:.3g} of the distance to the neighbours"
-    mistake = _mistake(sample, ratio)
+    mistake = _find_mistake(sample, ratio)
     if mistake:
         actual += f", as if {mistake}"
-    elif _SMALLEST <= ratio < _HOLES and _follows_neighbours(sample):
+    elif _MIN_RATIO <= ratio < _MAX_HOLES_RATIO and _follows_neighbours(sample):
         actual += ", although they follow the surface or the strand of their neighbours"
-    elif _SMALLEST <= ratio <= _LARGEST:
+    elif _MIN_RATIO <= ratio <= _MAX_RATIO:
         return
-    expected = f"a size of {_SMALLEST} to {_LARGEST:g} times the distance to the neighbours"
-    location = Location(sample.emission.rows_place, "covariance")
-    usual = Statistic("median standard deviation over the spacing", ratio, _SMALL, _LARGE)
+    expected = f"a size of {_MIN_RATIO} to {_MAX_RATIO:g} times the distance to the neighbours"
+    location = Location(sample.emission.rows_label, "covariance")
+    usual_statistic = Statistic(
+        "median standard deviation over the spacing", ratio, _SMALL_RATIO, _LARGE_RATIO
+    )
     yield Violation(
-        where=location, expected=expected, actual=actual, certainty="possible", statistic=usual
+        where=location,
+        expected=expected,
+        actual=actual,
+        certainty="possible",
+        statistic=usual_statistic,
     )
 
 
-def _mistake(sample: DrawnSample, ratio: float) -> str:
+def _find_mistake(sample: DrawnSample, ratio: float) -> str:
     """Return the likely mistake behind wrong sizes of Gaussians; empty if unclear."""
     sigma, spacing = sample.sigma, sample.spacing
-    if _EXP_TWICE[0] <= sigma.min() <= _EXP_TWICE[1] and ratio > _USUAL[1]:
+    if _EXP_TWICE_RANGE[0] <= sigma.min() <= _EXP_TWICE_RANGE[1] and ratio > _USUAL_RATIO_RANGE[1]:
         return "exp was applied twice: no standard deviation is below 1"
     variances = np.square(sigma[:, 0])
-    is_blurred = (variances >= _SCREEN_BLUR[0]) & (variances <= _SCREEN_BLUR[1])
-    if variances.min() >= _SCREEN_BLUR[0] and is_blurred.mean() >= _FLOOR_SHARE:
+    is_blurred = (variances >= _SCREEN_BLUR_RANGE[0]) & (variances <= _SCREEN_BLUR_RANGE[1])
+    if variances.min() >= _SCREEN_BLUR_RANGE[0] and is_blurred.mean() >= _MIN_BLURRED_SHARE:
         return "0.3, the blur of renderers in pixels², were added to variances of the scene"
-    largest = _DENSE if ratio < _SPARSE and _follows_neighbours(sample) else _USUAL[1]
-    for mistake, (low, high), undo in _MISTAKES:
-        undone = float(np.median(undo(sigma).max(axis=1) / spacing))
-        if mistake == _NOT_SQUARED and not _may_be_roots(sample):
+    largest = (
+        _MAX_DENSE_RATIO
+        if ratio < _MAX_SPARSE_RATIO and _follows_neighbours(sample)
+        else _USUAL_RATIO_RANGE[1]
+    )
+    for mistake, (low, high), revert_mistake in _KNOWN_MISTAKES:
+        corrected_ratio = float(np.median(revert_mistake(sigma).max(axis=1) / spacing))
+        if mistake == _NOT_SQUARED_TEXT and not _may_be_roots(sample):
             continue
-        if low < ratio < high and _USUAL[0] <= undone <= largest:
+        if low < ratio < high and _USUAL_RATIO_RANGE[0] <= corrected_ratio <= largest:
             return mistake
     return ""
 
@@ -119,12 +137,14 @@ def _mistake(sample: DrawnSample, ratio: float) -> str:
 def _follows_neighbours(sample: DrawnSample) -> bool:
     """Return whether flat Gaussians lie in their neighbours' surface, or long ones on a strand."""
     alignment = measure_alignment(sample)
-    return alignment is not None and alignment.deviation <= FITTING
+    return alignment is not None and alignment.deviation <= MAX_FITTING_DEVIATION
 
 
 def _may_be_roots(sample: DrawnSample) -> bool:
     """Return whether Gaussians would have the shapes of discs or needles if sizes were squared."""
     thickness = float(np.median(sample.sigma[:, 0] / sample.sigma[:, 2]))
-    is_thick = _THICK[0] <= thickness <= _THICK[1] and (sample.is_planar or sample.is_linear)
+    is_thick = _THICKNESS_RANGE[0] <= thickness <= _THICKNESS_RANGE[1] and (
+        sample.is_planar or sample.is_linear
+    )
     is_aligned = not sample.rows[:, [5, 6, 8]].any()
-    return is_thick or (is_aligned and thickness < _ROUND)
+    return is_thick or (is_aligned and thickness < _MAX_ROUND_THICKNESS)

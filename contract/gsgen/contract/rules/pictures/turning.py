@@ -6,7 +6,7 @@ import numpy as np
 
 from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.behaviour_probes import AWAY, TILTED
+from gsgen.contract.probing.behaviour_probes import LOOKING_AWAY_LABEL, TILTED_LABEL
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, VARIANCES
@@ -21,7 +21,7 @@ _FEWEST_ROWS = 8
 # covariance relative to its trace. The median would miss light that is clamped on the half that
 # faces away. Right models have 1e-6, from rounding of the matrix; wrong ones 0.03 to 0.9.
 _CHANGED = 0.01
-_SHARE = 0.9
+_CHANGE_QUANTILE = 0.9
 
 
 @rule("GB030", Severity.WARNING, needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"))
@@ -38,50 +38,52 @@ def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation
         The view matrix is world-to-camera: its camera's centre is −Rᵀ t. Take directions from
         there to each row, and emit covariances in local space, as positions are.
     """
-    runs = [run for run in behaviour.visits("turned") if run.probe.label.endswith(TILTED)]
+    runs = [run for run in behaviour.trial_runs("turned") if run.probe.label.endswith(TILTED_LABEL)]
     base = _outputs(behaviour.subject, behaviour.base)
     for run in runs:
-        turned = _outputs(behaviour.subject, run)
-        if base is None or turned is None:
+        turned_outputs = _outputs(behaviour.subject, run)
+        if base is None or turned_outputs is None:
             return
-        rows = _drawn_twice(base, turned)
+        rows = _drawn_in_both(base, turned_outputs)
         if np.count_nonzero(rows) < _FEWEST_ROWS:
             return
-        yield from _changes(base, turned, rows)
+        yield from _field_changes(base, turned_outputs, rows)
 
 
-def _changes(
-    base: ModelOutputs, turned: ModelOutputs, rows: Bool[np.ndarray, " n"]
+def _field_changes(
+    base: ModelOutputs, turned_outputs: ModelOutputs, rows: Bool[np.ndarray, " n"]
 ) -> Iterator[Violation]:
     assert base.gaussians is not None
-    assert turned.gaussians is not None
-    color, other_color = base.appearance, turned.appearance
+    assert turned_outputs.gaussians is not None
+    color, other_color = base.appearance, turned_outputs.appearance
     if color is not None and other_color is not None and color.shape == other_color.shape:
         changes = np.abs(color[rows].astype(float) - other_color[rows]).max(axis=1)
-        change = float(np.quantile(changes, _SHARE))
+        change = float(np.quantile(changes, _CHANGE_QUANTILE))
         if change > _CHANGED:
             actual = (
                 f"a tenth of the colours changes by {change:.3g} or more while the "
                 "camera turns about its own centre, as if its centre were computed without the inverse rotation"
             )
-            usual = Statistic("change of colour", change, 0.0, _CHANGED)
+            usual_statistic = Statistic("change of colour", change, 0.0, _CHANGED)
             expected = "the same colours from the same centre"
-            yield _possible(base.color_place, "", actual, expected, usual)
-    a, b = (o.gaussians[rows].astype(float) for o in (base, turned) if o.gaussians is not None)
+            yield _possible_violation(base.color_label, "", actual, expected, usual_statistic)
+    a, b = (
+        o.gaussians[rows].astype(float) for o in (base, turned_outputs) if o.gaussians is not None
+    )
     trace = np.maximum(a[:, VARIANCES].sum(axis=1), np.finfo(np.float32).tiny)
     changes = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
-    change = float(np.quantile(changes, _SHARE))
+    change = float(np.quantile(changes, _CHANGE_QUANTILE))
     if change > _CHANGED:
         actual = (
             f"a tenth of the covariances changes by {change:.3g} of the trace or "
             "more while the camera turns about its own centre, as if they were in camera space"
         )
-        usual = Statistic("change over trace", change, 0.0, _CHANGED)
+        usual_statistic = Statistic("change over trace", change, 0.0, _CHANGED)
         expected = "covariances in local space"
-        yield _possible(base.rows_place, "covariance", actual, expected, usual)
+        yield _possible_violation(base.rows_label, "covariance", actual, expected, usual_statistic)
 
 
-def _possible(
+def _possible_violation(
     subject: str, field: str, actual: str, expected: str, statistic: Statistic
 ) -> Violation:
     return Violation(
@@ -99,25 +101,27 @@ def _outputs(subject: InspectedModel, run: ProbeRun) -> ModelOutputs | None:
     return outputs if outputs.gaussians is not None else None
 
 
-def _drawn(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
+def _drawn_mask(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
     assert outputs.gaussians is not None
     rows = outputs.gaussians
     is_live = np.arange(len(rows)) < outputs.count
     return np.asarray(is_live & (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows).all(axis=1))
 
 
-def _drawn_twice(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
+def _drawn_in_both(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
     """Return the mask of Gaussians that are drawn at the same position in two model runs."""
     a, b = first.gaussians, second.gaussians
     assert a is not None
     assert b is not None
     if a.shape != b.shape:
         return np.zeros(len(a), bool)
-    same = _same_place(a[:, POSITION].astype(float), b[:, POSITION].astype(float))
-    return np.asarray(_drawn(first) & _drawn(second) & same)
+    is_same_center = _same_position(a[:, POSITION].astype(float), b[:, POSITION].astype(float))
+    return np.asarray(_drawn_mask(first) & _drawn_mask(second) & is_same_center)
 
 
-def _same_place(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+def _same_position(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
     rounding = 1e-6 * np.maximum(np.abs(a).max(axis=1, initial=0), np.abs(b).max(axis=1, initial=0))
     return np.asarray(np.abs(a - b).max(axis=1, initial=0) <= rounding)
 
@@ -137,17 +141,28 @@ def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Keep rows whose depth along +z is positive.
     """
-    runs = [run for run in behaviour.visits("turned") if run.probe.label.endswith(AWAY)]
+    runs = [
+        run
+        for run in behaviour.trial_runs("turned")
+        if run.probe.label.endswith(LOOKING_AWAY_LABEL)
+    ]
     base = _outputs(behaviour.subject, behaviour.base)
     for run in runs:
-        away = _outputs(behaviour.subject, run)
-        if base is None or away is None:
+        away_outputs = _outputs(behaviour.subject, run)
+        if base is None or away_outputs is None:
             return
-        ahead, behind = int(_drawn(base).sum()), int(_drawn(away).sum())
-        if behind >= _FEWEST_ROWS and ahead < behind / 2:
+        ahead_count, behind_count = (
+            int(_drawn_mask(base).sum()),
+            int(_drawn_mask(away_outputs).sum()),
+        )
+        if behind_count >= _FEWEST_ROWS and ahead_count < behind_count / 2:
             actual = (
-                f"{ahead} rows are drawn by a camera that looks at the scene, and {behind} by one "
+                f"{ahead_count} rows are drawn by a camera that looks at the scene, and {behind_count} by one "
                 "that looks away, as if culling took −z for forward"
             )
-            usual = Statistic("rows ahead over rows behind", ahead / behind, 0.5)
-            yield _possible(base.rows_place, "opacity", actual, "rows ahead, along +z", usual)
+            usual_statistic = Statistic(
+                "rows ahead over rows behind", ahead_count / behind_count, 0.5
+            )
+            yield _possible_violation(
+                base.rows_label, "opacity", actual, "rows ahead, along +z", usual_statistic
+            )

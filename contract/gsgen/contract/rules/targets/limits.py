@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.model.graph import Graph, Tensor, reads, tensor_bytes
+from gsgen.contract.model.graph import Graph, Tensor, names_read, tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import frame_nodes
 from gsgen.contract.spec.fields.roles import KINDS
@@ -18,31 +18,31 @@ def _buffers(subject: InspectedModel) -> Iterator[tuple[str, int]]:
         yield f"output {tensor.name}", tensor_bytes(tensor)
     for name, tensor in graph.initializers.items():
         yield f"weight {name}", tensor_bytes(tensor)
-    for tensor in _computed_once(graph):
+    for tensor in _constant_tensors(graph):
         yield f"tensor {tensor.name}, computed from weights", tensor_bytes(tensor)
 
 
-def _computed_once(graph: Graph) -> Iterator[Tensor]:
+def _constant_tensors(graph: Graph) -> Iterator[Tensor]:
     """Yield the tensors that a runtime computes once at loading and reads every frame."""
-    running = frame_nodes(graph)
-    frame_tensors = {name for node in running for name in node.output}
+    executed_nodes = frame_nodes(graph)
+    frame_tensors = {name for node in executed_nodes for name in node.output}
     outputs = {tensor.name for tensor in graph.outputs}
-    for name in dict.fromkeys(name for node in running for name in reads(node)):
+    for name in dict.fromkeys(name for node in executed_nodes for name in names_read(node)):
         if name in graph.producers and name not in frame_tensors and name not in outputs:
             tensor = graph.tensors.get(name)
             if tensor is not None:
                 yield tensor
 
 
-def _mib(size: int) -> str:
+def _mebibyte_text(size: int) -> str:
     return f"{format_mebibytes(size)} ({size} bytes)"
 
 
-def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
+def _oversized_buffers(subject: InspectedModel, limit: int) -> Iterator[Violation]:
     """Yield a violation for each output or weight, as stored or unpacked, above ``limit`` bytes."""
     for location, size in _buffers(subject):
         if size > limit:
-            yield Violation.at(location, _mib(size), f"{_mib(limit)} at most")
+            yield Violation.at(location, _mebibyte_text(size), f"{_mebibyte_text(limit)} at most")
 
 
 @rule("GL001", Severity.ERROR, kinds=KINDS, limit="binding_bytes", needs=("GL002",))
@@ -58,7 +58,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
     """
-    yield from _larger(subject, subject.target.limits["binding_bytes"])
+    yield from _oversized_buffers(subject, subject.target.limits["binding_bytes"])
 
 
 @rule("GL002", Severity.ERROR, kinds=KINDS, limit="buffer_bytes")
@@ -72,7 +72,7 @@ def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
     """
-    yield from _larger(subject, subject.target.limits["buffer_bytes"])
+    yield from _oversized_buffers(subject, subject.target.limits["buffer_bytes"])
 
 
 @rule("GL003", Severity.ERROR, needs=("GO004", "GL001", "GL002"), limit="workgroups")
@@ -87,8 +87,10 @@ def fits_dispatch(subject: InspectedModel) -> Iterator[Violation]:
         Lower the capacity, or split the model.
     """
     limits = subject.target.limits
-    most = limits["workgroups"] * limits["workgroup_size"]
+    max_invocations = limits["workgroups"] * limits["workgroup_size"]
     tensor = subject.gaussians
     rows = tensor.dims[0] if tensor is not None and tensor.dims else 0
-    if tensor is not None and isinstance(rows, int) and rows > most:
-        yield Violation.at(f"output {tensor.name}", f"{rows} rows", f"{most} rows at most")
+    if tensor is not None and isinstance(rows, int) and rows > max_invocations:
+        yield Violation.at(
+            f"output {tensor.name}", f"{rows} rows", f"{max_invocations} rows at most"
+        )

@@ -15,12 +15,12 @@ from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
-_WORKGROUP = 256
+_WORKGROUP_ROWS = 256
 # The viewer's filter, in squared pixels; a lens of 45 degrees on 1080 rows; a camera that sees all.
-_KERNEL = 0.1
+_KERNEL_PIXELS = 0.1
 _FOCAL = 1304.0
-_WHOLE_VIEW = 2.2
-_FADED = 0.5
+_WHOLE_VIEW_RADII = 2.2
+_MIN_OPACITY_SHARE = 0.5
 
 
 @rule("GL006", Severity.WARNING, target=TARGET, needs=("GV025", "GO001", "GO002", "GO010", "GO011"))
@@ -36,9 +36,9 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
         Raise the capacity to the next multiple of 256.
     """
     rows = emission.gaussians
-    if rows is not None and emission.count < len(rows) and len(rows) % _WORKGROUP:
-        expected = f"{-(-len(rows) // _WORKGROUP) * _WORKGROUP} rows"
-        yield Violation.at(emission.rows_place, f"{len(rows)} rows", expected)
+    if rows is not None and emission.count < len(rows) and len(rows) % _WORKGROUP_ROWS:
+        expected = f"{-(-len(rows) // _WORKGROUP_ROWS) * _WORKGROUP_ROWS} rows"
+        yield Violation.at(emission.rows_label, f"{len(rows)} rows", expected)
 
 
 @rule("TV107", Severity.INFO, target=TARGET, needs=("GO010",))
@@ -96,14 +96,14 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     if generator is None or generator.bounds is None or generator.antialias == "mip":
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
-    distance = _WHOLE_VIEW * float(np.linalg.norm(high - low)) / 2
-    pixels = rows.widest * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
-    opacity_share = pixels / (pixels + np.float32(_KERNEL))
+    distance = _WHOLE_VIEW_RADII * float(np.linalg.norm(high - low)) / 2
+    pixels = rows.max_variance * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
+    opacity_share = pixels / (pixels + np.float32(_KERNEL_PIXELS))
     yield Violation.rows(
-        Location(rows.emission.rows_place, "covariance"),
-        rows.drawn & (opacity_share < _FADED),
-        rows.widest,
-        f"more than {_FADED:.0%} of the opacity in most rows",
+        Location(rows.emission.rows_label, "covariance"),
+        rows.drawn & (opacity_share < _MIN_OPACITY_SHARE),
+        rows.max_variance,
+        f"more than {_MIN_OPACITY_SHARE:.0%} of the opacity in most rows",
         checked=rows.drawn_count,
         min_fraction=0.5,
         certainty="possible",

@@ -17,12 +17,12 @@ _COLOR_SLACK = 1e-2
 
 # Mean degree of the coefficients' energy. Trained scenes lie below 0.3, since detail falls with
 # the degree; a wrong order spreads the constant terms over all degrees and gives 1 or more.
-_SUSPECT = 0.5
-_CLEARER = 0.4
+_SUSPECT_DEGREE = 0.5
+_MAX_DEGREE_RATIO = 0.4
 
 # Beyond what any colour needs; fewer than one in a hundred may be outliers.
 _LARGE = 10.0
-_LARGE_SHARE = 0.01
+_MAX_LARGE_SHARE = 0.01
 
 
 @rule("GV012", Severity.ERROR, needs=COLORED_ROWS)
@@ -45,19 +45,19 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     rgb = color[:, :3].astype(np.float32)
     low, high = declared.range or (0.0, 1.0)
     in_range = ((rgb >= low - _COLOR_SLACK) & (rgb <= high + _COLOR_SLACK)).all(axis=1)
-    guessed = rows.emission.subject.candidate is not None
+    is_inferred = rows.emission.subject.candidate is not None
     invalid = rows.drawn & ~in_range
     expected = f"{low:g} <= rgb <= {high:g}"
     if invalid.any():
         expected += f"; {diagnose_rgb(rgb[rows.drawn])}"
     yield Violation.rows(
-        Location(rows.emission.color_place, "rgb"),
+        Location(rows.emission.color_label, "rgb"),
         invalid,
         rgb,
         expected,
         checked=rows.drawn_count,
         magnitude=np.nan_to_num(np.abs(rgb - 0.5).max(axis=1)),
-        certainty="possible" if guessed else "confirmed",
+        certainty="possible" if is_inferred else "confirmed",
     )
 
 
@@ -78,35 +78,38 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
         return
     if sample.shape[1] < 12 or not len(sample):  # a single coefficient has no order
         return
-    energy = np.square(sample).mean(axis=0, dtype=np.float64)
-    if not energy.sum() > 0:
+    coefficient_energy = np.square(sample).mean(axis=0, dtype=np.float64)
+    if not coefficient_energy.sum() > 0:
         return
-    spread = {name: _mean_degree(energy[slots]) for name, slots in _orders(len(energy)).items()}
-    stored = spread.pop("coefficient-major")
-    name, lowest = min(spread.items(), key=lambda item: item[1])
-    if stored > _SUSPECT and lowest < _CLEARER * stored:
-        actual = f"energy lies at mean degree {stored:.2f} as stored, {lowest:.2f} if read {name}"
-        expected = f"a mean degree below {_SUSPECT}, as coefficient-major SH of a scene has"
+    spread = {
+        name: _mean_degree(coefficient_energy[coefficient_slots])
+        for name, coefficient_slots in _coefficient_orders(len(coefficient_energy)).items()
+    }
+    stored_degree = spread.pop("coefficient-major")
+    name, min_degree = min(spread.items(), key=lambda item: item[1])
+    if stored_degree > _SUSPECT_DEGREE and min_degree < _MAX_DEGREE_RATIO * stored_degree:
+        actual = f"energy lies at mean degree {stored_degree:.2f} as stored, {min_degree:.2f} if read {name}"
+        expected = f"a mean degree below {_SUSPECT_DEGREE}, as coefficient-major SH of a scene has"
         yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
-def _orders(size: int) -> dict[str, np.ndarray]:
+def _coefficient_orders(size: int) -> dict[str, np.ndarray]:
     """Map each storage order of SH coefficients to columns by coefficient and channel, [K, 3]."""
     k = size // 3
-    flat = np.arange(size)
-    twice = (flat % k) * 3 + flat // k  # interleaved a second time
+    flat_indices = np.arange(size)
+    interleaved_twice = (flat_indices % k) * 3 + flat_indices // k  # interleaved a second time
     return {
-        "coefficient-major": flat.reshape(k, 3),
-        "channel-major": flat.reshape(3, k).T,
-        "interleaved twice": twice.reshape(k, 3),
-        "with f_rest before f_dc": np.roll(flat, 3).reshape(k, 3),
+        "coefficient-major": flat_indices.reshape(k, 3),
+        "channel-major": flat_indices.reshape(3, k).T,
+        "interleaved twice": interleaved_twice.reshape(k, 3),
+        "with f_rest before f_dc": np.roll(flat_indices, 3).reshape(k, 3),
     }
 
 
-def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
-    count = len(energy)
+def _mean_degree(coefficient_energy: Float[np.ndarray, "k 3"]) -> float:
+    count = len(coefficient_energy)
     degrees = np.repeat(np.arange(degree_of(count) + 1), 2 * np.arange(degree_of(count) + 1) + 1)
-    return float((energy.sum(axis=1) * degrees).sum() / energy.sum())
+    return float((coefficient_energy.sum(axis=1) * degrees).sum() / coefficient_energy.sum())
 
 
 @rule("GV013", Severity.WARNING, needs=APPEARANCE)
@@ -127,10 +130,10 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
         return
     detail = np.abs(detail)
     share = float(np.count_nonzero(detail > _LARGE) / max(detail.size, 1))
-    if share > _LARGE_SHARE:
+    if share > _MAX_LARGE_SHARE:
         actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
         expected = f"magnitudes up to {_LARGE:g}"
-        yield Violation.at(emission.color_place, actual, expected, certainty="possible")
+        yield Violation.at(emission.color_label, actual, expected, certainty="possible")
 
 
 @rule("GV022", Severity.INFO, needs=APPEARANCE)
@@ -150,4 +153,4 @@ def fourth_channel_unused(emission: ModelOutputs) -> Iterator[Violation]:
     low, high = sample[:, 3].min(), sample[:, 3].max()
     if low != high:
         actual = f"values from {low:.3g} to {high:.3g} in channel 3"
-        yield Violation.at(emission.color_place, actual, "one number in all rows")
+        yield Violation.at(emission.color_label, actual, "one number in all rows")

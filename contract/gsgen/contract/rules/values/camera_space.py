@@ -20,15 +20,15 @@ from gsgen.contract.validation.rule import rule
 _FEWEST = 4
 # Positions follow the camera if they move by more than the first fraction of their spread, and by
 # less than the second once the camera is undone.
-_MOVES = 0.05
-_RESTS = 2e-3
+_MIN_MOTION_RATIO = 0.05
+_MAX_REST_RATIO = 2e-3
 # Culling is backwards if this fraction of the rows that are drawn behind the camera, or less, is
 # drawn in front of it.
-_FEW = 0.1
+_MAX_VISIBLE_RATIO = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
+class _SeenRows:
     """The Gaussians that a model shows to one camera.
 
     Attributes:
@@ -44,7 +44,7 @@ class _Seen:
     drawn: Bool[np.ndarray, " n"]
 
 
-def _seen(probe_runs: ProbeRuns, index: int) -> _Seen | None:
+def _read_seen_rows(probe_runs: ProbeRuns, index: int) -> _SeenRows | None:
     subject, probe = probe_runs.subject, probe_runs.plan.probes[index]
     run = probe_runs.execution.runs[index] if index < len(probe_runs.execution.runs) else None
     declared, count = subject.declared_gaussians, subject.declared_count
@@ -65,7 +65,7 @@ def _seen(probe_runs: ProbeRuns, index: int) -> _Seen | None:
     drawn = np.asarray(rows[:, OPACITY] >= CULL_OPACITY)
     live_share = max(0, int(live.reshape(-1)[0])) / max(declared.capacity, 1)
     drawn[math.ceil(live_share * len(rows)) :] = False  # of many rows, a part was kept
-    return _Seen(
+    return _SeenRows(
         view=matrix(views[0][0].name),
         projection=lens,
         position=rows[:, POSITION].astype(np.float64),
@@ -73,7 +73,7 @@ def _seen(probe_runs: ProbeRuns, index: int) -> _Seen | None:
     )
 
 
-def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
+def _isolated_views(probe_runs: ProbeRuns) -> list[_SeenRows]:
     """Return cameras and Gaussians of all model runs whose inputs differ in the camera alone."""
     plan = probe_runs.plan
     base, variants = plan.variants.get("view", (0, ()))
@@ -82,8 +82,8 @@ def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
     roles = {entry.role for entry in manifest.inputs} if manifest else set()
     if not indices and roles <= set(CAMERA_ROLES):
         indices = [index for index in range(plan.values) if not plan.probes[index].zeros]
-    seen = (_seen(probe_runs, index) for index in indices)
-    return [entry for entry in seen if entry is not None]
+    seen_rows = (_read_seen_rows(probe_runs, index) for index in indices)
+    return [entry for entry in seen_rows if entry is not None]
 
 
 @rule(
@@ -110,38 +110,43 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if np.count_nonzero(drawn) < _FEWEST or declared is None:
             continue
         for space in ("camera space", "clip space"):
-            if _follows(first, second, drawn, space):
+            if _follows_camera(first, second, drawn, space):
                 actual = f"the centres are in {space}: they follow the view matrix"
                 yield Violation.at(f"output {declared.name}", actual, "centres in local space")
                 return
 
 
-def _follows(first: _Seen, second: _Seen, drawn: Bool[np.ndarray, " n"], space: str) -> bool:
+def _follows_camera(
+    first: _SeenRows, second: _SeenRows, drawn: Bool[np.ndarray, " n"], space: str
+) -> bool:
     """Return whether the Gaussian centres of two model runs agree only in camera space."""
-    undone = [_undone(seen, space) for seen in (first, second)]
-    if undone[0] is None or undone[1] is None:
+    local_positions = [_local_positions(seen_rows, space) for seen_rows in (first, second)]
+    if local_positions[0] is None or local_positions[1] is None:
         return False
-    local = [points[drawn] for points in undone if points is not None]
-    spread = float(np.linalg.norm(np.ptp(local[0], axis=0)))
-    if not np.isfinite(local).all() or spread <= 0:
+    drawn_positions = [points[drawn] for points in local_positions if points is not None]
+    spread = float(np.linalg.norm(np.ptp(drawn_positions[0], axis=0)))
+    if not np.isfinite(drawn_positions).all() or spread <= 0:
         return False
-    moved = np.linalg.norm(first.position[drawn] - second.position[drawn], axis=1)
-    rest = np.linalg.norm(local[0] - local[1], axis=1)
-    here = float(np.linalg.norm(np.ptp(first.position[drawn], axis=0)))
-    return bool(np.median(moved) > _MOVES * here and rest.max() < _RESTS * spread)
+    row_motion = np.linalg.norm(first.position[drawn] - second.position[drawn], axis=1)
+    residual_motion = np.linalg.norm(drawn_positions[0] - drawn_positions[1], axis=1)
+    scene_size = float(np.linalg.norm(np.ptp(first.position[drawn], axis=0)))
+    return bool(
+        np.median(row_motion) > _MIN_MOTION_RATIO * scene_size
+        and residual_motion.max() < _MAX_REST_RATIO * spread
+    )
 
 
-def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
-    matrix = seen.view
+def _local_positions(seen_rows: _SeenRows, space: str) -> Float[np.ndarray, "n 3"] | None:
+    matrix = seen_rows.view
     if space == "clip space":
-        if seen.projection is None:
+        if seen_rows.projection is None:
             return None
-        matrix = seen.projection @ seen.view
+        matrix = seen_rows.projection @ seen_rows.view
     if abs(np.linalg.det(matrix)) < np.finfo(np.float64).eps:
         return None
-    points = np.concatenate([seen.position, np.ones((len(seen.position), 1))], axis=1)
-    local = points @ np.linalg.inv(matrix).T
-    return np.asarray(local[:, :3] / local[:, 3:])
+    points = np.concatenate([seen_rows.position, np.ones((len(seen_rows.position), 1))], axis=1)
+    positions = points @ np.linalg.inv(matrix).T
+    return np.asarray(positions[:, :3] / positions[:, 3:])
 
 
 @rule(
@@ -161,18 +166,20 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
         +x right, +y down and +z forward.
     """
     declared = probe_runs.subject.declared_gaussians
-    away = probe_runs.plan.trials.get("away", ())
-    behind = _seen(probe_runs, away[0]) if away else None
-    seen = [_seen(probe_runs, index) for index in range(probe_runs.plan.values)]
+    away_indices = probe_runs.plan.trials.get("away", ())
+    rows_behind = _read_seen_rows(probe_runs, away_indices[0]) if away_indices else None
+    seen_rows = [_read_seen_rows(probe_runs, index) for index in range(probe_runs.plan.values)]
     labels = probe_runs.plan.probes
-    ahead = [s for s, probe in zip(seen, labels, strict=False) if s is not None and not probe.zeros]
-    if behind is None or not ahead or declared is None:
+    rows_ahead = [
+        s for s, probe in zip(seen_rows, labels, strict=False) if s is not None and not probe.zeros
+    ]
+    if rows_behind is None or not rows_ahead or declared is None:
         return
-    hidden = float(np.mean(behind.drawn))
-    visible = max(float(np.mean(entry.drawn)) for entry in ahead)
-    if hidden > 0 and visible <= _FEW * hidden:
+    hidden_share = float(np.mean(rows_behind.drawn))
+    visible = max(float(np.mean(entry.drawn)) for entry in rows_ahead)
+    if hidden_share > 0 and visible <= _MAX_VISIBLE_RATIO * hidden_share:
         actual = (
             f"{visible:.1%} of the rows are drawn where the camera looks at the scene, "
-            f"{hidden:.1%} where it looks away"
+            f"{hidden_share:.1%} where it looks away"
         )
         yield Violation.at(f"output {declared.name}", actual, "culling with +z forward, not -z")

@@ -19,7 +19,7 @@ from gsgen.contract.validation.rule import rule
 # A sigmoid in float16 may round up by one unit in the last place.
 _VISIBILITY_SLACK = 1e-3
 # A renderer draws a cell within twice its longest standard deviation.
-_REACH = 2.0
+_REACH_SIGMAS = 2.0
 
 
 @rule("GM017", Severity.ERROR, needs=MANIFEST_PARSED)
@@ -43,11 +43,13 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
         "outputs.cells": generator.outputs.cells is not None,
     }
     if any(declarations.values()) and not all(declarations.values()):
-        present, lacking = (
+        present_text, missing_text = (
             " and ".join(name for name, value in declarations.items() if value is is_declared)
             for is_declared in (True, False)
         )
-        yield Violation.at("manifest", f"{present} without {lacking}", "all three, or none")
+        yield Violation.at(
+            "manifest", f"{present_text} without {missing_text}", "all three, or none"
+        )
 
 
 @rule("GO020", Severity.ERROR, needs=("GM004", "GM017"))
@@ -66,8 +68,8 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
         return
     dims = tensor.dims or ()
     rows = dims[0] if dims else None
-    sized = isinstance(rows, int) and rows > 0
-    if not (len(dims) == 2 and dims[1] == ROW and sized):
+    has_row_count = isinstance(rows, int) and rows > 0
+    if not (len(dims) == 2 and dims[1] == ROW and has_row_count):
         expected = f"[C, {ROW}] with a fixed C"
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
@@ -94,23 +96,23 @@ def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, f"cells for {capacity} rows")
 
 
-def _finite(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
-    finite = np.isfinite(cells).all(axis=1)
+def _finite_mask(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
+    is_finite = np.isfinite(cells).all(axis=1)
     if cells.dtype == np.float16:
-        finite &= np.abs(cells).max(axis=1, initial=0) < FLOAT16_MAX
-    return np.asarray(finite)
+        is_finite &= np.abs(cells).max(axis=1, initial=0) < FLOAT16_MAX
+    return np.asarray(is_finite)
 
 
-def _per_cell(emission: ModelOutputs) -> int:
+def _rows_per_cell(emission: ModelOutputs) -> int:
     declared = emission.subject.declared_cells
     assert declared is not None
     return declared.per_cell
 
 
-def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
+def _live_cells(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     """Return the mask of cells (groups of Gaussians) with a row before the row count."""
     assert emission.cells is not None
-    first = np.arange(len(emission.cells)) * _per_cell(emission)
+    first = np.arange(len(emission.cells)) * _rows_per_cell(emission)
     return np.asarray(first < emission.count)
 
 
@@ -128,8 +130,8 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """
     cells = emission.cells
     if cells is not None and not emission.zeros:
-        location, expected = Location(emission.cells_place), "finite values"
-        yield Violation.rows(location, ~_finite(cells), cells, expected, checked=len(cells))
+        location, expected = Location(emission.cells_label), "finite values"
+        yield Violation.rows(location, ~_finite_mask(cells), cells, expected, checked=len(cells))
 
 
 @rule("GV027", Severity.ERROR, needs=CELLS)
@@ -147,9 +149,9 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
         return
     visibility = emission.cells[:, VISIBILITY].astype(np.float64)
     in_range = (visibility >= -_VISIBILITY_SLACK) & (visibility <= 1 + _VISIBILITY_SLACK)
-    checked = _finite(emission.cells)
+    checked = _finite_mask(emission.cells)
     yield Violation.rows(
-        Location(emission.cells_place, "visibility"),
+        Location(emission.cells_label, "visibility"),
         ~in_range & checked,
         visibility,
         "0 <= visibility <= 1",
@@ -173,18 +175,18 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     cells = emission.cells
     if cells is None:
         return
-    checked = _finite(cells) & (cells[:, VISIBILITY] > 0)
+    checked = _finite_mask(cells) & (cells[:, VISIBILITY] > 0)
     upper = np.where(checked[:, None], cells[:, COVARIANCE], 0).astype(np.float64)
     slack, floor = PSD_SLACK[cells.itemsize], PSD_FLOOR[cells.itemsize]
-    lowest = smallest_eigenvalue(upper)
+    min_eigenvalue = smallest_eigenvalue(upper)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
     yield Violation.rows(
-        Location(emission.cells_place, "covariance"),
-        checked & ~(lowest >= -slack * size - floor),
-        lowest,
+        Location(emission.cells_label, "covariance"),
+        checked & ~(min_eigenvalue >= -slack * size - floor),
+        min_eigenvalue,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         checked=int(np.count_nonzero(checked)),
-        magnitude=-lowest,
+        magnitude=-min_eigenvalue,
     )
 
 
@@ -202,14 +204,14 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     cells, rows = emission.cells, emission.gaussians
     if cells is None or rows is None:
         return
-    hidden = np.repeat(cells[:, VISIBILITY] == 0, _per_cell(emission))[: emission.count]
+    is_hidden_row = np.repeat(cells[:, VISIBILITY] == 0, _rows_per_cell(emission))[: emission.count]
     opacity = rows[: emission.count, OPACITY].astype(np.float32)
     yield Violation.rows(
-        Location(emission.rows_place, "opacity"),
-        hidden & np.isfinite(opacity) & (opacity != 0),
+        Location(emission.rows_label, "opacity"),
+        is_hidden_row & np.isfinite(opacity) & (opacity != 0),
         opacity,
         "opacity 0 in rows of cells with visibility 0",
-        checked=int(np.count_nonzero(hidden)),
+        checked=int(np.count_nonzero(is_hidden_row)),
         magnitude=opacity,
     )
 
@@ -228,9 +230,9 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     if emission.cells is None:
         return
     visibility = emission.cells[:, VISIBILITY].astype(np.float32)
-    empty = ~_live(emission)
+    empty = ~_live_cells(emission)
     yield Violation.rows(
-        Location(emission.cells_place, "visibility"),
+        Location(emission.cells_label, "visibility"),
         empty & np.isfinite(visibility) & (visibility != 0),
         visibility,
         "visibility 0 in cells behind the count",
@@ -257,21 +259,21 @@ def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
         return
     float_cells, live = (cells.astype(np.float32), np.asarray(rows[: emission.count], np.float32))
     trace = np.maximum(float_cells[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
-    size = _REACH * np.sqrt(trace)
+    size = _REACH_SIGMAS * np.sqrt(trace)
     if np.float16 in (cells.dtype, rows.dtype):
         size += FLOAT16_EPSILON * np.abs(float_cells[:, POSITION]).sum(axis=1)
     visible = np.isfinite(float_cells).all(axis=1) & (float_cells[:, VISIBILITY] > 0)
-    centre, reach, visible = (
-        np.repeat(values, _per_cell(emission), axis=0)[: len(live)]
+    centre, cell_radius, visible = (
+        np.repeat(values, _rows_per_cell(emission), axis=0)[: len(live)]
         for values in (float_cells[:, POSITION], size, visible)
     )
     drawn = visible & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
-    off = np.linalg.norm(live[:, POSITION] - centre, axis=1)
+    center_distance = np.linalg.norm(live[:, POSITION] - centre, axis=1)
     yield Violation.rows(
-        Location(emission.rows_place, "position"),
-        drawn & ~(off <= reach),
-        np.stack([off, reach], axis=1),
+        Location(emission.rows_label, "position"),
+        drawn & ~(center_distance <= cell_radius),
+        np.stack([center_distance, cell_radius], axis=1),
         "distances from the cell's centre of at most twice its size",
         checked=int(np.count_nonzero(drawn)),
-        magnitude=off - reach,
+        magnitude=center_distance - cell_radius,
     )

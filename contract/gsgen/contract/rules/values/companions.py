@@ -14,7 +14,7 @@ from gsgen.contract.validation.rule import rule
 
 # An image may leave its range by this fraction of it, in so many of its values.
 _RANGE_SLACK = 0.1
-_OUTLIERS = 0.01
+_MAX_OUTLIER_SHARE = 0.01
 
 
 def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -62,13 +62,16 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
         return
     name = manifest.outputs.image.name
     for run in probe_runs.execution.runs[: probe_runs.plan.values]:
-        shape_in = probe_runs.plan.probes[run.probe].inputs[images[0][0].name].shape
+        input_shape = probe_runs.plan.probes[run.probe].inputs[images[0][0].name].shape
         value = probe_runs.execution.samples[run.sample].outputs.get(name)
         if value is None:
             continue
-        fits = value.ndim == 4 and value.shape[1] in IMAGE_CHANNELS
-        if not fits or (value.shape[0], *value.shape[2:]) != (shape_in[0], *shape_in[2:]):
-            expected = f"the size of the input, {list(shape_in)}, with 3 or 4 channels"
+        has_fitting_shape = value.ndim == 4 and value.shape[1] in IMAGE_CHANNELS
+        if not has_fitting_shape or (value.shape[0], *value.shape[2:]) != (
+            input_shape[0],
+            *input_shape[2:],
+        ):
+            expected = f"the size of the input, {list(input_shape)}, with 3 or 4 channels"
             yield Violation.at(f"output {name}", f"shape {list(value.shape)}", expected)
             return
 
@@ -90,9 +93,9 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
     (low, high), name = manifest.outputs.image.range, manifest.outputs.image.name
     slack = _RANGE_SLACK * (high - low)
     images = [value.astype(np.float32) for _, value in _outputs(probe_runs, name)]
-    outside = [np.mean((value < low - slack) | (value > high + slack)) for value in images]
-    if images and np.mean(outside) > _OUTLIERS:
-        lowest, highest = min(v.min() for v in images), max(v.max() for v in images)
-        actual = f"values from {lowest:.3g} to {highest:.3g}"
+    outside_shares = [np.mean((value < low - slack) | (value > high + slack)) for value in images]
+    if images and np.mean(outside_shares) > _MAX_OUTLIER_SHARE:
+        min_value, max_value = min(v.min() for v in images), max(v.max() for v in images)
+        actual = f"values from {min_value:.3g} to {max_value:.3g}"
         expected = f"the declared range {[low, high]}"
         yield Violation.at(f"output {name}", actual, expected, certainty="possible")

@@ -19,7 +19,7 @@ PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
 PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
 # The rounding error of a determinant in float32, relative to its largest terms, and the size
 # below which terms lose bits.
-_DET_DOUBT = np.float32(2e-6)
+_DET_RELATIVE_ERROR = np.float32(2e-6)
 _DET_FLOOR = np.float32(1e-30)
 
 
@@ -34,18 +34,18 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
         Build the covariance as R S Sᵀ Rᵀ of standard deviations (exp of log scales), and check the
         order of the six entries: xx xy xz yy yz zz.
     """
-    lowest = rows.covariance[[0, 3, 5]].min(axis=0)
-    invalid = rows.drawn & ~(lowest >= 0)
+    min_variance = rows.covariance[[0, 3, 5]].min(axis=0)
+    invalid = rows.drawn & ~(min_variance >= 0)
     expected = "xx, yy, zz >= 0"
     if invalid.any():
         expected += diagnose_variances(rows.covariance[[0, 3, 5]][:, rows.drawn].T)
     yield Violation.rows(
-        Location(rows.emission.rows_place, "covariance"),
+        Location(rows.emission.rows_label, "covariance"),
         invalid,
-        lowest,
+        min_variance,
         expected,
         checked=rows.drawn_count,
-        magnitude=-lowest,
+        magnitude=-min_variance,
     )
 
 
@@ -62,35 +62,35 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
         so that variances do not underflow.
     """
     slack, floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
-    fair = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
-    suspects = np.flatnonzero(rows.drawn & fair & ~_surely_psd(rows, slack))
-    indefinite = np.zeros(len(rows), bool)
-    lowest = np.zeros(len(rows))
+    has_variances = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
+    suspects = np.flatnonzero(rows.drawn & has_variances & ~_certainly_psd(rows, slack))
+    is_indefinite = np.zeros(len(rows), bool)
+    min_eigenvalue = np.zeros(len(rows))
     if len(suspects):
         upper = rows.covariance[:, suspects].T.astype(np.float64)
         trace = upper[:, [0, 3, 5]].sum(axis=1)
-        lowest[suspects] = smallest_eigenvalue(upper)
-        indefinite[suspects] = ~(lowest[suspects] >= -slack * trace - floor)
+        min_eigenvalue[suspects] = smallest_eigenvalue(upper)
+        is_indefinite[suspects] = ~(min_eigenvalue[suspects] >= -slack * trace - floor)
     yield Violation.rows(
-        Location(rows.emission.rows_place, "covariance"),
-        indefinite,
-        lowest,
+        Location(rows.emission.rows_label, "covariance"),
+        is_indefinite,
+        min_eigenvalue,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         checked=rows.drawn_count,
-        magnitude=-lowest,
+        magnitude=-min_eigenvalue,
     )
 
 
-def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
+def _certainly_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     """Return the mask of rows whose covariance clearly passes Sylvester's criterion, with slack."""
     xx, xy, xz, yy, yz, zz = rows.covariance
-    lift = np.float32(slack) * rows.trace
-    a, b, c = xx + lift, yy + lift, zz + lift
+    diagonal_slack = np.float32(slack) * rows.trace
+    a, b, c = xx + diagonal_slack, yy + diagonal_slack, zz + diagonal_slack
     minor = a * b - xy * xy
-    subtracted = a * yz * yz + b * xz * xz
-    det = c * minor - subtracted + 2 * xy * xz * yz
-    doubt = np.maximum(_DET_DOUBT * (a * b * c + subtracted), _DET_FLOOR)
-    return np.asarray((a > 0) & (minor > 0) & (det > doubt))
+    subtracted_terms = a * yz * yz + b * xz * xz
+    det = c * minor - subtracted_terms + 2 * xy * xz * yz
+    det_error = np.maximum(_DET_RELATIVE_ERROR * (a * b * c + subtracted_terms), _DET_FLOOR)
+    return np.asarray((a > 0) & (minor > 0) & (det > det_error))
 
 
 @rule("GV007", Severity.WARNING, needs=ORDERED_ROWS)
@@ -105,7 +105,7 @@ def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
         Normalise rotations safely; scale the scene up before float16.
     """
     yield Violation.rows(
-        Location(rows.emission.rows_place, "covariance"),
+        Location(rows.emission.rows_label, "covariance"),
         rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),
         rows.trace,
         "a trace above 0",

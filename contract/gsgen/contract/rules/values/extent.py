@@ -15,13 +15,13 @@ from gsgen.contract.validation.rule import rule
 # In float32, so that arrays of rows stay float32.
 _SMALLEST_NORMAL = np.float32(FLOAT16_SMALLEST_NORMAL)
 _EPSILON = np.float32(FLOAT16_EPSILON)
-_COARSE_SHARE = 0.01
+_MIN_COARSE_SHARE = 0.01
 _OUTSIDE_SHARE = 1e-3
 _OUTSIDE_SLACK = 1e-3
 # Below this number of rows, a Gaussian may fill its bounds or repeat by design.
 _FEWEST = 16
 _BLOCK = 4096
-_EQUAL_SHARE = 0.1
+_MAX_EQUAL_SHARE = 0.1
 
 
 @rule("GO016", Severity.ERROR, needs=PACKED_ROWS)
@@ -43,7 +43,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
             f"{100 * order.declared:.3g} % of {order.rows} rows are no valid Gaussian, "
             f"{100 * order.fraction:.3g} % if read as {order.name}"
         )
-        yield Violation.at(emission.rows_place, actual, " ".join(FIELDS))
+        yield Violation.at(emission.rows_label, actual, " ".join(FIELDS))
 
 
 @rule("GV008", Severity.WARNING, needs=ORDERED_ROWS, limit="subnormal_permille")
@@ -60,9 +60,9 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     if rows.packed.dtype != np.float16:
         return
     yield Violation.rows(
-        Location(rows.emission.rows_place, "covariance"),
-        rows.drawn & (rows.widest > 0) & (rows.widest < _SMALLEST_NORMAL),
-        rows.widest,
+        Location(rows.emission.rows_label, "covariance"),
+        rows.drawn & (rows.max_variance > 0) & (rows.max_variance < _SMALLEST_NORMAL),
+        rows.max_variance,
         f"a largest variance of {_SMALLEST_NORMAL:.2g} or more in most rows",
         checked=rows.drawn_count,
         min_fraction=rows.emission.subject.target.limits["subnormal_permille"] / 1000,
@@ -86,23 +86,25 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     is_half = rows.packed.dtype == np.float16
     epsilon = _EPSILON if is_half else np.finfo(np.float32).eps
     # With NaN, all rows are checked.
-    bound = np.square(np.abs(rows.corners).max(initial=0) * epsilon)
-    farthest, coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
-    small = np.flatnonzero(rows.drawn & (rows.widest > 0) & ~(rows.widest >= bound))
-    if len(small):
-        far = np.abs(rows.position[:, small]).max(axis=0)
-        power = np.floor(np.log2(np.maximum(far, _SMALLEST_NORMAL)))
-        beyond = np.square(np.exp2(power) * epsilon) > rows.widest[small]
-        coarse[small] = beyond & ((far < FLOAT16_MAX) | (not is_half))
-        farthest[small] = far
+    step_bound = np.square(np.abs(rows.corners).max(initial=0) * epsilon)
+    max_coordinate, is_coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
+    small_rows = np.flatnonzero(
+        rows.drawn & (rows.max_variance > 0) & ~(rows.max_variance >= step_bound)
+    )
+    if len(small_rows):
+        max_position = np.abs(rows.position[:, small_rows]).max(axis=0)
+        exponent = np.floor(np.log2(np.maximum(max_position, _SMALLEST_NORMAL)))
+        is_beyond = np.square(np.exp2(exponent) * epsilon) > rows.max_variance[small_rows]
+        is_coarse[small_rows] = is_beyond & ((max_position < FLOAT16_MAX) | (not is_half))
+        max_coordinate[small_rows] = max_position
     yield Violation.rows(
-        Location(rows.emission.rows_place, "position"),
-        coarse,
+        Location(rows.emission.rows_label, "position"),
+        is_coarse,
         rows.packed[:, :3],
         "steps below the largest standard deviation",
         checked=rows.drawn_count,
-        magnitude=farthest,
-        min_fraction=_COARSE_SHARE,
+        magnitude=max_coordinate,
+        min_fraction=_MIN_COARSE_SHARE,
     )
 
 
@@ -123,12 +125,12 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
     diagonal = float(np.linalg.norm(high - low))
     yield Violation.rows(
-        Location(rows.emission.rows_place, "covariance"),
-        rows.drawn & (rows.widest > diagonal**2),
-        rows.widest,
+        Location(rows.emission.rows_label, "covariance"),
+        rows.drawn & (rows.max_variance > diagonal**2),
+        rows.max_variance,
         f"variances up to {diagonal**2:.4g}, the squared diagonal of the bounds",
         checked=rows.drawn_count,
-        magnitude=rows.widest,
+        magnitude=rows.max_variance,
     )
 
 
@@ -151,16 +153,16 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))
     if rows.packed.dtype == np.float16:
         slack += float(_EPSILON * max(np.abs(low).max(), np.abs(high).max()))
-    position, (lowest, highest) = rows.position, rows.corners
-    outside = np.zeros(len(rows), bool)
-    if not ((lowest >= low - slack) & (highest <= high + slack)).all():
-        inside = (position >= (low - slack)[:, None]) & (position <= (high + slack)[:, None])
-        outside = rows.drawn & ~inside.all(axis=0)
+    position, (lower_corner, upper_corner) = rows.position, rows.corners
+    is_outside = np.zeros(len(rows), bool)
+    if not ((lower_corner >= low - slack) & (upper_corner <= high + slack)).all():
+        is_inside = (position >= (low - slack)[:, None]) & (position <= (high + slack)[:, None])
+        is_outside = rows.drawn & ~is_inside.all(axis=0)
         if rows.packed.dtype == np.float16:  # GV010 reports saturated rows
-            outside &= ~(np.abs(position).max(axis=0) >= FLOAT16_MAX)
+            is_outside &= ~(np.abs(position).max(axis=0) >= FLOAT16_MAX)
     yield Violation.rows(
-        Location(rows.emission.rows_place, "position"),
-        outside,
+        Location(rows.emission.rows_label, "position"),
+        is_outside,
         rows.packed[:, :3],
         f"centres within {generator.bounds.min} to {generator.bounds.max}",
         checked=rows.drawn_count,
@@ -185,8 +187,8 @@ def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     block = np.ascontiguousarray(block[block[:, OPACITY].astype(np.float32) >= CULL_OPACITY])
     if len(block) < _FEWEST:
         return
-    different = len({row.tobytes() for row in block})
-    copies = len(block) - different
-    if copies > _EQUAL_SHARE * len(block):
-        actual = f"{copies} of the first {len(block)} drawn rows equal another"
-        yield Violation.at(emission.rows_place, actual, f"{100 * _EQUAL_SHARE:g} % at most")
+    distinct_count = len({row.tobytes() for row in block})
+    copy_count = len(block) - distinct_count
+    if copy_count > _MAX_EQUAL_SHARE * len(block):
+        actual = f"{copy_count} of the first {len(block)} drawn rows equal another"
+        yield Violation.at(emission.rows_label, actual, f"{100 * _MAX_EQUAL_SHARE:g} % at most")

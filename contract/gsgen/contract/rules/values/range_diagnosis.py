@@ -7,14 +7,14 @@ import numpy as np
 from gsgen.contract._array_types import Float
 
 # Shares of values that a mistake explains; the rest are outliers.
-_NEARLY_ALL = 0.995
+_NEARLY_ALL_SHARE = 0.995
 _SLACK = 1e-3
-_BYTE = 255.0
-_PERCENT = 100.0
+_MAX_BYTE = 255.0
+_MAX_PERCENT = 100.0
 # Natural logarithms of scales, or of their squares, that scenes have.
 _LOWEST_LOG, _HIGHEST_LOG = -40.0, 8.0
 # Logarithms of lengths below one unit are negative, as are nearly all of a scene.
-_MOSTLY = 0.9
+_MOSTLY_SHARE = 0.9
 # Fewer values than this fit any mistake by chance.
 _FEWEST = 8
 
@@ -25,10 +25,10 @@ def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
     Args:
         values: Finite opacities of live rows, [n].
     """
-    low, high = _extent(values)
+    low, high = _finite_range(values)
     if low >= -_SLACK and _are_bytes(values):
         return "these are bytes from 0 to 255: divide by 255"
-    if low >= -_SLACK and 2 < high <= _PERCENT + _SLACK:
+    if low >= -_SLACK and 2 < high <= _MAX_PERCENT + _SLACK:
         return "these look like percent, 0 to 100: divide by 100"
     if -1 - _SLACK <= low < -_SLACK and high <= 1 + _SLACK:
         return "values within [-1, 1] suggest tanh in place of the sigmoid: negative opacity"
@@ -43,7 +43,7 @@ def diagnose_rgb(values: Float[np.ndarray, "n 3"]) -> str:
     Args:
         values: Finite colours of drawn rows, [n, 3].
     """
-    low, high = _extent(values)
+    low, high = _finite_range(values)
     if low >= -_SLACK and _are_bytes(values):
         return "these are bytes from 0 to 255: divide by 255"
     if low >= -_SLACK:
@@ -64,7 +64,7 @@ def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
     """
     if len(values) < _FEWEST:
         return ""
-    most_negative = bool(np.mean(values < 0) > _MOSTLY)
+    most_negative = bool(np.mean(values < 0) > _MOSTLY_SHARE)
     if most_negative and values.min() >= _LOWEST_LOG and values.max() <= _HIGHEST_LOG:
         return "; these look like logarithms of scales: apply exp, then square"
     if most_negative:
@@ -72,12 +72,12 @@ def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
     return ""
 
 
-def _extent(values: Float[np.ndarray, "..."]) -> tuple[float, float]:
+def _finite_range(values: Float[np.ndarray, "..."]) -> tuple[float, float]:
     return float(values.min(initial=0.0)), float(values.max(initial=0.0))
 
 
 def _are_bytes(values: Float[np.ndarray, "..."]) -> bool:
     """Return whether values look like bytes: nearly all whole, up to 255, and some far above 1."""
-    if values.size < _FEWEST or not 2 < values.max() <= _BYTE:
+    if values.size < _FEWEST or not 2 < values.max() <= _MAX_BYTE:
         return False
-    return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL)
+    return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL_SHARE)

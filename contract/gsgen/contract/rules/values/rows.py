@@ -29,12 +29,19 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iter
     """Yield a violation for each output with NaN or infinity in the rows that ``among`` selects."""
     if not checked:
         return
-    packed = ~np.isfinite(rows.wide).all(axis=0) & among
+    is_non_finite_row = ~np.isfinite(rows.float32_columns).all(axis=0) & among
     expected = "finite values"
-    if rows.packed.dtype == np.float16 and np.isinf(rows.wide[:, packed]).any():
+    if (
+        rows.packed.dtype == np.float16
+        and np.isinf(rows.float32_columns[:, is_non_finite_row]).any()
+    ):
         expected += f"; float16 overflows to infinity beyond {FLOAT16_MAX:g}: use float32 or metres"
     yield Violation.rows(
-        Location(rows.emission.rows_place), packed, rows.packed, expected, checked=checked
+        Location(rows.emission.rows_label),
+        is_non_finite_row,
+        rows.packed,
+        expected,
+        checked=checked,
     )
     color = rows.color
     if color is None or not color.size:
@@ -42,10 +49,12 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iter
     invalid = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
     examples = np.zeros((len(rows), 1), color.dtype)
     first = np.flatnonzero(invalid)[:_MAX_EXAMPLES]  # the rows in the report
-    broken = ~np.isfinite(color[first])
-    examples[first] = np.take_along_axis(color[first], broken.argmax(axis=1)[:, None], axis=1)
+    is_non_finite = ~np.isfinite(color[first])
+    examples[first] = np.take_along_axis(
+        color[first], is_non_finite.argmax(axis=1)[:, None], axis=1
+    )
     yield Violation.rows(
-        Location(rows.emission.color_place), invalid, examples, "finite values", checked=checked
+        Location(rows.emission.color_label), invalid, examples, "finite values", checked=checked
     )
 
 
@@ -96,7 +105,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     if invalid.any():
         expected += f"; {diagnose_opacity(opacity[rows.counted & rows.finite])}"
     yield Violation.rows(
-        Location(rows.emission.rows_place, "opacity"),
+        Location(rows.emission.rows_label, "opacity"),
         invalid,
         opacity,
         expected,
@@ -117,10 +126,10 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
         Check the opacity activation; prune dead Gaussians before export. If the model culls, check
         that +z is forward, and the matrix order.
     """
-    dead = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
+    invisible_rows = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
     yield Violation.rows(
-        Location(rows.emission.rows_place, "opacity"),
-        dead,
+        Location(rows.emission.rows_label, "opacity"),
+        invisible_rows,
         rows.opacity,
         f"at least 1/255 in more than {100 * (1 - MOSTLY_INVISIBLE):.0f} % of live rows",
         checked=rows.live_rows,
@@ -139,17 +148,21 @@ def float16_saturation(rows: Rows) -> Iterator[Violation]:
         Centre and scale the scene, or emit float32.
     """
     if rows.packed.dtype == np.float16:
-        peak = np.abs(rows.wide).max(axis=0, initial=0)
-        yield _saturated(rows, rows.emission.rows_place, peak)
+        max_magnitude = np.abs(rows.float32_columns).max(axis=0, initial=0)
+        yield _saturation_violation(rows, rows.emission.rows_label, max_magnitude)
     if rows.color is not None and rows.color.dtype == np.float16:
-        peak = rows.color_peak.view(np.float16).astype(np.float32)
-        yield _saturated(rows, rows.emission.color_place, peak)
+        max_magnitude = rows.color_peak.view(np.float16).astype(np.float32)
+        yield _saturation_violation(rows, rows.emission.color_label, max_magnitude)
 
 
-def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Violation:
-    saturated = (peak >= FLOAT16_MAX) & rows.counted & rows.finite
+def _saturation_violation(
+    rows: Rows, subject: str, max_magnitude: Float[np.ndarray, " n"]
+) -> Violation:
+    is_saturated = (max_magnitude >= FLOAT16_MAX) & rows.counted & rows.finite
     expected = f"magnitudes below {FLOAT16_MAX:g}"
-    return Violation.rows(Location(subject), saturated, peak, expected, checked=rows.live_rows)
+    return Violation.rows(
+        Location(subject), is_saturated, max_magnitude, expected, checked=rows.live_rows
+    )
 
 
 @rule("GV016", Severity.ERROR, needs=("GV025", "GO001", "GO002", "GO010", "GO011"))
@@ -193,7 +206,7 @@ def padding_inert(rows: Rows) -> Iterator[Violation]:
     if visible_padding.any():
         expected += _diagnose_padding(rows.emission)
     yield Violation.rows(
-        Location(rows.emission.rows_place, "opacity"),
+        Location(rows.emission.rows_label, "opacity"),
         visible_padding,
         rows.opacity,
         expected,

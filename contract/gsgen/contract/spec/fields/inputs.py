@@ -62,7 +62,7 @@ class Input:
         Positive | None, Hint(text="Audio, mel: samples from one column to the next.")
     ] = None
 
-    def moment(self, frame: int) -> float:
+    def time_of_frame(self, frame: int) -> float:
         """Return the time at which a frame begins; frames divide the input's time range equally."""
         low, high, count = self._frames()
         return low + (high - low) * frame / count

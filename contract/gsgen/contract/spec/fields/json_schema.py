@@ -26,7 +26,7 @@ _SCALARS: dict[object, dict[str, object]] = {
     type(None): {"type": "null"},
 }
 # Third parties may add fields of their own under this prefix.
-_EXTENSION = "^x-"
+_EXTENSION_PATTERN = "^x-"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +35,7 @@ class Hint:
 
     text: str = ""
     minimum: float | None = None
-    above: float | None = None
+    exclusive_minimum: float | None = None
     maximum: float | None = None
     min_length: int | None = None
     pattern: str | None = None
@@ -46,7 +46,7 @@ class Hint:
         by_keyword = {
             "description": self.text or None,
             "minimum": self.minimum,
-            "exclusiveMinimum": self.above,
+            "exclusiveMinimum": self.exclusive_minimum,
             "maximum": self.maximum,
             "minLength": self.min_length,
             "pattern": self.pattern,
@@ -66,19 +66,19 @@ def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
 def _object_schema(cls: type, definitions: dict[str, object]) -> dict[str, object]:
     hints = get_type_hints(cls, include_extras=True)
     required = [
-        _key(f) for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
+        _json_key(f) for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
     ]
     properties: dict[str, object] = {}
     for f in fields(cls):
         entry = _type_schema(hints[f.name], definitions)
         if f.default is not MISSING and f.default is not None and not is_dataclass(f.default):
             entry = entry | {"default": to_json(f.default)}
-        properties[_key(f)] = entry
+        properties[_json_key(f)] = entry
     return {
         "type": "object",
         "description": (cls.__doc__ or "").strip().splitlines()[0],
         "properties": properties,
-        "patternProperties": {_EXTENSION: True},
+        "patternProperties": {_EXTENSION_PATTERN: True},
         "additionalProperties": False,
         "required": required,
     }
@@ -87,11 +87,11 @@ def _object_schema(cls: type, definitions: dict[str, object]) -> dict[str, objec
 def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]:
     origin = get_origin(hint)
     if origin is Annotated:
-        base, *extra = get_args(hint)
+        base, *extra_hints = get_args(hint)
         entry = _type_schema(base, definitions)
-        for annotation in extra:
+        for annotation in extra_hints:
             if isinstance(annotation, Hint):
-                entry = _constrain(entry, annotation)
+                entry = _add_constraints(entry, annotation)
         return entry
     if origin is Literal:
         return {"enum": list(get_args(hint))}
@@ -113,7 +113,7 @@ def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]
     return dict(_SCALARS[hint])
 
 
-def _constrain(entry: dict[str, object], hint: Hint) -> dict[str, object]:
+def _add_constraints(entry: dict[str, object], hint: Hint) -> dict[str, object]:
     """Add the constraints of a dataclass field to its JSON Schema."""
     return entry | hint.keywords()
 
@@ -130,7 +130,7 @@ def to_json(value: Any) -> Any:
     """Convert a dataclass instance to JSON types, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
         members = ((f, getattr(value, f.name)) for f in fields(value))
-        return {_key(f): to_json(entry) for f, entry in members if not _is_absent(f, entry)}
+        return {_json_key(f): to_json(entry) for f, entry in members if not _is_absent(f, entry)}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
@@ -138,7 +138,7 @@ def to_json(value: Any) -> Any:
     return value
 
 
-def _key(field: "Field[Any]") -> str:
+def _json_key(field: "Field[Any]") -> str:
     """Return a dataclass field's name in JSON: `from_` becomes `from`, a Python keyword."""
     return field.name.removesuffix("_")
 
@@ -166,7 +166,7 @@ def from_json(hint: Any, value: Any) -> Any:
     if origin is dict:
         return {key: from_json(get_args(hint)[1], element) for key, element in value.items()}
     if is_dataclass(hint) and isinstance(hint, type):
-        members = _members_of(hint)
+        members = _class_members(hint)
         known = [(*members[key], entry) for key, entry in value.items() if key in members]
         return hint(**{name: from_json(kind, entry) for name, kind, entry in known})
     if hint is float:
@@ -177,10 +177,10 @@ def from_json(hint: Any, value: Any) -> Any:
 
 
 @cache
-def _members_of(cls: type) -> dict[str, tuple[str, Any]]:
+def _class_members(cls: type) -> dict[str, tuple[str, Any]]:
     """Map the JSON key of each dataclass field to the field's name and type."""
     hints = get_type_hints(cls, include_extras=True)
-    return {_key(field): (field.name, hints[field.name]) for field in fields(cls)}
+    return {_json_key(field): (field.name, hints[field.name]) for field in fields(cls)}
 
 
 def _from_union(options: tuple[Any, ...], value: Any) -> Any:

@@ -68,28 +68,30 @@ IMAGE_CHANNELS = (3, 4)
 # The numbers of joints of the body models whose order a convention of `pose` names.
 JOINTS: dict[str, tuple[int, ...]] = {"smpl-axis-angle": (24, 55)}
 
-_FLOAT = ("float32",)
-_INDEX = ("int32",)
+_FLOAT_DTYPES = ("float32",)
+_INDEX_DTYPES = ("int32",)
 
 ROLES: dict[str, Role] = {
     entry.name: entry
     for entry in (
         Role(
             name="view",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=((4, 4),),
             summary="World→camera matrix; memory order as declared.",
         ),
         Role(
             name="projection",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=((4, 4),),
             summary="Camera→clip matrix, depth 0..1.",
         ),
-        Role(name="time", dtype=_FLOAT, shapes=((1,),), summary="Time, in the declared range."),
+        Role(
+            name="time", dtype=_FLOAT_DTYPES, shapes=((1,),), summary="Time, in the declared range."
+        ),
         Role(
             name="frame_index",
-            dtype=_INDEX,
+            dtype=_INDEX_DTYPES,
             shapes=((1,),),
             summary="Frame number.",
             index=True,
@@ -97,26 +99,26 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             name="camera_position",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=((3,),),
             summary="Camera centre, in local space.",
         ),
         Role(
             name="viewport",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=((2,),),
             summary="Width and height of the image, in pixels.",
         ),
         Role(
             name="pose",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("J", 3), ("J", 4)),
             summary="Joint rotations, axis-angle [J,3] in radians or quaternions (w,x,y,z) [J,4].",
             conventions=("smpl-axis-angle", "axis-angle", "quaternion-wxyz", "flame", "mano"),
         ),
         Role(
             name="shape",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("B",),),
             summary="Body shape coefficients.",
             needs_range=True,
@@ -124,20 +126,20 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             name="root_translation",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=((3,),),
             summary="Translation of the root, in local units.",
         ),
         Role(
             name="root_rotation",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=((3,), (3, 3)),
             summary="Rotation of the root, axis-angle [3] in radians or matrix [3,3].",
             conventions=("axis-angle", "matrix"),
         ),
         Role(
             name="expression",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("E",),),
             summary="Expression coefficients.",
             needs_range=True,
@@ -145,7 +147,7 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             name="appearance_id",
-            dtype=_INDEX,
+            dtype=_INDEX_DTYPES,
             shapes=((1,),),
             summary="Appearance.",
             index=True,
@@ -153,21 +155,21 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             name="audio",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("S",), ("W", "M")),
             summary="Sound: S samples in [−1, 1], or W columns of M mel energies; newest last.",
             conventions=("samples", "mel"),
         ),
         Role(
             name="condition",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("*",),),
             summary="Numbers that another model computes, such as a text or an identity code.",
             needs_range=True,
         ),
         Role(
             name="control",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("*",),),
             summary="A named slider.",
             kinds=(GENERATOR, POST_PROCESS),
@@ -197,7 +199,7 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             name="camera_history",
-            dtype=_FLOAT,
+            dtype=_FLOAT_DTYPES,
             shapes=(("T", "S"),),
             summary="Past camera states, oldest first.",
             kinds=(TRAJECTORY,),

@@ -46,7 +46,7 @@ class Bounds:
     max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]
 
     @classmethod
-    def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
+    def from_points(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
         """Return the bounding box of all finite points, or None without any finite point.
 
         Args:
@@ -54,24 +54,24 @@ class Bounds:
             margin: How much wider the box is, as a share of its size.
         """
         float64_points = np.asarray(points, np.float64)
-        finite = float64_points[np.isfinite(float64_points).all(axis=1)]
-        if not len(finite):
+        finite_points = float64_points[np.isfinite(float64_points).all(axis=1)]
+        if not len(finite_points):
             return None
-        low, high = finite.min(axis=0), finite.max(axis=0)
+        low, high = finite_points.min(axis=0), finite_points.max(axis=0)
         room = margin * (high - low) + 1e-6
         # Rounding to nearest must not cut off a point of a flat box far from the origin.
         first = [
-            min(float(f"{value:.6g}"), _rounded(least, ROUND_FLOOR))
-            for value, least in zip(low - room, low, strict=True)
+            min(float(f"{value:.6g}"), _round_decimal(lower_value, ROUND_FLOOR))
+            for value, lower_value in zip(low - room, low, strict=True)
         ]
         last = [
-            max(float(f"{value:.6g}"), _rounded(most, ROUND_CEILING))
-            for value, most in zip(high + room, high, strict=True)
+            max(float(f"{value:.6g}"), _round_decimal(upper_value, ROUND_CEILING))
+            for value, upper_value in zip(high + room, high, strict=True)
         ]
         return cls((first[0], first[1], first[2]), (last[0], last[1], last[2]))
 
 
-def _rounded(value: float, rounding: str) -> float:
+def _round_decimal(value: float, rounding: str) -> float:
     """Round a number up or down to 6 significant digits."""
     return float(Context(prec=6, rounding=rounding).create_decimal(float(value)))
 

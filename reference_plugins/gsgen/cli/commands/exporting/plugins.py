@@ -43,7 +43,7 @@ def _facts(extension: Extension) -> dict[str, Any]:
         "package": f"{owner.name} {owner.version}" if owner is not None else None,
         "usable": not extension.missing,
         "missing": list(extension.missing),
-        "remedy": extension.remedy if extension.missing else None,
+        "remedy": extension.install_hint if extension.missing else None,
         "title": None,
         "summary": None,
         "reads": None,

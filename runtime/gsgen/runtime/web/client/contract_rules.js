@@ -123,7 +123,7 @@ return (py.bool(declared) ? self.graph.output(declared.name) : null);
 }
 }
 class ModelFile$model_file extends py.Record {
-static fields = [["path", null, null], ["size", null, null], ["proto", null, null], ["stripped", null, null], ["external", null, null], ["whole", null, () => false]];
+static fields = [["path", null, null], ["size", null, null], ["proto", null, null], ["stripped_bytes", null, null], ["external", null, null], ["whole", null, () => false]];
 _metadata() {
   const self = this;
 return py.dict((function* () { for (const entry of py.iter(self.proto.metadata_props)) yield [entry.key, entry.value]; })());
@@ -183,11 +183,11 @@ _producers() {
 return py.dict((function* () { for (const node of py.iter(self.nodes)) for (const name of py.iter(node.output)) if (py.bool(name)) yield [name, node]; })());
 }
 get producers() { return py.cached(this, "producers", this._producers); }
-_uses() {
+_use_counts() {
   const self = this;
   let count, name, names, output;
 count = py.dict([]);
-for (names of py.iter(self._reads.values())) {
+for (names of py.iter(self._names_read_by_node.values())) {
 for (name of py.iter(names)) {
 count.set(name, (py.plus(py.get(count, name, 0), 1)));
 }
@@ -197,12 +197,12 @@ count.set(output.name, (py.plus(py.get(count, output.name, 0), 1)));
 }
 return count;
 }
-get uses() { return py.cached(this, "uses", this._uses); }
-__reads() {
+get use_counts() { return py.cached(this, "use_counts", this._use_counts); }
+__names_read_by_node() {
   const self = this;
-return py.dict((function* () { for (const node of py.iter(self.nodes)) yield [node, reads$graph(node)]; })());
+return py.dict((function* () { for (const node of py.iter(self.nodes)) yield [node, names_read$graph(node)]; })());
 }
-get _reads() { return py.cached(this, "_reads", this.__reads); }
+get _names_read_by_node() { return py.cached(this, "_names_read_by_node", this.__names_read_by_node); }
 output(name) {
   const self = this;
 return ((function* () { for (const tensor of py.iter(self.outputs)) if ((py.eq(tensor.name, name))) yield tensor; })().next().value ?? null);
@@ -213,17 +213,17 @@ return ((function* () { for (const tensor of py.iter(self.inputs)) if ((py.eq(te
 }
 ancestors(name) {
   const self = this;
-if ((!py.contains(self._lineages, name))) {
-self._lineages.set(name, self._traced(name));
+if ((!py.contains(self._ancestors_by_name, name))) {
+self._ancestors_by_name.set(name, self._trace_ancestors(name));
 }
-return py.item(self._lineages, name);
+return py.item(self._ancestors_by_name, name);
 }
-__lineages() {
+__ancestors_by_name() {
   const self = this;
 return py.dict([]);
 }
-get _lineages() { return py.cached(this, "_lineages", this.__lineages); }
-_traced(name) {
+get _ancestors_by_name() { return py.cached(this, "_ancestors_by_name", this.__ancestors_by_name); }
+_trace_ancestors(name) {
   const self = this;
   let key, names, node, nodes, queue, visited;
 [names, nodes, queue] = [py.set([name]), [], [name]];
@@ -236,7 +236,7 @@ continue;
 }
 visited.add(key);
 nodes.push(node);
-for (name of py.iter(py.item(self._reads, key))) {
+for (name of py.iter(py.item(self._names_read_by_node, key))) {
 if ((!py.contains(names, name))) {
 names.add(name);
 queue.push(name);
@@ -257,7 +257,7 @@ return py.iter(self._all_nodes);
 }
 __all_nodes() {
   const self = this;
-return [...(function* () { for (const node of py.iter(self.nodes)) for (const inner of py.iter(_nested$graph(node, 0))) yield inner; })()];
+return [...(function* () { for (const node of py.iter(self.nodes)) for (const inner of py.iter(_nested_nodes$graph(node, 0))) yield inner; })()];
 }
 get _all_nodes() { return py.cached(this, "_all_nodes", this.__all_nodes); }
 }
@@ -322,10 +322,10 @@ class ImageOutput$outputs extends py.Record {
 static fields = [["name", null, null], ["dtype", null, () => "float32"], ["range", () => Number, () => [py.float(0.0), py.float(1.0)]], ["color_space", null, () => "srgb"]];
 }
 function* manifest_present$manifest(subject) {
-  let actual, misplaced;
+  let actual, misplaced_text;
 if ((subject.parsed == null)) {
-misplaced = _misplaced_manifest$manifest(subject);
-actual = (py.plus(`no key ${py.str(py.repr("gsgen.manifest"))}`, (py.bool(misplaced) ? `, but ${py.str(misplaced)}` : "")));
+misplaced_text = _misplaced_manifest$manifest(subject);
+actual = (py.plus(`no key ${py.str(py.repr("gsgen.manifest"))}`, (py.bool(misplaced_text) ? `, but ${py.str(misplaced_text)}` : "")));
 yield py.violation("metadata_props", actual, "a manifest under that key");
 }
 }
@@ -352,9 +352,9 @@ return `a manifest in the doc string of the ${py.str(owner)}`;
 return "";
 }
 function _looks_like_manifest$manifest(text) {
-  let opening;
-opening = py.slice(text, null, 65536).trimStart();
-return py.and(opening.startsWith("{"), () => py.list((function* () { for (const kind of py.iter(KINDS$0)) yield (py.contains(opening, `"${py.str(kind)}"`)); })()).some(py.bool));
+  let first_text;
+first_text = py.slice(text, null, 65536).trimStart();
+return py.and(first_text.startsWith("{"), () => py.list((function* () { for (const kind of py.iter(KINDS$0)) yield (py.contains(first_text, `"${py.str(kind)}"`)); })()).some(py.bool));
 }
 function* manifest_schema$manifest(subject) {
   let actual, complaint, keys, location;
@@ -389,12 +389,12 @@ graph = subject.graph;
 declared = [...(function* () { for (const i of py.iter(manifest.inputs)) yield i.name; })()];
 for (name of py.iter(declared)) {
 if ((!py.contains(inputs, name))) {
-yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of$manifest(inputs));
+yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of_text$manifest(inputs));
 }
 }
 for (name of py.iter(subject.output_names)) {
 if ((!py.contains(outputs, name))) {
-yield py.violation(`manifest output ${py.str(py.repr(name))}`, "no such graph output", _one_of$manifest(outputs));
+yield py.violation(`manifest output ${py.str(py.repr(name))}`, "no such graph output", _one_of_text$manifest(outputs));
 }
 }
 for (names of py.iter([declared, py.list(subject.output_names)])) {
@@ -403,10 +403,10 @@ yield py.violation(`manifest name ${py.str(py.repr(name))}`, "declared more than
 }
 }
 }
-function _one_of$manifest(names) {
-  let listed;
-listed = (py.plus(py.list(py.slice(names, null, 8)).join(", "), ((py.compare(py.len(names), 8) > 0) ? ", …" : "")));
-return (py.bool(names) ? `one of ${py.str(listed)}` : "a tensor that exists; the graph has none");
+function _one_of_text$manifest(names) {
+  let names_text;
+names_text = (py.plus(py.list(py.slice(names, null, 8)).join(", "), ((py.compare(py.len(names), 8) > 0) ? ", …" : "")));
+return (py.bool(names) ? `one of ${py.str(names_text)}` : "a tensor that exists; the graph has none");
 }
 function* manifest_agrees_with_graph$manifest(subject) {
   let actual, dims, entry, tensor;
@@ -445,22 +445,22 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, expected);
 }
 }
 function* _gaussians_agree$manifest(subject) {
-  let declared, expected, first, guessed, known, location, tensor;
+  let declared, expected, first, is_inferred, known, location, tensor;
 [declared, tensor] = [subject.declared_gaussians, subject.gaussians];
 if (((declared == null) || (tensor == null) || (tensor.dims == null))) {
 return;
 }
 location = `output ${py.str(tensor.name)}`;
 first = (py.bool(tensor.dims) ? py.item(tensor.dims, 0) : null);
-guessed = (subject.candidate != null);
+is_inferred = (subject.candidate != null);
 known = py.and((py.eq(py.len(tensor.dims), 2)), () => py.isinstance(first, py.int), () => (py.compare(first, 0) > 0));
-if ((py.bool(known) && !py.bool(guessed) && (!py.eq(first, declared.capacity)))) {
+if ((py.bool(known) && !py.bool(is_inferred) && (!py.eq(first, declared.capacity)))) {
 expected = `the declared capacity ${py.str(declared.capacity)}`;
 yield py.violation(location, `graph has ${py.str(first)} rows`, expected);
 }
 }
 function* _appearance_agrees$manifest(subject) {
-  let actual, channels, declared, expected, expected_channels, legal, tensor;
+  let actual, channels, declared, expected, expected_channels, tensor, valid_channels;
 [declared, tensor] = [subject.declared_appearance, subject.appearance];
 if (((declared == null) || (tensor == null) || (tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(ITEMSIZE$1, tensor.dtype)))) {
 return;
@@ -475,8 +475,8 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, `the degree of ${py.
 return;
 }
 expected_channels = appearance_channels$layout("sh", declared.degree, 4);
-legal = py.set((function* () { for (const degree of py.iter(Array(4).keys())) yield appearance_channels$layout("sh", degree, 4); })());
-if (((py.contains(legal, channels)) && (!py.eq(channels, expected_channels)))) {
+valid_channels = py.set((function* () { for (const degree of py.iter(Array(4).keys())) yield appearance_channels$layout("sh", degree, 4); })());
+if (((py.contains(valid_channels, channels)) && (!py.eq(channels, expected_channels)))) {
 expected = `${py.str(expected_channels)} channels, as SH degree ${py.str(declared.degree)} has`;
 yield py.violation(`output ${py.str(tensor.name)}`, `graph has ${py.str(channels)} channels`, expected);
 }
@@ -504,12 +504,12 @@ yield py.violation("manifest outputs.appearance", actual, "sh, or no degree");
 }
 }
 function* color_space_declared$declarations(subject) {
-  let written;
+  let appearance_document;
 if (((subject.declared_appearance == null) || (subject.file.manifest_text == null))) {
 return;
 }
-written = py.item(py.item(py.loads(subject.file.manifest_text), "outputs"), "appearance");
-if ((!py.contains(written, "color_space"))) {
+appearance_document = py.item(py.item(py.loads(subject.file.manifest_text), "outputs"), "appearance");
+if ((!py.contains(appearance_document, "color_space"))) {
 yield py.violation("manifest outputs.appearance", "no color_space", "srgb or linear");
 }
 }
@@ -542,7 +542,7 @@ return;
 if (((producer.license != null) && !py.bool(_SPDX$2.exec(producer.license)))) {
 yield py.violation("manifest producer.license", py.repr(producer.license), "an SPDX expression");
 }
-if (!py.list((function* () { for (const letter of py.iter(producer.tool)) yield /^\d+$/.test(letter); })()).some(py.bool)) {
+if (!py.list((function* () { for (const char of py.iter(producer.tool)) yield /^\d+$/.test(char); })()).some(py.bool)) {
 yield py.violation("manifest producer.tool", py.repr(producer.tool), "name and version");
 }
 }
@@ -566,7 +566,7 @@ yield py.violation("manifest contract", `${py.str(major)}.${py.str(minor)}`, `${
 }
 }
 function* dependencies_are_inputs$declarations(subject) {
-  let actual, generator, known, listed, role;
+  let actual, generator, known, known_text, role;
 generator = subject.generator;
 if (((generator == null) || (subject.candidate != null))) {
 return;
@@ -575,21 +575,21 @@ known = py.dict(py.map((key) => [key, null], (function* () { for (const entry of
 for (role of py.iter(generator.depends_on)) {
 if ((!py.contains(known, role))) {
 actual = ((py.contains(ROLES$3, role)) ? "no input has this role" : "neither an input nor a role");
-listed = py.or(py.list(known).join(", "), () => "none: there are no inputs");
-yield py.violation(`manifest depends_on ${py.str(py.repr(role))}`, actual, `one of ${py.str(listed)}`, ((py.contains(ROLES$3, role)) ? "possible" : "confirmed"));
+known_text = py.or(py.list(known).join(", "), () => "none: there are no inputs");
+yield py.violation(`manifest depends_on ${py.str(py.repr(role))}`, actual, `one of ${py.str(known_text)}`, ((py.contains(ROLES$3, role)) ? "possible" : "confirmed"));
 }
 }
 }
 function* weighted_sum_complete$cells(subject) {
-  let declarations, generator, lacking, present;
+  let declarations, generator, missing_text, present_text;
 generator = subject.generator;
 if ((generator == null)) {
 return;
 }
 declarations = py.dict([["blend: wsr", (py.eq(generator.blend, "wsr"))], ["weighted_sum", (generator.weighted_sum != null)], ["outputs.cells", (generator.outputs.cells != null)]]);
 if ((py.list(declarations.values()).some(py.bool) && !py.list(declarations.values()).every(py.bool))) {
-[present, lacking] = (function* () { for (const is_declared of py.iter([true, false])) yield py.list((function* () { for (const [name, value] of py.iter(declarations.entries())) if ((value === is_declared)) yield name; })()).join(" and "); })();
-yield py.violation("manifest", `${py.str(present)} without ${py.str(lacking)}`, "all three, or none");
+[present_text, missing_text] = (function* () { for (const is_declared of py.iter([true, false])) yield py.list((function* () { for (const [name, value] of py.iter(declarations.entries())) if ((value === is_declared)) yield name; })()).join(" and "); })();
+yield py.violation("manifest", `${py.str(present_text)} without ${py.str(missing_text)}`, "all three, or none");
 }
 }
 function* contract_version_released$manifest(subject) {
@@ -618,11 +618,11 @@ yield py.violation("manifest bounds", actual, expected);
 }
 }
 function* required_extensions_used$extensions(subject) {
-  let actual, manifest, name, used;
+  let actual, manifest, name, used_extensions;
 manifest = subject.manifest;
-used = (py.bool(manifest) ? manifest.extensions_used : []);
+used_extensions = (py.bool(manifest) ? manifest.extensions_used : []);
 for (name of py.iter((py.bool(manifest) ? manifest.extensions_required : []))) {
-if ((!py.contains(used, name))) {
+if ((!py.contains(used_extensions, name))) {
 actual = `${py.str(name)} is not in extensions_used`;
 yield py.violation("manifest extensions_required", actual, `${py.str(name)} in both lists`);
 }
@@ -631,15 +631,15 @@ yield py.violation("manifest extensions_required", actual, `${py.str(name)} in b
 function* required_extensions_known$extensions(subject) {
   let expected, known, name;
 for (name of py.iter((py.bool(subject.manifest) ? subject.manifest.extensions_required : []))) {
-if ((!py.contains(REGISTERED$5, name))) {
-known = py.or(py.list(REGISTERED$5).join(", "), () => "none is registered yet");
+if ((!py.contains(REGISTERED_EXTENSIONS$5, name))) {
+known = py.or(py.list(REGISTERED_EXTENSIONS$5).join(", "), () => "none is registered yet");
 expected = `a registered extension (${py.str(known)})`;
 yield py.violation("manifest extensions_required", name, expected);
 }
 }
 }
 function* operator_profile_holds$extensions(subject) {
-  let actual, expected, missing, name, opset, profile, remainder;
+  let actual, expected, missing, name, opset, profile, remainder_text;
 name = (py.bool(subject.manifest) ? subject.manifest.operator_profile : null);
 if ((name == null)) {
 return;
@@ -657,8 +657,8 @@ yield py.violation("manifest operator_profile", `operator set ${py.str(opset)}`,
 }
 missing = profile.missing((function* () { for (const node of py.iter(subject.graph.all_nodes())) yield node.op_type; })());
 if (py.bool(missing)) {
-remainder = ((py.compare(py.len(missing), 5) > 0) ? ` and ${py.str((py.minus(py.len(missing), 5)))} more` : "");
-actual = `${py.str(py.list(py.slice(missing, null, 5)).join(", "))}${py.str(remainder)} in the graph`;
+remainder_text = ((py.compare(py.len(missing), 5) > 0) ? ` and ${py.str((py.minus(py.len(missing), 5)))} more` : "");
+actual = `${py.str(py.list(py.slice(missing, null, 5)).join(", "))}${py.str(remainder_text)} in the graph`;
 yield py.violation("manifest operator_profile", actual, `operators of ${py.str(name)} alone`);
 }
 }
@@ -756,10 +756,10 @@ yield py.violation(location, `role ${py.str(entry.role)}`, `a role that a ${py.s
 if ((py.bool(role.needs_range) && (entry.range == null))) {
 yield py.violation(location, `role ${py.str(entry.role)} without a range`, "\"range\": [low, high]");
 }
-yield* py.iter(_feedable$inputs(tensor, entry.role, (py.bool(manifest) ? manifest.kind : "")));
+yield* py.iter(_feed_faults$inputs(tensor, entry.role, (py.bool(manifest) ? manifest.kind : "")));
 }
 }
-function* _feedable$inputs(tensor, role, kind) {
+function* _feed_faults$inputs(tensor, role, kind) {
   let dims, expected, location, shapes;
 if (((py.contains(_SHAPE_RULES$8, role)) && (py.eq(kind, "gaussian-generator")))) {
 return;
@@ -807,15 +807,15 @@ function matches_shape$roles(shape, dims) {
 return py.and((py.eq(py.len(shape), py.len(dims))), () => py.list((function* () { for (const [expected, dim] of py.iter(py.zip(shape, dims))) yield py.or(py.isinstance(expected, py.str), () => (py.eq(expected, dim))); })()).every(py.bool));
 }
 function* inputs_reach_outputs$inputs(subject) {
-  let entry, expected, generator, graph, tensor, used;
+  let entry, expected, generator, graph, tensor, used_names;
 [graph, generator] = [subject.graph, subject.generator];
-used = py.set();
+used_names = py.set();
 for (tensor of py.iter(graph.outputs)) {
-used = (py.union(used, py.item(graph.ancestors(tensor.name), 0)));
+used_names = (py.union(used_names, py.item(graph.ancestors(tensor.name), 0)));
 }
 for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 expected = py.or((generator == null), () => generator.depends(entry));
-if (((!py.contains(used, entry.name)) && py.bool(expected))) {
+if (((!py.contains(used_names, entry.name)) && py.bool(expected))) {
 yield py.violation(`input ${py.str(entry.name)}`, "no output depends on it", "an input that some output depends on");
 }
 }
@@ -839,10 +839,10 @@ continue;
 [low, high] = entry.range;
 actual = `range ${py.str([low, high])}`;
 if (!(py.compare(low, high) <= 0)) {
-yield py.violation(_place$input_declarations(entry), actual, "low <= high");
+yield py.violation(_input_location$input_declarations(entry), actual, "low <= high");
 } else {
 if ((py.bool(py.item(ROLES$3, entry.role).index) && !(py.bool(Number.isInteger(Number(low))) && py.bool(Number.isInteger(Number(high)))))) {
-yield py.violation(_place$input_declarations(entry), actual, "whole numbers");
+yield py.violation(_input_location$input_declarations(entry), actual, "whole numbers");
 }
 }
 }
@@ -850,7 +850,7 @@ yield py.violation(_place$input_declarations(entry), actual, "whole numbers");
 function declared_inputs$input_declarations(subject) {
 return (py.bool(subject.manifest) ? subject.manifest.inputs : []);
 }
-function _place$input_declarations(entry) {
+function _input_location$input_declarations(entry) {
 return `manifest input ${py.str(entry.name)}`;
 }
 function* input_default_fits$input_declarations(subject) {
@@ -860,9 +860,9 @@ shape = shape_of$input_declarations(subject, entry);
 if (((entry.default == null) || (shape == null))) {
 continue;
 }
-fault = _misfit$input_declarations(entry, shape);
+fault = _default_fault$input_declarations(entry, shape);
 if ((fault != null)) {
-yield py.violation(_place$input_declarations(entry), ...py.iter(fault));
+yield py.violation(_input_location$input_declarations(entry), ...py.iter(fault));
 }
 }
 }
@@ -872,30 +872,30 @@ tensor = subject.graph.input(entry.name);
 dims = (py.bool(tensor) ? static_dims$graph(tensor) : null);
 return ((dims == null) ? entry.shape : py.list((function* () { for (const dim of py.iter(dims)) yield py.int(dim); })()));
 }
-function _misfit$input_declarations(entry, shape) {
-  let actual, beyond, default_, high, low, numbers, room, turns;
+function _default_fault$input_declarations(entry, shape) {
+  let actual, default_, high, is_quaternion_pose, low, numbers, out_of_range, room;
 default_ = entry.default;
-turns = py.and((py.eq(entry.role, "pose")), () => (py.eq(py.slice(shape, (-1), null), [4])));
-if (((py.eq(default_, "identity")) && !((py.contains(_SQUARE$9, shape)) || py.bool(turns)))) {
+is_quaternion_pose = py.and((py.eq(entry.role, "pose")), () => (py.eq(py.slice(shape, (-1), null), [4])));
+if (((py.eq(default_, "identity")) && !((py.contains(_SQUARE_SHAPES$9, shape)) || py.bool(is_quaternion_pose)))) {
 return [`default identity for shape ${py.str(py.list(shape))}`, "a matrix or quaternions"];
 }
 if ((py.isinstance(default_, py.list) && (!py.eq(py.len(default_), py.list(shape).reduce((product, size) => product * size, 1))))) {
 actual = `default of ${py.str(py.len(default_))} numbers for shape ${py.str(py.list(shape))}`;
 return [actual, `${py.str(py.list(shape).reduce((product, size) => product * size, 1))} numbers`];
 }
-numbers = _numbers$input_declarations(entry);
+numbers = _default_numbers$input_declarations(entry);
 [low, high] = py.or(entry.range, () => [py.min(numbers, 0), py.max(numbers, 0)]);
 room = (1e-06 * py.max([Math.abs(low), Math.abs(high), py.float(1.0)]));
-beyond = [...(function* () { for (const number of py.iter(numbers)) if (!(py.compare((py.minus(low, room)), number) <= 0 && py.compare(number, (py.plus(high, room))) <= 0)) yield number; })()];
-if (py.bool(beyond)) {
-return [`default ${py.format(py.item(beyond, 0), `g`)} beyond the range ${py.str([low, high])}`, "one within"];
+out_of_range = [...(function* () { for (const number of py.iter(numbers)) if (!(py.compare((py.minus(low, room)), number) <= 0 && py.compare(number, (py.plus(high, room))) <= 0)) yield number; })()];
+if (py.bool(out_of_range)) {
+return [`default ${py.format(py.item(out_of_range, 0), `g`)} beyond the range ${py.str([low, high])}`, "one within"];
 }
 if ((py.bool(py.item(ROLES$3, entry.role).index) && !py.list((function* () { for (const number of py.iter(numbers)) yield Number.isInteger(Number(number)); })()).every(py.bool))) {
 return [`default ${py.format(py.item(numbers, 0), `g`)} of an input that counts`, "a whole number"];
 }
 return null;
 }
-function _numbers$input_declarations(entry) {
+function _default_numbers$input_declarations(entry) {
   let default_, words;
 words = py.dict([["zeros", [py.float(0.0)]], ["identity", [py.float(0.0), py.float(1.0)]]]);
 default_ = entry.default;
@@ -914,22 +914,22 @@ continue;
 actual = `convention ${py.str(py.repr(entry.convention))}`;
 if ((!py.contains(known, entry.convention))) {
 expected = (py.bool(known) ? `one of ${py.str(py.list(known).join(", "))}` : `none, as ${py.str(entry.role)} has`);
-yield py.violation(_place$input_declarations(entry), actual, expected);
+yield py.violation(_input_location$input_declarations(entry), actual, expected);
 } else {
-if (((shape != null) && !py.bool(_holds$input_declarations(entry, shape)))) {
+if (((shape != null) && !py.bool(_shape_fits_convention$input_declarations(entry, shape)))) {
 expected = "a shape that can hold it";
-yield py.violation(_place$input_declarations(entry), `${py.str(actual)} for shape ${py.str(py.list(shape))}`, expected);
+yield py.violation(_input_location$input_declarations(entry), `${py.str(actual)} for shape ${py.str(py.list(shape))}`, expected);
 } else {
 if (((shape != null) && (!py.contains(py.get(JOINTS$10, entry.convention, py.slice(shape, null, 1)), py.item(shape, 0))))) {
 joints = py.list(py.map(py.str, py.item(JOINTS$10, entry.convention))).join(" or ");
 expected = `${py.str(joints)} joints; a skeleton of its own has no convention of SMPL`;
-yield py.violation(_place$input_declarations(entry), `${py.str(actual)} for ${py.str(py.item(shape, 0))} joints`, expected);
+yield py.violation(_input_location$input_declarations(entry), `${py.str(actual)} for ${py.str(py.item(shape, 0))} joints`, expected);
 }
 }
 }
 }
 }
-function _holds$input_declarations(entry, shape) {
+function _shape_fits_convention$input_declarations(entry, shape) {
   let convention;
 convention = entry.convention;
 if ((py.contains(CONVENTION_SHAPES$11, [entry.role, convention]))) {
@@ -952,21 +952,21 @@ for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if (((py.contains(_USER_ROLES$12, entry.role)) && (entry.default == null))) {
 low = ((entry.range == null) ? "zeros" : `${py.format(py.item(entry.range, 0), `g`)}, the low end,`);
 actual = `role ${py.str(entry.role)} without a default: ${py.str(low)} would be fed`;
-yield py.violation(_place$input_declarations(entry), actual, "\"default\"");
+yield py.violation(_input_location$input_declarations(entry), actual, "\"default\"");
 }
 }
 }
 function* timing_belongs_to_time$input_declarations(subject) {
-  let actual, declared, entry, timing;
+  let actual, declared, entry, timing_fields;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
-timing = py.dict([["loop", entry.loop], ["fps", entry.fps], ["frames", entry.frames]]);
-declared = [...(function* () { for (const [name, value] of py.iter(timing.entries())) if ((value != null)) yield name; })()];
-if ((py.bool(declared) && (!py.contains(_TIMED$13, entry.role)))) {
+timing_fields = py.dict([["loop", entry.loop], ["fps", entry.fps], ["frames", entry.frames]]);
+declared = [...(function* () { for (const [name, value] of py.iter(timing_fields.entries())) if ((value != null)) yield name; })()];
+if ((py.bool(declared) && (!py.contains(_TIME_ROLES$13, entry.role)))) {
 actual = `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`;
-yield py.violation(_place$input_declarations(entry), actual, "role time or frame_index");
+yield py.violation(_input_location$input_declarations(entry), actual, "role time or frame_index");
 } else {
 if ((py.eq(entry.fps, 0))) {
-yield py.violation(_place$input_declarations(entry), "fps 0", "frames per second above 0");
+yield py.violation(_input_location$input_declarations(entry), "fps 0", "frames per second above 0");
 }
 }
 }
@@ -984,7 +984,7 @@ continue;
 is_vector = py.and((py.eq(py.slice(shape, (-1), null), [3])), () => (!py.eq(entry.convention, "matrix")));
 if ((py.bool(is_vector) && (!py.eq(shape, [3, 3])) && (py.compare(py.max(py.map(Math.abs, entry.range)), 6.3) > 0))) {
 actual = `range ${py.str(py.list(entry.range))}, which looks like degrees`;
-yield py.violation(_place$input_declarations(entry), actual, "radians, within ±2π (±6.28)");
+yield py.violation(_input_location$input_declarations(entry), actual, "radians, within ±2π (±6.28)");
 }
 }
 }
@@ -997,7 +997,7 @@ continue;
 numbers = (py.plus(py.int((py.minus(py.item(entry.range, 1), py.item(entry.range, 0)))), 1));
 if ((py.compare(entry.frames, numbers) > 0)) {
 actual = `${py.str(entry.frames)} frames in the range ${py.str(py.list(entry.range))}`;
-yield py.violation(_place$input_declarations(entry), actual, `${py.str(numbers)} distinct frames at most`);
+yield py.violation(_input_location$input_declarations(entry), actual, `${py.str(numbers)} distinct frames at most`);
 }
 }
 }
@@ -1009,10 +1009,10 @@ continue;
 }
 shape = shape_of$input_declarations(subject, entry);
 if ((!py.eq(entry.role, "pose"))) {
-yield _at$avatar_inputs(entry, `role ${py.str(entry.role)} with joints`, "role pose");
+yield _input_violation$avatar_inputs(entry, `role ${py.str(entry.role)} with joints`, "role pose");
 } else {
 if (((shape != null) && (!py.eq(py.len(entry.joints), py.item(shape, 0))))) {
-yield _at$avatar_inputs(entry, `${py.str(py.len(entry.joints))} joints`, `${py.str(py.item(shape, 0))}, one for each row`);
+yield _input_violation$avatar_inputs(entry, `${py.str(py.len(entry.joints))} joints`, `${py.str(py.item(shape, 0))}, one for each row`);
 } else {
 yield* py.iter(_order_faults$avatar_inputs(entry));
 }
@@ -1024,16 +1024,16 @@ function* _order_faults$avatar_inputs(entry) {
 earlier_names = py.set();
 for (joint of py.iter(entry.joints)) {
 if ((py.contains(earlier_names, joint.name))) {
-yield _at$avatar_inputs(entry, `two joints ${py.str(py.repr(joint.name))}`, "different names");
+yield _input_violation$avatar_inputs(entry, `two joints ${py.str(py.repr(joint.name))}`, "different names");
 }
 if (((joint.parent != null) && (!py.contains(earlier_names, joint.parent)))) {
 actual = `joint ${py.str(py.repr(joint.name))} before its parent ${py.str(py.repr(joint.parent))}`;
-yield _at$avatar_inputs(entry, actual, "parents first");
+yield _input_violation$avatar_inputs(entry, actual, "parents first");
 }
 earlier_names.add(joint.name);
 }
 }
-function _at$avatar_inputs(entry, actual, expected) {
+function _input_violation$avatar_inputs(entry, actual, expected) {
 return py.violation(`manifest input ${py.str(entry.name)}`, actual, expected);
 }
 function* blend_weights_in_unit_range$avatar_inputs(subject) {
@@ -1042,31 +1042,31 @@ for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if (((py.eq(entry.convention, "arkit-52")) && (entry.range != null))) {
 [low, high] = entry.range;
 if (!(py.compare(0, low) <= 0 && py.compare(low, high) <= 0 && py.compare(high, 1) <= 0)) {
-yield _at$avatar_inputs(entry, `range ${py.str([low, high])}`, "within [0, 1]");
+yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "within [0, 1]");
 }
 }
 }
 }
 function* sound_described$avatar_inputs(subject) {
-  let actual, declared, entry, is_mel, missing, needed, shape;
+  let actual, declared, entry, is_mel, missing, required_fields, shape;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 declared = [...(function* () { for (const name of py.iter(_SOUND$15)) if ((entry[name] != null)) yield name; })()];
 if ((!py.eq(entry.role, "audio"))) {
 if (py.bool(declared)) {
-yield _at$avatar_inputs(entry, `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`, "role audio");
+yield _input_violation$avatar_inputs(entry, `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`, "role audio");
 }
 continue;
 }
 shape = shape_of$input_declarations(subject, entry);
 is_mel = py.or((py.eq(entry.convention, "mel")), () => py.and((shape != null), () => (py.compare(py.len(shape), 1) > 0)));
-needed = (py.bool(is_mel) ? _SOUND$15 : py.slice(_SOUND$15, null, 1));
-missing = [...(function* () { for (const name of py.iter(needed)) if ((!py.contains(declared, name))) yield name; })()];
+required_fields = (py.bool(is_mel) ? _SOUND$15 : py.slice(_SOUND$15, null, 1));
+missing = [...(function* () { for (const name of py.iter(required_fields)) if ((!py.contains(declared, name))) yield name; })()];
 if (py.bool(missing)) {
-yield _at$avatar_inputs(entry, `no ${py.str(py.list(missing).join(", "))}`, `${py.str(py.list(needed).join(", "))} of the sound`);
+yield _input_violation$avatar_inputs(entry, `no ${py.str(py.list(missing).join(", "))}`, `${py.str(py.list(required_fields).join(", "))} of the sound`);
 } else {
 if ((py.bool(is_mel) && (py.compare(py.or(entry.hop, () => 0), py.or(entry.window, () => 0)) > 0))) {
 actual = `hop ${py.str(entry.hop)} beyond the window ${py.str(entry.window)}`;
-yield _at$avatar_inputs(entry, actual, "hop <= window, so that no sample is skipped");
+yield _input_violation$avatar_inputs(entry, actual, "hop <= window, so that no sample is skipped");
 }
 }
 }
@@ -1080,40 +1080,40 @@ outputs = py.or(py.list((function* () { for (const tensor of py.iter(subject.gra
 yield py.violation("outputs", `no packed Gaussians among ${py.str(outputs)}`, `one [N, ${py.str(10)}] output`);
 }
 function* gaussians_rank_2$outputs(subject) {
-  let expected, flat, tensor;
+  let expected, is_flat, tensor;
 tensor = subject.gaussians;
 if (((tensor != null) && ((tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2))))) {
-flat = py.and((tensor.dims != null), () => (py.eq(py.len(tensor.dims), 1)));
-expected = (py.plus("two axes, [N, 10]", (py.bool(flat) ? "; these rows are flattened" : "")));
+is_flat = py.and((tensor.dims != null), () => (py.eq(py.len(tensor.dims), 1)));
+expected = (py.plus("two axes, [N, 10]", (py.bool(is_flat) ? "; these rows are flattened" : "")));
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected);
 }
 }
 function* gaussian_row_has_10$outputs(subject) {
   let expected, tensor;
 tensor = subject.gaussians;
-if (((tensor != null) && (!py.eq(_dim$outputs(tensor, (-1)), 10)))) {
+if (((tensor != null) && (!py.eq(_dim_of_axis$outputs(tensor, (-1)), 10)))) {
 expected = (py.plus(`[N, ${py.str(10)}]`, _likely_columns$outputs(tensor)));
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected);
 }
 }
-function _dim$outputs(tensor, axis) {
+function _dim_of_axis$outputs(tensor, axis) {
 return (((tensor != null) && py.bool(tensor.dims)) ? py.item(tensor.dims, axis) : null);
 }
 function _likely_columns$outputs(tensor) {
   let columns;
-columns = _dim$outputs(tensor, (-1));
-if ((py.eq(_dim$outputs(tensor, 0), 10))) {
+columns = _dim_of_axis$outputs(tensor, (-1));
+if ((py.eq(_dim_of_axis$outputs(tensor, 0), 10))) {
 return "; this one is transposed, channels first";
 }
-if ((py.isinstance(columns, py.int) && (py.contains(MEANINGS$16, columns)))) {
-return `; ${py.str(columns)} columns usually are ${py.str(py.item(MEANINGS$16, columns))}`;
+if ((py.isinstance(columns, py.int) && (py.contains(COLUMN_MEANINGS$16, columns)))) {
+return `; ${py.str(columns)} columns usually are ${py.str(py.item(COLUMN_MEANINGS$16, columns))}`;
 }
 return "";
 }
 function* capacity_static$outputs(subject) {
   let declared, expected, first, names, tensor;
 tensor = subject.gaussians;
-first = _dim$outputs(tensor, 0);
+first = _dim_of_axis$outputs(tensor, 0);
 if (((tensor != null) && !(py.isinstance(first, py.int) && (py.compare(first, 0) > 0)))) {
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, "a fixed, positive number of rows");
 return;
@@ -1132,16 +1132,16 @@ yield py.violation("outputs", "no appearance", "one [N, channels] output");
 }
 }
 function* appearance_channels$outputs(subject) {
-  let allowed, channels, declared, expected, tensor;
+  let allowed_channels, channels, declared, expected, tensor;
 [tensor, declared] = [subject.appearance, subject.declared_appearance];
 if (((tensor == null) || (declared == null))) {
 return;
 }
-allowed = py.item(APPEARANCE_CHANNELS$17, declared.space);
-channels = _dim$outputs(tensor, (-1));
-if (((tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(allowed, channels)))) {
-expected = `[N, C] with C in ${py.str(py.list(allowed))} for ${py.str(declared.space)}`;
-if (((py.eq(declared.space, "sh")) && py.isinstance(channels, py.int) && (py.contains(allowed, (py.plus(channels, 3)))))) {
+allowed_channels = py.item(APPEARANCE_CHANNELS$17, declared.space);
+channels = _dim_of_axis$outputs(tensor, (-1));
+if (((tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(allowed_channels, channels)))) {
+expected = `[N, C] with C in ${py.str(py.list(allowed_channels))} for ${py.str(declared.space)}`;
+if (((py.eq(declared.space, "sh")) && py.isinstance(channels, py.int) && (py.contains(allowed_channels, (py.plus(channels, 3)))))) {
 expected = (py.plus(expected, `; ${py.str(channels)} is f_rest without the constant term f_dc`));
 } else {
 if (((tensor.dims != null) && (py.eq(py.len(tensor.dims), 3)))) {
@@ -1153,8 +1153,8 @@ yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, e
 }
 function* appearance_rows$outputs(subject) {
   let row_count, rows, tensor;
-[tensor, rows] = [subject.appearance, _dim$outputs(subject.gaussians, 0)];
-row_count = _dim$outputs(tensor, 0);
+[tensor, rows] = [subject.appearance, _dim_of_axis$outputs(subject.gaussians, 0)];
+row_count = _dim_of_axis$outputs(tensor, 0);
 if (((tensor != null) && py.isinstance(rows, py.int) && (!py.eq(row_count, rows)))) {
 yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(row_count)} rows`, `${py.str(rows)} rows`);
 }
@@ -1207,7 +1207,7 @@ yield py.violation(`output ${py.str(name)}`, `listed ${py.str(count)} times`, "l
 function* rows_fill_words$outputs(subject) {
   let actual, channels, size, tensor;
 for (tensor of py.iter([subject.gaussians, subject.appearance])) {
-channels = _dim$outputs(tensor, (-1));
+channels = _dim_of_axis$outputs(tensor, (-1));
 if (((tensor == null) || !py.isinstance(channels, py.int))) {
 continue;
 }
@@ -1238,11 +1238,11 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, "a name with 'color'
 }
 }
 function* outputs_declared$graph_outputs(subject) {
-  let declared, name, passed_on;
+  let declared, is_graph_input, name;
 declared = subject.output_names;
 for (name of py.iter(py.dict(py.map((key) => [key, null], subject.graph.output_names)))) {
-passed_on = (subject.graph.input(name) != null);
-if ((py.bool(declared) && (!py.contains(declared, name)) && !py.bool(passed_on))) {
+is_graph_input = (subject.graph.input(name) != null);
+if ((py.bool(declared) && (!py.contains(declared, name)) && !py.bool(is_graph_input))) {
 yield py.violation(`output ${py.str(name)}`, "not declared", `only ${py.str(py.list(declared).join(", "))}`);
 }
 }
@@ -1289,15 +1289,15 @@ channels = py.item(output_image.dims, 1);
 return py.and(known, () => py.or(!py.isinstance(channels, py.int), () => (py.contains([3, 4], channels))));
 }
 function* states_as_declared$companions(subject) {
-  let doubt, doubt_size, entry, expected, future, graph, manifest, name, state, tensor;
+  let doubt_size, entry, expected, future, graph, manifest, name, state, tensor, uncertainty_output;
 manifest = subject.manifest;
 if (!py.isinstance(manifest, TrajectoryManifest$manifest)) {
 return;
 }
-[future, doubt] = [manifest.outputs.future, manifest.outputs.uncertainty];
+[future, uncertainty_output] = [manifest.outputs.future, manifest.outputs.uncertainty];
 [state, graph] = [py.item(STATE_SIZES$20, future.representation), subject.graph];
-doubt_size = py.get(py.dict([["covariance-upper", (Math.floor((state * (py.plus(state, 1))) / 2))]]), doubt.semantics, state);
-for ([name, expected] of py.iter([[future.name, state], [doubt.name, doubt_size]])) {
+doubt_size = py.get(py.dict([["covariance-upper", (Math.floor((state * (py.plus(state, 1))) / 2))]]), uncertainty_output.semantics, state);
+for ([name, expected] of py.iter([[future.name, state], [uncertainty_output.name, doubt_size]])) {
 yield* py.iter(_check_size$companions(graph.output(name), `output ${py.str(name)}`, [future.steps, expected]));
 }
 for ([entry, tensor] of py.iter(subject.inputs_of("camera_history"))) {
@@ -1305,13 +1305,13 @@ yield* py.iter(_check_size$companions(tensor, `input ${py.str(entry.name)}`, [nu
 }
 }
 function* _check_size$companions(tensor, location, expected) {
-  let expected_shape, fits;
+  let expected_shape, has_fitting_shape;
 if (((tensor == null) || (tensor.dims == null))) {
 return;
 }
 expected_shape = `[${py.str(((py.item(expected, 0) == null) ? "T" : py.item(expected, 0)))}, ${py.str(py.item(expected, 1))}]`;
-fits = py.and((py.eq(py.len(tensor.dims), 2)), () => py.list((function* () { for (const [dim, size] of py.iter(py.zip(tensor.dims, expected))) yield py.or((size == null), () => !py.isinstance(dim, py.int), () => (py.eq(dim, size))); })()).every(py.bool));
-if (!py.bool(fits)) {
+has_fitting_shape = py.and((py.eq(py.len(tensor.dims), 2)), () => py.list((function* () { for (const [dim, size] of py.iter(py.zip(tensor.dims, expected))) yield py.or((size == null), () => !py.isinstance(dim, py.int), () => (py.eq(dim, size))); })()).every(py.bool));
+if (!py.bool(has_fitting_shape)) {
 yield py.violation(location, `shape ${py.str(tensor)}`, `${py.str(expected_shape)}, as the manifest fixes`);
 } else {
 if ((!py.contains([null, "float32"], tensor.dtype))) {
@@ -1320,15 +1320,15 @@ yield py.violation(location, py.str(tensor.dtype), "float32");
 }
 }
 function* cell_row_has_10$cells(subject) {
-  let dims, expected, rows, sized, tensor;
+  let dims, expected, has_row_count, rows, tensor;
 tensor = subject.cells;
 if ((tensor == null)) {
 return;
 }
 dims = py.or(tensor.dims, () => []);
 rows = (py.bool(dims) ? py.item(dims, 0) : null);
-sized = py.and(py.isinstance(rows, py.int), () => (py.compare(rows, 0) > 0));
-if (!((py.eq(py.len(dims), 2)) && (py.eq(py.item(dims, 1), 10)) && py.bool(sized))) {
+has_row_count = py.and(py.isinstance(rows, py.int), () => (py.compare(rows, 0) > 0));
+if (!((py.eq(py.len(dims), 2)) && (py.eq(py.item(dims, 1), 10)) && py.bool(has_row_count))) {
 expected = `[C, ${py.str(10)}] with a fixed C`;
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected);
 }
@@ -1363,10 +1363,10 @@ yield py.violation("ir_version", py.str(proto.ir_version), `${py.str(subject.tar
 }
 }
 function* standard_operators$graph(subject) {
-  let actual, allowed, graph, known, node;
-[graph, allowed] = [subject.graph, subject.target.domains];
+  let actual, allowed_domains, graph, known, node;
+[graph, allowed_domains] = [subject.graph, subject.target.domains];
 for (node of py.iter(graph.all_nodes())) {
-known = py.or((py.contains(allowed, node.domain)), () => (py.contains(graph.functions, [node.domain, node.op_type])));
+known = py.or((py.contains(allowed_domains, node.domain)), () => (py.contains(graph.functions, [node.domain, node.op_type])));
 if (!py.bool(known)) {
 actual = `domain ${py.str(py.repr(node.domain))}`;
 yield py.violation(_node_location$graph(node), actual, "the ONNX domain, or a function in the model");
@@ -1385,23 +1385,23 @@ yield py.violation(_node_location$graph(node), node.op_type, "a graph without co
 }
 }
 function* no_random_operators$repeatability(subject) {
-  let actual, node, seeded;
-for (node of py.iter(_nodes$repeatability(subject))) {
+  let actual, has_seed, node;
+for (node of py.iter(_all_nodes$repeatability(subject))) {
 if ((py.contains(RANDOM_OPERATORS$22, node.op_type))) {
-seeded = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield (py.eq(attribute.name, "seed")); })()).some(py.bool);
-actual = (py.bool(seeded) ? "draws on from run to run despite its seed" : "no seed");
+has_seed = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield (py.eq(attribute.name, "seed")); })()).some(py.bool);
+actual = (py.bool(has_seed) ? "draws on from run to run despite its seed" : "no seed");
 yield py.violation(_location$repeatability(node), actual, "stored numbers");
 }
 }
 }
-function* _nodes$repeatability(subject) {
-  let functions, graph, idle, needed, node;
+function* _all_nodes$repeatability(subject) {
+  let functions, graph, idle_nodes, needed_nodes, node;
 graph = subject.graph;
-needed = py.set((function* () { for (const tensor of py.iter(graph.outputs)) for (const node of py.iter(py.item(graph.ancestors(tensor.name), 1))) yield node; })());
-idle = (py.minus(py.set((function* () { for (const node of py.iter(graph.nodes)) yield node; })()), needed));
+needed_nodes = py.set((function* () { for (const tensor of py.iter(graph.outputs)) for (const node of py.iter(py.item(graph.ancestors(tensor.name), 1))) yield node; })());
+idle_nodes = (py.minus(py.set((function* () { for (const node of py.iter(graph.nodes)) yield node; })()), needed_nodes));
 functions = (function* () { for (const function_ of py.iter(subject.file.proto.functions)) for (const node of py.iter(function_.node)) yield node; })();
 for (node of py.iter([graph.all_nodes(), functions].flatMap((part) => py.list(part)))) {
-if (((py.contains(MAIN_DOMAIN$7, node.domain)) && (!py.contains(idle, node)))) {
+if (((py.contains(MAIN_DOMAIN$7, node.domain)) && (!py.contains(idle_nodes, node)))) {
 yield node;
 }
 }
@@ -1438,11 +1438,11 @@ if (!py.bool(graph.varies(tensor.name))) {
 continue;
 }
 producer = py.get(graph.producers, tensor.name);
-if (((producer != null) && py.bool(_copies$capture(graph, producer)))) {
+if (((producer != null) && py.bool(_copies_input$capture(graph, producer)))) {
 yield py.violation(location, `made by ${py.str(producer.op_type)}`, "an operator that computes");
 }
 for (node of py.iter(py.item(graph.ancestors(tensor.name), 1))) {
-if (((py.contains(_SCATTERS$25, node.op_type)) && py.bool(_shares_base$capture(graph, node)))) {
+if (((py.contains(_SCATTER_OPERATORS$25, node.op_type)) && py.bool(_shares_base$capture(graph, node)))) {
 location = `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_type)})`;
 actual = "updates a tensor that others read";
 yield py.violation(location, actual, "Where or Concat");
@@ -1450,20 +1450,20 @@ yield py.violation(location, actual, "Where or Concat");
 }
 }
 }
-function _copies$capture(graph, node) {
-  let axes, axes_inputs, empty, has_axes, idle;
+function _copies_input$capture(graph, node) {
+  let axes, axes_inputs, empty, has_axes, is_idle;
 if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
 return false;
 }
-idle = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
+is_idle = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
 has_axes = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "axes")), () => attribute.ints); })()).some(py.bool);
 axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2))) if (py.bool(name)) yield name; })()];
 axes = (py.bool(axes_inputs) ? py.get(graph.tensors, py.item(axes_inputs, 0)) : null);
 empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
-return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(idle, () => empty, () => !py.bool(has_axes)));
+return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_idle, () => empty, () => !py.bool(has_axes)));
 }
 function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
-if ((py.contains(VIEWS$23, operator))) {
+if ((py.contains(VIEW_OPERATORS$23, operator))) {
 return true;
 }
 if (py.bool(operator.startsWith("Reduce"))) {
@@ -1474,16 +1474,16 @@ return py.and((py.contains(VARIADIC$24, operator)), () => (py.eq(inputs, 1)));
 function _shares_base$capture(graph, node) {
   let base;
 base = py.item(node.input, 0);
-return py.or((!py.contains(graph.producers, base)), () => (py.compare(py.get(graph.uses, base, 0), 1) > 0));
+return py.or((!py.contains(graph.producers, base)), () => (py.compare(py.get(graph.use_counts, base, 0), 1) > 0));
 }
 function* fits_buffer$limits(subject) {
-yield* py.iter(_larger$limits(subject, py.item(subject.target.limits, "buffer_bytes")));
+yield* py.iter(_oversized_buffers$limits(subject, py.item(subject.target.limits, "buffer_bytes")));
 }
-function* _larger$limits(subject, limit) {
+function* _oversized_buffers$limits(subject, limit) {
   let location, size;
 for ([location, size] of py.iter(_buffers$limits(subject))) {
 if ((py.compare(size, limit) > 0)) {
-yield py.violation(location, _mib$limits(size), `${py.str(_mib$limits(limit))} at most`);
+yield py.violation(location, _mebibyte_text$limits(size), `${py.str(_mebibyte_text$limits(limit))} at most`);
 }
 }
 }
@@ -1496,7 +1496,7 @@ yield [`output ${py.str(tensor.name)}`, tensor_bytes$graph(tensor)];
 for ([name, tensor] of py.iter(graph.initializers.entries())) {
 yield [`weight ${py.str(name)}`, tensor_bytes$graph(tensor)];
 }
-for (tensor of py.iter(_computed_once$limits(graph))) {
+for (tensor of py.iter(_constant_tensors$limits(graph))) {
 yield [`tensor ${py.str(tensor.name)}, computed from weights`, tensor_bytes$graph(tensor)];
 }
 }
@@ -1506,18 +1506,18 @@ dims = static_dims$graph(tensor);
 if ((dims == null)) {
 return 0;
 }
-bits = py.get(_BITS$26, py.or(tensor.dtype, () => ""), 32);
+bits = py.get(_DTYPE_BITS$26, py.or(tensor.dtype, () => ""), 32);
 for (dim of py.iter(dims)) {
 bits = (bits * py.int(dim));
 }
 return (-(Math.floor((-bits) / 8)));
 }
-function* _computed_once$limits(graph) {
-  let frame_tensors, name, outputs, running, tensor;
-running = frame_nodes$provider_placement(graph);
-frame_tensors = py.set((function* () { for (const node of py.iter(running)) for (const name of py.iter(node.output)) yield name; })());
+function* _constant_tensors$limits(graph) {
+  let executed_nodes, frame_tensors, name, outputs, tensor;
+executed_nodes = frame_nodes$provider_placement(graph);
+frame_tensors = py.set((function* () { for (const node of py.iter(executed_nodes)) for (const name of py.iter(node.output)) yield name; })());
 outputs = py.set((function* () { for (const tensor of py.iter(graph.outputs)) yield tensor.name; })());
-for (name of py.iter(py.dict(py.map((key) => [key, null], (function* () { for (const node of py.iter(running)) for (const name of py.iter(reads$graph(node))) yield name; })())))) {
+for (name of py.iter(py.dict(py.map((key) => [key, null], (function* () { for (const node of py.iter(executed_nodes)) for (const name of py.iter(names_read$graph(node))) yield name; })())))) {
 if (((py.contains(graph.producers, name)) && (!py.contains(frame_tensors, name)) && (!py.contains(outputs, name)))) {
 tensor = py.get(graph.tensors, name);
 if ((tensor != null)) {
@@ -1527,39 +1527,39 @@ yield tensor;
 }
 }
 function frame_nodes$provider_placement(graph) {
-  let changing, draws, names, needed, node, nodes, resized, running, varying;
-varying = py.set((function* () { for (const tensor of py.iter(graph.inputs)) yield tensor.name; })());
-resized = py.set();
-running = [];
+  let changing_tensors, executed_nodes, is_random, names, needed_tensors, node, nodes, resized_tensors, varying_tensors;
+varying_tensors = py.set((function* () { for (const tensor of py.iter(graph.inputs)) yield tensor.name; })());
+resized_tensors = py.set();
+executed_nodes = [];
 for (node of py.iter(graph.nodes)) {
-names = reads$graph(node);
-draws = py.and((py.contains(RANDOM_OPERATORS$22, node.op_type)), () => (py.contains(MAIN_DOMAIN$7, node.domain)));
-changing = ((py.contains(_OF_SHAPES$27, node.op_type)) ? resized : varying);
-if ((py.bool(draws) || !py.bool(!py.list(names).some((entry) => changing.has(entry))))) {
-py.list(node.output).forEach((entry) => varying.add(entry));
-running.push(node);
-if (((py.contains(SIZED_BY_DATA$28, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized.has(entry))))) {
-py.list(node.output).forEach((entry) => resized.add(entry));
+names = names_read$graph(node);
+is_random = py.and((py.contains(RANDOM_OPERATORS$22, node.op_type)), () => (py.contains(MAIN_DOMAIN$7, node.domain)));
+changing_tensors = ((py.contains(_SHAPE_OPERATORS$27, node.op_type)) ? resized_tensors : varying_tensors);
+if ((py.bool(is_random) || !py.bool(!py.list(names).some((entry) => changing_tensors.has(entry))))) {
+py.list(node.output).forEach((entry) => varying_tensors.add(entry));
+executed_nodes.push(node);
+if (((py.contains(DATA_SIZED_OPERATORS$28, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized_tensors.has(entry))))) {
+py.list(node.output).forEach((entry) => resized_tensors.add(entry));
 }
 }
 }
-needed = py.set((function* () { for (const tensor of py.iter(graph.outputs)) yield tensor.name; })());
+needed_tensors = py.set((function* () { for (const tensor of py.iter(graph.outputs)) yield tensor.name; })());
 nodes = [];
-for (node of py.iter(py.list(running).reverse())) {
-if (!py.bool(!py.list(node.output).some((entry) => needed.has(entry)))) {
-py.list(reads$graph(node)).forEach((entry) => needed.add(entry));
+for (node of py.iter(py.list(executed_nodes).reverse())) {
+if (!py.bool(!py.list(node.output).some((entry) => needed_tensors.has(entry)))) {
+py.list(names_read$graph(node)).forEach((entry) => needed_tensors.add(entry));
 nodes.push(node);
 }
 }
 return py.list(nodes).reverse();
 }
-function reads$graph(node) {
+function names_read$graph(node) {
   let attribute, graph, inner, names;
 names = py.list(py.list(node.input).filter(py.bool));
 for (attribute of py.iter(node.attribute)) {
 for (graph of py.iter(subgraphs$model_file(attribute))) {
 for (inner of py.iter(graph.node)) {
-names.push(...py.iter(reads$graph(inner)));
+names.push(...py.iter(names_read$graph(inner)));
 }
 names.push(...py.iter((function* () { for (const output of py.iter(graph.output)) yield output.name; })()));
 }
@@ -1569,23 +1569,23 @@ return names;
 function subgraphs$model_file(attribute) {
 return [...py.iter((py.bool(attribute.HasField("g")) ? [attribute.g] : [])), ...py.iter(attribute.graphs)];
 }
-function _mib$limits(size) {
+function _mebibyte_text$limits(size) {
 return `${py.str(format_mebibytes$units(size))} (${py.str(size)} bytes)`;
 }
 function format_mebibytes$units(size, digits = 1) {
 return `${py.format((size / 1048576), `.${py.str(digits)}f`)} MiB`;
 }
 function* fits_binding$limits(subject) {
-yield* py.iter(_larger$limits(subject, py.item(subject.target.limits, "binding_bytes")));
+yield* py.iter(_oversized_buffers$limits(subject, py.item(subject.target.limits, "binding_bytes")));
 }
 function* fits_dispatch$limits(subject) {
-  let limits, most, rows, tensor;
+  let limits, max_invocations, rows, tensor;
 limits = subject.target.limits;
-most = (py.item(limits, "workgroups") * py.item(limits, "workgroup_size"));
+max_invocations = (py.item(limits, "workgroups") * py.item(limits, "workgroup_size"));
 tensor = subject.gaussians;
 rows = (((tensor != null) && py.bool(tensor.dims)) ? py.item(tensor.dims, 0) : 0);
-if (((tensor != null) && py.isinstance(rows, py.int) && (py.compare(rows, most) > 0))) {
-yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(rows)} rows`, `${py.str(most)} rows at most`);
+if (((tensor != null) && py.isinstance(rows, py.int) && (py.compare(rows, max_invocations) > 0))) {
+yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(rows)} rows`, `${py.str(max_invocations)} rows at most`);
 }
 }
 function* frame_is_small$capacity(subject) {
@@ -1677,33 +1677,33 @@ guesses.push("bounds: unknown, add the box that holds the Gaussians");
 return new Candidate$manifest_inference(manifest, py.list(guesses));
 }
 function _role_of$manifest_inference(tensor) {
-  let lowered;
-lowered = tensor.name.toLowerCase();
-return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$29.entries())) if ((py.contains(names, lowered))) yield role; })().next().value ?? null);
+  let lower_name;
+lower_name = tensor.name.toLowerCase();
+return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$29.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
 }
 function _input$manifest_inference(tensor, guesses) {
-  let entry, free, has_named_axes, role, span, static_;
+  let entry, fixed_dims, has_free_shape, has_named_axes, role, span;
 role = _role_of$manifest_inference(tensor);
 guesses.push(`input ${py.str(py.repr(tensor.name))} is the ${py.str(role)}, by its name`);
-static_ = static_dims$graph(tensor);
+fixed_dims = static_dims$graph(tensor);
 entry = py.item(ROLES$3, role);
-free = py.and((static_ != null), () => (matching_shape$roles(entry, static_) != null));
+has_free_shape = py.and((fixed_dims != null), () => (matching_shape$roles(entry, fixed_dims) != null));
 has_named_axes = py.list((function* () { for (const shape of py.iter(entry.shapes)) for (const dim of py.iter(shape)) yield py.isinstance(dim, py.str); })()).some(py.bool);
 span = (((py.eq(role, "time")) || py.bool(entry.needs_range)) ? [py.float(0.0), py.float(1.0)] : null);
 if (py.bool(span)) {
 guesses.push(`input ${py.str(py.repr(tensor.name))} has the range [0, 1]`);
 }
-return new Input$inputs(tensor.name, role, ((py.bool(free) && py.bool(has_named_axes)) ? _sizes$manifest_inference(static_) : null), span, "zeros");
+return new Input$inputs(tensor.name, role, ((py.bool(has_free_shape) && py.bool(has_named_axes)) ? _fixed_sizes$manifest_inference(fixed_dims) : null), span, "zeros");
 }
-function _sizes$manifest_inference(dims) {
+function _fixed_sizes$manifest_inference(dims) {
 return ((dims != null) ? py.list((function* () { for (const dim of py.iter(dims)) yield py.int(dim); })()) : null);
 }
 function _gaussians$manifest_inference(graph, guesses) {
-  let capacity, first, packed, tensor;
-tensor = _named$manifest_inference(graph, _GAUSSIAN_NAMES$30);
-packed = [...(function* () { for (const tensor of py.iter(graph.outputs)) if ((py.eq(_last$manifest_inference(tensor), 10))) yield tensor; })()];
-if (((tensor == null) && (py.eq(py.len(packed), 1)))) {
-tensor = py.item(packed, 0);
+  let capacity, first, packed_outputs, tensor;
+tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$30);
+packed_outputs = [...(function* () { for (const tensor of py.iter(graph.outputs)) if ((py.eq(_last_dim$manifest_inference(tensor), 10))) yield tensor; })()];
+if (((tensor == null) && (py.eq(py.len(packed_outputs), 1)))) {
+tensor = py.item(packed_outputs, 0);
 }
 if ((tensor == null)) {
 guesses.push(`no output is named like packed Gaussians or is the only one ending in ${py.str(10)}`);
@@ -1714,10 +1714,10 @@ first = (py.bool(tensor.dims) ? py.item(tensor.dims, 0) : null);
 capacity = ((py.isinstance(first, py.int) && (py.compare(first, 0) > 0)) ? first : 1);
 return new GaussiansOutput$outputs(tensor.name, capacity, _float_dtype$manifest_inference(tensor));
 }
-function _named$manifest_inference(graph, names) {
+function _find_named$manifest_inference(graph, names) {
 return ((function* () { for (const t of py.iter(graph.outputs)) if ((py.contains(names, t.name.toLowerCase()))) yield t; })().next().value ?? null);
 }
-function _last$manifest_inference(tensor) {
+function _last_dim$manifest_inference(tensor) {
   let dim;
 dim = (py.bool(tensor.dims) ? py.item(tensor.dims, (-1)) : null);
 return (py.isinstance(dim, py.int) ? dim : 0);
@@ -1727,12 +1727,12 @@ return ((py.eq(tensor.dtype, "float16")) ? "float16" : "float32");
 }
 function _appearance$manifest_inference(graph, guesses) {
   let channels, degree, tensor;
-tensor = _named$manifest_inference(graph, _COLOR_NAMES$31);
+tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$31);
 if ((tensor == null)) {
 guesses.push("no output is named like an appearance");
 return null;
 }
-channels = _last$manifest_inference(tensor);
+channels = _last_dim$manifest_inference(tensor);
 if (((py.contains(py.item(APPEARANCE_CHANNELS$17, "sh"), channels)) && (!py.eq(channels, 3)))) {
 degree = degree_of$spherical_harmonics((Math.floor(channels / 3)));
 guesses.push(`output ${py.str(py.repr(tensor.name))} holds SH of degree ${py.str(degree)}, by its ${py.str(channels)} channels`);
@@ -1749,7 +1749,7 @@ return COEFFICIENTS$32.indexOf(count);
 }
 function _count$manifest_inference(graph, guesses) {
   let tensor;
-tensor = _named$manifest_inference(graph, _COUNT_NAMES$33);
+tensor = _find_named$manifest_inference(graph, _COUNT_NAMES$33);
 if ((tensor == null)) {
 guesses.push("no output is named like a row count");
 return null;
@@ -1759,19 +1759,19 @@ return new CountOutput$outputs(tensor.name);
 }
 function parse$manifest_io(text) {
 if ((py.compare(py.len(text), 4194304) > 0)) {
-return _failed$manifest_io("syntax", "", `${py.str(py.len(text))} characters`, `at most ${py.str(4194304)}`);
+return _failed_parse$manifest_io("syntax", "", `${py.str(py.len(text))} characters`, `at most ${py.str(4194304)}`);
 }
 try {
 return _parse_document$manifest_io(text);
 } catch (error) {
 if (!(error instanceof RangeError)) throw error;
-return _failed$manifest_io("syntax", "", _short$manifest_io(text), "fewer brackets inside each other");
+return _failed_parse$manifest_io("syntax", "", _shorten$manifest_io(text), "fewer brackets inside each other");
 }
 }
-function _failed$manifest_io(cause, where, actual, expected) {
+function _failed_parse$manifest_io(cause, where, actual, expected) {
 return new Parsed$manifest_io(null, [new Complaint$manifest_io(cause, where, actual, expected)]);
 }
-function _short$manifest_io(value) {
+function _shorten$manifest_io(value) {
   let text;
 text = (py.isinstance(value, py.str) ? value : py.dumps(value, false, py.str));
 text = py.or(text, () => "an empty text");
@@ -1780,45 +1780,45 @@ return ((py.compare(py.len(text), 60) <= 0) ? text : `${py.str(py.slice(text, nu
 function _parse_document$manifest_io(text) {
   let actual, complaint, document, error, version;
 try {
-document = py.loads(text, _number$manifest_io, _integer$manifest_io, _number$manifest_io, _unique_keys$manifest_io);
+document = py.loads(text, _parse_number$manifest_io, _parse_integer$manifest_io, _parse_number$manifest_io, _unique_keys$manifest_io);
 py.dumps(document, false);
 } catch (error) {
 if (!(error instanceof SyntaxError)) throw error;
-return _failed$manifest_io("syntax", "", _short$manifest_io(text), `a JSON document (${py.str(error)})`);
+return _failed_parse$manifest_io("syntax", "", _shorten$manifest_io(text), `a JSON document (${py.str(error)})`);
 }
 if (!py.isinstance(document, py.dict)) {
-return _failed$manifest_io("schema", "", _short$manifest_io(document), "a JSON object");
+return _failed_parse$manifest_io("schema", "", _shorten$manifest_io(document), "a JSON object");
 }
 version = _version$manifest_io(py.get(document, "contract"));
 if ((version == null)) {
-actual = _short$manifest_io(py.get(document, "contract", "nothing"));
-return _failed$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
+actual = _shorten$manifest_io(py.get(document, "contract", "nothing"));
+return _failed_parse$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
 }
 if ((!py.eq(py.item(version, 0), py.item(CURRENT$34, 0)))) {
-complaint = new Complaint$manifest_io("version", "contract", _dotted$manifest_io(version), `major version ${py.str(py.item(CURRENT$34, 0))}`);
+complaint = new Complaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT$34, 0))}`);
 return new Parsed$manifest_io(null, [complaint], version);
 }
 return _parse_body$manifest_io(document, version);
 }
-function _number$manifest_io(text) {
+function _parse_number$manifest_io(text) {
   let value;
 value = py.float(text);
 if (!py.bool(Number.isFinite(value))) {
-throw new Error(`${py.str(_short$manifest_io(text))} is not a finite number`);
+throw new Error(`${py.str(_shorten$manifest_io(text))} is not a finite number`);
 }
 return value;
 }
-function _integer$manifest_io(text) {
-_number$manifest_io(text);
+function _parse_integer$manifest_io(text) {
+_parse_number$manifest_io(text);
 return py.int(text);
 }
 function _unique_keys$manifest_io(pairs) {
-  let document, keys, repeated;
+  let document, keys, repeated_key;
 document = py.dict(pairs);
 if ((!py.eq(py.len(document), py.len(pairs)))) {
 keys = [...(function* () { for (const [key, _] of py.iter(pairs)) yield key; })()];
-repeated = ((function* () { for (const key of py.iter(keys)) if ((py.compare(py.count(keys, key), 1) > 0)) yield key; })().next().value ?? null);
-throw new Error(`the key ${py.str(_short$manifest_io(repeated))} is repeated within an object`);
+repeated_key = ((function* () { for (const key of py.iter(keys)) if ((py.compare(py.count(keys, key), 1) > 0)) yield key; })().next().value ?? null);
+throw new Error(`the key ${py.str(_shorten$manifest_io(repeated_key))} is repeated within an object`);
 }
 return document;
 }
@@ -1830,14 +1830,14 @@ return null;
 }
 return [py.int(py.item(parts, 0)), py.int(py.item(parts, 1))];
 }
-function _dotted$manifest_io(version) {
+function _version_text$manifest_io(version) {
 return `${py.str(py.item(version, 0))}.${py.str(py.item(version, 1))}`;
 }
 function _parse_body$manifest_io(document, version) {
   let complaints, faults, kind, manifest, newer;
 kind = py.get(document, "kind");
 if ((!py.contains(KINDS$0, kind))) {
-return _failed$manifest_io("schema", "kind", _short$manifest_io(kind), `one of ${py.str(py.list(KINDS$0).join(", "))}`);
+return _failed_parse$manifest_io("schema", "kind", _shorten$manifest_io(kind), `one of ${py.str(py.list(KINDS$0).join(", "))}`);
 }
 newer = py.and((py.compare(version, CURRENT$34) > 0), () => (!py.contains(UPGRADES$4, version)));
 document = upgrade$upgrades(document, version);
@@ -1845,7 +1845,7 @@ faults = py.list(schema_faults$schema_check(document, publishedSchema(kind)));
 if (py.bool(newer)) {
 faults = [...(function* () { for (const fault of py.iter(faults)) if ((!py.eq(fault.validator, "additionalProperties"))) yield fault; })()];
 }
-complaints = py.list((function* () { for (const fault of py.iter(py.sorted(faults, _place$manifest_io))) yield _complaint$manifest_io(fault); })());
+complaints = py.list((function* () { for (const fault of py.iter(py.sorted(faults, _fault_path$manifest_io))) yield _complaint_from_fault$manifest_io(fault); })());
 if (py.bool(complaints)) {
 return new Parsed$manifest_io(null, complaints, version, newer);
 }
@@ -1870,7 +1870,7 @@ if (py.isinstance(schema, py.bool)) {
 return;
 }
 for ([word, entry] of py.iter(schema.entries())) {
-if ((py.contains(_NOTES$35, word))) {
+if ((py.contains(_ANNOTATION_KEYWORDS$35, word))) {
 continue;
 }
 if ((py.eq(word, "$ref"))) {
@@ -1899,7 +1899,7 @@ if (py.list(options).every(py.bool)) {
 yield _fault$schema_check(word, value, schema, path);
 }
 } else {
-if (!py.bool(_holds$schema_check(word, entry, value))) {
+if (!py.bool(_is_constraint_met$schema_check(word, entry, value))) {
 yield _fault$schema_check(word, value, schema, path);
 }
 }
@@ -1909,7 +1909,7 @@ yield _fault$schema_check(word, value, schema, path);
 }
 }
 }
-function _holds$schema_check(word, bound, value) {
+function _is_constraint_met$schema_check(word, bound, value) {
   let is_bool, is_number;
 is_number = py.and(py.isinstance(value, [py.int, py.float]), () => !py.isinstance(value, py.bool));
 if ((py.eq(word, "type"))) {
@@ -1966,15 +1966,15 @@ function _fault$schema_check(word, value, schema, path, message = "") {
 return new SchemaFault$schema_check(word, py.item(schema, word), value, schema, path, message);
 }
 function* _member_faults$schema_check(word, value, schema, path, definitions) {
-  let matching, name, part, patterns, properties, rule, rules;
+  let matching_rules, name, part, patterns, properties, rule, rules;
 [properties, patterns] = [py.get(schema, "properties", py.dict([])), py.get(schema, "patternProperties", py.dict([]))];
 for ([name, part] of py.iter(value.entries())) {
-matching = [...(function* () { for (const [pattern, rule] of py.iter(patterns.entries())) if (py.bool(new RegExp(pattern).exec(name))) yield rule; })()];
-rules = ((py.eq(word, "patternProperties")) ? matching : []);
+matching_rules = [...(function* () { for (const [pattern, rule] of py.iter(patterns.entries())) if (py.bool(new RegExp(pattern).exec(name))) yield rule; })()];
+rules = ((py.eq(word, "patternProperties")) ? matching_rules : []);
 if (((py.eq(word, "properties")) && (py.contains(properties, name)))) {
 rules = [py.item(properties, name)];
 } else {
-if (((py.eq(word, "additionalProperties")) && (!py.contains(properties, name)) && !py.bool(matching))) {
+if (((py.eq(word, "additionalProperties")) && (!py.contains(properties, name)) && !py.bool(matching_rules))) {
 if ((py.item(schema, word) === false)) {
 yield _fault$schema_check(word, value, schema, path);
 return;
@@ -1987,10 +1987,10 @@ yield* py.iter(_faults$schema_check(part, rule, [...py.iter(path), name], defini
 }
 }
 }
-function _place$manifest_io(fault) {
+function _fault_path$manifest_io(fault) {
 return fault.absolute_path;
 }
-function _complaint$manifest_io(fault) {
+function _complaint_from_fault$manifest_io(fault) {
   let detail, expected, known, missing, options, unmatched_entries, where;
 where = py.list((function* () { for (const part of py.iter(fault.absolute_path)) yield py.str(part); })()).join(".");
 expected = (py.isinstance(fault.schema, py.dict) ? py.get(fault.schema, "description") : null);
@@ -2001,14 +2001,14 @@ return new Complaint$manifest_io("schema", where, `no field ${py.str(py.repr(mis
 if ((py.eq(fault.validator, "additionalProperties"))) {
 known = py.list(py.get(fault.schema, "properties", py.dict([]))).join(", ");
 unmatched_entries = py.list((function* () { for (const name of py.iter(fault.instance)) if (py.bool(_is_unknown$manifest_io(name, fault))) yield py.repr(name); })()).join(", ");
-return new Complaint$manifest_io("schema", where, _short$manifest_io(unmatched_entries), `only the fields ${py.str(known)}`);
+return new Complaint$manifest_io("schema", where, _shorten$manifest_io(unmatched_entries), `only the fields ${py.str(known)}`);
 }
 if ((py.eq(fault.validator, "enum"))) {
 options = py.list((function* () { for (const option of py.iter(fault.validator_value)) yield py.str(option); })()).join(", ");
-return new Complaint$manifest_io("schema", where, _short$manifest_io(fault.instance), `one of ${py.str(options)}`);
+return new Complaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), `one of ${py.str(options)}`);
 }
 detail = `${py.str(fault.validator)} ${py.str(fault.validator_value)}`;
-return new Complaint$manifest_io("schema", where, _short$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
+return new Complaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
 }
 function _is_unknown$manifest_io(name, fault) {
   let known, patterns;
@@ -2017,25 +2017,25 @@ known = (py.contains(py.get(fault.schema, "properties", []), name));
 return py.and(!py.bool(known), () => !py.list((function* () { for (const pattern of py.iter(patterns)) yield new RegExp(pattern).exec(name); })()).some(py.bool));
 }
 function manifest_type$manifest(kind) {
-if ((!py.contains(_TYPES$36, kind))) {
+if ((!py.contains(_MANIFEST_TYPES$36, kind))) {
 throw new Error("kind");
 }
-return py.item(_TYPES$36, kind);
+return py.item(_MANIFEST_TYPES$36, kind);
 }
 function read_graph$graph(file) {
   let facts, graph, inputs, outputs, weights;
 graph = file.proto.graph;
 facts = noFacts(file);
-weights = py.dict((function* () { for (const tensor of py.iter(graph.initializer)) yield [tensor.name, _of_weight$graph(tensor)]; })());
-weights = (py.union(weights, py.dict((function* () { for (const s of py.iter(graph.sparse_initializer)) yield [s.values.name, _of_weight$graph(denseWeight(s))]; })())));
-inputs = py.list((function* () { for (const v of py.iter(graph.input)) if ((!py.contains(weights, v.name))) yield _of_value$graph(v); })());
-outputs = py.list((function* () { for (const v of py.iter(graph.output)) yield _best$graph(_of_value$graph(v), py.get(facts.tensors, v.name)); })());
-return new Graph$graph(inputs, outputs, py.list(graph.node), weights, (py.union((py.union(facts.tensors, weights)), py.dict((function* () { for (const t of py.iter([...py.iter(inputs), ...py.iter(outputs)])) yield [t.name, t]; })()))), py.set((function* () { for (const f of py.iter(file.proto.functions)) yield [f.domain, f.name]; })()), facts.conflicts, facts.checker, facts.inference, py.list((function* () { for (const v of py.iter(graph.output)) yield v.name; })()), py.list(py.map(_of_value$graph, graph.output)));
+weights = py.dict((function* () { for (const tensor of py.iter(graph.initializer)) yield [tensor.name, _weight_tensor$graph(tensor)]; })());
+weights = (py.union(weights, py.dict((function* () { for (const s of py.iter(graph.sparse_initializer)) yield [s.values.name, _weight_tensor$graph(denseWeight(s))]; })())));
+inputs = py.list((function* () { for (const v of py.iter(graph.input)) if ((!py.contains(weights, v.name))) yield _value_tensor$graph(v); })());
+outputs = py.list((function* () { for (const v of py.iter(graph.output)) yield _merge_declared$graph(_value_tensor$graph(v), py.get(facts.tensors, v.name)); })());
+return new Graph$graph(inputs, outputs, py.list(graph.node), weights, (py.union((py.union(facts.tensors, weights)), py.dict((function* () { for (const t of py.iter([...py.iter(inputs), ...py.iter(outputs)])) yield [t.name, t]; })()))), py.set((function* () { for (const f of py.iter(file.proto.functions)) yield [f.domain, f.name]; })()), facts.conflicts, facts.checker, facts.inference, py.list((function* () { for (const v of py.iter(graph.output)) yield v.name; })()), py.list(py.map(_value_tensor$graph, graph.output)));
 }
-function _of_weight$graph(tensor) {
+function _weight_tensor$graph(tensor) {
 return new Tensor$graph(tensor.name, py.get(_DTYPES$37, tensor.data_type), py.list(tensor.dims));
 }
-function _of_value$graph(value) {
+function _value_tensor$graph(value) {
   let dims, kind;
 kind = value.type.tensor_type;
 if (!py.bool(value.type.HasField("tensor_type"))) {
@@ -2047,7 +2047,7 @@ dims = py.list((function* () { for (const d of py.iter(kind.shape.dim)) yield (p
 }
 return new Tensor$graph(value.name, py.get(_DTYPES$37, kind.elem_type), dims);
 }
-function _best$graph(declared, inferred) {
+function _merge_declared$graph(declared, inferred) {
   let dims, known, pairs;
 if (((declared == null) || (inferred == null))) {
 known = py.or(declared, () => inferred);
@@ -2067,14 +2067,14 @@ return new Tensor$graph(declared.name, py.or(declared.dtype, () => inferred.dtyp
 function _output_fields$inspected_model(manifest) {
 return py.list(manifest.outputs.constructor.__dataclass_fields__);
 }
-function* _nested$graph(node, depth) {
+function* _nested_nodes$graph(node, depth) {
   let attribute, graph, inner;
 yield node;
 if ((py.compare(depth, 64) < 0)) {
 for (attribute of py.iter(node.attribute)) {
 for (graph of py.iter(subgraphs$model_file(attribute))) {
 for (inner of py.iter(graph.node)) {
-yield* py.iter(_nested$graph(inner, (py.plus(depth, 1))));
+yield* py.iter(_nested_nodes$graph(inner, (py.plus(depth, 1))));
 }
 }
 }
@@ -2086,38 +2086,38 @@ const ITEMSIZE$1 = py.dict([["float32", 4], ["float16", 2]]);
 const _SPDX$2 = new RegExp("^\\(*\\s*[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?\\s*\\)*(?:\\s+(?:AND|OR|WITH)\\s+\\(*\\s*[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?\\s*\\)*)*$");
 const ROLES$3 = py.dict([["view", new Role$roles("view", ["float32"], [[4, 4]], "World→camera matrix; memory order as declared.", ["gaussian-generator"], false, false, [])], ["projection", new Role$roles("projection", ["float32"], [[4, 4]], "Camera→clip matrix, depth 0..1.", ["gaussian-generator"], false, false, [])], ["time", new Role$roles("time", ["float32"], [[1]], "Time, in the declared range.", ["gaussian-generator"], false, false, [])], ["frame_index", new Role$roles("frame_index", ["int32"], [[1]], "Frame number.", ["gaussian-generator"], true, true, [])], ["camera_position", new Role$roles("camera_position", ["float32"], [[3]], "Camera centre, in local space.", ["gaussian-generator"], false, false, [])], ["viewport", new Role$roles("viewport", ["float32"], [[2]], "Width and height of the image, in pixels.", ["gaussian-generator"], false, false, [])], ["pose", new Role$roles("pose", ["float32"], [["J", 3], ["J", 4]], "Joint rotations, axis-angle [J,3] in radians or quaternions (w,x,y,z) [J,4].", ["gaussian-generator"], false, false, ["smpl-axis-angle", "axis-angle", "quaternion-wxyz", "flame", "mano"])], ["shape", new Role$roles("shape", ["float32"], [["B"]], "Body shape coefficients.", ["gaussian-generator"], false, true, ["flame", "mano", "smplx-10"])], ["root_translation", new Role$roles("root_translation", ["float32"], [[3]], "Translation of the root, in local units.", ["gaussian-generator"], false, false, [])], ["root_rotation", new Role$roles("root_rotation", ["float32"], [[3], [3, 3]], "Rotation of the root, axis-angle [3] in radians or matrix [3,3].", ["gaussian-generator"], false, false, ["axis-angle", "matrix"])], ["expression", new Role$roles("expression", ["float32"], [["E"]], "Expression coefficients.", ["gaussian-generator"], false, true, ["flame", "arkit-52", "smplx-10"])], ["appearance_id", new Role$roles("appearance_id", ["int32"], [[1]], "Appearance.", ["gaussian-generator"], true, true, [])], ["audio", new Role$roles("audio", ["float32"], [["S"], ["W", "M"]], "Sound: S samples in [−1, 1], or W columns of M mel energies; newest last.", ["gaussian-generator"], false, false, ["samples", "mel"])], ["condition", new Role$roles("condition", ["float32"], [["*"]], "Numbers that another model computes, such as a text or an identity code.", ["gaussian-generator"], false, true, [])], ["control", new Role$roles("control", ["float32"], [["*"]], "A named slider.", ["gaussian-generator", "post-process"], false, true, [])], ["image", new Role$roles("image", ["float32", "float16"], [[1, 3, "H", "W"], [1, 4, "H", "W"]], "The rendered image, channels first.", ["post-process"], false, false, [])], ["timestep", new Role$roles("timestep", ["int32", "float32"], [[1]], "Diffusion timestep.", ["post-process"], false, true, [])], ["conditioning", new Role$roles("conditioning", ["float32", "float16"], [[1, "L", "D"], [1, "D"]], "Conditioning vectors, such as a text embedding.", ["post-process"], false, false, [])], ["camera_history", new Role$roles("camera_history", ["float32"], [["T", "S"]], "Past camera states, oldest first.", ["trajectory-predictor"], false, false, [])]]);
 const UPGRADES$4 = py.dict([[[1, 1], released$upgrades], [[1, 2], released$upgrades]]);
-const REGISTERED$5 = py.dict([]);
+const REGISTERED_EXTENSIONS$5 = py.dict([]);
 const PROFILES$6 = py.dict([["portable-1", new OperatorProfile$reader_needs("portable-1", [13, 20], py.set(["Abs", "Acos", "Acosh", "Add", "And", "ArgMax", "ArgMin", "Asin", "Asinh", "Atan", "Atanh", "AveragePool", "BatchNormalization", "Cast", "CastLike", "Ceil", "Clip", "Concat", "Constant", "Conv", "ConvTranspose", "Cos", "Cosh", "CumSum", "DepthToSpace", "DequantizeLinear", "Div", "Einsum", "Elu", "Equal", "Erf", "Exp", "Expand", "Flatten", "Floor", "Gather", "GatherElements", "GatherND", "Gemm", "GlobalAveragePool", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "Identity", "InstanceNormalization", "LayerNormalization", "LeakyRelu", "Less", "LessOrEqual", "Log", "LogSoftmax", "LpNormalization", "MatMul", "Max", "MaxPool", "Min", "Mul", "Neg", "Not", "PRelu", "Pad", "Pow", "Reciprocal", "ReduceL1", "ReduceL2", "ReduceLogSumExp", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Relu", "Reshape", "Resize", "ScatterElements", "ScatterND", "Shape", "Sigmoid", "Sin", "Sinh", "Slice", "Softmax", "Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Tan", "Tanh", "ThresholdedRelu", "Tile", "TopK", "Transpose", "Trilu", "Unsqueeze", "Where"]), "What ONNX Runtime's WebGPU providers capture in float32; no control flow.")]]);
 const MAIN_DOMAIN$7 = ["", "ai.onnx"];
 const _SHAPE_RULES$8 = ["view", "projection", "time"];
-const _SQUARE$9 = [[4, 4], [3, 3]];
+const _SQUARE_SHAPES$9 = [[4, 4], [3, 3]];
 const JOINTS$10 = py.dict([["smpl-axis-angle", [24, 55]]]);
 const CONVENTION_SHAPES$11 = py.dict([[["pose", "flame"], [5, 3]], [["pose", "mano"], [16, 3]], [["shape", "flame"], ["B"]], [["shape", "mano"], [10]], [["shape", "smplx-10"], [10]], [["expression", "flame"], ["E"]], [["expression", "arkit-52"], [52]], [["expression", "smplx-10"], [10]], [["audio", "samples"], ["S"]], [["audio", "mel"], ["W", "M"]]]);
 const _USER_ROLES$12 = ["pose", "shape", "expression", "root_translation", "root_rotation", "appearance_id", "control", "timestep", "conditioning", "audio", "condition"];
-const _TIMED$13 = ["time", "frame_index"];
+const _TIME_ROLES$13 = ["time", "frame_index"];
 const ROTATION_ROLES$14 = ["pose", "root_rotation"];
 const _SOUND$15 = ["rate", "window", "hop"];
-const MEANINGS$16 = py.dict([[7, "x y z, opacity and three scales without a rotation"], [11, "x y z, opacity, three scales and a quaternion"], [13, "x y z, opacity and the full matrix of nine covariances"], [14, "x y z, colour, opacity, three log scales and a quaternion of a PLY"], [59, "x y z, SH, opacity, three log scales and a quaternion of a PLY"], [62, "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY"]]);
+const COLUMN_MEANINGS$16 = py.dict([[7, "x y z, opacity and three scales without a rotation"], [11, "x y z, opacity, three scales and a quaternion"], [13, "x y z, opacity and the full matrix of nine covariances"], [14, "x y z, colour, opacity, three log scales and a quaternion of a PLY"], [59, "x y z, SH, opacity, three log scales and a quaternion of a PLY"], [62, "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY"]]);
 const APPEARANCE_CHANNELS$17 = py.dict([["sh", [3, 12, 27, 48]], ["rgb", [3, 4]]]);
 const _COLOR_WORDS$18 = ["color", "sh", "rgb"];
 const _COLOR_CHANNELS$19 = [3, 4, 12, 27, 48];
 const STATE_SIZES$20 = py.dict([["position+quaternion-wxyz", 7], ["position+axis-angle", 6]]);
 const CONTROL_FLOW$21 = py.set(["If", "Loop", "Scan"]);
 const RANDOM_OPERATORS$22 = py.set(["Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"]);
-const VIEWS$23 = py.set(["Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"]);
+const VIEW_OPERATORS$23 = py.set(["Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"]);
 const VARIADIC$24 = py.set(["Max", "Min"]);
-const _SCATTERS$25 = py.set(["ScatterElements", "ScatterND"]);
-const _BITS$26 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
-const _OF_SHAPES$27 = py.set(["Shape", "Size"]);
-const SIZED_BY_DATA$28 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
+const _SCATTER_OPERATORS$25 = py.set(["ScatterElements", "ScatterND"]);
+const _DTYPE_BITS$26 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
+const _SHAPE_OPERATORS$27 = py.set(["Shape", "Size"]);
+const DATA_SIZED_OPERATORS$28 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
 const _INPUT_NAMES$29 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
 const _GAUSSIAN_NAMES$30 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
 const _COLOR_NAMES$31 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
 const COEFFICIENTS$32 = [1, 4, 9, 16];
 const _COUNT_NAMES$33 = ["num_points", "count", "num_gaussians", "n_points"];
 const CURRENT$34 = [1, 0];
-const _NOTES$35 = ["$schema", "$defs", "title", "description", "default", "examples"];
-const _TYPES$36 = py.dict([["gaussian-generator", GeneratorManifest$manifest], ["post-process", PostProcessManifest$manifest], ["trajectory-predictor", TrajectoryManifest$manifest]]);
+const _ANNOTATION_KEYWORDS$35 = ["$schema", "$defs", "title", "description", "default", "examples"];
+const _MANIFEST_TYPES$36 = py.dict([["gaussian-generator", GeneratorManifest$manifest], ["post-process", PostProcessManifest$manifest], ["trajectory-predictor", TrajectoryManifest$manifest]]);
 const _DTYPES$37 = py.dict([[0, null], [1, "float32"], [2, "uint8"], [3, "int8"], [4, "uint16"], [5, "int16"], [6, "int32"], [7, "int64"], [8, "string"], [9, "bool"], [10, "float16"], [11, "float64"], [12, "uint32"], [13, "uint64"], [14, "complex64"], [15, "complex128"], [16, "bfloat16"], [17, "float8e4m3fn"], [18, "float8e4m3fnuz"], [19, "float8e5m2"], [20, "float8e5m2fnuz"], [21, "uint4"], [22, "int4"], [23, "float4e2m1"], [24, "float8e8m0"], [25, "uint2"], [26, "int2"], [27, "float6e2m3"], [28, "float6e3m2"]]);
 /** @type {any} */
 export const RULES = [

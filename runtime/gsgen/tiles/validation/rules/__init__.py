@@ -63,4 +63,4 @@ RULES = (
 def all_rules() -> Registry:
     """Return all installed rules: those of models, and those of tilesets."""
     models = installed_rules()
-    return Registry.of([*models.rules.values(), *RULES], models.backends.values())
+    return Registry.from_rules([*models.rules.values(), *RULES], models.backends.values())
