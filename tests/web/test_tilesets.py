@@ -67,7 +67,7 @@ def expected_sets(folder: Path, camera: Camera) -> dict[str, list[SplatSet]]:
     tree = TileTree.of_tileset(tileset, store)
     cut = cut_tree(tree, Frustum.from_camera(camera, tileset.transform), MAX_ERROR)
     sets = {}
-    for row in np.flatnonzero(cut.wanted):
+    for row in np.flatnonzero(cut.selected):
         for content in tree.tiles[row].contents:
             container = open_content((folder / content.uri).read_bytes(), content.uri)
             frame = tileset.transform @ tree.tiles[row].transform @ Z_UP_FROM_Y_UP

@@ -28,7 +28,7 @@ from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
-from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.progress import SilentProgress
 from gsgen.tiles.loading.leaves import read_tile_content
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose
@@ -87,7 +87,7 @@ class Ladder:
     def drawn(self, camera: Camera, max_error: float) -> list[int]:
         """Rows of the tree that a camera draws; tiles without content have none."""
         cut = cut_tree(self.tree, Frustum.from_camera(camera), max_error)
-        shown = cut.wanted | (cut.seen & self.tree.adds)
+        shown = cut.selected | (cut.seen & self.tree.is_additive)
         return [int(row) for row in np.flatnonzero(shown) if self.tree.tiles[row].contents]
 
     def picture(self, renderer: Renderer, camera: Camera, rows: list[int]) -> np.ndarray:
@@ -125,7 +125,11 @@ def bench_bytes_of_the_flight(tmp_path: Path) -> None:
     parameters = BuildParameters(leaf=LEAF, qualities=QUALITIES, transform=upright_transform())
     with open_engine("serial") as engine:
         build_tileset(
-            [tmp_path / "town.ply"], tmp_path / "town", parameters, engine=engine, progress=Silent()
+            [tmp_path / "town.ply"],
+            tmp_path / "town",
+            parameters,
+            engine=engine,
+            progress=SilentProgress(),
         )
     poses = read_path(tmp_path / "flight.csv")
     chosen = np.linspace(0, len(poses) - 1, FRAMES).round().astype(int)

@@ -38,13 +38,13 @@ def utility(
     """The worth of the drawn tiles, as a share of that of all wanted tiles at the finest file."""
     reach = np.linalg.norm(tree.half_axes, axis=(1, 2))
     distance = np.linalg.norm(tree.center - eye, axis=1)
-    area = np.where(cut.wanted, np.minimum(reach / np.maximum(distance, 1e-9), 1) ** 2, 0)
+    area = np.where(cut.selected, np.minimum(reach / np.maximum(distance, 1e-9), 1) ** 2, 0)
     ideal_area = area.copy()
     for row in range(len(tree) - 1, 0, -1):  # a coarse tile covers what the tiles below it cover
         area[tree.parent[row]] += area[row]
     density = 1 / (1 + np.where(tree.is_leaf, 0, cut.error) / _HALF_WORTH)
-    shown = (area * density * ladder.worth[held_levels])[drawn].sum()
-    return float(shown / (ideal_area * density)[cut.wanted].sum() / ladder.worth[0])
+    shown = (area * density * ladder.quality_scores[held_levels])[drawn].sum()
+    return float(shown / (ideal_area * density)[cut.selected].sum() / ladder.quality_scores[0])
 
 
 def stream(
@@ -58,7 +58,7 @@ def stream(
     view = ViewSettings(width=640, height=360)
     held_levels, in_flight = np.full(len(tree), -1), {}
     utilities, hole_count = [], 0
-    first_quality = 0 if order == "finest files" else len(ladder.worth) - 1
+    first_quality = 0 if order == "finest files" else len(ladder.quality_scores) - 1
 
     def request(cut: Cut, drawn: np.ndarray, eye: np.ndarray) -> None:
         loaded = held_levels >= 0
@@ -84,7 +84,7 @@ def stream(
             if cut is not None:
                 request(cut, drawn, pose.position)
         cut = cut_tree(tree, view.frustum(pose.position, pose.quaternion), 8.0)
-        if not cut.wanted.any():
+        if not cut.selected.any():
             continue
         drawn = drawable_tiles(tree, cut, held_levels >= 0)
         covered = drawn.copy()
@@ -93,7 +93,7 @@ def stream(
         good_share = drawn.copy()
         for row in range(len(tree) - 1, 0, -1):
             good_share[tree.parent[row]] |= good_share[row]
-        hole_count += bool((cut.wanted & ~covered & ~good_share).any())
+        hole_count += bool((cut.selected & ~covered & ~good_share).any())
         utilities.append(utility(tree, ladder, cut, held_levels, drawn, pose.position))
         request(cut, drawn, pose.position)
     return utilities, hole_count
@@ -102,7 +102,9 @@ def stream(
 def bench_request_order(tmp_path: Path) -> None:
     tree = TileTree.of_tileset(open_tileset(write_town(tmp_path)))
     sizes = tree.size[:, None] * _SHARES
-    ladder = QualityLadder(tiles=(), size=sizes, worth=np.array([SSIM[q] for q in (0, 2, 4)]))
+    ladder = QualityLadder(
+        tiles=(), size=sizes, quality_scores=np.array([SSIM[q] for q in (0, 2, 4)])
+    )
     print(f"\n{len(tree)} tiles: mean utility, frames below {_GOOD}, frames with holes")
     mean_worths = {}
     for order in ORDERS:

@@ -33,7 +33,7 @@ from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
-from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.progress import SilentProgress
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.loading.leaves import read_leaves
 from support.measures import print_figure
@@ -182,7 +182,7 @@ def bench_stored_leaves(renderer: Renderer, tmp_path: Path) -> None:
             tmp_path / "tiles",
             parameters,
             engine=engine,
-            progress=Silent(),
+            progress=SilentProgress(),
         )
     print_figure("all leaves                          splats   bytes     near  middle far")
     for quality in parameters.qualities:

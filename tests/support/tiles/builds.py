@@ -6,7 +6,7 @@ from gsgen.tiles.build.build import BuildReport, build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
-from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.progress import SilentProgress
 
 SMALL = BuildParameters(leaf=700, transform=upright_transform())
 PARTITION = 4000
@@ -27,7 +27,7 @@ def build(
             output,
             parameters,
             engine=running,
-            progress=Silent(),
+            progress=SilentProgress(),
             chunk_bytes=CHUNK,
             partition=PARTITION,
             **options,

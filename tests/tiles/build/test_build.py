@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from gsgen.formats import write_ply
-from gsgen.tiles.build.build import WORK, build_tileset
+from gsgen.tiles.build.build import WORK_FOLDER, build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
-from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.progress import SilentProgress
 from gsgen.tiles.format.volumes import Box
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
@@ -96,7 +96,7 @@ def test_build_record_has_source_count_and_digests(town):
     actual = digests(town)
     actual.pop("gsgen.tiles.json")
     assert actual == {name: entry["sha256"] for name, entry in record["files"].items()}
-    assert not (town / WORK).exists()
+    assert not (town / WORK_FOLDER).exists()
 
 
 @pytest.mark.parametrize("engine", ["processes", "dask"])
@@ -111,7 +111,12 @@ def test_every_engine_gives_the_same_bytes(scene, town, tmp_path, engine):
 def test_chunks_and_partitions_change_no_byte(scene, town, tmp_path, partition):
     with open_engine("serial") as engine:
         build_tileset(
-            [scene], tmp_path / "a", SMALL, engine=engine, progress=Silent(), partition=partition
+            [scene],
+            tmp_path / "a",
+            SMALL,
+            engine=engine,
+            progress=SilentProgress(),
+            partition=partition,
         )
     assert digests(tmp_path / "a") == digests(town)
 
@@ -127,7 +132,7 @@ class Stop(Exception):
     """Stops a build in the middle."""
 
 
-class Stopper(Silent):
+class Stopper(SilentProgress):
     """Stops after so many tasks."""
 
     def __init__(self, tasks: int) -> None:
@@ -156,7 +161,7 @@ def test_a_stopped_build_goes_on_and_gives_the_same_bytes(scene, town, tmp_path)
                 )
         except Stop:
             stops += 1
-            assert (output / WORK).is_dir()
+            assert (output / WORK_FOLDER).is_dir()
             assert not (output / "gsgen.tiles.json").exists()
             (output / "t").mkdir(exist_ok=True)
             (output / "t" / ".x.glb.00ff.part").write_bytes(b"of a killed worker")
@@ -208,7 +213,7 @@ def _wait_for(folder: Path, pattern: str, count: int, process: "subprocess.Popen
 @pytest.mark.parametrize("engine", ["serial", "processes"])
 def test_a_build_that_was_killed_goes_on(scene, town, tmp_path, engine):
     with _started(tmp_path, scene, engine) as process:
-        _wait_for(tmp_path / "tiles", f"{WORK}/*/tiles/*.json", 3, process)
+        _wait_for(tmp_path / "tiles", f"{WORK_FOLDER}/*/tiles/*.json", 3, process)
         process.kill()
     assert not (tmp_path / "tiles" / "gsgen.tiles.json").exists()
     build([scene], tmp_path / "tiles")
@@ -221,7 +226,7 @@ def test_a_killed_worker_changes_no_byte(scene, town, tmp_path, engine):
     if engine == "dask":
         pytest.importorskip("distributed")
     with _started(tmp_path, scene, engine) as process:
-        _wait_for(tmp_path / "tiles", f"{WORK}/*/tiles/*.json", 2, process)
+        _wait_for(tmp_path / "tiles", f"{WORK_FOLDER}/*/tiles/*.json", 2, process)
         killed = 0
         for child in _children(process.pid):
             command = Path(f"/proc/{child}/cmdline").read_bytes()
@@ -255,7 +260,7 @@ def test_another_build_replaces_the_first_and_leaves_no_stale_file(scene, town, 
 
 
 def test_fresh_build_ignores_earlier_work(scene, town, tmp_path):
-    (tmp_path / "tiles" / WORK / "old").mkdir(parents=True)
+    (tmp_path / "tiles" / WORK_FOLDER / "old").mkdir(parents=True)
     report = build([scene], tmp_path / "tiles", fresh=True)
     assert not report.up_to_date
     assert not build([scene], tmp_path / "tiles", fresh=True).up_to_date

@@ -12,7 +12,7 @@ from gsgen.formats import PointCloud, Splats, write_glb, write_ply, write_spz
 from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
-from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.progress import SilentProgress
 from gsgen.tiles.build.scan import scan_chunk
 from gsgen.tiles.build.source import Chunk, open_scenes
 from gsgen.tiles.loading.leaves import read_leaves
@@ -91,7 +91,7 @@ def test_rows_that_cannot_be_drawn_are_left_out_and_reported(tmp_path):
     _write_unchecked(tmp_path / "bad.ply", splats)
     notes: list[str] = []
 
-    class Notes(Silent):
+    class Notes(SilentProgress):
         def note(self, message: str) -> None:
             notes.append(message)
 
@@ -120,7 +120,7 @@ def test_scales_beyond_the_codec_are_reported(tmp_path):
     for codec, expected in (("spz", 1), ("khr", 0)):
         notes: list[str] = []
 
-        class Notes(Silent):
+        class Notes(SilentProgress):
             def note(self, message: str, notes: list[str] = notes) -> None:
                 notes.append(message)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gsgen.formats import write_ply
-from gsgen.tiles.build.build import WORK
+from gsgen.tiles.build.build import WORK_FOLDER
 from support.tiles.tile_scenes import digests, scattered
 
 
@@ -73,7 +73,7 @@ def test_ctrl_c_leaves_a_folder_that_goes_on(scene, tmp_path):
     assert running.returncode == 130
     assert "the same command goes on" in message
     assert "Traceback" not in message
-    assert (tmp_path / "tiles" / WORK).is_dir()
+    assert (tmp_path / "tiles" / WORK_FOLDER).is_dir()
     completed = gsgen(*words)
     assert completed.returncode == 0, completed.stderr
     assert gsgen(*words[:1], "-o", tmp_path / "other", *words[3:]).returncode == 0

@@ -9,7 +9,7 @@ from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.plan import (
     coordinates_of,
     depth_of,
-    group_small,
+    group_small_octants,
     make_partitions,
     partition_of,
 )
@@ -52,23 +52,23 @@ def test_every_splat_is_in_one_partition(seed, leaf):
         np.bincount(partition_index, minlength=len(partitions)), [part.count for part in partitions]
     )
     for part in partitions:
-        assert part.above in (*top_level, 0)
+        assert part.parent_cell in (*top_level, 0)
         divisible = depth_of(part.locations[0]) < depth
-        assert part.count <= limit or part.anchored or not divisible
+        assert part.count <= limit or part.is_anchored or not divisible
         if len(part.locations) > 1:
             assert part.count <= leaf
         for row in np.flatnonzero(partition_index == part.index)[:20].tolist():
             code, anchor = int(codes[row]), int(anchors[row])
             level = depth_of(part.locations[0])
             assert location_oracle(code, 99, level) in part.locations
-            assert anchor == level if part.anchored else anchor >= level
+            assert anchor == level if part.is_anchored else anchor >= level
     assert [depth_of(cell) for cell in top_level] == sorted(map(depth_of, top_level), reverse=True)
 
 
 def test_small_neighbours_are_grouped_and_large_ones_are_alone():
-    assert group_small([20, 1, 90, 5, 5, 200, 3], 100) == [[0, 1], [2, 3, 4], [5], [6]]
-    assert group_small([20, 1], 0) == [[0], [1]]
-    assert group_small([], 10) == []
+    assert group_small_octants([20, 1, 90, 5, 5, 200, 3], 100) == [[0, 1], [2, 3, 4], [5], [6]]
+    assert group_small_octants([20, 1], 0) == [[0], [1]]
+    assert group_small_octants([], 10) == []
 
 
 def test_large_splats_are_anchored_where_tiles_are_twice_their_reach():

@@ -53,7 +53,7 @@ def test_no_box_with_a_visible_point_is_culled(kind: str) -> None:
         shares = rng.uniform(-1, 1, (50, 200, 3))
         points = center[:, None] + np.einsum("nki,nij->nkj", shares, half)
         visible = inside(camera, points.reshape(-1, 3)).reshape(50, 200).any(axis=1)
-        is_met = Frustum.from_camera(camera).meets(center, half)
+        is_met = Frustum.from_camera(camera).intersects(center, half)
         assert not (visible & ~is_met).any()
         kept_count += is_met.sum()
         actual += visible.sum()
@@ -67,7 +67,7 @@ def test_a_box_behind_is_culled_and_one_around_the_camera_is_seen() -> None:
     frustum = Frustum.from_camera(camera)
     center = np.array([[0, 0, -3.0], [0, 0, 0], [0, 0, 3.0]])
     half = np.stack([np.eye(3)] * 3)
-    assert frustum.meets(center, half).tolist() == [False, True, True]
+    assert frustum.intersects(center, half).tolist() == [False, True, True]
     np.testing.assert_allclose(frustum.distances(center, half), [2, 0, 2])
     pixels = frustum.screen_space_error(np.array([1.0, 1.0, 0.0]), np.array([2.0, 0.0, 0.0]))
     height = camera.height / (2 * 2 * np.tan(np.radians(25)))
@@ -108,7 +108,7 @@ def test_a_placement_moves_the_camera_into_the_root_frame(kind: str) -> None:
     world = Frustum.from_camera(camera)
     moved = center @ placement[:3, :3].T + placement[:3, 3]
     turned = half @ placement[:3, :3].T
-    np.testing.assert_array_equal(placed.meets(center, half), world.meets(moved, turned))
+    np.testing.assert_array_equal(placed.intersects(center, half), world.intersects(moved, turned))
     distance = placed.distances(center, half)
     np.testing.assert_allclose(distance * 2.5, world.distances(moved, turned), atol=1e-9)
     error = rng.uniform(0, 1, 400)
@@ -169,7 +169,7 @@ def test_a_cut_is_that_of_a_walk_from_the_root() -> None:
         def walk(tile: Tile, frustum=frustum, actual=actual, expected=expected) -> None:
             row = index[id(tile)]
             box = tile.volume
-            if not frustum.meets(box.center[None], box.half_axes[None])[0]:
+            if not frustum.intersects(box.center[None], box.half_axes[None])[0]:
                 return
             actual.append(row)
             axis_distance = np.maximum(np.abs(frustum.eye - box.center) - np.diag(box.half_axes), 0)
@@ -184,7 +184,7 @@ def test_a_cut_is_that_of_a_walk_from_the_root() -> None:
         walk(tree.tiles[0])
         cut = cut_tree(tree, frustum, 16.0)
         assert np.flatnonzero(cut.seen).tolist() == sorted(actual)
-        assert np.flatnonzero(cut.wanted).tolist() == sorted(expected)
+        assert np.flatnonzero(cut.selected).tolist() == sorted(expected)
         order = request_order(tree, cut).tolist()
         key = {row: (tree.level[row], -cut.error[row], row) for row in actual}
         assert order == sorted(actual, key=key.get)

@@ -49,12 +49,12 @@ def tree_of(parents: Sequence[int], distances: Sequence[float] | None = None) ->
 
 
 def ladder_of(sizes: Sequence[Sequence[float]], worth: Sequence[float]) -> QualityLadder:
-    return QualityLadder(tiles=(), size=np.array(sizes, np.float64), worth=np.array(worth))
+    return QualityLadder(tiles=(), size=np.array(sizes, np.float64), quality_scores=np.array(worth))
 
 
 def cut_of(visible_mask: Sequence[bool], error: Sequence[float]) -> Cut:
     mask = np.array(visible_mask)
-    return Cut(seen=mask, wanted=mask, error=np.array(error))
+    return Cut(seen=mask, selected=mask, error=np.array(error))
 
 
 #      0

@@ -43,7 +43,7 @@ def test_the_ladder_names_the_files_of_each_quality(town: Path) -> None:
     tileset = load_tileset(store, "tileset.json")
     ladder = load_ladder(store, "tileset.json", tileset)
     assert ladder is not None
-    assert (np.diff(ladder.worth) < 0).all()
+    assert (np.diff(ladder.quality_scores) < 0).all()
     for quality, tiles in enumerate(ladder.tiles):
         for row, tile in enumerate(tiles):
             assert store.size(tile.contents[0].uri) == ladder.size[row, quality]
@@ -59,7 +59,7 @@ def test_no_file_is_finer_than_the_index_that_was_opened(
     store, index = FolderStore(town), f"tileset-q{quality}.json"
     tileset = load_tileset(store, index)
     ladder = load_ladder(store, index, tileset)
-    assert (0 if ladder is None else len(ladder.worth)) == steps
+    assert (0 if ladder is None else len(ladder.quality_scores)) == steps
     if ladder:
         assert ladder.tiles[0][0].contents[0].uri == tileset.root.contents[0].uri
 

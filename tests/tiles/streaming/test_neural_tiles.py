@@ -339,7 +339,7 @@ def test_budgets_hold_while_a_camera_passes_many_tiles(tmp_path: Path) -> None:
         assert len(neural.open_tiles) <= sessions
         assert {tile for tile, is_run in shown.items() if is_run} <= set(neural.open_tiles)
         opened.update(neural.open_tiles)
-        return frame.missing == 0 and not neural.unsettled
+        return frame.missing == 0 and not neural.pending_tiles
 
     for step in range(steps):
         middle = SPACING * (count - 1) * (step / (steps - 1))
@@ -347,7 +347,7 @@ def test_budgets_hold_while_a_camera_passes_many_tiles(tmp_path: Path) -> None:
         time, deadline = rng.uniform(), monotonic() + HANGS_AFTER
         is_settled = draw_frame(camera, time)
         while not is_settled and step % 8 == 7:
-            assert monotonic() < deadline, f"step {step} waits for tiles {neural.unsettled}"
+            assert monotonic() < deadline, f"step {step} waits for tiles {neural.pending_tiles}"
             session.wait(0.01)
             neural.wait(0.1)
             is_settled = draw_frame(camera, time)

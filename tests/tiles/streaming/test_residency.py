@@ -88,15 +88,15 @@ def drawn_by_a_walk(tree: TileTree, cut: Cut, resident: np.ndarray) -> set[int]:
         return [child for child in children[row] if cut.seen[child]]
 
     def shown(row: int) -> bool:
-        replaced = not cut.wanted[row] and below(row) and not tree.adds[row]
+        replaced = not cut.selected[row] and below(row) and not tree.is_additive[row]
         return bool(resident[row]) or bool(replaced and all(map(shown, below(row))))
 
     def draw(row: int) -> set[int]:
         here = {row} if resident[row] else set()
-        if cut.wanted[row]:
+        if cut.selected[row]:
             return here
         parts = set().union(*(draw(child) for child in below(row)))
-        if tree.adds[row]:
+        if tree.is_additive[row]:
             return here | parts
         if below(row) and all(map(shown, below(row))):
             return parts
@@ -112,9 +112,9 @@ def test_drawable_tiles_equal_those_of_a_recursive_walk(tree: TileTree) -> None:
         resident = rng.uniform(size=len(tree)) < rng.choice([0.3, 0.7, 0.95, 1.0])
         drawn = drawable_tiles(tree, cut, resident)
         assert set(np.flatnonzero(drawn).tolist()) == drawn_by_a_walk(tree, cut, resident)
-        if resident[cut.wanted].all():
+        if resident[cut.selected].all():
             descendants = np.bincount(tree.parent[1:][cut.seen[1:]], minlength=len(tree))
-            shown = cut.wanted | (cut.seen & (descendants == 0) & resident)
+            shown = cut.selected | (cut.seen & (descendants == 0) & resident)
             np.testing.assert_array_equal(drawn, shown)
 
 

@@ -127,7 +127,7 @@ def fly(source: str | Path, options: SessionOptions = OPTIONS, frames: int = 40)
 def test_a_complete_cut_is_the_wanted_tiles(town: Path) -> None:
     session, last, lines = fly(town)
     cut = cut_tree(session.tree, cameras(40)[-1], 4.0)
-    assert [entry.tile for entry in last.drawn] == np.flatnonzero(cut.wanted).tolist()
+    assert [entry.tile for entry in last.drawn] == np.flatnonzero(cut.selected).tolist()
     assert all(entry.fade == 1 for entry in last.drawn)
     assert len(last.drawn) > 5
     assert session.metrics.hole_frames < 40
@@ -347,7 +347,7 @@ def test_a_dead_tile_leaves_its_parent_drawn(town: Path) -> None:
     cut = cut_tree(session.tree, path[-1], 4.0)
     victim = next(
         int(row)
-        for row in np.flatnonzero(cut.wanted)
+        for row in np.flatnonzero(cut.selected)
         if cut.seen[session.tree.parent[row]] and session.tree.level[row] > 1
     )
     uri = session.tree.tiles[victim].contents[0].uri

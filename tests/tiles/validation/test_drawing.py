@@ -13,7 +13,7 @@ from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
-from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.build.progress import SilentProgress
 from gsgen.tiles.gltf.placement import PlacedSplats
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
@@ -52,7 +52,11 @@ def knot_tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parameters = BuildParameters(leaf=600, transform=upright_transform())
     with open_engine("serial") as engine:
         build_tileset(
-            [folder / "knot.ply"], folder / "tiles", parameters, engine=engine, progress=Silent()
+            [folder / "knot.ply"],
+            folder / "tiles",
+            parameters,
+            engine=engine,
+            progress=SilentProgress(),
         )
     return folder / "tiles"
 

@@ -42,23 +42,23 @@ from gsgen.tiles.build.tasks import (
     ScanTask,
     run_bin,
     run_count,
+    run_parent_cell,
     run_partition,
     run_scan,
-    run_top,
 )
 from gsgen.tiles.format.index import BUILD_RECORD
 from gsgen.tiles.format.json_values import JsonDict
 
-WORK: Final = ".gsgen-build"
+WORK_FOLDER: Final = ".gsgen-build"
 """Folder in the output that holds spills and markers until the build is done."""
 
-PARTITION: Final = 500_000
+PARTITION_SPLATS: Final = 500_000
 """Splats that one task sorts and builds: enough to keep workers busy, few enough for many."""
 
 _PARTITION_BYTES: Final = 256 << 20
 _SPZ_LOG_SCALE: Final = 255 / 16 - 10
 _FIRST_DEPTH: Final = 7
-_DEEPER: Final = 5
+_DEPTH_STEP: Final = 5
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
@@ -90,7 +90,7 @@ class BuildReport:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
+class _BuildRun:
     """The engine, which runs tasks, and the progress display of all phases of a tileset build."""
 
     engine: Engine
@@ -122,7 +122,7 @@ def build_tileset(
     generators: Sequence[Generator] = (),
     fresh: bool = False,
     chunk_bytes: int = CHUNK_BYTES,
-    partition: int = PARTITION,
+    partition: int = PARTITION_SPLATS,
 ) -> BuildReport:
     """Build one tileset from scene files, in an output folder.
 
@@ -150,14 +150,14 @@ def build_tileset(
     chunks = chunks_of(files, chunk_bytes)
     division = (chunk_bytes, partition)
     work = _prepare(output, files, parameters, division, fresh=fresh)
-    run = _Run(engine=engine, progress=progress)
+    run = _BuildRun(engine=engine, progress=progress)
     # 1. Scan: boxes, counts, digests.
     total = sum(chunk.count for chunk in chunks)
     tasks = [ScanTask(chunk=chunk, work=str(work)) for chunk in chunks]
     facts = run.phase("scan", total, run_scan, tasks)
-    skipped = _note_skipped(facts, chunks, progress)
+    skipped = _report_skipped_splats(facts, chunks, progress)
     if parameters.codec == "spz":
-        _note_large(facts, progress)
+        _report_large_splats(facts, progress)
     splats = total - skipped
     if splats == 0:
         raise InputUnreadable(
@@ -168,7 +168,7 @@ def build_tileset(
     key = parameters.key([*_content_digests(facts, chunks), *models])
     record = None if fresh else is_complete(output, key)
     if record is not None:
-        shutil.rmtree(output / WORK, ignore_errors=True)
+        shutil.rmtree(output / WORK_FOLDER, ignore_errors=True)
         return _up_to_date(output, record, skipped)
     # 2. Plan: cells, partitions, top.
     plan_path = work / "plan.json"
@@ -183,7 +183,7 @@ def build_tileset(
     return _finish(plan, key, skipped, generators)
 
 
-def _write_tiles(run: _Run, path: str, rows: int) -> None:
+def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
     """Sort the splats by partition, then write the tiles of a saved build plan, leaves first."""
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
@@ -200,7 +200,7 @@ def _write_tiles(run: _Run, path: str, rows: int) -> None:
     for depth in sorted({depth_of(cell) for cell in plan.top}, reverse=True):
         cells = [cell for cell in plan.top if depth_of(cell) == depth]
         items = [PlanTask(plan=path, item=cell) for cell in cells]
-        run.phase("top", 0, run_top, items)
+        run.phase("top", 0, run_parent_cell, items)
 
 
 def _finish(plan: Plan, key: str, skipped: int, generators: Sequence[Generator]) -> BuildReport:
@@ -208,7 +208,7 @@ def _finish(plan: Plan, key: str, skipped: int, generators: Sequence[Generator])
     (root,) = load_built(plan)
     files = write_index(plan, root, key, generators)
     remove_stale(output, files)
-    shutil.rmtree(output / WORK)
+    shutil.rmtree(output / WORK_FOLDER)
     sweep(output)
     return BuildReport(
         output=str(output),
@@ -241,7 +241,7 @@ def _require_output(output: Path) -> None:
         raise ConfigInvalid("is a file; expected a folder", where=str(output))
     if not output.is_dir():
         return
-    build_files = {BUILD_RECORD, WORK} & {path.name for path in output.iterdir()}
+    build_files = {BUILD_RECORD, WORK_FOLDER} & {path.name for path in output.iterdir()}
     if not build_files and any(output.iterdir()):
         raise ConfigInvalid(
             "the folder holds files that no build wrote; expected a new or empty folder",
@@ -267,11 +267,11 @@ def _prepare(
     }
     text = json.dumps(content, sort_keys=True)
     name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    folder = output / WORK
+    folder = output / WORK_FOLDER
     try:
-        for leftover in folder.glob("*"):
-            if fresh or leftover.name != name:
-                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+        for stale_file in folder.glob("*"):
+            if fresh or stale_file.name != name:
+                shutil.rmtree(stale_file) if stale_file.is_dir() else stale_file.unlink()
         (folder / name).mkdir(parents=True, exist_ok=True)
         sweep(output)
     except OSError as error:
@@ -281,22 +281,24 @@ def _prepare(
     return folder / name
 
 
-def _note_skipped(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk], progress: Progress) -> int:
+def _report_skipped_splats(
+    facts: Sequence[ChunkFacts], chunks: Sequence[Chunk], progress: Progress
+) -> int:
     skipped: dict[str, list[ChunkFacts]] = {}
-    for chunk, fact in zip(chunks, facts, strict=True):
-        if fact.skipped:
-            skipped.setdefault(chunk.file.path, []).append(fact)
+    for chunk, chunk_facts in zip(chunks, facts, strict=True):
+        if chunk_facts.skipped:
+            skipped.setdefault(chunk.file.path, []).append(chunk_facts)
     for path, parts in skipped.items():
-        count = sum(fact.skipped for fact in parts)
+        count = sum(chunk_facts.skipped for chunk_facts in parts)
         first = parts[0].first_skipped
         progress.note(
             f"{path}: {count:,} rows are not finite and are left out; the first is row {first}"
         )
-    return sum(fact.skipped for fact in facts)
+    return sum(chunk_facts.skipped for chunk_facts in facts)
 
 
-def _note_large(facts: Sequence[ChunkFacts], progress: Progress) -> None:
-    largest = max(fact.largest for fact in facts)
+def _report_large_splats(facts: Sequence[ChunkFacts], progress: Progress) -> None:
+    largest = max(chunk_facts.largest for chunk_facts in facts)
     if largest > _SPZ_LOG_SCALE:
         progress.note(
             f"the largest splat has a standard deviation of {math.exp(largest):.6g} units, and "
@@ -307,15 +309,15 @@ def _note_large(facts: Sequence[ChunkFacts], progress: Progress) -> None:
 def _content_digests(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk]) -> list[str]:
     """Return digests of the scenes' splats that do not depend on file paths."""
     names: list[str] = []
-    for chunk, fact in zip(chunks, facts, strict=True):
+    for chunk, chunk_facts in zip(chunks, facts, strict=True):
         if chunk.first == 0:
             names.append(f"file of {chunk.file.count} splats")
-        names += fact.digests
+        names += chunk_facts.digests
     return names
 
 
 def _plan(
-    run: _Run,
+    run: _BuildRun,
     files: Sequence[SceneFile],
     chunks: Sequence[Chunk],
     facts: Sequence[ChunkFacts],
@@ -324,14 +326,16 @@ def _plan(
     output: Path,
     work: Path,
 ) -> Plan:
-    filled = [fact for fact in facts if fact.count]
-    low = np.min([fact.low for fact in filled], axis=0)
-    cube = Cube.enclosing(low, np.max([fact.high for fact in filled], axis=0))
+    nonempty_facts = [chunk_facts for chunk_facts in facts if chunk_facts.count]
+    low = np.min([chunk_facts.low for chunk_facts in nonempty_facts], axis=0)
+    cube = Cube.enclosing(low, np.max([chunk_facts.high for chunk_facts in nonempty_facts], axis=0))
     degree = max(file.degree for file in files)
     limit = min(partition, _PARTITION_BYTES // row_dtype(degree).itemsize)
-    cells, counts = _count(run, chunks, cube, limit, work, anchored=not parameters.implicit)
-    grouped = 0 if parameters.implicit else parameters.leaf
-    partitions, top = make_partitions(cells, counts, max(limit, parameters.leaf), grouped)
+    cells, counts = _count(run, chunks, cube, limit, work, is_anchored=not parameters.implicit)
+    max_grouped_splats = 0 if parameters.implicit else parameters.leaf
+    partitions, top = make_partitions(
+        cells, counts, max(limit, parameters.leaf), max_grouped_splats
+    )
     return Plan(
         cube=cube,
         degree=degree,
@@ -348,7 +352,13 @@ def _plan(
 
 
 def _count(
-    run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
+    run: _BuildRun,
+    chunks: Sequence[Chunk],
+    cube: Cube,
+    limit: int,
+    work: Path,
+    *,
+    is_anchored: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Count the splats per octree cell; cells of more than ``limit`` splats are divided further.
 
@@ -356,16 +366,16 @@ def _count(
     nearly all others in one cell.
     """
     known: dict[int, int] = {}
-    depth, within, within_depth = _FIRST_DEPTH, None, 0
+    depth, parent_cells, parent_depth = _FIRST_DEPTH, None, 0
     while True:
         tasks = [
             CountTask(
                 chunk=chunk,
                 cube=cube,
                 depth=depth,
-                within=within,
-                within_depth=within_depth,
-                anchored=anchored,
+                parent_cells=parent_cells,
+                parent_depth=parent_depth,
+                is_anchored=is_anchored,
                 work=str(work),
             )
             for chunk in chunks
@@ -374,16 +384,18 @@ def _count(
         for cells, counts in run.phase("count", total, run_count, tasks):
             for cell, count in zip(cells.tolist(), counts.tolist(), strict=True):
                 known[cell] = known.get(cell, 0) + count
-        crowded = [
+        crowded_cells = [
             cell for cell, count in known.items() if count > limit and depth_of(cell) == depth
         ]
-        if not crowded or depth == DEPTH:
+        if not crowded_cells or depth == DEPTH:
             break
-        for cell in crowded:
+        for cell in crowded_cells:
             del known[cell]
-        within_depth = depth
-        within = np.array(sorted(cell - (1 << 3 * depth) for cell in crowded), np.uint64)
-        depth = min(DEPTH, depth + _DEEPER)
+        parent_depth = depth
+        parent_cells = np.array(
+            sorted(cell - (1 << 3 * depth) for cell in crowded_cells), np.uint64
+        )
+        depth = min(DEPTH, depth + _DEPTH_STEP)
     table = sorted(known.items())
     return (
         np.array([cell for cell, _ in table], np.uint64),

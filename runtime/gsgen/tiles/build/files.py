@@ -13,7 +13,7 @@ import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 
-PART: Final = ".part"
+PARTIAL_SUFFIX: Final = ".part"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -34,15 +34,15 @@ def write_json(path: Path, content: object) -> None:
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
     # Several workers may write one content-addressed file at once, so names are random.
-    part = path.parent / f".{path.name}.{secrets.token_hex(4)}{PART}"
+    partial_path = path.parent / f".{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with open(part, "xb") as file:
+            with open(partial_path, "xb") as file:
                 write(file)
-            os.replace(part, path)
+            os.replace(partial_path, path)
         finally:
-            part.unlink(missing_ok=True)
+            partial_path.unlink(missing_ok=True)
     except OSError as error:
         raise ConfigInvalid(
             f"cannot be written: {error.strerror or error}", where=str(path)
@@ -64,7 +64,7 @@ def read_json(path: Path) -> Any:
 
 def sweep(folder: Path) -> int:
     """Delete the temporary files of killed workers; return their number."""
-    parts = list(folder.rglob(f".*{PART}"))
-    for part in parts:
-        part.unlink(missing_ok=True)
+    parts = list(folder.rglob(f".*{PARTIAL_SUFFIX}"))
+    for partial_path in parts:
+        partial_path.unlink(missing_ok=True)
     return len(parts)

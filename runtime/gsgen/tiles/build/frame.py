@@ -1,6 +1,6 @@
 """Transforms of the root tile, which place a scene in the world or on the globe."""
 
-__all__ = ["UPRIGHT", "globe_transform", "read_transform", "upright_transform"]
+__all__ = ["Z_UP_FROM_SCENE", "globe_transform", "read_transform", "upright_transform"]
 
 import json
 import math
@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.format.volumes import ecef
 
-UPRIGHT: Final[Float64[np.ndarray, "4 4"]] = np.array(
+Z_UP_FROM_SCENE: Final[Float64[np.ndarray, "4 4"]] = np.array(
     [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
 )
 """Scene → world: a scene has y down and z forward, the world of 3D Tiles has z up."""
@@ -23,7 +23,7 @@ _TOLERANCE: Final = 1e-6
 
 def upright_transform() -> tuple[float, ...]:
     """Return the 4×4 transform from scene axes (y down) to world axes (z up), column-major."""
-    return _columns(UPRIGHT)
+    return _columns(Z_UP_FROM_SCENE)
 
 
 def globe_transform(longitude: float, latitude: float, height: float) -> tuple[float, ...]:
@@ -39,13 +39,18 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
         if not abs(value) <= limit:
             raise ConfigInvalid(f"is {value}; expected -{limit:g} to {limit:g}", where=option)
     east, north = math.radians(longitude), math.radians(latitude)
-    sin_e, cos_e, sin_n, cos_n = (math.sin(east), math.cos(east), math.sin(north), math.cos(north))
+    sin_east, cos_east, sin_north, cos_north = (
+        math.sin(east),
+        math.cos(east),
+        math.sin(north),
+        math.cos(north),
+    )
     matrix = np.eye(4)
-    matrix[:3, 0] = -sin_e, cos_e, 0
-    matrix[:3, 1] = -sin_n * cos_e, -sin_n * sin_e, cos_n
-    matrix[:3, 2] = cos_n * cos_e, cos_n * sin_e, sin_n
+    matrix[:3, 0] = -sin_east, cos_east, 0
+    matrix[:3, 1] = -sin_north * cos_east, -sin_north * sin_east, cos_north
+    matrix[:3, 2] = cos_north * cos_east, cos_north * sin_east, sin_north
     matrix[:3, 3] = ecef(np.array([east]), np.array([north]), np.array([height]))[0]
-    return _columns(matrix @ UPRIGHT)
+    return _columns(matrix @ Z_UP_FROM_SCENE)
 
 
 def read_transform(path: Path) -> tuple[float, ...]:
@@ -71,8 +76,8 @@ def read_transform(path: Path) -> tuple[float, ...]:
     if np.isfinite(matrix).all():
         scale = float(np.cbrt(max(np.linalg.det(linear), 0.0)))
         error_size = float(np.abs(linear @ linear.T - scale**2 * np.eye(3)).max())
-        similar = scale > 0 and error_size <= _TOLERANCE * scale**2
-        if similar and np.array_equal(matrix[3], [0, 0, 0, 1]):
+        is_similarity = scale > 0 and error_size <= _TOLERANCE * scale**2
+        if is_similarity and np.array_equal(matrix[3], [0, 0, 0, 1]):
             return _columns(matrix)
     raise ConfigInvalid(
         f"{matrix.tolist()} is not a similarity: a rotation, one positive scale, a translation",

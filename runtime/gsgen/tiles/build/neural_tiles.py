@@ -22,8 +22,8 @@ from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.loading.neural_model import require_generator
 
-_UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
-_HINT = (
+_UNSAFE_CHARACTERS = re.compile(r"[^A-Za-z0-9_.-]+")
+_REQUIREMENTS_HINT = (
     "A neural tile needs static rows, bounds, and inputs with a range of time, if it has a time."
 )
 
@@ -71,15 +71,17 @@ def open_generator(path: Path) -> Generator:
         ) from error
     roles = sorted({entry.role for entry in manifest.inputs})
     spans = [entry.range for entry in manifest.inputs if entry.role == "time"]
-    lacking = {
+    requirement_missing = {
         "static rows": report.capacity is None,
         "bounds": manifest.bounds is None,
         "inputs": not roles,
         "a range of time": None in spans,
     }
-    if any(lacking.values()):
-        names = ", ".join(name for name, is_lacking in lacking.items() if is_lacking)
-        raise ConfigInvalid(f"the generator lacks {names}", where=str(path), hint=_HINT)
+    if any(requirement_missing.values()):
+        names = ", ".join(name for name, is_missing in requirement_missing.items() if is_missing)
+        raise ConfigInvalid(
+            f"the generator lacks {names}", where=str(path), hint=_REQUIREMENTS_HINT
+        )
     assert manifest.bounds is not None
     first = spans[0][0] if spans and spans[0] else None
     with tempfile.TemporaryDirectory() as folder:
@@ -88,7 +90,7 @@ def open_generator(path: Path) -> Generator:
         splats = cast(Splats, read_ply(frame))
     data = path.read_bytes()
     digest = hashlib.sha256(data).hexdigest()
-    name = f"n/{_UNSAFE.sub('-', path.stem)}-{digest[:8]}"
+    name = f"n/{_UNSAFE_CHARACTERS.sub('-', path.stem)}-{digest[:8]}"
     extension: JsonDict = {
         "uri": f"{name}.onnx",
         "contract": manifest.contract,
@@ -161,7 +163,7 @@ def add_neural_tiles(
         )
     low = np.min([tile.low for tile in (root, *leaves)], axis=0)
     high = np.max([tile.high for tile in (root, *leaves)], axis=0)
-    above = TileRecord(
+    new_root = TileRecord(
         level=0,
         coordinates=(0, 0, 0),
         low=low,
@@ -170,4 +172,4 @@ def add_neural_tiles(
         children=(root, *leaves),
         refine="ADD",
     )
-    return above, files
+    return new_root, files

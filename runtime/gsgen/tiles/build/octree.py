@@ -11,74 +11,78 @@ from gsgen.formats.merging.levels import merge_level
 from gsgen.formats.merging.mixture import Mixture, concatenate
 from gsgen.formats.merging.morton import DEPTH, cell_codes, morton_codes
 from gsgen.tiles.build.files import read_json, save_array, write_json
-from gsgen.tiles.build.plan import Partition, Plan, depth_of, group_small
+from gsgen.tiles.build.plan import Partition, Plan, depth_of, group_small_octants
 from gsgen.tiles.build.spill import Rows, anchors_of, load_partition
 from gsgen.tiles.build.tile import Tile, tile_from_json, write_leaf, write_level
 
-Built = tuple[list[Tile], Mixture]
+BuiltTiles = tuple[list[Tile], Mixture]
 """Tiles that stand side by side, and what they show."""
 
 
 def build_partition(plan: Plan, partition: Partition) -> int:
     """Write the missing tiles of a part of the octree; return the part's number of splats."""
     name = f"partition-{partition.index:06}"
-    if _marker(plan, name).exists():
+    if _marker_file(plan, name).exists():
         return partition.count
     rows = load_partition(plan, partition)
     codes = morton_codes(rows["position"], plan.cube)
     order = np.argsort(codes, kind="stable")  # rows are in the order of the scenes already
     rows, codes = rows[order], codes[order]
     location = partition.locations[0]
-    if partition.anchored:
-        built = _extra_leaves(plan, rows, codes, location)
+    if partition.is_anchored:
+        built_tiles = _write_large_splats(plan, rows, codes, location)
     elif len(partition.locations) > 1:
-        built = _leaf(plan, rows, codes, location)
+        built_tiles = _write_leaf_tile(plan, rows, codes, location)
     else:
-        built = _build(plan, rows, codes, anchors_of(plan, rows), location)
-    _save(plan, name, *built)
+        built_tiles = _build_cell(plan, rows, codes, anchors_of(plan, rows), location)
+    _save(plan, name, *built_tiles)
     return partition.count
 
 
-def _leaf(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int) -> Built:
+def _write_leaf_tile(
+    plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int
+) -> BuiltTiles:
     tile, mixture = write_leaf(plan, rows, codes, location)
     return [tile], mixture
 
 
-def _build(
+def _build_cell(
     plan: Plan,
     rows: Rows,
     codes: UInt64[np.ndarray, " n"],
     anchors: Int64[np.ndarray, " n"],
     location: int,
-) -> Built:
+) -> BuiltTiles:
     """Write the tile of an octree cell and all its descendants, depth first."""
     depth, leaf = depth_of(location), plan.parameters.leaf
     implicit = plan.parameters.implicit
     if len(rows) <= leaf or (depth == DEPTH and implicit):
-        return _leaf(plan, rows, codes, location)
-    parts: list[Built] = []
+        return _write_leaf_tile(plan, rows, codes, location)
+    parts: list[BuiltTiles] = []
     # 1. Large splats stay at this cell, in extra leaves beside the children.
     large = anchors == depth
-    extra = _extra_leaves(plan, rows[large], codes[large], location) if large.any() else None
+    extra = _write_large_splats(plan, rows[large], codes[large], location) if large.any() else None
     if extra is not None:
         rows, codes, anchors = rows[~large], codes[~large], anchors[~large]
     # 2. The others go to the octants; small neighbours become one leaf.
     octants = cell_codes(codes, min(depth + 1, DEPTH))
     names, counts = np.unique(octants, return_counts=True)
     limits = np.concatenate([[0], np.cumsum(counts)])
-    for group in group_small(counts.tolist(), 0 if implicit else leaf):
+    for group in group_small_octants(counts.tolist(), 0 if implicit else leaf):
         inside = slice(limits[group[0]], limits[group[-1] + 1])
         child = 1 << 3 * (depth + 1) | int(names[group[0]])
         if len(group) > 1:
-            parts.append(_leaf(plan, rows[inside], codes[inside], child))
+            parts.append(_write_leaf_tile(plan, rows[inside], codes[inside], child))
         else:
-            parts.append(_build(plan, rows[inside], codes[inside], anchors[inside], child))
+            parts.append(_build_cell(plan, rows[inside], codes[inside], anchors[inside], child))
     if extra is not None:
         parts.append(extra)
-    return _above(plan, location, parts)
+    return _write_parent(plan, location, parts)
 
 
-def _extra_leaves(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int) -> Built:
+def _write_large_splats(
+    plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int
+) -> BuiltTiles:
     """Write the splats too large for an octree cell's children, as leaf tiles at the cell."""
     count = -(-len(rows) // plan.parameters.leaf)
     limits = [len(rows) * index // count for index in range(count + 1)]
@@ -90,7 +94,7 @@ def _extra_leaves(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], locat
     return [tile for tile, _ in leaves], concatenate([mixture for _, mixture in leaves])
 
 
-def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
+def _write_parent(plan: Plan, location: int, parts: list[BuiltTiles]) -> BuiltTiles:
     """Write the parent tile of several tiles; a single tile needs no parent."""
     tiles = [tile for part, _ in parts for tile in part]
     mixture = concatenate([part for _, part in parts])
@@ -107,24 +111,24 @@ def build_top(plan: Plan, location: int) -> int:
     The cells below it have to be built. Returns 0: no splat of the scenes is new here.
     """
     name = f"top-{location}"
-    if _marker(plan, name).exists():
+    if _marker_file(plan, name).exists():
         return 0
-    below = [name for name, above in _places(plan).items() if above == location]
-    _save(plan, name, *_above(plan, location, [_load(plan, name) for name in below]))
+    below = [name for name, parent_cell in _parent_cells(plan).items() if parent_cell == location]
+    _save(plan, name, *_write_parent(plan, location, [_load(plan, name) for name in below]))
     return 0
 
 
-def _places(plan: Plan) -> dict[str, int]:
+def _parent_cells(plan: Plan) -> dict[str, int]:
     """Map each octree partition and each cell above the partitions to its parent, depth first."""
     entries: list[tuple[int, int, bool, str]] = []
     for partition in plan.partitions:
         name = f"partition-{partition.index:06}"
-        key = partition.above, partition.locations[0], partition.anchored, name
+        key = partition.parent_cell, partition.locations[0], partition.is_anchored, name
         entries.append(key)
     entries += [(cell >> 3, cell, False, f"top-{cell}") for cell in plan.top]
     # Octants in order, then the leaves of large splats.
     entries.sort(key=lambda entry: (entry[0], entry[2], entry[1]))
-    return {name: above for above, _, _, name in entries}
+    return {name: parent_cell for parent_cell, _, _, name in entries}
 
 
 def load_built(plan: Plan) -> list[Tile]:
@@ -133,26 +137,26 @@ def load_built(plan: Plan) -> list[Tile]:
     return _load_tiles(plan, name)
 
 
-def _marker(plan: Plan, name: str) -> Path:
+def _marker_file(plan: Plan, name: str) -> Path:
     return Path(plan.work) / "tiles" / f"{name}.json"
 
 
 def _save(plan: Plan, name: str, tiles: list[Tile], mixture: Mixture) -> None:
     folder = Path(plan.work) / "tiles"
-    save_array(folder / f"{name}.npy", _packed(mixture))
-    write_json(_marker(plan, name), [tile.as_json() for tile in tiles])
+    save_array(folder / f"{name}.npy", _pack_mixture(mixture))
+    write_json(_marker_file(plan, name), [tile.as_json() for tile in tiles])
 
 
-def _load(plan: Plan, name: str) -> Built:
+def _load(plan: Plan, name: str) -> BuiltTiles:
     packed = np.load(Path(plan.work) / "tiles" / f"{name}.npy")
-    return _load_tiles(plan, name), _unpacked(packed)
+    return _load_tiles(plan, name), _unpack_mixture(packed)
 
 
 def _load_tiles(plan: Plan, name: str) -> list[Tile]:
-    return [tile_from_json(value) for value in read_json(_marker(plan, name))]
+    return [tile_from_json(value) for value in read_json(_marker_file(plan, name))]
 
 
-def _packed(mixture: Mixture) -> np.ndarray:
+def _pack_mixture(mixture: Mixture) -> np.ndarray:
     fields = [
         (name, value.dtype, value.shape[1:])
         for name in Mixture.__slots__
@@ -164,6 +168,6 @@ def _packed(mixture: Mixture) -> np.ndarray:
     return rows
 
 
-def _unpacked(rows: np.ndarray) -> Mixture:
+def _unpack_mixture(rows: np.ndarray) -> Mixture:
     names = Mixture.__slots__
     return Mixture(**{name: np.ascontiguousarray(rows[name]) for name in names})

@@ -10,7 +10,7 @@ __all__ = [
     "Plan",
     "coordinates_of",
     "depth_of",
-    "group_small",
+    "group_small_octants",
     "make_partitions",
     "partition_of",
 ]
@@ -37,19 +37,19 @@ class Partition:
         index: Of the partition.
         locations: Its cells, each as 1 followed by its Morton code: one, or neighbours in one
             cell above that are so small that together they are a leaf.
-        anchored: Whether it holds only the splats that are anchored at the cell itself.
+        is_anchored: Whether it holds only the splats that are anchored at the cell itself.
         count: Splats.
     """
 
     index: int
     locations: tuple[int, ...]
-    anchored: bool
+    is_anchored: bool
     count: int
 
     @property
-    def above(self) -> int:
+    def parent_cell(self) -> int:
         """The parent octree cell of the partition; 0 if the partition holds the whole scene."""
-        return self.locations[0] if self.anchored else self.locations[0] >> 3
+        return self.locations[0] if self.is_anchored else self.locations[0] >> 3
 
 
 @final
@@ -113,14 +113,14 @@ def make_partitions(
         The partitions, in depth-first order, and the top cells, deepest first.
     """
     cell_counts = dict(zip(cells.tolist(), counts.tolist(), strict=True))
-    total, children = _totals(cell_counts)
+    total, children = _subtree_totals(cell_counts)
     partitions: list[Partition] = []
     top: list[int] = []
 
-    def add(locations: tuple[int, ...], count: int, *, anchored: bool) -> None:
+    def add(locations: tuple[int, ...], count: int, *, is_anchored: bool) -> None:
         index = len(partitions)
         partitions.append(
-            Partition(index=index, locations=locations, anchored=anchored, count=count)
+            Partition(index=index, locations=locations, is_anchored=is_anchored, count=count)
         )
 
     pending: list[tuple[int, ...]] = [(1,)]
@@ -129,20 +129,20 @@ def make_partitions(
         cell = group[0]
         # Case 1: the cells fit one partition, or cannot be divided.
         if len(group) > 1 or total[cell] <= limit or cell not in children:
-            add(group, sum(total[member] for member in group), anchored=False)
+            add(group, sum(total[member] for member in group), is_anchored=False)
             continue
         # Case 2: divide the cell; splats that are too large for its children are a partition.
         top.append(cell)
         below = sorted(children[cell])
-        runs = group_small([total[child] for child in below], leaf)
+        runs = group_small_octants([total[child] for child in below], leaf)
         pending += [tuple(below[index] for index in run) for run in reversed(runs)]
         if cell_counts.get(cell, 0):
-            add((cell,), cell_counts[cell], anchored=True)
+            add((cell,), cell_counts[cell], is_anchored=True)
     top.sort(key=lambda cell: (-depth_of(cell), cell))
     return tuple(partitions), tuple(top)
 
 
-def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list[int]]]:
+def _subtree_totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list[int]]]:
     """Return the splat count of each octree cell with its descendants, and each cell's children."""
     depths: dict[int, list[int]] = {}
     for cell in cell_counts:
@@ -160,7 +160,7 @@ def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list
     return total, children
 
 
-def group_small(counts: Sequence[int], limit: int) -> list[list[int]]:
+def group_small_octants(counts: Sequence[int], limit: int) -> list[list[int]]:
     """Group neighbouring octants of an octree cell while a group has ``limit`` splats at most.
 
     Octants that a surface only touches would be leaves of a few splats, each a request.
@@ -187,16 +187,16 @@ def partition_of(
     groups: dict[tuple[int, bool], list[tuple[int, int]]] = {}
     for partition in partitions:
         for location in partition.locations:
-            key = depth_of(location), partition.anchored
+            key = depth_of(location), partition.is_anchored
             groups.setdefault(key, []).append((location, partition.index))
     # One binary search a depth; a partition of large splats takes those anchored at its depth.
-    for (depth, anchored), members in groups.items():
+    for (depth, is_anchored), members in groups.items():
         members.sort()
         known = np.array([location for location, _ in members], np.uint64)
         index = np.array([number for _, number in members], np.int64)
         cells = location_codes(codes, np.full(len(codes), depth), depth)
         slot = np.minimum(np.searchsorted(known, cells), len(known) - 1)
         inside = known[slot] == cells
-        inside &= anchors == depth if anchored else anchors >= depth
+        inside &= anchors == depth if is_anchored else anchors >= depth
         result[inside] = index[slot[inside]]
     return result

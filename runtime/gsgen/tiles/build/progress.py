@@ -1,6 +1,6 @@
 """Reports the progress of a tileset build, as JSON lines for programs or by a class of yours."""
 
-__all__ = ["JsonProgress", "Progress", "Silent"]
+__all__ = ["JsonProgress", "Progress", "SilentProgress"]
 
 import json
 import time
@@ -28,10 +28,10 @@ class Progress(AbstractContextManager["Progress"], Protocol):
 
 
 @final
-class Silent(Progress):
+class SilentProgress(Progress):
     """A progress display of tileset builds that shows nothing."""
 
-    def __enter__(self) -> "Silent":
+    def __enter__(self) -> "SilentProgress":
         return self
 
     def __exit__(self, *error: object) -> None: ...

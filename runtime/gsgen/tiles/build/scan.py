@@ -18,7 +18,7 @@ from gsgen.formats import Splats
 from gsgen.formats.merging.morton import DEPTH, Cube, cell_codes, morton_codes
 from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES
 from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk, valid_rows
-from gsgen.tiles.gltf.encoding import SIGMAS
+from gsgen.tiles.gltf.encoding import EXTENT_SIGMAS
 
 _SMALLEST_LOG_SCALE: Final = -1e3  # e^-1000 is 0, and JSON has no infinity
 
@@ -86,7 +86,7 @@ def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np
     """Return each splat's deepest octree level: the last whose tiles are at least 6σ long."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
     largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
-    ratio = math.log(cube.side / (2 * SIGMAS)) - largest
+    ratio = math.log(cube.side / (2 * EXTENT_SIGMAS)) - largest
     with np.errstate(invalid="ignore"):
         depth = np.floor(ratio / math.log(2))
     return np.asarray(np.clip(depth, 0, DEPTH), np.int64)
@@ -109,10 +109,10 @@ def count_cells(
     chunk: Chunk,
     cube: Cube,
     depth: int,
-    within: UInt64[np.ndarray, " c"] | None,
-    within_depth: int,
+    parent_cells: UInt64[np.ndarray, " c"] | None,
+    parent_depth: int,
     *,
-    anchored: bool,
+    is_anchored: bool,
 ) -> tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
     """Count the splats of a scene chunk in each octree cell.
 
@@ -120,9 +120,9 @@ def count_cells(
         chunk: To be read.
         cube: The root cube.
         depth: Of the cells.
-        within: Count only in these cells, sorted codes at ``within_depth``; None for all.
-        within_depth: See ``within``.
-        anchored: Whether large splats stay at the depth of their anchor.
+        parent_cells: Count only in these cells, sorted codes at ``parent_depth``; None for all.
+        parent_depth: See ``parent_cells``.
+        is_anchored: Whether large splats stay at the depth of their anchor.
 
     Returns:
         Location codes, increasing, and the count of each.
@@ -132,12 +132,12 @@ def count_cells(
     codes = morton_codes(splats.position[valid], cube)
     anchors = (
         anchor_depths(splats.log_scale[valid], cube)
-        if anchored
+        if is_anchored
         else np.full(len(codes), DEPTH, np.int64)
     )
-    if within is not None:
-        inside = np.isin(cell_codes(codes, within_depth), within)
-        inside &= anchors >= within_depth
+    if parent_cells is not None:
+        inside = np.isin(cell_codes(codes, parent_depth), parent_cells)
+        inside &= anchors >= parent_depth
         codes, anchors = codes[inside], anchors[inside]
     cells, counts = np.unique(location_codes(codes, anchors, depth), return_counts=True)
     return cells, counts.astype(np.int64)

@@ -34,8 +34,8 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
     rows["source"] = np.uint64(chunk.source) + np.flatnonzero(valid).astype(np.uint64)
     for name in ("position", "rotation", "log_scale", "logit_opacity"):
         rows[name] = getattr(splats, name)[valid]
-    shared = min(splats.sh.shape[1], SH_COUNTS[plan.degree])
-    rows["sh"][:, :shared] = splats.sh[valid, :shared]
+    shared_coefficients = min(splats.sh.shape[1], SH_COUNTS[plan.degree])
+    rows["sh"][:, :shared_coefficients] = splats.sh[valid, :shared_coefficients]
     codes = morton_codes(rows["position"], plan.cube)
     partitions = partition_of(codes, anchors_of(plan, rows), plan.partitions)
     order = np.argsort(partitions, kind="stable")
@@ -60,17 +60,17 @@ def spilled_count(plan: Plan, chunk: Chunk) -> int:
 def load_partition(plan: Plan, partition: Partition) -> Rows:
     """Read the splats of an octree partition from temporary files, in the scenes' order."""
     rows = np.empty(partition.count, row_dtype(plan.degree))
-    filled = 0
+    row_count = 0
     for chunk in plan.chunks:
         rows_path, offsets_path = _paths(plan, chunk.index)
         first, last = np.load(offsets_path)[partition.index : partition.index + 2]
         if last > first:
             spill = np.load(rows_path, mmap_mode="r")
-            rows[filled : filled + last - first] = spill[first:last]
-            filled += int(last - first)
-    if filled != partition.count:  # the barrier before this phase makes it impossible
+            rows[row_count : row_count + last - first] = spill[first:last]
+            row_count += int(last - first)
+    if row_count != partition.count:  # the barrier before this phase makes it impossible
         raise AssertionError(
-            f"temporary files hold {filled} of {partition.count} splats of {partition}"
+            f"temporary files hold {row_count} of {partition.count} splats of {partition}"
         )
     return rows
 

@@ -4,7 +4,15 @@ A task is a plain value; it writes its result to a file that appears whole, and 
 that is there already. So it can be run twice, elsewhere, or again after a crash.
 """
 
-__all__ = ["CountTask", "PlanTask", "run_bin", "run_count", "run_partition", "run_scan", "run_top"]
+__all__ = [
+    "CountTask",
+    "PlanTask",
+    "run_bin",
+    "run_count",
+    "run_parent_cell",
+    "run_partition",
+    "run_scan",
+]
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -40,18 +48,18 @@ class CountTask:
         chunk: To be read.
         cube: The root cube.
         depth: Of the cells.
-        within: Sorted codes of the cells to count in; None for all.
-        within_depth: Depth of ``within``.
-        anchored: Whether large splats stay at the depth of their anchor.
+        parent_cells: Sorted codes of the cells to count in; None for all.
+        parent_depth: Depth of ``parent_cells``.
+        is_anchored: Whether large splats stay at the depth of their anchor.
         work: Folder of markers.
     """
 
     chunk: Chunk
     cube: Cube
     depth: int
-    within: UInt64[np.ndarray, " c"] | None
-    within_depth: int
-    anchored: bool
+    parent_cells: UInt64[np.ndarray, " c"] | None
+    parent_depth: int
+    is_anchored: bool
     work: str
 
 
@@ -95,9 +103,9 @@ def run_count(
             task.chunk,
             task.cube,
             task.depth,
-            task.within,
-            task.within_depth,
-            anchored=task.anchored,
+            task.parent_cells,
+            task.parent_depth,
+            is_anchored=task.is_anchored,
         )
         table = np.stack([cells, counts.astype(np.uint64)])
         save_array(marker, table)
@@ -117,6 +125,6 @@ def run_partition(task: PlanTask) -> tuple[int, None]:
     return build_partition(plan, plan.partitions[task.item]), None
 
 
-def run_top(task: PlanTask) -> tuple[int, None]:
+def run_parent_cell(task: PlanTask) -> tuple[int, None]:
     """Write the tile of an octree cell above the partitions."""
     return build_top(load_plan(task.plan), task.item), None

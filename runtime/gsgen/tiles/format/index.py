@@ -98,7 +98,7 @@ class TileRecord:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Written:
+class _WrittenTile:
     """The JSON of a tile in ``tileset.json``, and the tile's bounding box."""
 
     document: JsonDict = field(repr=False)
@@ -193,7 +193,7 @@ def _has_neural(tile: TileRecord) -> bool:
     return tile.neural is not None or any(map(_has_neural, tile.children))
 
 
-def _tile(tile: TileRecord, quality: int) -> _Written:
+def _tile(tile: TileRecord, quality: int) -> _WrittenTile:
     children = [_tile(child, quality) for child in tile.children]
     low, high = (np.asarray(tile.low, np.float64), np.asarray(tile.high, np.float64))
     document: JsonDict = {"geometricError": float(tile.geometric_error)}
@@ -211,7 +211,7 @@ def _tile(tile: TileRecord, quality: int) -> _Written:
         document["refine"] = tile.refine
     if tile.neural is not None:
         document["extensions"] = {NEURAL: dict(tile.neural)}
-    return _Written(document, low, high)
+    return _WrittenTile(document, low, high)
 
 
 def _properties(tile: TileRecord) -> JsonDict:
@@ -242,13 +242,13 @@ def write_build_record(
         source_splats: How many splats went in.
         files: Relative uri → the bytes of the file, or its size and SHA-256 in hexadecimal.
     """
-    listed = {}
+    file_entries = {}
     for uri, entry in files.items():
         if isinstance(entry, bytes):
             entry = len(entry), hashlib.sha256(entry).hexdigest()
-        listed[uri] = {"bytes": entry[0], "sha256": entry[1]}
+        file_entries[uri] = {"bytes": entry[0], "sha256": entry[1]}
     document = {
-        "files": listed,
+        "files": file_entries,
         "generator": "gsgen",
         "key": key,
         "source_splats": source_splats,

@@ -16,7 +16,7 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 JsonDict = dict[str, Any]
 """The members of a JSON object, before their types are checked."""
 
-_MOST_SHOWN = 60
+_MAX_SHOWN_CHARACTERS = 60
 _LARGEST = 1e300
 MAX_JSON: Final = 128 << 20
 """How many bytes of JSON are parsed."""
@@ -50,7 +50,7 @@ def _refuse_constant(name: str) -> Never:
 def shorten(value: object) -> str:
     """Return a JSON value as one short line for error messages."""
     text = repr(value)
-    return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 1]}…"
+    return text if len(text) <= _MAX_SHOWN_CHARACTERS else f"{text[: _MAX_SHOWN_CHARACTERS - 1]}…"
 
 
 @final

@@ -20,7 +20,7 @@ Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
 """Content (glTF) to tile coordinates."""
 
 # A root frame farther than this from the origin of the world stands on the globe, in metres.
-_ON_GLOBE = 1e6
+_MIN_GLOBE_DISTANCE = 1e6
 
 
 @final
@@ -115,7 +115,7 @@ class Tileset:
     def up(self) -> Float64[np.ndarray, " 3"]:
         """The up direction of a tileset's root frame: world z, or away from the globe's centre."""
         linear, origin = self.transform[:3, :3], self.transform[:3, 3]
-        is_on_globe = np.linalg.norm(origin) > _ON_GLOBE
+        is_on_globe = np.linalg.norm(origin) > _MIN_GLOBE_DISTANCE
         up = linear.T @ (origin if is_on_globe else np.array([0.0, 0.0, 1.0]))
         return np.asarray(up / np.linalg.norm(up))
 

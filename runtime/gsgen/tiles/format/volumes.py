@@ -13,9 +13,9 @@ from gsgen.tiles.format.json_values import JsonObject
 Points = Float64[np.ndarray, "n 3"]
 Matrix = Float64[np.ndarray, "4 4"]
 
-_EQUATOR: Final = 6378137.0
-_POLE: Final = 6356752.314245179
-_MOST_LEVEL = 40
+_EQUATOR_RADIUS: Final = 6378137.0
+_POLE_RADIUS: Final = 6356752.314245179
+_MAX_LEVEL = 40
 
 
 @final
@@ -52,18 +52,18 @@ class Box:
         Axes have to be at right angles, as 3D Tiles asks for.
         """
         lengths = np.linalg.norm(self.half_axes, axis=1)
-        units = _unit_axes(self.half_axes, lengths)
-        along = np.abs(units @ (points - self.center).T)  # an axis a row: reductions are fast
+        unit_axes = _unit_axes(self.half_axes, lengths)
+        along = np.abs(unit_axes @ (points - self.center).T)  # an axis a row: reductions are fast
         return np.asarray(np.maximum(along - lengths[:, None], 0).max(axis=0))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Box":
         """Return a quadtree or octree cell of the box, by the cell's level and coordinates."""
-        split = np.ones(3)
-        split[: len(offsets)] = 2.0 ** min(level, _MOST_LEVEL)
+        cell_counts = np.ones(3)
+        cell_counts[: len(offsets)] = 2.0 ** min(level, _MAX_LEVEL)
         cells = np.zeros(3)
         cells[: len(offsets)] = offsets
-        middle = (2 * cells + 1) / split - 1
-        return Box(self.center + middle @ self.half_axes, self.half_axes / split[:, None])
+        middle = (2 * cells + 1) / cell_counts - 1
+        return Box(self.center + middle @ self.half_axes, self.half_axes / cell_counts[:, None])
 
 
 @final
@@ -148,14 +148,17 @@ class Region:
         longitude, latitude, height = geodetic(points)
         middle = self.west + self.width / 2
         apart = np.abs((longitude - middle + np.pi) % (2 * np.pi) - np.pi)
-        east = np.maximum(apart - self.width / 2, 0) * np.cos(latitude) * _EQUATOR
-        north = np.maximum(np.maximum(self.south - latitude, latitude - self.north), 0) * _EQUATOR
+        east = np.maximum(apart - self.width / 2, 0) * np.cos(latitude) * _EQUATOR_RADIUS
+        north = (
+            np.maximum(np.maximum(self.south - latitude, latitude - self.north), 0)
+            * _EQUATOR_RADIUS
+        )
         up = np.maximum(np.maximum(self.minimum - height, height - self.maximum), 0)
         return np.asarray(np.maximum(np.maximum(east, north), up))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Region":
         """Return a quadtree or octree cell of the region, by the cell's level and coordinates."""
-        count = 2.0 ** min(level, _MOST_LEVEL)
+        count = 2.0 ** min(level, _MAX_LEVEL)
         width, height = self.width / count, (self.north - self.south) / count
         low, high = self.minimum, self.maximum
         if len(offsets) == 3:
@@ -190,10 +193,10 @@ def read_volume(volume: JsonObject) -> Volume:
         return Sphere(numbers[:3], float(numbers[3]))
     if "region" in volume:
         west, south, east, north, low, high = map(float, volume.numbers("region", 6))
-        turn, quarter = np.pi + 1e-9, np.pi / 2 + 1e-9
+        max_longitude, max_latitude = np.pi + 1e-9, np.pi / 2 + 1e-9
         if not (
-            max(abs(west), abs(east)) <= turn
-            and -quarter <= south <= north <= quarter
+            max(abs(west), abs(east)) <= max_longitude
+            and -max_latitude <= south <= north <= max_latitude
             and low <= high
         ):
             volume.refuse("region", "west, south, east, north in radians, and two heights")
@@ -208,11 +211,15 @@ def ecef(
 ) -> Points:
     """Convert WGS 84 longitudes, latitudes (radians) and heights (metres) to ECEF points."""
     sine, cosine = np.sin(latitude), np.cos(latitude)
-    squeeze = (_POLE / _EQUATOR) ** 2
-    radius = _EQUATOR / np.sqrt(cosine**2 + squeeze * sine**2)
+    axis_ratio_squared = (_POLE_RADIUS / _EQUATOR_RADIUS) ** 2
+    radius = _EQUATOR_RADIUS / np.sqrt(cosine**2 + axis_ratio_squared * sine**2)
     ring = (radius + height) * cosine
     return np.column_stack(
-        [ring * np.cos(longitude), ring * np.sin(longitude), (squeeze * radius + height) * sine]
+        [
+            ring * np.cos(longitude),
+            ring * np.sin(longitude),
+            (axis_ratio_squared * radius + height) * sine,
+        ]
     )
 
 
@@ -226,19 +233,19 @@ def geodetic(
     """
     x, y, z = points.T
     ring = np.hypot(x, y)
-    flat = _POLE / _EQUATOR
-    reduced = np.arctan2(z, ring * flat)
-    eccentric = 1 - flat**2
-    second = _EQUATOR**2 / _POLE**2 - 1
-    latitude = reduced
+    flat = _POLE_RADIUS / _EQUATOR_RADIUS
+    reduced_latitude = np.arctan2(z, ring * flat)
+    eccentricity_squared = 1 - flat**2
+    second = _EQUATOR_RADIUS**2 / _POLE_RADIUS**2 - 1
+    latitude = reduced_latitude
     for _ in range(3):
         latitude = np.arctan2(
-            z + second * _POLE * np.sin(reduced) ** 3,
-            ring - eccentric * _EQUATOR * np.cos(reduced) ** 3,
+            z + second * _POLE_RADIUS * np.sin(reduced_latitude) ** 3,
+            ring - eccentricity_squared * _EQUATOR_RADIUS * np.cos(reduced_latitude) ** 3,
         )
-        reduced = np.arctan2(flat * np.sin(latitude), np.cos(latitude))
-    radius = _EQUATOR / np.sqrt(1 - eccentric * np.sin(latitude) ** 2)
-    height = ring * np.cos(latitude) + z * np.sin(latitude) - _EQUATOR**2 / radius
+        reduced_latitude = np.arctan2(flat * np.sin(latitude), np.cos(latitude))
+    radius = _EQUATOR_RADIUS / np.sqrt(1 - eccentricity_squared * np.sin(latitude) ** 2)
+    height = ring * np.cos(latitude) + z * np.sin(latitude) - _EQUATOR_RADIUS**2 / radius
     return np.arctan2(y, x), latitude, height
 
 
@@ -246,13 +253,13 @@ def _unit_axes(
     half_axes: Float64[np.ndarray, "3 3"], lengths: Float64[np.ndarray, " 3"]
 ) -> Float64[np.ndarray, "3 3"]:
     """Return the unit axes of a box; an axis of length zero becomes orthogonal to the others."""
-    units = half_axes / np.where(lengths > 0, lengths, 1)[:, None]
+    unit_axes = half_axes / np.where(lengths > 0, lengths, 1)[:, None]
     flat = [axis for axis in range(3) if lengths[axis] == 0]
     if len(flat) == 1:
-        first, second = (units[(flat[0] + step) % 3] for step in (1, 2))
-        units[flat[0]] = np.cross(first, second)
+        first, second = (unit_axes[(flat[0] + step) % 3] for step in (1, 2))
+        unit_axes[flat[0]] = np.cross(first, second)
     elif len(flat) == 2:
-        units[flat] = np.linalg.svd(units)[2][1:]
+        unit_axes[flat] = np.linalg.svd(unit_axes)[2][1:]
     elif flat:
-        units = np.eye(3)
-    return np.asarray(units)
+        unit_axes = np.eye(3)
+    return np.asarray(unit_axes)

@@ -20,7 +20,7 @@ from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 
 _CONTENT_FROM_TILE: Final = Z_UP_FROM_Y_UP[:3, :3].T
-_DIGITS = 7
+_DECIMAL_DIGITS = 7
 
 
 def to_content_axes(splats: Splats) -> Splats:
@@ -52,4 +52,4 @@ def _sh_rotation(degree: int, rotation: tuple[float, ...]) -> Float64[np.ndarray
     count = SH_COUNTS[degree]
     unit = np.eye(count, dtype=np.float32)[:, :, None].repeat(3, axis=2)
     columns = rotate_sh(unit, np.array(rotation).reshape(3, 3))[:, :, 0]
-    return np.asarray(np.round(columns.T.astype(np.float64), _DIGITS))
+    return np.asarray(np.round(columns.T.astype(np.float64), _DECIMAL_DIGITS))

@@ -1,6 +1,6 @@
 """Opens the content of a tile: a .glb file, or a .gltf file with all buffers joined."""
 
-__all__ = ["Fetch", "as_fault", "open_content"]
+__all__ = ["Fetch", "open_content", "raise_as_fault"]
 
 import base64
 import binascii
@@ -14,7 +14,7 @@ from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, parse_object
 
-_DATA = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
+_DATA_URI = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
 
 Fetch = Callable[[str, str, int], bytes]
 """Takes a uri, the location it stands at and the bytes that are needed."""
@@ -29,13 +29,13 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
         fetch: Reads a buffer in a file of its own; without it, that is an error.
     """
     if data[:4] == b"glTF":
-        with as_fault(location, Fault.CONTENT):
+        with raise_as_fault(location, Fault.CONTENT):
             return parse(data)
     document = parse_object(data, f"{location}, ", fault=Fault.CONTENT)
     version = document.child("asset").text("version")
     if version != "2.0":
         document.child("asset").refuse("version", "2.0")
-    with as_fault(location, Fault.CONTENT):
+    with raise_as_fault(location, Fault.CONTENT):
         require_uncompressed(document.values)
     return _with_buffers(document, fetch)
 
@@ -62,8 +62,8 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
             view.refuse("buffer", f"less than the {len(starts)} buffers")
         offset = view.whole("byteOffset") if "byteOffset" in view else 0
         end = offset + view.whole("byteLength")
-        following = [*starts[index + 1 :], len(joined)][0]
-        if starts[index] + end > following:
+        following_starts = [*starts[index + 1 :], len(joined)][0]
+        if starts[index] + end > following_starts:
             view.refuse("byteLength", "less than the buffer is long")
         views.append({**view.values, "buffer": 0, "byteOffset": starts[index] + offset})
     values = {**document.values, "bufferViews": views}
@@ -73,7 +73,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
 
 def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
     uri = buffer.text("uri")
-    match = _DATA.match(uri)
+    match = _DATA_URI.match(uri)
     if match:
         body = uri[match.end() :]
         try:
@@ -93,7 +93,7 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
 
 
 @contextmanager
-def as_fault(location: str, fault: Fault) -> Iterator[None]:
+def raise_as_fault(location: str, fault: Fault) -> Iterator[None]:
     """Convert file format errors in a ``with`` block to tileset errors of a given fault kind."""
     try:
         yield

@@ -25,9 +25,12 @@ from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.extensions import SPZ_EXTENSION
 from gsgen.tiles.format.json_values import JsonDict, JsonObject
-from gsgen.tiles.gltf.container import as_fault
+from gsgen.tiles.gltf.container import raise_as_fault
 
-DRAFTS: Final = ("KHR_gaussian_splatting_compression_spz", "KHR_spz_gaussian_splats_compression")
+DRAFT_EXTENSIONS: Final = (
+    "KHR_gaussian_splatting_compression_spz",
+    "KHR_spz_gaussian_splats_compression",
+)
 """Extensions of drafts that hold SPZ."""
 DRAFT_ATTRIBUTES: Final = ("_ROTATION", "_SCALE")
 MAX_SPLATS: Final = 1 << 26
@@ -36,7 +39,7 @@ MAX_DECODED: Final = 2 << 30
 _SPZ_HEADER = struct.Struct("<4sIIBB")
 _SPZ_HEAD_BYTES = 512
 _COEFFICIENT = re.compile(r"SH_DEGREE_(\d)_COEF_\d")
-_DECODED_EACH = 400  # bytes of a splat while it is decoded
+_DECODED_SPLAT_BYTES = 400  # bytes of a splat while it is decoded
 
 
 @final
@@ -96,7 +99,7 @@ class ContentHeader:
 
 def read_header(container: Container, location: str, size: int) -> ContentHeader:
     """Read the glTF JSON and SPZ headers of a tile's content, without decoding splats."""
-    with as_fault(location, Fault.CONTENT):
+    with raise_as_fault(location, Fault.CONTENT):
         primitives = tuple(
             _primitive(container, primitive, where, location)
             for primitive, _, where in scene_primitives(container)
@@ -124,12 +127,14 @@ def _primitive(
         counts[str(name)] = entry.whole("count", most=MAX_SPLATS)
     degrees = [int(match[1]) for match in map(_COEFFICIENT.search, attributes) if match]
     degree, version = max(degrees, default=0), None
-    for name in (SPZ_EXTENSION, *DRAFTS):
+    for name in (SPZ_EXTENSION, *DRAFT_EXTENSIONS):
         if name in packed:
-            holder = object_member(packed, name, where)
-            version, counts["SPZ"], degree = _spz_head(container, holder, f"{location}, {where}")
+            extension_parent = object_member(packed, name, where)
+            version, counts["SPZ"], degree = _spz_head(
+                container, extension_parent, f"{location}, {where}"
+            )
             break
-    drafts: list[str] = [name for name in DRAFTS if name in packed]
+    drafts: list[str] = [name for name in DRAFT_EXTENSIONS if name in packed]
     if version is None or EXTENSION_NAME not in extensions:
         drafts += [name for name in DRAFT_ATTRIBUTES if name in attributes]
     return SplatPrimitive(
@@ -150,9 +155,9 @@ def _disagreements(primitive: JsonDict, extensions: JsonDict) -> Iterator[str]:
         yield f"kernel {extension['kernel']!r:.40} instead of ellipse"
 
 
-def _spz_head(container: Container, holder: JsonDict, where: str) -> tuple[int, int, int]:
+def _spz_head(container: Container, extension_parent: JsonDict, where: str) -> tuple[int, int, int]:
     """Return version, splat count and SH degree from the header of SPZ data in a buffer view."""
-    view = container.item("bufferViews", holder.get("bufferView"), where)
+    view = container.item("bufferViews", extension_parent.get("bufferView"), where)
     start, size = view_range(container, view, where)
     head = bytes(container.data[start : start + min(size, _SPZ_HEAD_BYTES)])
     if head[:2] == b"\x1f\x8b":
@@ -186,18 +191,18 @@ def decode_content(
         frame, which is y up.
     """
     header = read_header(container, location, 0)
-    if header.splats * _DECODED_EACH > max_bytes:
+    if header.splats * _DECODED_SPLAT_BYTES > max_bytes:
         raise TilesetInvalid(
             f"the content has {header.splats:,} splats",
             location=location,
-            expected=f"{max_bytes // _DECODED_EACH:,} or fewer in a tile",
+            expected=f"{max_bytes // _DECODED_SPLAT_BYTES:,} or fewer in a tile",
             fault=Fault.CONTENT,
         )
     drafts = sorted({name for entry in header.primitives for name in entry.drafts})
     if drafts:
         text = f"{location}: names of a draft are read ({', '.join(drafts)})"
         warnings.warn(text, FormatWarning, stacklevel=2)
-    with as_fault(location, Fault.VALUES), np.errstate(all="ignore"):
+    with raise_as_fault(location, Fault.VALUES), np.errstate(all="ignore"):
         return [
             (read_primitive(container, primitive, where, max_bytes), matrix)
             for primitive, matrix, where in scene_primitives(container)

@@ -3,7 +3,7 @@
 Equal splats give equal bytes, on any machine.
 """
 
-__all__ = ["CODECS", "QUALITIES", "SIGMAS", "EncodedContent", "write_content"]
+__all__ = ["CODECS", "EXTENT_SIGMAS", "QUALITIES", "EncodedContent", "write_content"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,11 +25,11 @@ from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.axes import to_content_axes
 from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
 
-SIGMAS: Final = 3.0
+EXTENT_SIGMAS: Final = 3.0
 """Standard deviations that the volumes of tiles hold of each splat."""
 
 _DIAGONAL = [0, 3, 5]  # xx, yy and zz of an upper triangle
-_FLOAT, _BYTE = 5126, 5121
+_FLOAT, _UNSIGNED_BYTE = 5126, 5121
 _WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _Parts = tuple[JsonDict, bytes, Splats]
 
@@ -78,16 +78,16 @@ def write_content(
     local = to_content_axes(
         replace(splats, position=position.astype(np.float32), sh=np.ascontiguousarray(cut))
     )
-    document, binary, stored = CODECS[codec](local, quality)
+    document, binary, stored_splats = CODECS[codec](local, quality)
     document["nodes"] = [{"matrix": _translation(center), "mesh": 0}]
-    low, high = _extent(stored)
+    low, high = _extent(stored_splats)
     padded = binary + bytes(-len(binary) % 4)
     return EncodedContent(
         data=build(document, len(padded)) + padded,
         low=low + center,
         high=high + center,
-        splats=len(stored),
-        sh_degree=stored.degree,
+        splats=len(stored_splats),
+        sh_degree=stored_splats.degree,
     )
 
 
@@ -98,37 +98,37 @@ def _translation(center: Float64[np.ndarray, " 3"]) -> list[float]:
     return [float(value) for value in matrix.T.ravel()]
 
 
-def _extent(stored: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+def _extent(stored_splats: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Return the bounding box of splats at 3σ, rotated from glTF axes to the tile's axes."""
-    scale = np.exp(stored.log_scale.astype(np.float64))
-    variance = covariance_upper(scale, stored.rotation)[:, _DIAGONAL]
-    reach = SIGMAS * np.sqrt(variance)
-    low = (stored.position - reach).min(axis=0)
-    high = (stored.position + reach).max(axis=0)
+    scale = np.exp(stored_splats.log_scale.astype(np.float64))
+    variance = covariance_upper(scale, stored_splats.rotation)[:, _DIAGONAL]
+    reach = EXTENT_SIGMAS * np.sqrt(variance)
+    low = (stored_splats.position - reach).min(axis=0)
+    high = (stored_splats.position + reach).max(axis=0)
     x, y, z = range(3)
     return (np.array([low[x], -high[z], low[y]]), np.array([high[x], -low[z], high[y]]))
 
 
 def _as_spz(local: Splats, quality: int) -> _Parts:
-    packed, stored = encode_spz(local, quality)
-    count = len(stored)
-    low, high = stored.position.min(axis=0), stored.position.max(axis=0)
+    packed, stored_splats = encode_spz(local, quality)
+    count = len(stored_splats)
+    low, high = stored_splats.position.min(axis=0), stored_splats.position.max(axis=0)
     accessors: dict[str, JsonDict] = {
         "POSITION": _accessor("VEC3", count)
         | {"min": [float(v) for v in low], "max": [float(v) for v in high]},
-        "COLOR_0": {**_accessor("VEC4", count, _BYTE), "normalized": True},
+        "COLOR_0": {**_accessor("VEC4", count, _UNSIGNED_BYTE), "normalized": True},
         f"{EXTENSION_NAME}:SCALE": _accessor("VEC3", count),
         f"{EXTENSION_NAME}:ROTATION": _accessor("VEC4", count),
     }
-    for band in range(1, stored.degree + 1):
+    for band in range(1, stored_splats.degree + 1):
         for index in range(2 * band + 1):
             accessors[coefficient(band, index)] = _accessor("VEC3", count)
-    document = _document(accessors, [len(packed)], stored)
+    document = _document(accessors, [len(packed)], stored_splats)
     extension = document["meshes"][0]["primitives"][0]["extensions"][EXTENSION_NAME]
     extension["extensions"] = {SPZ_EXTENSION: {"bufferView": 0}}
     for key in ("extensionsUsed", "extensionsRequired"):
         document[key] = [EXTENSION_NAME, SPZ_EXTENSION]
-    return document, packed, stored
+    return document, packed, stored_splats
 
 
 def _as_floats(local: Splats, quality: int) -> _Parts:
@@ -155,8 +155,8 @@ def _as_floats(local: Splats, quality: int) -> _Parts:
     return document, binary, local
 
 
-def _accessor(width: str, count: int, component: int = _FLOAT) -> JsonDict:
-    return {"componentType": component, "count": count, "type": width}
+def _accessor(width: str, count: int, component_type: int = _FLOAT) -> JsonDict:
+    return {"componentType": component_type, "count": count, "type": width}
 
 
 def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) -> JsonDict:

@@ -56,17 +56,17 @@ def read_build_record(store: Store, index: str) -> BuildRecord | None:
         return None
     document = parse_object(data, f"{path}, ", fault=Fault.SCHEMA)
     files = document.child("files")
-    listed = {}
+    recorded_files = {}
     for uri in files.values:
         entry = files.child(uri)
         digest = entry.text("sha256")
         if not _DIGEST.match(digest):
             entry.refuse("sha256", "64 hexadecimal digits")
         name = resolve_uri(index, uri, files.at(uri))
-        listed[name] = RecordedFile(entry.whole("bytes"), digest)
+        recorded_files[name] = RecordedFile(entry.whole("bytes"), digest)
     return BuildRecord(
         location=path,
         key=document.text("key"),
         source_splats=document.whole("source_splats"),
-        files=listed,
+        files=recorded_files,
     )

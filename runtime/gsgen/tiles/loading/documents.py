@@ -14,8 +14,8 @@ from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.loading.limits import Limits, LoadReport
 from gsgen.tiles.stores.store import Store
 
-_UNDERSTOOD: Final = {CONTENT_EXTENSION, "3DTILES_metadata", NEURAL}
-_VERSIONS: Final = ("1.0", "1.1")
+_SUPPORTED_EXTENSIONS: Final = {CONTENT_EXTENSION, "3DTILES_metadata", NEURAL}
+_SUPPORTED_VERSIONS: Final = ("1.0", "1.1")
 
 
 @final
@@ -26,12 +26,12 @@ class Document:
     Attributes:
         path: Of the file, relative to the tileset's folder.
         classes: Of its metadata schema.
-        above: The indices that refer to it, the outermost first.
+        parent_paths: The indices that refer to it, the outermost first.
     """
 
     path: str
     classes: dict[str, PropertyClass]
-    above: tuple[str, ...]
+    parent_paths: tuple[str, ...]
 
 
 @final
@@ -43,7 +43,7 @@ class DocumentReader:
         self._bytes_left = limits.index_bytes
         self._documents = 0
 
-    def spend(self, size: int, path: str) -> None:
+    def add_bytes(self, size: int, path: str) -> None:
         """Add a JSON document's bytes to the total; raise above the limits of reading a tileset."""
         self._bytes_left -= size
         self._documents += 1
@@ -63,26 +63,26 @@ class DocumentReader:
     def read_index(self, path: str) -> JsonObject:
         """Read a ``tileset.json``, and check its required members."""
         data = self._store.read(path, limit=MAX_JSON)
-        self.spend(len(data), path)
+        self.add_bytes(len(data), path)
         document = parse_object(data, f"{path}, ")
         asset = document.child("asset")
         version = asset.text("version")
-        if version not in _VERSIONS:
-            asset.refuse("version", " or ".join(_VERSIONS))
-        unknown = set(document.texts("extensionsRequired")) - _UNDERSTOOD
+        if version not in _SUPPORTED_VERSIONS:
+            asset.refuse("version", " or ".join(_SUPPORTED_VERSIONS))
+        unknown = set(document.texts("extensionsRequired")) - _SUPPORTED_EXTENSIONS
         if unknown:
             raise TilesetInvalid(
                 shorten(sorted(unknown)),
                 location=document.at("extensionsRequired"),
-                expected=f"extensions that are understood: {', '.join(sorted(_UNDERSTOOD))}",
+                expected=f"extensions that are understood: {', '.join(sorted(_SUPPORTED_EXTENSIONS))}",
             )
-        undeclared = set(document.texts("extensionsRequired")) - set(
+        undeclared_extensions = set(document.texts("extensionsRequired")) - set(
             document.texts("extensionsUsed")
         )
-        if undeclared:
+        if undeclared_extensions:
             self._report.note(
                 TilesetInvalid(
-                    shorten(sorted(undeclared)),
+                    shorten(sorted(undeclared_extensions)),
                     location=document.at("extensionsRequired"),
                     expected="extensions that extensionsUsed lists, too",
                 )
@@ -90,13 +90,13 @@ class DocumentReader:
         document.number("geometricError", least=0)
         return document
 
-    def describe(self, path: str, document: JsonObject, above: tuple[str, ...]) -> Document:
+    def describe(self, path: str, document: JsonObject, parent_paths: tuple[str, ...]) -> Document:
         """Return the path, metadata classes and referring files of a ``tileset.json``."""
         schema = document.optional("schema")
         if schema is None and "schemaUri" in document:
             location = document.at("schemaUri")
             uri = resolve_uri(path, document.text("schemaUri"), location)
             data = self._store.read(uri, limit=MAX_JSON)
-            self.spend(len(data), uri)
+            self.add_bytes(len(data), uri)
             schema = parse_object(data, f"{uri}, ")
-        return Document(path, read_classes(schema), (*above, path))
+        return Document(path, read_classes(schema), (*parent_paths, path))

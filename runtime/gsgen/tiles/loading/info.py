@@ -74,7 +74,7 @@ class TilesetInfo:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Measured:
+class _MeasuredFile:
     splats: int
     size: int
     degree: int
@@ -97,8 +97,8 @@ def describe_tileset(source: str | Path) -> TilesetInfo:
 
 def _describe(store: Store, tileset: Tileset) -> TilesetInfo:
     profile = tileset.metadata
-    known: dict[str, _Measured] = {}
-    levels: dict[int, list[tuple[Tile, _Measured]]] = {}
+    known: dict[str, _MeasuredFile] = {}
+    levels: dict[int, list[tuple[Tile, _MeasuredFile]]] = {}
     tiles = list(tileset.tiles())
     for tile in tiles:
         for content in tile.contents:
@@ -108,15 +108,15 @@ def _describe(store: Store, tileset: Tileset) -> TilesetInfo:
                     known[content.uri] = _from_header(store, content)
                 measured = known[content.uri]
             levels.setdefault(tile.level, []).append((tile, measured))
-    measured_all = [pair for pairs in levels.values() for pair in pairs]
+    measured_pairs = [pair for pairs in levels.values() for pair in pairs]
     samples = tileset.root.volume.samples()
     low, high = samples.min(axis=0), samples.max(axis=0)
     return TilesetInfo(
         tiles=len(tiles),
-        splats=sum(entry.splats for _, entry in measured_all),
-        leaf_splats=sum(entry.splats for tile, entry in measured_all if tile.is_finest),
-        bytes=sum(entry.size for _, entry in measured_all),
-        sh_degree=max((entry.degree for _, entry in measured_all), default=0),
+        splats=sum(entry.splats for _, entry in measured_pairs),
+        leaf_splats=sum(entry.splats for tile, entry in measured_pairs if tile.is_finest),
+        bytes=sum(entry.size for _, entry in measured_pairs),
+        sh_degree=max((entry.degree for _, entry in measured_pairs), default=0),
         refine=tileset.root.refine,
         levels=tuple(_level(level, levels[level]) for level in sorted(levels)),
         box=(tuple(map(float, low)), tuple(map(float, high))),
@@ -126,7 +126,7 @@ def _describe(store: Store, tileset: Tileset) -> TilesetInfo:
     )
 
 
-def _level(level: int, pairs: list[tuple[Tile, _Measured]]) -> LevelInfo:
+def _level(level: int, pairs: list[tuple[Tile, _MeasuredFile]]) -> LevelInfo:
     return LevelInfo(
         level=level,
         tiles=len({id(tile) for tile, _ in pairs}),
@@ -136,20 +136,20 @@ def _level(level: int, pairs: list[tuple[Tile, _Measured]]) -> LevelInfo:
     )
 
 
-def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _Measured | None:
+def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | None:
     """Return a tile's splats, bytes and SH degree from gsgen metadata; None if one is missing."""
     degree, quality = profile.get("sh_degree"), profile.get("quality", 0)
     splats, sizes = tile.metadata.get("splats"), tile.metadata.get("bytes")
     whole = isinstance(splats, int | np.integer) and isinstance(degree, int)
-    listed = isinstance(sizes, list) and all(isinstance(size, int) for size in sizes)
+    is_size_list = isinstance(sizes, list) and all(isinstance(size, int) for size in sizes)
     known = isinstance(quality, int) and quality >= 0
-    if not (whole and listed and sizes and known and len(tile.contents) == 1):
+    if not (whole and is_size_list and sizes and known and len(tile.contents) == 1):
         return None
     assert isinstance(degree, int)
-    return _Measured(int(splats or 0), sizes[min(quality, len(sizes) - 1)], degree)
+    return _MeasuredFile(int(splats or 0), sizes[min(quality, len(sizes) - 1)], degree)
 
 
-def _from_header(store: Store, content: Content) -> _Measured:
+def _from_header(store: Store, content: Content) -> _MeasuredFile:
     data = store.read(content.uri, limit=MAX_CONTENT)
 
     def fetch(uri: str, location: str, size: int) -> bytes:
@@ -158,4 +158,4 @@ def _from_header(store: Store, content: Content) -> _Measured:
 
     container = open_content(data, content.uri, fetch)
     header: ContentHeader = read_header(container, content.uri, len(data))
-    return _Measured(header.splats, header.size, header.sh_degree)
+    return _MeasuredFile(header.splats, header.size, header.sh_degree)

@@ -34,7 +34,7 @@ from gsgen.tiles.stores.store import Store
 
 MAX_CONTENT: Final = 512 << 20
 """How many bytes the file of one tile may have."""
-_FAR: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
+_MAX_FLOAT32_OFFSET: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
 
 
 def read_tile_content(
@@ -125,7 +125,7 @@ def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedR
         )
     middle = np.stack([part.origin for part in parts]).mean(axis=0)
     origin: Float64[np.ndarray, " 3"] = np.zeros(3)
-    if np.abs(middle).max() > _FAR:
+    if np.abs(middle).max() > _MAX_FLOAT32_OFFSET:
         origin = np.round(middle)
         text = f"positions are relative to {origin.tolist()} of the root tile's frame"
         warnings.warn(text, FormatWarning, stacklevel=2)

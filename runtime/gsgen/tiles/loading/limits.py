@@ -1,6 +1,6 @@
 """Limits of reading a tileset, and the handling of its faults."""
 
-__all__ = ["Limits", "LoadReport", "Strict"]
+__all__ = ["Limits", "LoadReport", "StrictReport"]
 
 from dataclasses import dataclass
 from typing import Protocol, final
@@ -41,7 +41,7 @@ class LoadReport(Protocol):
 
 
 @final
-class Strict:
+class StrictReport:
     """Raises faults that make a part of a tileset unreadable, and ignores all other faults."""
 
     def note(self, error: TilesetInvalid) -> None:

@@ -25,8 +25,8 @@ from gsgen.tiles.format.volumes import Box, Volume
 MAX_MODEL: Final = 1 << 30
 """Largest model of a neural tile, in bytes."""
 
-_SHARE: Final = 1e-3
-_BOUNDS_HOLD: Final = "GV021"  # a warning for a model, as no viewer culls by its bounds
+_BOUNDS_TOLERANCE: Final = 1e-3
+_BOUNDS_RULE: Final = "GV021"  # a warning for a model, as no viewer culls by its bounds
 
 
 @final
@@ -36,11 +36,11 @@ class TileBounds:
 
     Attributes:
         volume: The volume.
-        from_tile: From the tile's frame to that of the volume, a similarity.
+        model_from_tile: From the tile's frame to that of the volume, a similarity.
     """
 
     volume: Volume
-    from_tile: Float64[np.ndarray, "4 4"]
+    model_from_tile: Float64[np.ndarray, "4 4"]
 
 
 def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Violation]:
@@ -63,10 +63,14 @@ def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
     """
     from gsgen.contract import Level, Settings, open_model, validate
 
-    settings = Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR})
+    settings = Settings(level=Level.VALUES, severities={_BOUNDS_RULE: Severity.ERROR})
     report = validate(path, settings)
     if report.verdict != "conforms":
-        rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
+        rules = ", ".join(
+            dict.fromkeys(
+                each_finding.rule for each_finding in report.findings if each_finding.counts
+            )
+        )
         raise TilesetInvalid(
             f"the neural tile's ONNX model breaks the rules {rules}",
             expected="a model that conforms",
@@ -109,12 +113,12 @@ def check_neural_model(
         yield Violation.at(location, f"{neural.uri} declares no bounds", "bounds in the manifest")
         return
     low, high = np.array(manifest.bounds.min), np.array(manifest.bounds.max)
-    box = Box((low + high) / 2, np.diag((high - low) / 2)).transformed(bounds.from_tile)
-    out = float(bounds.volume.outside(box.samples()).max())
-    if out > _SHARE * bounds.volume.size:
+    box = Box((low + high) / 2, np.diag((high - low) / 2)).transformed(bounds.model_from_tile)
+    overshoot = float(bounds.volume.outside(box.samples()).max())
+    if overshoot > _BOUNDS_TOLERANCE * bounds.volume.size:
         yield Violation.at(
             f"tile {tile.location}",
-            f"the bounds of {EXTENSION} reach {out:.4g} out of the tile's volume",
+            f"the bounds of {EXTENSION} reach {overshoot:.4g} out of the tile's volume",
             "bounds within the volume",
         )
 

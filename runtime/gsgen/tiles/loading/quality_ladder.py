@@ -26,12 +26,12 @@ class QualityLadder:
     Attributes:
         tiles: Tiles of each quality, depth first; they differ in their contents alone.
         size: Bytes of each tile's file at each quality; infinite for tiles without a content.
-        worth: What a file shows at each quality, at most 1.
+        quality_scores: What a file shows at each quality, at most 1.
     """
 
     tiles: tuple[tuple[Tile, ...], ...]
     size: Float64[np.ndarray, "n q"]
-    worth: Float64[np.ndarray, " q"]
+    quality_scores: Float64[np.ndarray, " q"]
 
 
 @final
@@ -42,19 +42,19 @@ class TileQualities:
 
     Attributes:
         ladder: The files.
-        held: Quality of each tile in GPU memory, an index of the ladder; −1 for other tiles.
+        gpu_quality: Quality of each tile in GPU memory, an index of the ladder; −1 for other tiles.
         coarsest_size: Bytes of each tile's coarsest file; 0 for tiles without a content.
     """
 
     def __init__(self, ladder: QualityLadder) -> None:
         self.ladder = ladder
-        self.held: Int64[np.ndarray, " n"] = np.full(len(ladder.size), -1)
+        self.gpu_quality: Int64[np.ndarray, " n"] = np.full(len(ladder.size), -1)
         coarsest = ladder.size[:, -1]
         self.coarsest_size = np.where(np.isfinite(coarsest), coarsest, 0).astype(np.int64)
 
     def next_quality(self, tile: int) -> int:
         """Return the quality at which a tile is requested next; called on threads."""
-        return 0 if self.held[tile] >= 0 else len(self.ladder.worth) - 1
+        return 0 if self.gpu_quality[tile] >= 0 else len(self.ladder.quality_scores) - 1
 
     def size(self, tile: int, quality: int) -> int:
         """Return the number of bytes of a tile's content file at a quality."""
@@ -62,7 +62,7 @@ class TileQualities:
 
     def are_finest(self, tiles: Bool[np.ndarray, " n"]) -> bool:
         """Return whether all tiles of a mask that are in GPU memory have their finest file."""
-        return not bool((tiles & (self.held > 0)).any())
+        return not bool((tiles & (self.gpu_quality > 0)).any())
 
 
 def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | None:
@@ -101,7 +101,7 @@ def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | N
     return QualityLadder(
         tiles=tuple(ladder.values())[finest:],
         size=np.array([size or absent for size in sizes], np.float64)[:, finest:],
-        worth=np.array([SSIM[quality] for quality in ladder])[finest:],
+        quality_scores=np.array([SSIM[quality] for quality in ladder])[finest:],
     )
 
 

@@ -27,7 +27,7 @@ from gsgen.tiles.format.tileset import Content, Refine, Tile, Tileset
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.format.volumes import read_volume
 from gsgen.tiles.loading.documents import Document, DocumentReader
-from gsgen.tiles.loading.limits import Limits, LoadReport, Strict
+from gsgen.tiles.loading.limits import Limits, LoadReport, StrictReport
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 
@@ -74,7 +74,7 @@ def load_tileset(
         TilesetInvalid: The index cannot be read at all, or something in it and ``report``
             raises.
     """
-    loader = _Loader(store, limits or Limits(), report or Strict())
+    loader = _Loader(store, limits or Limits(), report or StrictReport())
     return loader.tileset(index, name or store.name)
 
 
@@ -150,7 +150,7 @@ class _Loader:
         volume = read_volume(entry.child("boundingVolume"))
         local_transform = self._transform(entry) if own_transform is None else own_transform
         transform = parent.transform @ local_transform
-        error, refine = entry.number("geometricError", least=0), self._refine(entry, parent)
+        error, refine = entry.number("geometricError", least=0), self._read_refine(entry, parent)
         tile = Tile(
             location=entry.location,
             volume=volume,
@@ -166,8 +166,8 @@ class _Loader:
         below = _Parent(transform, refine, parent.level + 1)
         contents, external = self._contents(entry, document, below)
         children = [*external]
-        for child in self._children(entry):
-            self._guard(partial(self._append_tile, children, child, document, below))
+        for child in self._child_entries(entry):
+            self._read_or_report(partial(self._append_tile, children, child, document, below))
         return replace(tile, contents=contents, children=tuple(children))
 
     def _append_tile(
@@ -175,7 +175,7 @@ class _Loader:
     ) -> None:
         children.append(self._tile(entry, document, parent))
 
-    def _guard(self, read: Callable[[], None]) -> None:
+    def _read_or_report(self, read: Callable[[], None]) -> None:
         """Read a part of a tileset; report the fault and omit the part if the part is invalid."""
         try:
             read()
@@ -191,7 +191,7 @@ class _Loader:
                 expected="fewer",
             )
 
-    def _refine(self, entry: JsonObject, parent: _Parent) -> Refine:
+    def _read_refine(self, entry: JsonObject, parent: _Parent) -> Refine:
         refine = entry.values.get("refine", parent.refine)
         if refine == "ADD":
             return "ADD"
@@ -199,9 +199,9 @@ class _Loader:
             entry.refuse("refine", "ADD or REPLACE")
         return "REPLACE"
 
-    def _children(self, entry: JsonObject) -> list[JsonObject]:
+    def _child_entries(self, entry: JsonObject) -> list[JsonObject]:
         children: list[JsonObject] = []
-        self._guard(lambda: children.extend(entry.objects("children")))
+        self._read_or_report(lambda: children.extend(entry.objects("children")))
         if entry.values.get("children") == []:
             self._report.note(
                 TilesetInvalid(
@@ -261,7 +261,7 @@ class _Loader:
         entries += entry.objects("contents")
         for content in entries:
             read = partial(self._content, content, document, below, contents, external)
-            self._guard(read)
+            self._read_or_report(read)
         return tuple(contents), external
 
     def _content(
@@ -275,21 +275,21 @@ class _Loader:
         key = "url" if "uri" not in entry and "url" in entry else "uri"  # url: of 1.0
         uri = resolve_uri(document.path, entry.text(key), entry.at(key))
         if uri.lower().endswith(".json"):
-            external.append(self._external(uri, entry.at(key), document, below))
+            external.append(self._load_external(uri, entry.at(key), document, below))
             return
         bounds = entry.optional("boundingVolume")
         volume = read_volume(bounds) if bounds else None
         contents.append(Content(uri=uri, volume=volume, location=entry.at(key)))
 
-    def _external(self, uri: str, location: str, document: Document, below: _Parent) -> Tile:
-        if uri in document.above:
+    def _load_external(self, uri: str, location: str, document: Document, below: _Parent) -> Tile:
+        if uri in document.parent_paths:
             raise TilesetInvalid(
                 f"the external tileset {uri} is nested within itself",
                 location=location,
                 expected="external tilesets that do not come back to this one",
                 fault=Fault.URI,
             )
-        if len(document.above) > self._limits.nesting:
+        if len(document.parent_paths) > self._limits.nesting:
             raise TilesetInvalid(
                 f"more than {self._limits.nesting} external tilesets are nested",
                 location=location,
@@ -297,7 +297,7 @@ class _Loader:
                 fault=Fault.URI,
             )
         inner = self._documents.read_index(uri)
-        source = self._documents.describe(uri, inner, document.above)
+        source = self._documents.describe(uri, inner, document.parent_paths)
         return self._tile(inner.child("root"), source, below)
 
     def _neural(self, entry: JsonObject, document: Document) -> NeuralTile | None:
@@ -328,11 +328,11 @@ class _Loader:
     def _subtree(self, tree: ImplicitTree, origin: TileCoordinates) -> Subtree:
         uri = tree.uri(tree.subtree_uri, origin, f"{tree.location}.implicitTiling.subtrees.uri")
         data = self._store.read(uri, limit=_MAX_SUBTREE)
-        self._documents.spend(len(data), uri)
+        self._documents.add_bytes(len(data), uri)
 
         def read_buffer(name: str, location: str, size: int) -> bytes:
             path = resolve_uri(uri, name, location)
-            self._documents.spend(size, path)
+            self._documents.add_bytes(size, path)
             return self._store.read(path, size=size, limit=_MAX_SUBTREE)
 
         return read_subtree(

@@ -161,12 +161,14 @@ class OnnxPredictor:
         poses = list(self._poses)
         times = last.time - model.step_seconds * np.arange(model.history - 1, -1, -1)
         states = []
-        before = last.quaternion
+        last_quaternion = last.quaternion
         for time in times[::-1]:
             pose = interpolate(poses, float(time))
             # Of q and −q, the one that is near the state after it.
-            quaternion = pose.quaternion if pose.quaternion @ before >= 0 else -pose.quaternion
-            before = quaternion
+            quaternion = (
+                pose.quaternion if pose.quaternion @ last_quaternion >= 0 else -pose.quaternion
+            )
+            last_quaternion = quaternion
             states.append(model.state(Pose(pose.time, pose.position - last.position, quaternion)))
         future = model.run(np.array(states[::-1], np.float32))
         future[:, :3] += last.position

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from gsgen.contract.spec.geometry import quaternion_product
 from gsgen.tiles.prediction.poses import Pose, rotation_quaternion, rotation_vector
 
-WINDOW: Final = 0.5
+VELOCITY_WINDOW: Final = 0.5
 """Seconds of the past from which constant velocity is taken."""
 
 
@@ -49,7 +49,7 @@ class ConstantVelocity:
     def observe(self, pose: Pose) -> None:
         """Record the camera pose of a frame."""
         self._poses.append(pose)
-        while len(self._poses) > 2 and self._poses[1].time < pose.time - WINDOW:
+        while len(self._poses) > 2 and self._poses[1].time < pose.time - VELOCITY_WINDOW:
             self._poses.popleft()
 
     def predict(self, ahead: Sequence[float]) -> list[Pose]:

@@ -16,9 +16,14 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 
-HORIZON: Final = 2.0
+PREDICTION_HORIZON: Final = 2.0
 """Seconds ahead for which tiles are fetched."""
-_SHARES: Final = (0.125, 0.25, 0.5, 1.0)  # of the horizon: the moments that are looked at
+_HORIZON_FRACTIONS: Final = (
+    0.125,
+    0.25,
+    0.5,
+    1.0,
+)  # of the horizon: the moments that are looked at
 _INTERVAL: Final = 0.1  # seconds between plans
 
 
@@ -97,9 +102,9 @@ class HorizonPrefetch:
         return [tile for tile in self._order if not loaded[tile]]
 
     def _plan(self) -> list[int]:
-        reach = min(HORIZON, self._predictor.reach)
+        reach = min(PREDICTION_HORIZON, self._predictor.reach)
         order: dict[int, None] = {}  # each tile once, where the first predicted pose sees it
-        for pose in self._predictor.predict([reach * share for share in _SHARES]):
+        for pose in self._predictor.predict([reach * share for share in _HORIZON_FRACTIONS]):
             frustum = self._frustum_at(pose.position, pose.quaternion)
             cut = cut_tree(self._tree, frustum, self._max_error)
             order.update(dict.fromkeys(request_order(self._tree, cut).tolist()))
@@ -125,12 +130,12 @@ class PathPrefetch:
         max_error: float,
     ) -> None:
         self._times: list[list[float]] = [[] for _ in tree.tiles]
-        before = np.zeros(len(tree), bool)
+        needed_before = np.zeros(len(tree), bool)
         for pose in path:
             cut = cut_tree(tree, frustum_at(pose.position, pose.quaternion), max_error)
-            for tile in np.flatnonzero(cut.wanted & ~before).tolist():
+            for tile in np.flatnonzero(cut.selected & ~needed_before).tolist():
                 self._times[tile].append(pose.time)
-            before = cut.wanted
+            needed_before = cut.selected
         self._time = -np.inf
 
     def observe(self, pose: Pose) -> None:

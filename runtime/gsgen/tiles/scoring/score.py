@@ -38,8 +38,8 @@ from gsgen.tiles.stores.store import Store
 
 Picture = Float32[np.ndarray, "h w 3"]
 
-_BAR: Final = 18  # pixels of the caption above a picture on a sheet
-_GAP: Final = 4  # pixels between the pictures of a sheet
+_CAPTION_HEIGHT: Final = 18  # pixels of the caption above a picture on a sheet
+_PICTURE_GAP: Final = 4  # pixels between the pictures of a sheet
 
 DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 """Name → distance of the camera from the middle, in radii of the scene."""
@@ -51,7 +51,7 @@ NEAR_SHARE: Final = 100
 
 _AZIMUTHS = (20.0, 140.0, 260.0)
 _RING_LATITUDE = 20.0
-_SHARE_WITHIN = 0.9
+_INNER_FRACTION = 0.9
 
 
 @final
@@ -155,26 +155,26 @@ def level_cut(root: Tile, level: int) -> Iterator[tuple[Tile, Content]]:
     pending = [(root, level)]
     while pending:
         tile, refinements = pending.pop()
-        stops = not tile.children or (refinements == 0 and bool(tile.contents))
-        if stops or tile.refine == "ADD":
+        is_cut_here = not tile.children or (refinements == 0 and bool(tile.contents))
+        if is_cut_here or tile.refine == "ADD":
             for content in tile.contents:
                 yield tile, content
-        if not stops:
+        if not is_cut_here:
             below = refinements - 1 if tile.contents else refinements
             pending += [(child, below) for child in reversed(tile.children)]
 
 
 def _depth(tileset: Tileset) -> int:
     """Return the number of refinements from the root to the finest tiles."""
-    deepest, pending = 0, [(tileset.root, 0)]
+    max_depth, pending = 0, [(tileset.root, 0)]
     while pending:
         tile, depth = pending.pop()
         below = depth + bool(tile.contents)
         if tile.children:
             pending += [(child, below) for child in tile.children]
         else:
-            deepest = max(deepest, depth)
-    return deepest
+            max_depth = max(max_depth, depth)
+    return max_depth
 
 
 def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tuple[Splats, int]:
@@ -200,7 +200,7 @@ def _cameras(
     """Return cameras around the middle of the scene, grouped by distance."""
     center = np.median(splats.position.astype(np.float64), axis=0)
     distances = np.linalg.norm(splats.position - center, axis=1)
-    radius = max(float(np.quantile(distances, _SHARE_WITHIN)), 1e-6)
+    radius = max(float(np.quantile(distances, _INNER_FRACTION)), 1e-6)
     return {
         name: cameras_around(
             center, distance * radius, up, size=(width, height), near=radius / NEAR_SHARE
@@ -264,14 +264,17 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
     levels = {f"level {entry.level}": entry for entry in score.levels}
     columns = ["scene", *reversed(levels)]
     height, width = score.pictures["scene"]["near"].shape[:2]
-    size = (len(columns) * (width + _GAP) - _GAP, len(DISTANCES) * (height + _BAR + _GAP) - _GAP)
+    size = (
+        len(columns) * (width + _PICTURE_GAP) - _PICTURE_GAP,
+        len(DISTANCES) * (height + _CAPTION_HEIGHT + _PICTURE_GAP) - _PICTURE_GAP,
+    )
     sheet: Any = Image.new("RGB", size, (40, 40, 40))
-    pen = ImageDraw.Draw(sheet)
+    drawing = ImageDraw.Draw(sheet)
     for column, name in enumerate(columns):
         for row, distance in enumerate(DISTANCES):
-            x, y = column * (width + _GAP), row * (height + _BAR + _GAP)
+            x, y = column * (width + _PICTURE_GAP), row * (height + _CAPTION_HEIGHT + _PICTURE_GAP)
             picture = np.rint(score.pictures[name][distance] * 255).astype(np.uint8)
-            sheet.paste(Image.fromarray(picture), (x, y + _BAR))
+            sheet.paste(Image.fromarray(picture), (x, y + _CAPTION_HEIGHT))
             text = f"{distance}: {score.splats:,} splats"
             if name in levels:
                 entry = levels[name]
@@ -279,5 +282,5 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
                     f"{name}: {entry.splats:,}, {entry.bytes / MEBIBYTE:.2f} MiB, "
                     f"SSIM {entry.ssim[distance]:.4f}"
                 )
-            pen.text((x + 4, y + 3), text, fill=(240, 240, 240))
+            drawing.text((x + 4, y + 3), text, fill=(240, 240, 240))
     return np.asarray(sheet)

@@ -19,12 +19,12 @@ class Cut:
 
     Attributes:
         seen: Tiles that meet the frustum and whose parents are all refined; from the root down.
-        wanted: The seen tiles that are not refined: the finest that are worth drawing.
+        selected: The seen tiles that are not refined: the finest that are worth drawing.
         error: Screen-space error of every tile, in pixels; infinite where the camera is inside.
     """
 
     seen: Bool[np.ndarray, " n"]
-    wanted: Bool[np.ndarray, " n"]
+    selected: Bool[np.ndarray, " n"]
     error: Float64[np.ndarray, " n"]
 
 
@@ -41,11 +41,11 @@ def cut_tree(
     """
     distance = frustum.distances(tree.center, tree.half_axes)
     error = frustum.screen_space_error(tree.error, distance)
-    refined = (error > max_error) & ~tree.is_leaf
+    is_refined = (error > max_error) & ~tree.is_leaf
     if max_level is not None:
-        refined &= tree.level < max_level
-    seen = frustum.meets(tree.center, tree.half_axes)
+        is_refined &= tree.level < max_level
+    seen = frustum.intersects(tree.center, tree.half_axes)
     for rows in tree.rows_of_level[1:]:
-        above = tree.parent[rows]
-        seen[rows] &= seen[above] & refined[above]
-    return Cut(seen=seen, wanted=seen & ~refined, error=error)
+        parent_rows = tree.parent[rows]
+        seen[rows] &= seen[parent_rows] & is_refined[parent_rows]
+    return Cut(seen=seen, selected=seen & ~is_refined, error=error)

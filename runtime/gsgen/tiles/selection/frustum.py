@@ -123,7 +123,7 @@ class Frustum:
         planes = np.column_stack([normals, distances - normals @ position])
         return replace(self, planes=planes, eye=np.asarray(position, np.float64), rotation=turn)
 
-    def meets(
+    def intersects(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Bool[np.ndarray, " n"]:
         """Return the mask of the boxes that reach the inner side of all planes of a view frustum.
@@ -147,15 +147,15 @@ class Frustum:
     ) -> Float64[np.ndarray, " n"]:
         """Return the distances from the camera to boxes; 0 if a box holds the camera."""
         lengths = np.sqrt(np.square(half_axes).sum(axis=2))
-        units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
+        unit_axes = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
         offset = self.eye - center
-        along = np.einsum("nij,nj->ni", units, offset)
+        along = np.einsum("nij,nj->ni", unit_axes, offset)
         squares = np.square(np.maximum(np.abs(along) - lengths, 0)).sum(axis=1)
         # A flat box has no direction along an axis of length 0: what remains of the offset.
         flat = (lengths == 0).any(axis=1)
         if flat.any():
-            rest = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
-            squares += np.where(flat, np.maximum(rest, 0), 0)
+            squared_rest = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
+            squares += np.where(flat, np.maximum(squared_rest, 0), 0)
         return np.asarray(np.sqrt(squares))
 
     def screen_space_error(

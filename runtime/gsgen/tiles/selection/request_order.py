@@ -49,5 +49,9 @@ def finer_file_order(
     reach = np.linalg.norm(tree.half_axes[rows], axis=(1, 2))
     distance = np.linalg.norm(tree.center[rows] - eye, axis=1)
     area = np.minimum(reach / np.maximum(distance, 1e-9), 1.0) ** 2
-    gain = area * (ladder.worth[0] - ladder.worth[quality[rows]]) / ladder.size[rows, 0]
-    return np.asarray(rows[np.lexsort((rows, -gain))])
+    quality_gain = (
+        area
+        * (ladder.quality_scores[0] - ladder.quality_scores[quality[rows]])
+        / ladder.size[rows, 0]
+    )
+    return np.asarray(rows[np.lexsort((rows, -quality_gain))])

@@ -30,7 +30,7 @@ class TileTree:
         half_axes: Vectors from the middle to the faces, as rows, [n, 3, 3].
         error: Geometric error, in units of the root frame.
         is_leaf: Whether there is no tile below.
-        adds: Whether the tiles below join the content instead of replacing it.
+        is_additive: Whether the tiles below join the content instead of replacing it.
         size: Bytes of the contents; 0 for a tile without.
         splats: Number of splats of the contents, or an estimate from the bytes.
         is_counted: Whether the metadata tell the number of splats of all contents.
@@ -44,7 +44,7 @@ class TileTree:
     half_axes: Float64[np.ndarray, "n 3 3"]
     error: Float64[np.ndarray, " n"]
     is_leaf: Bool[np.ndarray, " n"]
-    adds: Bool[np.ndarray, " n"]
+    is_additive: Bool[np.ndarray, " n"]
     size: Int64[np.ndarray, " n"]
     splats: Int64[np.ndarray, " n"]
     is_counted: bool = False
@@ -75,7 +75,7 @@ class TileTree:
             parents.append(parent)
         boxes = [_root_box(tile, tileset) for tile in tiles]
         scales = [float(np.linalg.norm(tile.transform[:3, :3], 2)) for tile in tiles]
-        measures = [measure_tile(tile, tileset, store) for tile in tiles]
+        tile_measures = [measure_tile(tile, tileset, store) for tile in tiles]
         level = np.array([tile.level for tile in tiles], np.int64)
         return cls(
             tiles=tuple(tiles),
@@ -85,9 +85,9 @@ class TileTree:
             half_axes=np.array([box.half_axes for box in boxes]),
             error=np.array([tile.geometric_error for tile in tiles]) * scales,
             is_leaf=np.array([not tile.children for tile in tiles]),
-            adds=np.array([tile.refine == "ADD" for tile in tiles]),
-            size=np.array([size for size, _ in measures], np.int64),
-            splats=np.array([splats for _, splats in measures], np.int64),
+            is_additive=np.array([tile.refine == "ADD" for tile in tiles]),
+            size=np.array([size for size, _ in tile_measures], np.int64),
+            splats=np.array([splats for _, splats in tile_measures], np.int64),
             is_counted=all(_is_counted(tile) for tile in tiles if tile.contents),
             rows_of_level=tuple(
                 np.flatnonzero(level == depth) for depth in range(int(level.max()) + 1)
@@ -100,17 +100,17 @@ class TileTree:
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return the mask of some tiles with all ancestors of these tiles added."""
-        marked = tiles.copy()
+        mask = tiles.copy()
         for rows in reversed(self.rows_of_level[1:]):
-            marked[self.parent[rows[marked[rows]]]] = True
-        return marked
+            mask[self.parent[rows[mask[rows]]]] = True
+        return mask
 
     def ancestors(self, tile: int) -> list[int]:
         """Return the ancestors of a tile, the root last."""
-        above = []
+        parent_indices = []
         while (tile := int(self.parent[tile])) >= 0:
-            above.append(tile)
-        return above
+            parent_indices.append(tile)
+        return parent_indices
 
 
 _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do not count
@@ -154,7 +154,7 @@ def _region_box(region: Region) -> Box:
     if max(region.width, height) > _LARGE_ANGLE:
         return Box(np.zeros(3), np.eye(3) * (_GLOBE + max(region.maximum, 0.0)))
     cells = range(_GRID)
-    points = np.concatenate([_patch(region, x, y).samples() for x in cells for y in cells])
+    points = np.concatenate([_region_cell(region, x, y).samples() for x in cells for y in cells])
     east = region.west + region.width / 2
     north = (region.south + region.north) / 2
     axes = np.array(
@@ -167,12 +167,12 @@ def _region_box(region: Region) -> Box:
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
     # Between samples the globe bulges by less than r·(angle/step)²/8.
-    sag = _GLOBE * (max(region.width, height) / (2 * _GRID)) ** 2 / 8
-    half = (high - low) / 2 + sag
+    curvature_sag = _GLOBE * (max(region.width, height) / (2 * _GRID)) ** 2 / 8
+    half = (high - low) / 2 + curvature_sag
     return Box((low + high) / 2 @ axes, axes * half[:, None])
 
 
-def _patch(region: Region, x: int, y: int) -> Region:
+def _region_cell(region: Region, x: int, y: int) -> Region:
     """Return one cell of a regular grid that divides a region of the globe."""
     width, height = region.width / _GRID, (region.north - region.south) / _GRID
     west, south = region.west + width * x, region.south + height * y

@@ -13,7 +13,7 @@ from typing import Literal, final
 from gsgen.contract.errors import ConfigInvalid
 
 Failure = int | Literal["cut", "stall"]
-_FORM = re.compile(r"^(\d{3}|cut|stall):([0-9.]+)$")
+_FAILURE_PATTERN = re.compile(r"^(\d{3}|cut|stall):([0-9.]+)$")
 
 
 @final
@@ -36,7 +36,7 @@ def parse_failure(text: str) -> FailureRule:
     Raises:
         ConfigInvalid: It says something else.
     """
-    match = _FORM.match(text)
+    match = _FAILURE_PATTERN.match(text)
     share = float(match[2]) if match and match[2].count(".") <= 1 and match[2] != "." else 2.0
     failure = match[1] if match else ""
     status = failure.isdigit() and 400 <= int(failure) <= 599

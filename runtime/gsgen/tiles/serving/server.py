@@ -17,7 +17,7 @@ from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.serving.faults import NetworkFaults
 
 _CHUNK = 16 << 10
-_STALL = 60.0
+_STALL_SECONDS = 60.0
 _RANGE = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
 _TYPES: Final = {
@@ -98,7 +98,7 @@ def serve_folder(
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: TileServer
-    timeout = _STALL
+    timeout = _STALL_SECONDS
 
     def do_GET(self) -> None:
         """Answer an HTTP GET request with a file, or a byte range of it."""
@@ -126,7 +126,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus(failure), with_body=with_body)
             return
         if failure == "stall":
-            faults.sleep(_STALL)
+            faults.sleep(_STALL_SECONDS)
             self.close_connection = True
             return
         file = self._file()
@@ -162,16 +162,16 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             file = self.server.folder / resolve_uri("", path, self.path)
             inside = file.resolve().is_relative_to(self.server.folder)
-            regular = stat.S_ISREG(file.stat().st_mode)
+            is_regular = stat.S_ISREG(file.stat().st_mode)
         except (TilesetInvalid, OSError, ValueError):
             return None
-        return file if inside and regular else None
+        return file if inside and is_regular else None
 
     def _span(self, size: int, etag: str) -> _Span | None:
         """Return the byte range that an HTTP request asks for; None if unsatisfiable."""
         match = _RANGE.match(self.headers.get("Range") or "")
-        condition = self.headers.get("If-Range")
-        if match is None or match[0] == "bytes=-" or condition not in (None, etag):
+        if_range = self.headers.get("If-Range")
+        if match is None or match[0] == "bytes=-" or if_range not in (None, etag):
             return _Span(0, size)
         if max(len(match[1]), len(match[2])) > _LONGEST_NUMBER:
             return None
@@ -205,8 +205,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Access-Control-Allow-Origin", "*")
         self.send_header("Access-Control-Allow-Headers", "Range, If-None-Match, If-Range")
         self.send_header("Access-Control-Allow-Methods", "GET, HEAD, OPTIONS")
-        exposed = "Content-Range, Content-Length, ETag, Accept-Ranges"
-        self.send_header("Access-Control-Expose-Headers", exposed)
+        exposed_headers = "Content-Range, Content-Length, ETag, Accept-Ranges"
+        self.send_header("Access-Control-Expose-Headers", exposed_headers)
 
     def _refuse(
         self, status: HTTPStatus, *, with_body: bool, headers: list[tuple[str, str]] | None = None

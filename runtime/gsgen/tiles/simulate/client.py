@@ -106,8 +106,8 @@ def simulate(
         recorder.frame(pose.time, cut, loaded)
         planner.frame(pose, cut, loaded)
         planner.fill(loaded)
-        count = int(cut.wanted.sum())
-        shares.append(int((cut.wanted & loaded).sum()) / count if count else 1.0)
+        count = int(cut.selected.sum())
+        shares.append(int((cut.selected & loaded).sum()) / count if count else 1.0)
         received.append(recorder.bytes)
     return Simulation(
         policy=policy,

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float64, Int64
 
-_DONE = 1e-6  # of a byte
+_DONE_BYTES = 1e-6  # of a byte
 
 
 @final
@@ -115,33 +115,33 @@ class SimulatedLink:
     def _transfer(self, tile: int) -> _Transfer:
         return next(entry for entry in self._transfers if entry.tile == tile)
 
-    def advance(self, until: float) -> Delivery | None:
+    def advance(self, end_time: float) -> Delivery | None:
         """Advance the simulated clock to the next delivery of a tile, or to a given time.
 
         Returns:
-            The delivery, or None where the clock reached ``until`` without one.
+            The delivery, or None where the clock reached ``end_time`` without one.
         """
         while True:
             now = self._clock.now()
             # 1. Deliver a transfer that is complete.
             active = [entry for entry in self._transfers if entry.start <= now]
-            done = [entry for entry in active if entry.remaining <= _DONE]
-            if done:
-                self._transfers.remove(done[0])
-                return Delivery(done[0].tile, now)
-            if now >= until:
+            completed = [entry for entry in active if entry.remaining <= _DONE_BYTES]
+            if completed:
+                self._transfers.remove(completed[0])
+                return Delivery(completed[0].tile, now)
+            if now >= end_time:
                 return None
             # 2. Find the next moment at which a rate changes, or a transfer begins or ends.
             share = self._trace.rate(now) / max(len(active), 1)
             waiting = [entry.start for entry in self._transfers if entry.start > now]
-            moment = min([until, self._trace.next_change(now), *waiting])
+            moment = min([end_time, self._trace.next_change(now), *waiting])
             if active and share > 0:
                 least = min(entry.remaining for entry in active)
                 moment = min(moment, max(now + least / share, math.nextafter(now, math.inf)))
             # 3. Move all transfers to that moment; until then each has an equal share of the rate.
             for entry in active:
-                spent = share * (moment - now)
-                left = entry.remaining - spent
+                received_bytes = share * (moment - now)
+                left = entry.remaining - received_bytes
                 # Rounding of a late time may leave a part of a byte.
                 entry.remaining = 0.0 if left <= 2 * share * math.ulp(moment) else left
             self._clock.time = moment

@@ -71,14 +71,16 @@ def write_plot(simulations: Sequence[Simulation], path: Path) -> None:
             f"is {path.suffix or 'without a suffix'}, expected one of {', '.join(sorted(known))}",
             where=f"--plot {path}",
         )
-    upper, lower = figure.subplots(2, sharex=True)
+    upper_axes, lower_axes = figure.subplots(2, sharex=True)
     for simulation in simulations:
-        upper.step(simulation.times, simulation.share_loaded, where="post", label=simulation.policy)
+        upper_axes.step(
+            simulation.times, simulation.share_loaded, where="post", label=simulation.policy
+        )
         received = [size / MEBIBYTE for size in simulation.received]
-        lower.step(simulation.times, received, where="post", label=simulation.policy)
-    upper.set(ylabel="wanted tiles loaded", ylim=(0, 1.02))
-    lower.set(ylabel="received, MiB", xlabel="time, s")
-    upper.legend()
+        lower_axes.step(simulation.times, received, where="post", label=simulation.policy)
+    upper_axes.set(ylabel="wanted tiles loaded", ylim=(0, 1.02))
+    lower_axes.set(ylabel="received, MiB", xlabel="time, s")
+    upper_axes.legend()
     # Without dates and versions: equal simulations give equal files.
     metadata = {"Software": None} if kind == "png" else {}
     with replace_file(path) as file:

@@ -45,8 +45,8 @@ def read_trace(path: Path) -> RateTrace:
         InputUnreadable: The file is missing or not such a table; the error names the line.
     """
     rows = _read_table(path, TRACE_COLUMNS)
-    if (negative := np.flatnonzero(rows[:, 1] < 0)).size:
-        line = int(negative[0])
+    if (negative_rows := np.flatnonzero(rows[:, 1] < 0)).size:
+        line = int(negative_rows[0])
         raise _refuse(path, line + 2, f"{rows[line, 1]:g} Mbps", "0 or more")
     return RateTrace(rows[:, 0], rows[:, 1] / _BITS)
 
@@ -73,12 +73,12 @@ def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n 
     missing = [name for name in columns if name not in header]
     if missing:
         raise _refuse(path, 1, f"columns {','.join(header)!r:.60}", ",".join(columns))
-    picks = [header.index(name) for name in columns]
+    column_indices = [header.index(name) for name in columns]
     rows: list[list[float]] = []
     for fields in lines:
         if not fields:
             continue
-        rows.append(_read_row(path, lines.line_num, fields, picks, len(header)))
+        rows.append(_read_row(path, lines.line_num, fields, column_indices, len(header)))
         if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
             expected = f"a time after {rows[-2][0]:g}"
             raise _refuse(path, lines.line_num, f"t {rows[-1][0]:g}", expected)
@@ -88,12 +88,12 @@ def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n 
 
 
 def _read_row(
-    path: Path, line: int, fields: list[str], picks: list[int], width: int
+    path: Path, line: int, fields: list[str], column_indices: list[int], width: int
 ) -> list[float]:
     if len(fields) != width:
         raise _refuse(path, line, f"{len(fields)} fields", f"{width}, as in the first line")
     try:
-        row = [float(fields[pick]) for pick in picks]
+        row = [float(fields[pick]) for pick in column_indices]
     except ValueError:
         row = [np.nan]
     if not np.isfinite(row).all():

@@ -73,7 +73,7 @@ class HttpStore(Store):
         with self._request("HEAD", path, {}) as response:
             length = response.headers.get("Content-Length", "")
             if not length.isdigit():
-                raise self._failed(path, "the server's response has no Content-Length")
+                raise self._read_error(path, "the server's response has no Content-Length")
             return int(length)
 
     def read(
@@ -82,7 +82,7 @@ class HttpStore(Store):
         """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
             return b""
-        return self._retried(lambda: self._read(path, start, size, limit))
+        return self._read_with_retries(lambda: self._read(path, start, size, limit))
 
     def read_whole(
         self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_FILE
@@ -104,16 +104,16 @@ class HttpStore(Store):
         def attempt() -> bytes:
             on_bytes(0)
             with self._request("GET", path, {"Accept-Encoding": "identity"}) as response:
-                return self._body(response, path, limit, None, on_bytes)
+                return self._read_body(response, path, limit, None, on_bytes)
 
-        return self._retried(attempt)
+        return self._read_with_retries(attempt)
 
-    def _retried(self, attempt: Callable[[], bytes]) -> bytes:
+    def _read_with_retries(self, attempt: Callable[[], bytes]) -> bytes:
         """Read from the web server, again if a response ends before all bytes have come."""
         for index in range(_RETRIES):
             try:
                 return attempt()
-            except _AnswerBroken:
+            except _IncompleteResponse:
                 time.sleep(_BACKOFF * 2**index + random.uniform(0, _BACKOFF))
         return attempt()
 
@@ -129,10 +129,10 @@ class HttpStore(Store):
                 return b""
             partial = ranged and response.status == 206
             count = None if size is None else size + (0 if partial else start)
-            data = self._body(response, path, limit + (0 if partial else start), count)
+            data = self._read_body(response, path, limit + (0 if partial else start), count)
         return data if partial or not start else data[start:]
 
-    def _body(
+    def _read_body(
         self,
         response: "BaseHTTPResponse",
         path: str,
@@ -153,7 +153,7 @@ class HttpStore(Store):
                 if len(body) > limit:
                     raise too_large(self.name, path, len(body), limit)
         except HTTPError as error:
-            raise _AnswerBroken(
+            raise _IncompleteResponse(
                 f"the web server's response ended early ({error})",
                 location=f"{self.name}/{path}",
                 expected="the whole file",
@@ -162,7 +162,7 @@ class HttpStore(Store):
             ) from error
         return bytes(body if count is None else body[:count])
 
-    def _request(self, method: str, path: str, headers: dict[str, str]) -> "_Answer":
+    def _request(self, method: str, path: str, headers: dict[str, str]) -> "_Response":
         from urllib3.exceptions import HTTPError
 
         address = f"{self.name}/{quote(path)}"
@@ -172,21 +172,21 @@ class HttpStore(Store):
                     method, address, headers=headers, preload_content=False, redirect=False
                 )
             except HTTPError as error:
-                raise self._failed(path, f"the server gives no answer ({error})") from error
+                raise self._read_error(path, f"the server gives no answer ({error})") from error
             if response.status not in _REDIRECTS:
                 break
             response.drain_conn()
-            address = self._redirected(path, address, response.headers.get("Location", ""))
+            address = self._redirect_address(path, address, response.headers.get("Location", ""))
         else:
-            raise self._failed(path, f"more than {_MOST_REDIRECTS} redirects")
+            raise self._read_error(path, f"more than {_MOST_REDIRECTS} redirects")
         if response.status in (200, 206, 416):
-            return _Answer(response)
+            return _Response(response)
         response.drain_conn()
         if response.status in _NOT_FOUND:
             raise missing(self.name, path, f"the server answers {response.status}")
-        raise self._failed(path, f"the server answers {response.status}")
+        raise self._read_error(path, f"the server answers {response.status}")
 
-    def _redirected(self, path: str, address: str, location: str) -> str:
+    def _redirect_address(self, path: str, address: str, location: str) -> str:
         """Return the address of an HTTP redirect; raise if the address has another origin."""
         target = urljoin(address, location)
         if not location or _origin(target) not in self._origins:
@@ -199,7 +199,7 @@ class HttpStore(Store):
             )
         return target
 
-    def _failed(self, path: str, actual: str) -> TilesetInvalid:
+    def _read_error(self, path: str, actual: str) -> TilesetInvalid:
         return StoreUnavailable(
             actual, location=f"{self.name}/{path}", expected="the file", fault=Fault.CONTENT
         )
@@ -215,12 +215,12 @@ def _origin(address: str) -> str:
     return f"{parts.scheme}://{parts.netloc}".lower()
 
 
-class _AnswerBroken(StoreUnavailable):
+class _IncompleteResponse(StoreUnavailable):
     """Raised if an HTTP response ended before all bytes had come."""
 
 
 @final
-class _Answer:
+class _Response:
     """An HTTP response; its connection is reused, or closed if bytes of the response remain."""
 
     def __init__(self, response: "BaseHTTPResponse") -> None:

@@ -21,12 +21,12 @@ from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
 
 INDEX_NAME: Final = "@3dtilesIndex1@"
-_RECORD = struct.Struct("<16sQ")
-_LOCAL = struct.Struct("<4s5H3I2H")
+_INDEX_RECORD = struct.Struct("<16sQ")
+_LOCAL_HEADER = struct.Struct("<4s5H3I2H")
 _LOCAL_MAGIC = b"PK\x03\x04"
 _DEFLATED = 8
 _MOST_MEMBERS = 4_000_000
-_DATE = (1980, 1, 1, 0, 0, 0)  # the first of a zip file: equal folders give equal archives
+_ARCHIVE_DATE = (1980, 1, 1, 0, 0, 0)  # the first of a zip file: equal folders give equal archives
 
 
 def index_sort_key(digest: bytes) -> tuple[int, int]:
@@ -38,7 +38,7 @@ def index_sort_key(digest: bytes) -> tuple[int, int]:
 def index_record(path: str, offset: int) -> bytes:
     """Return the record of a member in the index of a .3tz archive."""
     digest = hashlib.md5(path.encode(), usedforsecurity=False).digest()
-    return _RECORD.pack(digest, offset)
+    return _INDEX_RECORD.pack(digest, offset)
 
 
 @final
@@ -68,9 +68,11 @@ class ZipStore(Store):
             with zipfile.ZipFile(cast(BinaryIO, self._file)) as archive:
                 members = archive.infolist()
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise self._damaged(f"the zip archive cannot be listed ({error})") from error
+            raise self._damage_error(f"the zip archive cannot be listed ({error})") from error
         if len(members) > _MOST_MEMBERS:
-            raise self._damaged(f"the archive has {len(members):,} files, over {_MOST_MEMBERS:,}")
+            raise self._damage_error(
+                f"the archive has {len(members):,} files, over {_MOST_MEMBERS:,}"
+            )
         by_name = {member.filename: member for member in members}
         index = by_name.get(INDEX_NAME)
         if index is not None:
@@ -80,66 +82,66 @@ class ZipStore(Store):
     def _check_index(self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]) -> None:
         """Raise if the index of a .3tz archive and its zip directory disagree on offsets."""
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
-        if index.file_size != _RECORD.size * len(members):
-            raise self._damaged(
+        if index.file_size != _INDEX_RECORD.size * len(members):
+            raise self._damage_error(
                 f"the index of the archive has {index.file_size} bytes, but {len(members)} files "
-                f"need {_RECORD.size * len(members)}"
+                f"need {_INDEX_RECORD.size * len(members)}"
             )
         expected = {index_record(m.filename, m.header_offset) for m in members}
-        data = self._member(index, 0, index.file_size)
-        records = [data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)]
+        data = self._read_member(index, 0, index.file_size)
+        records = [data[offset : offset + 24] for offset in range(0, len(data), _INDEX_RECORD.size)]
         if set(records) != expected:
-            raise self._damaged("the index does not list the files of the archive")
+            raise self._damage_error("the index does not list the files of the archive")
 
     def size(self, path: str) -> int:
         """Return the unpacked size of an archive member in bytes."""
-        return self._info(path).file_size
+        return self._member_info(path).file_size
 
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
         """Read bytes of an archive member, see :class:`~gsgen.tiles.stores.store.Store`."""
-        member = self._info(path)
+        member = self._member_info(path)
         count = check_range(self.name, path, member.file_size, start, size, limit)
         if member.compress_type != zipfile.ZIP_STORED and start + count > limit:
             raise too_large(self.name, path, start + count, limit)
-        return self._member(member, start, count)
+        return self._read_member(member, start, count)
 
-    def _info(self, path: str) -> zipfile.ZipInfo:
+    def _member_info(self, path: str) -> zipfile.ZipInfo:
         member = self._members.get(path)
         if member is None or member.is_dir():
             raise missing(self.name, path, "the archive has no such member")
         return member
 
-    def _member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
+    def _read_member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
         """Read an archive member by its local header; offsets in the zip directory may be wrong."""
-        header = self._at(member.header_offset, _LOCAL.size)
-        if len(header) < _LOCAL.size or header[:4] != _LOCAL_MAGIC:
-            raise self._damaged(f"{member.filename} is not at byte {member.header_offset}")
-        *_, name_length, extra_length = _LOCAL.unpack(header)
-        first = member.header_offset + _LOCAL.size + name_length + extra_length
+        header = self._at(member.header_offset, _LOCAL_HEADER.size)
+        if len(header) < _LOCAL_HEADER.size or header[:4] != _LOCAL_MAGIC:
+            raise self._damage_error(f"{member.filename} is not at byte {member.header_offset}")
+        *_, name_length, extra_length = _LOCAL_HEADER.unpack(header)
+        first = member.header_offset + _LOCAL_HEADER.size + name_length + extra_length
         if member.flag_bits & 1:
-            raise self._damaged(f"{member.filename} is encrypted")
+            raise self._damage_error(f"{member.filename} is encrypted")
         if member.compress_type == zipfile.ZIP_STORED:
             data = self._at(first + start, count)
         elif member.compress_type == _DEFLATED:
-            data = self._inflated(first, member.compress_size, start + count)[start:]
+            data = self._inflate(first, member.compress_size, start + count)[start:]
         else:
             method = member.compress_type
-            raise self._damaged(
+            raise self._damage_error(
                 f"{member.filename} has compression method {method}, not 0 (stored) or 8 (deflate)"
             )
         if len(data) < count:
-            raise self._damaged(f"{member.filename} is truncated")
+            raise self._damage_error(f"{member.filename} is truncated")
         return data
 
-    def _inflated(self, first: int, packed: int, count: int) -> bytes:
-        unpacker = zlib.decompressobj(wbits=-15)
+    def _inflate(self, first: int, packed: int, count: int) -> bytes:
+        decompressor = zlib.decompressobj(wbits=-15)
         data = self._at(first, min(packed, count + (count >> 3) + (1 << 16)))
         try:
-            return unpacker.decompress(data, count) if count else b""
+            return decompressor.decompress(data, count) if count else b""
         except zlib.error as error:
-            raise self._damaged(f"an archived file cannot be unpacked ({error})") from error
+            raise self._damage_error(f"an archived file cannot be unpacked ({error})") from error
 
     def _at(self, start: int, count: int) -> bytes:
         if isinstance(self._file, RangedFile):
@@ -149,9 +151,9 @@ class ZipStore(Store):
                 self._file.seek(start)
                 return self._file.read(count)
             except (OSError, ValueError, OverflowError) as error:
-                raise self._damaged(f"the archive cannot be read ({error})") from error
+                raise self._damage_error(f"the archive cannot be read ({error})") from error
 
-    def _damaged(self, actual: str) -> TilesetInvalid:
+    def _damage_error(self, actual: str) -> TilesetInvalid:
         return TilesetInvalid(
             actual,
             location=self.name,
@@ -188,6 +190,6 @@ def write_archive(folder: Path, archive: Path) -> int:
 
 
 def _entry(path: str) -> zipfile.ZipInfo:
-    entry = zipfile.ZipInfo(path, _DATE)
+    entry = zipfile.ZipInfo(path, _ARCHIVE_DATE)
     entry.external_attr = 0o644 << 16
     return entry

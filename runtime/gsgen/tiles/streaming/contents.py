@@ -47,7 +47,9 @@ class ContentReader:
         qualities: TileQualities | None = None,
     ) -> None:
         self._qualities = qualities
-        self._fetched: dict[int, int] = {}  # tile → quality of the files that were read last
+        self._fetched_quality: dict[
+            int, int
+        ] = {}  # tile → quality of the files that were read last
         self._store, self._tileset, self._tree = store, tileset, tree
         self._cache = cache if isinstance(store, HttpStore) else None
         degree = tileset.metadata.get("sh_degree")
@@ -66,9 +68,9 @@ class ContentReader:
         """
         files: list[bytes] = []
         if self._qualities:
-            self._fetched[tile] = self._qualities.next_quality(tile)
+            self._fetched_quality[tile] = self._qualities.next_quality(tile)
         for content in self._entry(tile).contents:
-            report = partial(_report_sum, on_bytes, sum(map(len, files)))
+            report = partial(_report_total_bytes, on_bytes, sum(map(len, files)))
             files.append(self._file(content.uri, report))
         return files
 
@@ -120,7 +122,7 @@ class ContentReader:
         if isinstance(declared, int | np.integer) and declared != count:
             raise TilesetInvalid(
                 f"the tile's contents have {count:,} splats",
-                location=self._located(entry.contents[0].uri),
+                location=self._full_location(entry.contents[0].uri),
                 expected=f"{declared:,}, as declared in the metadata of the tile",
                 fault=Fault.COUNTS,
             )
@@ -132,21 +134,21 @@ class ContentReader:
             data = SplatData.from_splats(join_placed(placed, origin))
             order = along_curve(data.rows[:, :3])
             rows[:] = data.rows[order]
-            shared = min(channels, data.appearance.shape[1])
-            appearance[:, :shared] = data.appearance[order, :shared]
+            shared_channels = min(channels, data.appearance.shape[1])
+            appearance[:, :shared_channels] = data.appearance[order, :shared_channels]
         return TileArrival(
             tile=tile,
             rows=rows,
             appearance=appearance,
             origin=origin,
-            quality=self._fetched.get(tile, 0),
+            quality=self._fetched_quality.get(tile, 0),
         )
 
     def _entry(self, tile: int) -> Tile:
         """Return a tile as listed in the tileset of the SPZ quality fetched last for it."""
         if self._qualities is None:
             return self._tree.tiles[tile]
-        return self._qualities.ladder.tiles[self._fetched[tile]][tile]
+        return self._qualities.ladder.tiles[self._fetched_quality[tile]][tile]
 
     def _decode_file(self, tile: Tile, content: Content, data: bytes) -> list[PlacedSplats]:
         try:
@@ -156,17 +158,17 @@ class ContentReader:
         except TilesetInvalid as error:
             raise TilesetInvalid(
                 error.actual,
-                location=self._located(error.location),
+                location=self._full_location(error.location),
                 expected=error.expected,
                 hint=error.hint,
                 fault=error.fault,
             ) from error
 
-    def _located(self, location: str) -> str:
+    def _full_location(self, location: str) -> str:
         """Prefix a location in a file with the web address, if the file is on a web server."""
         return f"{self._store.name}/{location}" if isinstance(self._store, HttpStore) else location
 
 
-def _report_sum(on_bytes: Callable[[int], None], before: int, count: int) -> None:
+def _report_total_bytes(on_bytes: Callable[[int], None], bytes_before: int, count: int) -> None:
     """Report the bytes received of a tile's content files, counted over all files."""
-    on_bytes(before + count)
+    on_bytes(bytes_before + count)

@@ -78,10 +78,10 @@ class DiskCache:
         file = self._file(store, path)
         with self._lock, contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-            with self._locked() as counter:
-                total = self._with_room(_read_sum(counter), len(data))
-                _write_sum(
-                    counter, total
+            with self._open_locked() as total_file:
+                total = self._make_room(_read_total(total_file), len(data))
+                _write_total(
+                    total_file, total
                 )  # before the file: a crash may count it, but never lose it
                 handle, draft = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
                 with os.fdopen(handle, "wb") as stream:
@@ -89,10 +89,10 @@ class DiskCache:
                 os.replace(draft, file)
 
     @contextlib.contextmanager
-    def _locked(self) -> Iterator[BinaryIO]:
+    def _open_locked(self) -> Iterator[BinaryIO]:
         """Open and lock the file ``FOLDER.lock``, which holds the total of the cached bytes."""
-        beside = self._folder.with_name(f"{self._folder.name}.lock")
-        with open(os.open(beside, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as file:
+        lock_path = self._folder.with_name(f"{self._folder.name}.lock")
+        with open(os.open(lock_path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as file:
             _lock(file.fileno())  # until the file is closed
             yield file
 
@@ -109,7 +109,7 @@ class DiskCache:
                     files.append((status.st_mtime_ns / 1e9, status.st_size, Path(entry.path)))
         return files
 
-    def _with_room(self, total: int | None, size: int) -> int:
+    def _make_room(self, total: int | None, size: int) -> int:
         """Delete the least recently used files until a new file fits; return the new total bytes.
 
         Args:
@@ -134,14 +134,14 @@ def _digest_in_name(path: str) -> str | None:
     return match[1] if match else None
 
 
-def _read_sum(counter: BinaryIO) -> int | None:
-    text = counter.read(32).strip()
+def _read_total(total_file: BinaryIO) -> int | None:
+    text = total_file.read(32).strip()
     return int(text) if text.isdigit() else None
 
 
-def _write_sum(counter: BinaryIO, total: int) -> None:
-    counter.seek(0)
-    counter.write(b"%-32d" % total)
+def _write_total(total_file: BinaryIO, total: int) -> None:
+    total_file.seek(0)
+    total_file.write(b"%-32d" % total)
 
 
 def _lock(descriptor: int) -> None:

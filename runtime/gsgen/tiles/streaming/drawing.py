@@ -12,7 +12,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 FADE_SECONDS: Final = 0.25
 # A window that stood still draws its next frame late: a fade that begins then must not be over.
-_LONGEST_STEP: Final = 1 / 15
+_MAX_STEP_SECONDS: Final = 1 / 15
 
 
 def drawable_tiles(
@@ -29,28 +29,32 @@ def drawable_tiles(
         cut: Of the camera.
         resident: Tiles that are there; those without content always are.
     """
-    seen, refined = cut.seen, cut.seen & ~cut.wanted
+    seen, is_refined = cut.seen, cut.seen & ~cut.selected
     # 1. From the leaves up: can all that is seen below a tile be shown, at some level?
-    shown, below_shown = seen & resident, np.zeros(len(tree), bool)
+    is_drawable, are_children_drawable = seen & resident, np.zeros(len(tree), bool)
     for rows in reversed(tree.rows_of_level[1:]):
         rows = rows[seen[rows]]
-        above = tree.parent[rows]
-        below_shown[above] = True
-        below_shown[above[~shown[rows]]] = False
-        shown[above] |= below_shown[above] & ~tree.adds[above]
+        parent_rows = tree.parent[rows]
+        are_children_drawable[parent_rows] = True
+        are_children_drawable[parent_rows[~is_drawable[rows]]] = False
+        is_drawable[parent_rows] |= (
+            are_children_drawable[parent_rows] & ~tree.is_additive[parent_rows]
+        )
     # 2. From the root down: a tile is passed over where the tiles below take its place.
     drawn = np.zeros(len(tree), bool)
-    open_above = np.zeros(len(tree), bool)
-    open_above[0] = True
+    is_reached = np.zeros(len(tree), bool)
+    is_reached[0] = True
     for rows in tree.rows_of_level:
-        rows = rows[seen[rows] & open_above[rows]]
-        steps_down = refined[rows] & (below_shown[rows] | ~resident[rows] | tree.adds[rows])
-        drawn[rows] = resident[rows] & (~steps_down | tree.adds[rows])
-        opened = rows[steps_down]
-        if len(opened):
-            below = np.zeros(len(tree), bool)
-            below[opened] = True
-            open_above |= (tree.parent >= 0) & below[tree.parent]
+        rows = rows[seen[rows] & is_reached[rows]]
+        is_passed_over = is_refined[rows] & (
+            are_children_drawable[rows] | ~resident[rows] | tree.is_additive[rows]
+        )
+        drawn[rows] = resident[rows] & (~is_passed_over | tree.is_additive[rows])
+        opened_rows = rows[is_passed_over]
+        if len(opened_rows):
+            is_parent_opened = np.zeros(len(tree), bool)
+            is_parent_opened[opened_rows] = True
+            is_reached |= (tree.parent >= 0) & is_parent_opened[tree.parent]
     return drawn
 
 
@@ -92,41 +96,41 @@ class Fades:
         """
         step = 1.0
         if self._seconds > 0 and self._time is not None:
-            step = min(time - self._time, _LONGEST_STEP) / self._seconds
+            step = min(time - self._time, _MAX_STEP_SECONDS) / self._seconds
         self._time = time
         visible = self._fade > 0
         # Only a tile with a visible one above or below it takes the place of something.
-        replaces = self._below(visible) | self._above(visible)
-        enters = drawn & ~visible
-        self._fade[enters & ~replaces] = 1.0
+        has_drawn_relative = self._descendants(visible) | self._ancestors(visible)
+        is_entering = drawn & ~visible
+        self._fade[is_entering & ~has_drawn_relative] = 1.0
         # A drawn tile below or above another has taken its place.
-        leaves = visible & ~drawn
-        replaced = self._below(drawn) | self._above(drawn)
-        self._fade[leaves & ~(replaced & self._in_view(seen))] = 0.0
-        rising = drawn & (self._fade < 1) & (replaces | visible)
-        falling = (self._fade > 0) & ~drawn
-        self._fade[rising] = np.minimum(self._fade[rising] + step, 1.0)
-        self._fade[falling] = np.maximum(self._fade[falling] - step, 0.0)
+        is_leaving = visible & ~drawn
+        is_replaced = self._descendants(drawn) | self._ancestors(drawn)
+        self._fade[is_leaving & ~(is_replaced & self._tiles_in_view(seen))] = 0.0
+        is_fading_in = drawn & (self._fade < 1) & (has_drawn_relative | visible)
+        is_fading_out = (self._fade > 0) & ~drawn
+        self._fade[is_fading_in] = np.minimum(self._fade[is_fading_in] + step, 1.0)
+        self._fade[is_fading_out] = np.maximum(self._fade[is_fading_out] - step, 0.0)
 
     def drop(self, tile: int) -> None:
         """Stop drawing a tile at once, without a fade."""
         self._fade[tile] = 0.0
 
-    def _in_view(self, seen: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    def _tiles_in_view(self, seen: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return the mask of the tiles that a camera sees, and all descendants of these tiles."""
-        return np.asarray(seen | self._below(seen))
+        return np.asarray(seen | self._descendants(seen))
 
-    def _below(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    def _descendants(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return the mask of all descendants of some tiles."""
-        marked = np.zeros(len(tiles), bool)
+        mask = np.zeros(len(tiles), bool)
         for rows in self._tree.rows_of_level[1:]:
-            above = self._tree.parent[rows]
-            marked[rows] = tiles[above] | marked[above]
-        return marked
+            parent_rows = self._tree.parent[rows]
+            mask[rows] = tiles[parent_rows] | mask[parent_rows]
+        return mask
 
-    def _above(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    def _ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return the mask of all ancestors of some tiles."""
-        marked = np.zeros(len(tiles), bool)
+        mask = np.zeros(len(tiles), bool)
         for rows in reversed(self._tree.rows_of_level[1:]):
-            marked[self._tree.parent[rows[tiles[rows] | marked[rows]]]] = True
-        return marked
+            mask[self._tree.parent[rows[tiles[rows] | mask[rows]]]] = True
+        return mask

@@ -76,18 +76,18 @@ class FetchLink(Generic[Decoded]):
         self._fetch, self._decode, self._size = fetch, decode, size
         self._connections = connections
         self._decoders = Semaphore(_DECODERS)
-        self._active: dict[int, _Request] = {}
+        self._active_requests: dict[int, _Request] = {}
         self._queue: deque[int] = deque()
         self._started: list[int] = []
         self._lock = Lock()
         self._results: SimpleQueue[FetchResult[Decoded]] = SimpleQueue()
-        self._news = Event()
+        self._result_event = Event()
 
     @property
     def free(self) -> int:
         """The number of tile requests that can be made now."""
         with self._lock:
-            return self._connections - len(self._active)
+            return self._connections - len(self._active_requests)
 
     def request(self, tile: int) -> None:
         """Begin to fetch a tile on a thread of its own."""
@@ -107,19 +107,19 @@ class FetchLink(Generic[Decoded]):
 
     def _begin(self, tile: int) -> None:
         """Start a thread that fetches a tile; the caller holds ``self._lock``."""
-        request = self._active[tile] = _Request(tile)
+        request = self._active_requests[tile] = _Request(tile)
         Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
 
     def progress(self, tile: int) -> float:
         """Return the received fraction of a tile's bytes; 1 while the tile is decoded."""
         with self._lock:
-            request = self._active.get(tile)
+            request = self._active_requests.get(tile)
         return 1.0 if request is None else request.received / max(self._size(tile), 1)
 
     def cancel(self, tile: int) -> int:
         """Cancel an incomplete tile request; return the number of bytes received."""
         with self._lock:
-            request = self._active.pop(tile, None)
+            request = self._active_requests.pop(tile, None)
             if request is None:  # its bytes have come in the meantime
                 return 0
             request.is_cancelled = True
@@ -127,7 +127,7 @@ class FetchLink(Generic[Decoded]):
 
     def poll(self) -> list[FetchResult[Decoded]]:
         """Return the tiles that arrived or failed since the last call."""
-        self._news.clear()
+        self._result_event.clear()
         results = []
         while not self._results.empty():
             results.append(self._results.get())
@@ -135,15 +135,15 @@ class FetchLink(Generic[Decoded]):
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails, for a limited time."""
-        self._news.wait(seconds)
+        self._result_event.wait(seconds)
 
     def close(self) -> None:
         """Cancel all tile requests; each thread ends after the piece that it is reading."""
         with self._lock:
             self._queue.clear()
-            for request in self._active.values():
+            for request in self._active_requests.values():
                 request.is_cancelled = True
-            self._active.clear()
+            self._active_requests.clear()
 
     def _run(self, request: _Request) -> None:
         try:
@@ -163,8 +163,8 @@ class FetchLink(Generic[Decoded]):
         with self._lock:
             if request.is_cancelled:
                 return False
-            del self._active[request.tile]
-            while self._queue and len(self._active) < self._connections:
+            del self._active_requests[request.tile]
+            while self._queue and len(self._active_requests) < self._connections:
                 tile = self._queue.popleft()
                 self._started.append(tile)
                 self._begin(tile)
@@ -180,4 +180,4 @@ class FetchLink(Generic[Decoded]):
 
     def _answer(self, result: FetchResult[Decoded]) -> None:
         self._results.put(result)
-        self._news.set()
+        self._result_event.set()

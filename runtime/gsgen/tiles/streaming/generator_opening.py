@@ -29,7 +29,7 @@ class GeneratorOpener:
 
     def __init__(self, tree: TileTree, read_model: ModelReader, provider: str) -> None:
         self._tree, self._read_model, self._provider = tree, read_model, provider
-        self._conforming: set[int] = set()
+        self._validated_tiles: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
         """Read, check and open a tile's ONNX generator; return its worker and the model size.
@@ -45,9 +45,9 @@ class GeneratorOpener:
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
             path = Path(folder) / "model.onnx"
             path.write_bytes(data)
-            if tile not in self._conforming:
-                self._require_promises(tile, entry.neural, path)
-                self._conforming.add(tile)
+            if tile not in self._validated_tiles:
+                self._require_declarations(tile, entry.neural, path)
+                self._validated_tiles.add(tile)
             worker = GeneratorWorker(path, self._provider)
         try:
             _require_drawable(worker)
@@ -56,7 +56,7 @@ class GeneratorOpener:
             raise
         return worker, len(data)
 
-    def _require_promises(self, tile: int, neural: NeuralTile, path: Path) -> None:
+    def _require_declarations(self, tile: int, neural: NeuralTile, path: Path) -> None:
         """Raise if a tile's ONNX generator breaks a validation rule or the tile's declaration."""
         entry, box = self._tree.tiles[tile], self._tree.box(tile)
         bounds = TileBounds(box, entry.transform)

@@ -16,7 +16,7 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.volumes import Box
 from gsgen.tiles.streaming.session_frame import TileArrival
 
-_SHARE = 1e-3  # of the box's diagonal, by which positions may leave the box
+_BOUNDS_TOLERANCE = 1e-3  # of the box's diagonal, by which positions may leave the box
 
 
 def tile_rows(
@@ -47,15 +47,15 @@ def tile_rows(
     linear, origin = transform[:3, :3], transform[:3, 3]
     moved = _transformed(rows, linear)
     _require_valid(moved, appearance, origin, box)
-    arrival = np.zeros((len(rows), 3 * coefficients(sh_degree)), np.float32)
+    sh_rows = np.zeros((len(rows), 3 * coefficients(sh_degree)), np.float32)
     harmonics = _harmonics(appearance, space)
     if harmonics.shape[1] > 1 and not np.array_equal(linear, np.eye(3)):
         left, _, right = np.linalg.svd(linear)
         harmonics = rotate_sh(harmonics, left @ right)
     flat = harmonics.reshape(len(rows), -1)
-    shared = min(flat.shape[1], arrival.shape[1])
-    arrival[:, :shared] = flat[:, :shared]
-    return TileArrival(tile=tile, rows=moved, appearance=arrival, origin=origin)
+    shared_coefficients = min(flat.shape[1], sh_rows.shape[1])
+    sh_rows[:, :shared_coefficients] = flat[:, :shared_coefficients]
+    return TileArrival(tile=tile, rows=moved, appearance=sh_rows, origin=origin)
 
 
 def _transformed(
@@ -92,7 +92,7 @@ def _require_valid(
     outside = np.zeros(len(rows), bool)
     drawn = finite & (opacity > 0)
     far = box.outside(rows[drawn, layout.POSITION].astype(np.float64) + origin)
-    outside[drawn] = ~(far <= _SHARE * box.size)
+    outside[drawn] = ~(far <= _BOUNDS_TOLERANCE * box.size)
     checks = {
         "are not finite": (~finite, "finite numbers"),
         "have an invalid opacity": (~((opacity >= 0) & (opacity <= 1)), "0 <= opacity <= 1"),

@@ -59,21 +59,21 @@ class MetricsRecorder:
     def __init__(self, parent: Int64[np.ndarray, " n"], size: Int64[np.ndarray, " n"]) -> None:
         count = len(parent)
         self._parent, self._size = parent, size
-        self._wanted = np.zeros(count, bool)
-        self._unseen = np.zeros(count, bool)
+        self._selected = np.zeros(count, bool)
+        self._is_unseen = np.zeros(count, bool)
         self._waiting: dict[int, list[float]] = {}
         self._delays: list[float] = []
-        self._hits = self._frames = self._good = self._holes = 0
-        self._first_good = math.nan
+        self._hit_count = self._frames = self._good_frames = self._hole_frames = 0
+        self._first_good_time = math.nan
         self._start: float | None = None
         self._time = 0.0
-        self._wasted = 0
+        self._wasted_bytes = 0
         self.bytes = self.requests = 0
 
     @property
     def unseen_bytes(self) -> int:
         """The bytes of tiles that arrived but were not seen, and of cancelled requests."""
-        return int(self._size[self._unseen].sum()) + self._wasted
+        return int(self._size[self._is_unseen].sum()) + self._wasted_bytes
 
     def request(self) -> None:
         """Count one request of a streamed tile."""
@@ -82,35 +82,35 @@ class MetricsRecorder:
     def arrive(self, tile: int, time: float) -> None:
         """Record that a streamed tile was received completely at ``time``."""
         self.bytes += int(self._size[tile])
-        if self._unseen[tile]:
-            self._wasted += int(self._size[tile])  # dropped unseen, and asked for again
-        self._unseen[tile] = True
+        if self._is_unseen[tile]:
+            self._wasted_bytes += int(self._size[tile])  # dropped unseen, and asked for again
+        self._is_unseen[tile] = True
         self._delays += [time - entry for entry in self._waiting.pop(tile, [])]
 
     def cancel(self, received: int) -> None:
         """Record that a tile request was cancelled after ``received`` bytes."""
         self.bytes += received
-        self._wasted += received
+        self._wasted_bytes += received
 
     def frame(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Record the tiles that a frame needs, and the tiles that are loaded."""
         self._time = time
         self._start = time if self._start is None else self._start
-        self._unseen &= ~(cut.seen & loaded)
-        entries = cut.wanted & ~self._wanted
-        self._wanted = cut.wanted.copy()
+        self._is_unseen &= ~(cut.seen & loaded)
+        entries = cut.selected & ~self._selected
+        self._selected = cut.selected.copy()
         hits = int((entries & loaded).sum())
-        self._hits += hits
+        self._hit_count += hits
         self._delays += [0.0] * hits
         for tile in np.flatnonzero(entries & ~loaded).tolist():
             self._waiting.setdefault(tile, []).append(time)
         self._frames += 1
-        count, there = int(cut.wanted.sum()), int((cut.wanted & loaded).sum())
-        if there >= GOOD_SHARE * count:
-            self._good += 1
-            if math.isnan(self._first_good):
-                self._first_good = time - self._start
-        self._holes += self._has_hole(cut.wanted, loaded)
+        count, loaded_count = int(cut.selected.sum()), int((cut.selected & loaded).sum())
+        if loaded_count >= GOOD_SHARE * count:
+            self._good_frames += 1
+            if math.isnan(self._first_good_time):
+                self._first_good_time = time - self._start
+        self._hole_frames += self._has_hole(cut.selected, loaded)
 
     def _has_hole(self, needed: Bool[np.ndarray, " n"], loaded: Bool[np.ndarray, " n"]) -> bool:
         """Return whether a wanted tile has neither content nor a loaded ancestor."""
@@ -128,13 +128,13 @@ class MetricsRecorder:
         delays = np.array([*self._delays, *waits])
         count = len(delays)
         return StreamingMetrics(
-            hit_rate=self._hits / count if count else 1.0,
+            hit_rate=self._hit_count / count if count else 1.0,
             waste=self.unseen_bytes / self.bytes if self.bytes else 0.0,
-            first_good_s=self._first_good,
-            share_good=self._good / self._frames if self._frames else 1.0,
+            first_good_s=self._first_good_time,
+            share_good=self._good_frames / self._frames if self._frames else 1.0,
             mean_delay_s=float(delays.mean()) if count else 0.0,
             p95_delay_s=float(np.percentile(delays, 95)) if count else 0.0,
-            hole_frames=self._holes,
+            hole_frames=self._hole_frames,
             entries=count,
             bytes=self.bytes,
             requests=self.requests,

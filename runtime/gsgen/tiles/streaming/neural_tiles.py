@@ -83,8 +83,8 @@ class _Generator:
     Attributes:
         worker: Runs the model on a thread.
         pending: The run that was begun.
-        begun: Inputs of that run.
-        shown: Inputs of the run that ``result`` came of.
+        started_inputs: Inputs of that run.
+        drawn_inputs: Inputs of the run that ``result`` came of.
         result: Latest rows, in the root frame.
         last_run: Time of the last run's begin.
         last_drawn: Time at which the tile was last drawn.
@@ -92,8 +92,8 @@ class _Generator:
 
     worker: GeneratorWorker
     pending: "Future[FrameDelta] | None" = None
-    begun: _RunInputs | None = None
-    shown: _RunInputs | None = None
+    started_inputs: _RunInputs | None = None
+    drawn_inputs: _RunInputs | None = None
     result: TileArrival | None = None
     last_run: float = -np.inf
     last_drawn: float = -np.inf
@@ -116,7 +116,7 @@ class NeuralTiles:
         clock: Of the rate of runs.
         options: The budgets.
         sh_degree: Of the splat pool.
-        most_rows: Rows of the splat pool; a tile that declares more draws its splats.
+        max_rows: Rows of the splat pool; a tile that declares more draws its splats.
         report: Receives a line for each generator that cannot be run.
         log: Receives events; None for none.
     """
@@ -129,12 +129,12 @@ class NeuralTiles:
         options: NeuralTilesOptions,
         *,
         sh_degree: int,
-        most_rows: int,
+        max_rows: int,
         report: Callable[[str], None],
         log: EventLog | None = None,
     ) -> None:
         self._tree, self._read_model, self._clock = tree, read_model, clock
-        self._options, self._sh_degree, self._most_rows = options, sh_degree, most_rows
+        self._options, self._sh_degree, self._max_rows = options, sh_degree, max_rows
         self._report, self._log = report, log
         self._neural = {
             index: tile.neural
@@ -142,11 +142,11 @@ class NeuralTiles:
             if tile.neural and tile.contents
         }
         for tile, neural in list(self._neural.items()):
-            if neural.splats_max > most_rows:
+            if neural.splats_max > max_rows:
                 del self._neural[tile]
                 report(
                     f"{neural.location}.splats_max: {neural.splats_max:,}; expected at most "
-                    f"{most_rows:,}, the budget of Gaussians; the tile's splats are drawn"
+                    f"{max_rows:,}, the budget of Gaussians; the tile's splats are drawn"
                 )
         spans = [neural.time_range for neural in self._neural.values() if neural.time_range]
         self.time_range = (
@@ -154,12 +154,12 @@ class NeuralTiles:
         )
         self.bytes = self.runs = 0
         self._contents: dict[int, TileArrival] = {}  # of resident neural tiles
-        self._in_pool: dict[int, TileArrival] = {}  # what the slots of each of them hold
+        self._pool_contents: dict[int, TileArrival] = {}  # what the slots of each of them hold
         self._uploads: dict[int, tuple[TileArrival, int]] = {}  # in parts; rows that came so far
         self._open: dict[int, _Generator] = {}
         self._loading: dict[int, Future[tuple[GeneratorWorker, int]]] = {}
         self._retry_at: dict[int, float] = {}
-        self._unsettled: tuple[int, ...] = ()
+        self._pending_tiles: tuple[int, ...] = ()
         self._tokens, self._token_time = 1.0, clock.now()
         self._events = NeuralEvents()
         self._opener = GeneratorOpener(tree, read_model, options.provider)
@@ -173,12 +173,12 @@ class NeuralTiles:
     def reserved_rows(self, tile: int) -> int:
         """Return how many splat pool rows a tile reserves: twice as many for partial uploads."""
         splats_max, slot_rows = self._neural[tile].splats_max, self._options.slot_rows
-        most = max(splats_max, int(self._tree.splats[tile]) if self._tree.is_counted else 0)
-        slots = -(-most // slot_rows)
+        max_splats = max(splats_max, int(self._tree.splats[tile]) if self._tree.is_counted else 0)
+        slots = -(-max_splats // slot_rows)
         row_bytes = pool_row_bytes(3 * coefficients(self._sh_degree))
-        has_parts = slots > 1 and most * row_bytes > self._options.upload_budget
-        doubled = 2 * slots * slot_rows
-        return doubled if has_parts and doubled <= self._most_rows else splats_max
+        has_parts = slots > 1 and max_splats * row_bytes > self._options.upload_budget
+        doubled_rows = 2 * slots * slot_rows
+        return doubled_rows if has_parts and doubled_rows <= self._max_rows else splats_max
 
     @property
     def open_tiles(self) -> tuple[int, ...]:
@@ -186,20 +186,20 @@ class NeuralTiles:
         return tuple(sorted(self._open))
 
     @property
-    def unsettled(self) -> tuple[int, ...]:
+    def pending_tiles(self) -> tuple[int, ...]:
         """The tiles whose ONNX generators have not yet run with the last frame's inputs."""
-        return self._unsettled
+        return self._pending_tiles
 
     def arrive(self, arrival: TileArrival) -> None:
         """Record that the stored splats of a tile with an ONNX generator are in the splat pool."""
         if arrival.tile in self._neural:
-            self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
+            self._contents[arrival.tile] = self._pool_contents[arrival.tile] = arrival
             self._uploads.pop(arrival.tile, None)
 
     def evict(self, tile: int) -> None:
         """Forget the splats of a neural tile after its eviction from the splat pool."""
         self._contents.pop(tile, None)
-        self._in_pool.pop(tile, None)
+        self._pool_contents.pop(tile, None)
         self._uploads.pop(tile, None)
 
     def frame(
@@ -224,14 +224,16 @@ class NeuralTiles:
         """
         time = self._clock.now()
         self._collect(time)
-        tiles = self._largest(camera, [tile for tile in drawn if tile in self._contents], time)
+        tiles = self._largest_in_view(
+            camera, [tile for tile in drawn if tile in self._contents], time
+        )
         inputs = {tile: self._inputs(tile, camera, values) for tile in tiles}
-        self._close_others(tiles, time)
+        self._close_unused(tiles, time)
         if is_complete:
             self._load(tiles)
         self._run(inputs, camera, time)
         updates = self._updates(uploaded)
-        self._unsettled = tuple(t for t in tiles if not self._is_settled(t, inputs[t]))
+        self._pending_tiles = tuple(t for t in tiles if not self._is_settled(t, inputs[t]))
         if self._log and self._events:
             self._log.neural(time, self._events)
         self._events = NeuralEvents()
@@ -291,7 +293,7 @@ class NeuralTiles:
         """Convert the changed outputs of an ONNX generator's run to rows of the splat pool."""
         entry.rows = entry.rows if delta.rows is None else delta.rows
         entry.appearance = entry.appearance if delta.appearance is None else delta.appearance
-        entry.shown = entry.begun
+        entry.drawn_inputs = entry.started_inputs
         self.runs += 1
         self._events.ran.append((tile, delta.count))
         is_same = delta.rows is None and delta.appearance is None
@@ -321,8 +323,8 @@ class NeuralTiles:
     def _fail(self, tile: int, error: GsgenError, time: float) -> None:
         """Draw a tile's stored splats if its ONNX generator has failed, and report the reason."""
         self._release(tile)
-        may_pass = isinstance(error, StoreUnavailable)
-        self._retry_at[tile] = time + RETRY_AFTER if may_pass else np.inf
+        is_transient = isinstance(error, StoreUnavailable)
+        self._retry_at[tile] = time + RETRY_AFTER if is_transient else np.inf
         message = str(error).replace("\n", " ")
         uri = self._neural[tile].uri
         message = message if uri in message else f"{uri}: {message}"
@@ -339,7 +341,7 @@ class NeuralTiles:
 
     # ---- 2. and 3. Which generators are open
 
-    def _largest(self, camera: Camera, tiles: Sequence[int], time: float) -> list[int]:
+    def _largest_in_view(self, camera: Camera, tiles: Sequence[int], time: float) -> list[int]:
         """Return the tiles in view whose ONNX generators are to be open: the largest ones."""
         centers, axes = self._tree.center, self._tree.half_axes
         size = {
@@ -352,18 +354,18 @@ class NeuralTiles:
         }
         return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
 
-    def _close_others(self, tiles: Sequence[int], time: float) -> None:
+    def _close_unused(self, tiles: Sequence[int], time: float) -> None:
         """Close the longest unused ONNX generators to make room for those that this frame needs."""
         for tile in tiles:
             if tile in self._open:
                 self._open[tile].last_drawn = time
-        lack = sum(tile not in self._open and tile not in self._loading for tile in tiles)
-        lack -= self._options.sessions - len(self._open) - len(self._loading)
+        excess = sum(tile not in self._open and tile not in self._loading for tile in tiles)
+        excess -= self._options.sessions - len(self._open) - len(self._loading)
         unused = sorted(
             (tile for tile in self._open if tile not in tiles),
             key=lambda tile: (self._open[tile].last_drawn, tile),
         )
-        for tile in unused[: max(lack, 0)]:
+        for tile in unused[: max(excess, 0)]:
             self._release(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:
@@ -402,14 +404,16 @@ class NeuralTiles:
         ready = [
             tile
             for tile, run in inputs.items()
-            if (entry := self._open.get(tile)) and entry.pending is None and entry.shown != run
+            if (entry := self._open.get(tile))
+            and entry.pending is None
+            and entry.drawn_inputs != run
         ]
         for tile in sorted(ready, key=lambda tile: (self._open[tile].last_run, tile)):
             if self._tokens < 1:
                 break
             self._tokens -= 1
             entry, run = self._open[tile], inputs[tile]
-            entry.begun, entry.last_run = run, time
+            entry.started_inputs, entry.last_run = run, time
             entry.pending = entry.worker.start(
                 local_camera(camera, self._tree.tiles[tile].transform),
                 {} if run.time is None else {"time": run.time},
@@ -417,7 +421,7 @@ class NeuralTiles:
 
     # ---- 5. Uploads
 
-    def _expected(self, tile: int) -> TileArrival:
+    def _expected_content(self, tile: int) -> TileArrival:
         """Return the Gaussians that a tile should show: ONNX generator output, or stored splats."""
         entry = self._open.get(tile)
         return self._contents[tile] if entry is None or entry.result is None else entry.result
@@ -425,20 +429,20 @@ class NeuralTiles:
     def _updates(self, uploaded: int) -> list[TileArrival]:
         """Return Gaussians of tiles to write to the splat pool, within the upload budget."""
         updates: list[TileArrival] = []
-        for tile in sorted(self._in_pool):
+        for tile in sorted(self._pool_contents):
             # An upload that began ends first: else a tile that changes every frame never changes.
-            rows, first_row = self._uploads.get(tile, (self._expected(tile), 0))
-            if self._in_pool[tile] is rows:
+            rows, first_row = self._uploads.get(tile, (self._expected_content(tile), 0))
+            if self._pool_contents[tile] is rows:
                 continue
-            room, part = self._options.upload_budget - uploaded, rows
+            remaining_bytes, part = self._options.upload_budget - uploaded, rows
             if self._comes_in_parts(tile):
-                part = rows.next_part(room, self._options.slot_rows, first_row=first_row)
-            if uploaded and part.upload_bytes > room:
+                part = rows.next_part(remaining_bytes, self._options.slot_rows, first_row=first_row)
+            if uploaded and part.upload_bytes > remaining_bytes:
                 continue
             updates.append(part)
             uploaded += part.upload_bytes
             if part.is_last:
-                self._in_pool[tile] = rows
+                self._pool_contents[tile] = rows
                 self._uploads.pop(tile, None)
             else:
                 self._uploads[tile] = rows, part.end_row
@@ -446,11 +450,11 @@ class NeuralTiles:
 
     def _comes_in_parts(self, tile: int) -> bool:
         """Return whether a tile's slots have room for new Gaussians besides those drawn now."""
-        content, reserved = self._contents[tile], self.reserved_rows(tile)
-        is_doubled = reserved > self._neural[tile].splats_max
-        return is_doubled and 2 * len(content.rows) <= reserved
+        content, reserved_count = self._contents[tile], self.reserved_rows(tile)
+        is_doubled = reserved_count > self._neural[tile].splats_max
+        return is_doubled and 2 * len(content.rows) <= reserved_count
 
     def _is_settled(self, tile: int, inputs: _RunInputs) -> bool:
         entry = self._open.get(tile)
-        is_current = entry is not None and entry.shown == inputs
-        return is_current and self._in_pool[tile] is self._expected(tile)
+        is_current = entry is not None and entry.drawn_inputs == inputs
+        return is_current and self._pool_contents[tile] is self._expected_content(tile)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.prediction.prefetch import HORIZON, PathPrefetch, Prefetch
+from gsgen.tiles.prediction.prefetch import PREDICTION_HORIZON, PathPrefetch, Prefetch
 from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.request_order import missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -21,10 +21,14 @@ CANCEL_BELOW: Final = 0.5
 _Purpose = Literal["needed", "prefetched", "finer"]
 """Why a tile was requested."""
 
-_MOST_WASTE: Final = 0.15  # of the received bytes, as far as they are expected to stay unseen
-_MOST_UNSEEN: Final = 0.25  # of the bytes: those that may still be seen included
-_PATIENCE: Final = 2 * HORIZON  # seconds after which a prefetched tile counts as wasted
-_PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
+_MAX_WASTE_FRACTION: Final = (
+    0.15  # of the received bytes, as far as they are expected to stay unseen
+)
+_MAX_UNSEEN_FRACTION: Final = 0.25  # of the bytes: those that may still be seen included
+_PREFETCH_TIMEOUT: Final = (
+    2 * PREDICTION_HORIZON
+)  # seconds after which a prefetched tile counts as wasted
+_PRIOR_COUNT: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
 
 
 class Link(Protocol):
@@ -110,15 +114,15 @@ class RequestPlanner:
         """Record that a tile request ended with an error."""
         self._in_flight.pop(tile, None)
 
-    def fill(self, loaded: Bool[np.ndarray, " n"], finer: Sequence[int] = ()) -> None:
+    def fill(self, loaded: Bool[np.ndarray, " n"], finer_tiles: Sequence[int] = ()) -> None:
         """Request tiles while network connections are free.
 
         Args:
             loaded: Tiles that are there, or cannot be had.
-            finer: Loaded tiles that have a finer file, in order of request.
+            finer_tiles: Loaded tiles that have a finer file, in order of request.
         """
         while self._link.free > 0:
-            tile, purpose = self._next(loaded, finer)
+            tile, purpose = self._next(loaded, finer_tiles)
             if tile is None:
                 break
             self._in_flight[tile] = purpose
@@ -140,7 +144,7 @@ class RequestPlanner:
         return [tile for tile, purpose in self._in_flight.items() if purpose in purposes]
 
     def _next(
-        self, loaded: Bool[np.ndarray, " n"], finer: Sequence[int]
+        self, loaded: Bool[np.ndarray, " n"], finer_tiles: Sequence[int]
     ) -> tuple[int | None, _Purpose]:
         # 1. Seen tiles; while one of them is missing or in flight, nothing else is requested.
         missing = self.missing(loaded)
@@ -152,21 +156,27 @@ class RequestPlanner:
         candidates = self._prefetch.candidates(loaded) if self._prefetch else []
         for tile in candidates:
             if tile not in self._in_flight:
-                if self._may_waste(int(self._tree.size[tile])):
+                if self._can_prefetch(int(self._tree.size[tile])):
                     return tile, "prefetched"
                 break
         # 3. The finer file that shows most for its bytes.
-        return next((tile for tile in finer if tile not in self._in_flight), None), "finer"
+        return next((tile for tile in finer_tiles if tile not in self._in_flight), None), "finer"
 
-    def _may_waste(self, size: int) -> bool:
+    def _can_prefetch(self, size: int) -> bool:
         """Return whether one more prefetch keeps the expected share of unused bytes low enough."""
         if not self._is_bounded:
             return True
-        asked = int(self._tree.size[self._requested("prefetched")].sum()) + size
-        received, unseen = self._recorder.bytes + asked, self._recorder.unseen_bytes + asked
-        pending = self._ledger.pending_bytes + asked
-        expected = unseen - pending * self._ledger.precision
-        return expected <= _MOST_WASTE * received and unseen <= _MOST_UNSEEN * received
+        requested_bytes = int(self._tree.size[self._requested("prefetched")].sum()) + size
+        received, unseen_total = (
+            self._recorder.bytes + requested_bytes,
+            self._recorder.unseen_bytes + requested_bytes,
+        )
+        pending = self._ledger.pending_bytes + requested_bytes
+        expected = unseen_total - pending * self._ledger.precision
+        return (
+            expected <= _MAX_WASTE_FRACTION * received
+            and unseen_total <= _MAX_UNSEEN_FRACTION * received
+        )
 
 
 @final
@@ -176,13 +186,15 @@ class _PrefetchLedger:
     def __init__(self, size: Int64[np.ndarray, " n"]) -> None:
         self._size = size
         self._arrivals: dict[int, float] = {}
-        self._seen = self._late = 0
+        self._seen_count = self._late_count = 0
         self.pending_bytes = 0
 
     @property
     def precision(self) -> float:
         """The fraction of prefetched tiles that were seen in time; a half before the first tile."""
-        return (self._seen + _PRIOR / 2) / (self._seen + self._late + _PRIOR)
+        return (self._seen_count + _PRIOR_COUNT / 2) / (
+            self._seen_count + self._late_count + _PRIOR_COUNT
+        )
 
     def arrive(self, tile: int, time: float) -> None:
         """Record that a prefetched tile has arrived."""
@@ -192,9 +204,9 @@ class _PrefetchLedger:
     def frame(self, time: float, seen: Bool[np.ndarray, " n"]) -> None:
         """Count prefetched tiles as used if seen now, or as wasted if unseen for too long."""
         for tile, arrival in list(self._arrivals.items()):
-            is_late = time - arrival > _PATIENCE
+            is_late = time - arrival > _PREFETCH_TIMEOUT
             if seen[tile] or is_late:
-                self._seen += bool(seen[tile])
-                self._late += is_late and not seen[tile]
+                self._seen_count += bool(seen[tile])
+                self._late_count += is_late and not seen[tile]
                 self.pending_bytes -= int(self._size[tile])
                 del self._arrivals[tile]

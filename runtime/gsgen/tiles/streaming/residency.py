@@ -45,9 +45,9 @@ class ResidentTiles:
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return a mask of the given tiles, all their ancestors, and the root."""
-        marked = self._tree.with_ancestors(tiles)
-        marked[0] = True
-        return marked
+        kept_mask = self._tree.with_ancestors(tiles)
+        kept_mask[0] = True
+        return kept_mask
 
     def admit(self, tile: int, time: float) -> tuple[int, ...] | None:
         """Record that a streamed tile is in the renderer's GPU memory (splat pool) from now on.
@@ -57,8 +57,8 @@ class ResidentTiles:
         """
         if self.resident[tile]:
             return ()
-        lack = self.used_slots + int(self._slots[tile]) - self._capacity
-        evicted = self._victims(lack)
+        missing_slots = self.used_slots + int(self._slots[tile]) - self._capacity
+        evicted = self._victims(missing_slots)
         if evicted is None:
             return None
         for victim in evicted:
@@ -77,14 +77,14 @@ class ResidentTiles:
         self.resident[tile] = False
         self.used_slots -= int(self._slots[tile])
 
-    def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles whose eviction frees ``lack`` slots of GPU memory; None if impossible."""
-        if lack <= 0:
+    def _victims(self, missing_slots: int) -> tuple[int, ...] | None:
+        """Return tiles whose eviction frees ``missing_slots`` slots of GPU memory; None if impossible."""
+        if missing_slots <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)
         order = np.lexsort((-rows, -self._tree.level[rows], self._last_use[rows]))
         rows = rows[order]
-        freed = np.cumsum(self._slots[rows])
-        if not len(freed) or freed[-1] < lack:
+        freed_slots = np.cumsum(self._slots[rows])
+        if not len(freed_slots) or freed_slots[-1] < missing_slots:
             return None
-        return tuple(rows[: int(np.searchsorted(freed, lack)) + 1].tolist())
+        return tuple(rows[: int(np.searchsorted(freed_slots, missing_slots)) + 1].tolist())

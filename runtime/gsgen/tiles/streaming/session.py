@@ -40,10 +40,10 @@ from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArr
 
 UPLOAD_BUDGET: Final = 4 << 20
 RUNS_PER_SECOND: Final = 25.0
-_COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
-_MOST_STEPS: Final = 80
+_ERROR_STEP: Final = 2**0.25  # step of the error while a cut does not fit the pool
+_MAX_ERROR_STEPS: Final = 80
 _QUEUED_FRAMES: Final = 2  # whose uploads are requested ahead
-_MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
+_MAX_PENDING_UPLOADS: Final = 64  # decoded tiles that wait for their upload
 
 
 @final
@@ -230,9 +230,9 @@ class TilesetSession:
             self.pool_slots = min(self.pool_slots, max(1, int(self._slots.sum())))
         self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
         self._fades = Fades(tree, options.fade_seconds)
-        self._is_empty = np.array([not tile.contents for tile in tree.tiles])
+        self._is_contentless = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
-        self._partial: TileArrival | None = None  # whose rows are not all uploaded
+        self._partial_upload: TileArrival | None = None  # whose rows are not all uploaded
         self._retry_at: dict[int, float] = {}
         self._started: list[int] = []
 
@@ -253,18 +253,18 @@ class TilesetSession:
                 provider=options.provider,
             ),
             sh_degree=self.sh_degree,
-            most_rows=self.pool_slots * self.slot_rows,
+            max_rows=self.pool_slots * self.slot_rows,
             report=self._report,
             log=self._log,
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
         """Return how many splat pool rows each tile reserves; 0 for tiles without a generator."""
-        reserved = np.zeros(len(self.tree), np.int64)
+        reserved_counts = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
-                reserved[tile] = self.neural.reserved_rows(tile)
-        return reserved
+                reserved_counts[tile] = self.neural.reserved_rows(tile)
+        return reserved_counts
 
     @property
     def metrics(self) -> StreamingMetrics:
@@ -281,37 +281,40 @@ class TilesetSession:
         time = self._clock.now()
         self._frustum = frustum
         # 1. Take what arrived, and select the tiles that this camera needs.
-        received = self._receive(time)
+        received = self._receive_tiles(time)
         cut = self._fitting_cut(frustum)
         needed = cut.seen | (self._fades.values > 0)
-        if self._partial:
-            needed[self._partial.tile] = True
+        if self._partial_upload:
+            needed[self._partial_upload.tile] = True
         # 2. Upload arrivals; tiles that are not needed leave for them.
         self._residents.frame(time, needed)
         evicted, arrivals = self._upload(time, cut)
-        dead = self._dead(time)
-        there = self._residents.resident | self._is_empty
-        if self._partial and not self._partial.is_upgrade:
-            there[self._partial.tile] = False
+        is_failed = self._failed_tiles(time)
+        is_available = self._residents.resident | self._is_contentless
+        if self._partial_upload and not self._partial_upload.is_upgrade:
+            is_available[self._partial_upload.tile] = False
         # 3. Request what is missing.
-        self._recorder.frame(time, cut, there)
-        self._request(time, cut, there | dead)
+        self._recorder.frame(time, cut, is_available)
+        self._request(time, cut, is_available | is_failed)
         # 4. Draw the tiles that are there in place of those that are not.
-        drawn = drawable_tiles(self.tree, cut, there)
+        drawn = drawable_tiles(self.tree, cut, is_available)
         self._fades.frame(time, drawn, cut.seen)
         fades = self._fades.values
-        missing = int((cut.wanted & ~there & ~dead).sum())
+        missing = int((cut.selected & ~is_available & ~is_failed).sum())
         frame = SessionFrame(
             evicted=evicted,
             arrivals=arrivals,
             drawn=tuple(
                 DrawnTile(tile, float(fades[tile]))
-                for tile in np.flatnonzero((fades > 0) & ~self._is_empty).tolist()
+                for tile in np.flatnonzero((fades > 0) & ~self._is_contentless).tolist()
             ),
             missing=missing,
             is_complete=missing == 0
             and self._fades.is_settled
-            and (self._qualities is None or self._qualities.are_finest(cut.wanted & there & ~dead)),
+            and (
+                self._qualities is None
+                or self._qualities.are_finest(cut.selected & is_available & ~is_failed)
+            ),
         )
         if self._log:
             self._log.frame(time, frustum, self._started, received, frame)
@@ -319,7 +322,7 @@ class TilesetSession:
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails; return at once if tiles await upload."""
-        if not (self._pending or self._partial):
+        if not (self._pending or self._partial_upload):
             self._link.wait(seconds)
 
     def close(self) -> None:
@@ -336,7 +339,7 @@ class TilesetSession:
         assert self._frustum is not None
         return self._frustum.moved(position, quaternion)
 
-    def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
+    def _receive_tiles(self, time: float) -> list[FetchResult[TileArrival]]:
         """Take the tiles that arrived over the network; report the tiles that failed."""
         self._link.queue(())  # the link begins no request while this frame plans
         results = list(self._link.poll())
@@ -352,16 +355,16 @@ class TilesetSession:
                 self._pending[result.tile] = result.content
                 continue
             self._planner.fail(result.tile)
-            passing = isinstance(result.error, StoreUnavailable)
-            self._retry_at[result.tile] = time + RETRY_AFTER if passing else np.inf
+            is_transient = isinstance(result.error, StoreUnavailable)
+            self._retry_at[result.tile] = time + RETRY_AFTER if is_transient else np.inf
             self._report(str(result.error).replace("\n", " "))
         return results
 
-    def _dead(self, time: float) -> Bool[np.ndarray, " n"]:
+    def _failed_tiles(self, time: float) -> Bool[np.ndarray, " n"]:
         """Return the mask of the tiles whose requests failed and that are not retried yet."""
-        dead = np.zeros(len(self.tree), bool)
-        dead[[tile for tile, retry in self._retry_at.items() if retry > time]] = True
-        return dead
+        is_failed = np.zeros(len(self.tree), bool)
+        is_failed[[tile for tile, retry in self._retry_at.items() if retry > time]] = True
+        return is_failed
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
@@ -370,11 +373,11 @@ class TilesetSession:
             return int(self._slots[cut.seen].sum()) <= self.pool_slots
 
         error = self._options.max_error
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_ERROR_STEPS):
             cut = cut_tree(self.tree, frustum, error)
             if fits(cut):
                 return cut
-            error *= _COARSER
+            error *= _ERROR_STEP
         # Tiles with the camera inside have an infinite error: fewer levels fit.
         for level in range(len(self.tree.rows_of_level) - 1, -1, -1):
             cut = cut_tree(self.tree, frustum, error, max_level=level)
@@ -388,13 +391,13 @@ class TilesetSession:
         order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
         evicted: list[int] = []
         arrivals: list[TileArrival] = []
-        room = self.upload_budget
-        if self._partial:
-            arrivals.append(self._continued(self._partial))
-            room -= arrivals[0].upload_bytes
+        remaining_bytes = self.upload_budget
+        if self._partial_upload:
+            arrivals.append(self._next_upload(self._partial_upload))
+            remaining_bytes -= arrivals[0].upload_bytes
         for tile in order:
-            part = self._pending[tile].next_part(room, self.slot_rows, first_row=0)
-            if self._partial or (arrivals and part.upload_bytes > room):
+            part = self._pending[tile].next_part(remaining_bytes, self.slot_rows, first_row=0)
+            if self._partial_upload or (arrivals and part.upload_bytes > remaining_bytes):
                 break
             del self._pending[tile]
             arrival = replace(
@@ -407,16 +410,18 @@ class TilesetSession:
                 continue  # no room beside the drawn tiles: it is asked for again later
             evicted += victims
             arrivals.append(arrival)
-            room -= arrival.upload_bytes
-            self._partial = None if arrival.is_last else arrival
-        for tile in [tile for tile in reversed(order) if tile in self._pending][:-_MOST_PENDING]:
+            remaining_bytes -= arrival.upload_bytes
+            self._partial_upload = None if arrival.is_last else arrival
+        for tile in [tile for tile in reversed(order) if tile in self._pending][
+            :-_MAX_PENDING_UPLOADS
+        ]:
             del self._pending[tile]
         return tuple(evicted), tuple(arrivals)
 
-    def _continued(self, arrival: TileArrival) -> TileArrival:
+    def _next_upload(self, arrival: TileArrival) -> TileArrival:
         """Return the part of a tile that follows the part which the last frame uploaded."""
         part = arrival.next_part(self.upload_budget, self.slot_rows, first_row=arrival.end_row)
-        self._partial = None if part.is_last else part
+        self._partial_upload = None if part.is_last else part
         return part
 
     def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
@@ -434,9 +439,9 @@ class TilesetSession:
             self._fades.drop(victim)
         if self._qualities:
             for victim in victims:
-                self._qualities.held[victim] = -1
+                self._qualities.gpu_quality[victim] = -1
                 self.tree.size[victim] = self._qualities.coarsest_size[victim]
-            self._qualities.held[tile] = arrival.quality
+            self._qualities.gpu_quality[tile] = arrival.quality
         return victims
 
     def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
@@ -444,34 +449,42 @@ class TilesetSession:
         assert self._frustum is not None
         loaded = loaded.copy()
         loaded[list(self._pending)] = True
-        if self._partial:
-            loaded[self._partial.tile] = True
+        if self._partial_upload:
+            loaded[self._partial_upload.tile] = True
         # What would not fit the pool is not asked for.
         loaded |= self._slots > self.pool_slots
         pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
         self._planner.frame(pose, cut, loaded)
         self._planner.fill(loaded, self._finer_files(time, cut))
-        self._link.queue(self._queueable(loaded))
+        self._link.queue(self._next_requests(loaded))
 
-    def _queueable(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+    def _next_requests(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the next tiles to request, as many as the next frames can upload.
 
         Without them, a renderer of few frames a second would request few tiles a second.
         """
         row_bytes = pool_row_bytes(3 * coefficients(self.sh_degree))
-        coming = [*self._planner.in_flight, *self._pending]
-        room = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(self.tree.splats[coming].sum())
+        incoming_tiles = [*self._planner.in_flight, *self._pending]
+        remaining_bytes = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(
+            self.tree.splats[incoming_tiles].sum()
+        )
         missing = self._planner.missing(loaded)
         uploads = np.cumsum(row_bytes * self.tree.splats[missing])
-        return missing[: min(int(np.searchsorted(uploads, room, side="right")), _MOST_PENDING)]
+        return missing[
+            : min(
+                int(np.searchsorted(uploads, remaining_bytes, side="right")), _MAX_PENDING_UPLOADS
+            )
+        ]
 
     def _finer_files(self, time: float, cut: Cut) -> list[int]:
         """Return the drawn tiles whose finest file is to be requested, in order of request."""
         if self._qualities is None:
             return []
         assert self._frustum is not None
-        drawn = cut.wanted & self._residents.resident & ~self._dead(time)
-        drawn[[*self._pending, *([self._partial.tile] if self._partial else [])]] = False
-        ladder, held = self._qualities.ladder, self._qualities.held
-        order = finer_file_order(self.tree, ladder, held, drawn, self._frustum.eye)
+        drawn = cut.selected & self._residents.resident & ~self._failed_tiles(time)
+        drawn[[*self._pending, *([self._partial_upload.tile] if self._partial_upload else [])]] = (
+            False
+        )
+        ladder, gpu_quality = self._qualities.ladder, self._qualities.gpu_quality
+        order = finer_file_order(self.tree, ladder, gpu_quality, drawn, self._frustum.eye)
         return [int(tile) for tile in order]

@@ -62,9 +62,9 @@ class TileArrival:
         if self.end_row < 0:
             object.__setattr__(self, "end_row", len(self.rows))
 
-    def next_part(self, room: int, slot_rows: int, *, first_row: int) -> "TileArrival":
-        """Return the next part of a tile to upload: about ``room`` bytes from row ``first_row``."""
-        slots = max(1, room // (slot_rows * pool_row_bytes(self.appearance.shape[1])))
+    def next_part(self, max_bytes: int, slot_rows: int, *, first_row: int) -> "TileArrival":
+        """Return the next part of a tile to upload: about ``max_bytes`` bytes from row ``first_row``."""
+        slots = max(1, max_bytes // (slot_rows * pool_row_bytes(self.appearance.shape[1])))
         end_row = min(len(self.rows), first_row + slots * slot_rows)
         return replace(self, first_row=first_row, end_row=end_row)
 

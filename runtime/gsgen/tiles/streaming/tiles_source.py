@@ -29,7 +29,7 @@ from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
 
-_PATIENCE: Final = 0.2  # seconds between two looks at what arrived
+_POLL_SECONDS: Final = 0.2  # seconds between two looks at what arrived
 _TIME: Final = "time"
 
 
@@ -64,7 +64,7 @@ class TilesSource(Source):
         if neural and (span := neural.time_range):
             self.inputs = (Input(name=_TIME, role=_TIME, shape=(1,), range=span, default=span[0]),)
         self._values: dict[str, object] = {}
-        self._session, self._wait, self._extent = session, wait, extent
+        self._session, self._must_wait, self._extent = session, wait, extent
         channels = 3 * coefficients(session.sh_degree)
         rows = session.pool_slots * session.slot_rows
         self._pool = SplatPool(rows, channels, slot_rows=session.slot_rows)
@@ -73,7 +73,7 @@ class TilesSource(Source):
         self.data = SplatData(*empty, "sh")
         self._camera: Camera | None = None
         self._last: SessionFrame | None = None
-        self._changes = 0
+        self._change_count = 0
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Record the frame's camera, which selects the tiles, and the models' input values."""
@@ -85,28 +85,26 @@ class TilesSource(Source):
         if self._camera is None:
             return
         frustum = Frustum.from_camera(self._camera)
-        deadline = time.monotonic() + self._wait
+        deadline = time.monotonic() + self._must_wait
         frame = self._take(frustum, self._camera)
         while self.is_streaming and (left := deadline - time.monotonic()) > 0:
             if frame.is_complete and self._neural:
-                self._neural.wait(min(left, _PATIENCE))
+                self._neural.wait(min(left, _POLL_SECONDS))
             else:
-                self._session.wait(min(left, _PATIENCE))
+                self._session.wait(min(left, _POLL_SECONDS))
             frame = self._take(frustum, self._camera)
-        if self._wait:
+        if self._must_wait:
             self._report_missing(frame)
 
     def _report_missing(self, frame: SessionFrame) -> None:
         """Write a line to stderr if a frame is drawn without some tiles or model outputs."""
         line = ""
         if frame.missing:
-            line = f"{frame.missing} tiles did not arrive within {self._wait:g} s; coarser ones are"
+            line = f"{frame.missing} tiles did not arrive within {self._must_wait:g} s; coarser ones are"
         elif not frame.is_complete:
-            line = f"finer files did not arrive within {self._wait:g} s; coarser ones are"
-        elif unsettled := self._unsettled_generators:
-            line = (
-                f"{unsettled} generators did not finish within {self._wait:g} s; earlier splats are"
-            )
+            line = f"finer files did not arrive within {self._must_wait:g} s; coarser ones are"
+        elif pending_tiles := self._pending_generators:
+            line = f"{pending_tiles} generators did not finish within {self._must_wait:g} s; earlier splats are"
         if line:
             sys.stderr.write(f"gsgen: {self.name}: {line} drawn\n")
 
@@ -123,13 +121,13 @@ class TilesSource(Source):
             elif arrival.is_upgrade:
                 self._pool.rewrite(*content)
             else:
-                reserved = max(arrival.reserved_rows, len(arrival.rows))
-                self._pool.insert(*content, reserved_rows=reserved)
+                reserved_count = max(arrival.reserved_rows, len(arrival.rows))
+                self._pool.insert(*content, reserved_rows=reserved_count)
         has_rewritten = self._rewrite(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
         is_same = self._last is not None and self._last.drawn == frame.drawn
         is_same = is_same and not (frame.arrivals or frame.evicted or has_rewritten)
-        self._changes += not is_same
+        self._change_count += not is_same
         self._last = frame
         return frame
 
@@ -159,8 +157,8 @@ class TilesSource(Source):
         return bool(updates)
 
     @property
-    def _unsettled_generators(self) -> int:
-        return len(self._neural.unsettled) if self._neural else 0
+    def _pending_generators(self) -> int:
+        return len(self._neural.pending_tiles) if self._neural else 0
 
     def interrupt(self) -> None:
         """Stop the runs of tiles' ONNX generators; these tiles then draw their stored splats."""
@@ -178,7 +176,7 @@ class TilesSource(Source):
     @property
     def state(self) -> tuple[int, ...]:
         """A counter of the frames in which the drawn tiles changed."""
-        return (id(self._pool), self._changes)
+        return (id(self._pool), self._change_count)
 
     @property
     def follows_camera(self) -> bool:
@@ -189,7 +187,7 @@ class TilesSource(Source):
     def is_streaming(self) -> bool:
         """Whether the picture still changes under a fixed camera, while tiles arrive or fade."""
         is_complete = self._last is not None and self._last.is_complete
-        return not is_complete or self._unsettled_generators > 0
+        return not is_complete or self._pending_generators > 0
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:

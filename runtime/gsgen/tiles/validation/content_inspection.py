@@ -120,7 +120,7 @@ def _read_contents(
     late: list[str] = []
     with warnings.catch_warnings(), ThreadPoolExecutor(_threads()) as executor:
         warnings.simplefilter("ignore", FormatWarning)  # GT019 says so
-        results = _in_order(executor, reader.read, pairs if decode else _each_file_once(pairs))
+        results = _read_in_order(executor, reader.read, pairs if decode else _distinct_files(pairs))
         for number, (tile, content) in enumerate(pairs):
             if number % 64 == 0:
                 progress(f"reading tile {number + 1} of {len(pairs)}")
@@ -140,7 +140,7 @@ def _read_contents(
                 )
             )
     if late:
-        inspected.undecoded = (
+        inspected.undecoded_reason = (
             f"{len(late):,} of {len(pairs):,} contents were not decoded when the time was up, "
             f"the first is {late[0]}"
         )
@@ -150,7 +150,7 @@ def _threads() -> int:
     return min(_MOST_THREADS, os.cpu_count() or 1)
 
 
-def _each_file_once(
+def _distinct_files(
     pairs: Iterable[tuple[Tile | None, Content]],
 ) -> list[tuple[Tile | None, Content]]:
     by_uri: dict[str, tuple[Tile | None, Content]] = {}
@@ -159,7 +159,7 @@ def _each_file_once(
     return list(by_uri.values())
 
 
-def _in_order(
+def _read_in_order(
     executor: ThreadPoolExecutor,
     read: Callable[[Tile | None, Content], _FileResult],
     pairs: Iterable[tuple[Tile | None, Content]],

@@ -27,11 +27,11 @@ from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_SHARE, cameras_around,
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.store import Store
 
-TILE_VISIBLE: Final = "GT021"
-LEVELS_AGREE: Final = "GT022"
+TILE_VISIBLE_RULE: Final = "GT021"
+LEVELS_AGREE_RULE: Final = "GT022"
 MAX_DRAWN: Final = 1_000_000
 """Tiles with more splats are not drawn: the time and the memory of a validation are bounded."""
-REFINED_AT: Final = 16.0
+REFINEMENT_PIXELS: Final = 16.0
 """Pixels of geometric error at which viewers change from a tile to its children."""
 
 _DISTANCE: Final = 2.5  # radii of the tile, with which it fills the picture
@@ -102,20 +102,22 @@ def draw_tileset(tileset: Tileset, store: Store, counts: dict[str, int]) -> Draw
         DeviceUnavailable: There is nothing to draw with.
         TilesetInvalid: A file cannot be read again.
     """
-    artist = _TileRenderer(tileset, store, counts)
-    filled = [tile for tile in tileset.tiles() if artist.count(_contents_of(tile))]
-    if not filled:
+    tile_renderer = _TileRenderer(tileset, store, counts)
+    content_tiles = [tile for tile in tileset.tiles() if tile_renderer.count(_contents_of(tile))]
+    if not content_tiles:
         return DrawnTileset(tiles=(), levels=(), skipped={})
-    leaves = [tile for tile in filled if not tile.children]
-    leaf = max(leaves, key=lambda tile: artist.count(_contents_of(tile)), default=filled[-1])
+    leaves = [tile for tile in content_tiles if not tile.children]
+    leaf = max(
+        leaves, key=lambda tile: tile_renderer.count(_contents_of(tile)), default=content_tiles[-1]
+    )
     parents = {id(child): parent for parent, child in tileset.pairs()}
-    coarse = [tile for tile in (filled[0], parents.get(id(leaf))) if _is_replaced(tile)]
-    tiles = [artist.draw(tile) for tile in _distinct([filled[0], leaf])]
-    levels = [artist.compare(tile) for tile in _distinct(coarse)]
+    coarse = [tile for tile in (content_tiles[0], parents.get(id(leaf))) if _is_replaced(tile)]
+    tiles = [tile_renderer.draw(tile) for tile in _distinct_tiles([content_tiles[0], leaf])]
+    levels = [tile_renderer.compare(tile) for tile in _distinct_tiles(coarse)]
     return DrawnTileset(
         tiles=tuple(entry for entry in tiles if entry is not None),
         levels=tuple(entry for entry in levels if entry is not None),
-        skipped=artist.skipped,
+        skipped=tile_renderer.skipped,
     )
 
 
@@ -127,7 +129,7 @@ def _is_replaced(tile: Tile | None) -> bool:
     return bool(tile and tile.children and tile.contents and tile.refine == "REPLACE")
 
 
-def _distinct(tiles: Iterable[Tile | None]) -> Iterator[Tile]:
+def _distinct_tiles(tiles: Iterable[Tile | None]) -> Iterator[Tile]:
     """Yield each distinct tile of a list once, in order, and skip entries that are None."""
     seen: set[int] = set()
     for tile in tiles:
@@ -152,7 +154,7 @@ class _TileRenderer:
     def draw(self, tile: Tile) -> DrawnTile | None:
         """Draw the contents of a tile; return None if they have too many splats."""
         cut = _contents_of(tile)
-        if self._is_too_large(TILE_VISIBLE, cut):
+        if self._is_too_large(TILE_VISIBLE_RULE, cut):
             return None
         parts = self._read(cut)
         view = _View.around(parts, self._up)
@@ -166,16 +168,18 @@ class _TileRenderer:
     def compare(self, parent: Tile) -> ComparedLevels | None:
         """Compare pictures of a tile and its children; return None for too many splats."""
         cut = list(level_cut(parent, 1))
-        if self._is_too_large(LEVELS_AGREE, _contents_of(parent), cut):
+        if self._is_too_large(LEVELS_AGREE_RULE, _contents_of(parent), cut):
             return None
-        above, below = self._read(_contents_of(parent)), self._read(cut)
-        if not below:
+        parent_parts, child_parts = self._read(_contents_of(parent)), self._read(cut)
+        if not child_parts:
             return None
         scale = float(np.cbrt(np.linalg.det(parent.transform[:3, :3])))
-        view = _View.around(above + below, self._up, error=parent.geometric_error * scale)
+        view = _View.around(
+            parent_parts + child_parts, self._up, error=parent.geometric_error * scale
+        )
         pairs = zip(
-            self._pictures(join_placed(above, view.center), view.cameras(view.distance)),
-            self._pictures(join_placed(below, view.center), view.cameras(view.distance)),
+            self._pictures(join_placed(parent_parts, view.center), view.cameras(view.distance)),
+            self._pictures(join_placed(child_parts, view.center), view.cameras(view.distance)),
             strict=True,
         )
         return ComparedLevels(
@@ -252,10 +256,10 @@ class _View:
         radius = max(float(np.linalg.norm(high - low)) / 2 + 2 * reach, 1e-6)
         half = math.tan(math.radians(FIELD_OF_VIEW) / 2)
         share = error / radius
-        size = _SIZES[1] if not share else 2 * half * _DISTANCE * REFINED_AT / share
+        size = _SIZES[1] if not share else 2 * half * _DISTANCE * REFINEMENT_PIXELS / share
         size = int(min(max(size, _SIZES[0]), _SIZES[1]))
         focal = size / 2 / half
-        distance = max(_DISTANCE, share * focal / REFINED_AT)
+        distance = max(_DISTANCE, share * focal / REFINEMENT_PIXELS)
         return cls(
             center=(low + high) / 2,
             radius=radius,

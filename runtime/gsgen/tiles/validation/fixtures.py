@@ -115,12 +115,12 @@ def tiles_error_grows() -> TilesetSketch:
     sketch = explicit_sketch()
     root = sketch.document["root"]
     leaf = root["children"][0]
-    between = {
+    middle_tile = {
         "boundingVolume": leaf["boundingVolume"],
         "children": [leaf],
         "geometricError": root["geometricError"] * 2,
     }
-    root["children"][0] = between
+    root["children"][0] = middle_tile
     return sketch
 
 
@@ -197,8 +197,8 @@ def tiles_uri_escapes() -> TilesetSketch:
 def tiles_mirrored() -> TilesetSketch:
     """Fixture: a tileset with a leaf whose transform mirrors."""
     sketch = explicit_sketch()
-    mirror = np.diag([1.0, -1.0, 1.0, 1.0]).ravel().tolist()
-    sketch.document["root"]["children"][0]["transform"] = mirror
+    mirror_matrix = np.diag([1.0, -1.0, 1.0, 1.0]).ravel().tolist()
+    sketch.document["root"]["children"][0]["transform"] = mirror_matrix
     return sketch
 
 
@@ -307,10 +307,10 @@ def tiles_invisible_root() -> TilesetSketch:
 def tiles_unlike_root() -> TilesetSketch:
     """Fixture: a tileset whose root has splats ten times as large as those of other tiles."""
 
-    def inflate(splats: Splats) -> Splats:
+    def inflate_scales(splats: Splats) -> Splats:
         return replace(splats, log_scale=np.zeros_like(splats.log_scale))
 
-    return explicit_sketch(edit_root=inflate)
+    return explicit_sketch(edit_root=inflate_scales)
 
 
 def _neural() -> TilesetSketch:

@@ -16,7 +16,7 @@ from gsgen.tiles.validation.values import ContentValues
 if TYPE_CHECKING:
     from gsgen.tiles.validation.drawing import DrawnTileset
 
-_MOST_FAULTS: Final = 1000
+_MAX_FAULTS: Final = 1000
 
 
 @final
@@ -50,9 +50,9 @@ class InspectedTileset:
         faults: Those that reading met, by kind.
         contents: All contents, in the order of the tiles.
         record: What ``gsgen.tiles.json`` says; None without one.
-        undecoded: Why some contents were not decoded; empty where all were.
+        undecoded_reason: Why some contents were not decoded; empty where all were.
         drawn: The results of drawing tiles; None where nothing was drawn.
-        undrawn: Why tiles were not drawn; empty where they were, or were not to be.
+        undrawn_reason: Why tiles were not drawn; empty where they were, or were not to be.
     """
 
     tileset: Tileset | None
@@ -60,18 +60,18 @@ class InspectedTileset:
     faults: dict[Fault, list[TilesetInvalid]] = field(default_factory=lambda: defaultdict(list))
     contents: list[InspectedContent] = field(default_factory=list)
     record: BuildRecord | None = None
-    undecoded: str = ""
+    undecoded_reason: str = ""
     drawn: "DrawnTileset | None" = None
-    undrawn: str = ""
+    undrawn_reason: str = ""
 
     @property
-    def is_ours(self) -> bool:
+    def is_built_by_gsgen(self) -> bool:
         """Whether the tileset's metadata says that gsgen built it: then more rules apply to it."""
         return self.tileset is not None and "source_splats" in self.tileset.metadata
 
     def note(self, error: TilesetInvalid) -> None:
         """Record a fault of the tileset for the validation rules to report."""
-        if sum(map(len, self.faults.values())) < _MOST_FAULTS:
+        if sum(map(len, self.faults.values())) < _MAX_FAULTS:
             self.faults[error.fault].append(error)
 
     drop = note

@@ -32,8 +32,8 @@ from gsgen.tiles.gltf.encoding import write_content
 
 _ROWS = 24
 _CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
-_ERROR = 1.0
-_Edit = Callable[[JsonDict], JsonDict]
+_GEOMETRIC_ERROR = 1.0
+_JsonEdit = Callable[[JsonDict], JsonDict]
 
 
 @final
@@ -93,7 +93,9 @@ def explicit_sketch(
     files: dict[str, bytes] = {}
     children = tuple(_leaf_record(leaf, n, codec, files) for n, leaf in enumerate(leaves))
     root = _record(coarse, 0, (0, 0, 0), codec, files)
-    root = replace(root, geometric_error=_ERROR, cell=_ERROR / 4, children=children)
+    root = replace(
+        root, geometric_error=_GEOMETRIC_ERROR, cell=_GEOMETRIC_ERROR / 4, children=children
+    )
     document = tileset_document(
         root, source_splats=sum(map(len, leaves)), sh_degree=1, codec=codec, transform=transform
     )
@@ -156,13 +158,13 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
         for cell, splats in leaves.items()
     }
     for level in (1, 0):
-        for x, y, z in sorted({_above(cell, 2 - level) for cell in cells}):
-            inner = [cell for cell in cells if _above(cell, 2 - level) == (x, y, z)]
+        for x, y, z in sorted({_parent_coordinates(cell, 2 - level) for cell in cells}):
+            inner = [cell for cell in cells if _parent_coordinates(cell, 2 - level) == (x, y, z)]
             coarse = join_splats([_rows(leaves[cell], slice(0, 8)) for cell in inner])
             below = [
                 entry
                 for (depth, cell), entry in records.items()
-                if depth == level + 1 and _above(cell, 1) == (x, y, z)
+                if depth == level + 1 and _parent_coordinates(cell, 1) == (x, y, z)
             ]
             entry = _record(coarse, level, (x, y, z), codec, files, implicit=True)
             records[level, (x, y, z)] = replace(
@@ -185,7 +187,7 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
     return sketch
 
 
-def _above(cell: tuple[int, int, int], levels: int) -> tuple[int, int, int]:
+def _parent_coordinates(cell: tuple[int, int, int], levels: int) -> tuple[int, int, int]:
     x, y, z = (value >> levels for value in cell)
     return x, y, z
 
@@ -198,7 +200,10 @@ def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
 
 
 def edit_glb(
-    data: bytes, *, document: _Edit | None = None, binary: Callable[[bytes], bytes] | None = None
+    data: bytes,
+    *,
+    document: _JsonEdit | None = None,
+    binary: Callable[[bytes], bytes] | None = None,
 ) -> bytes:
     """Return a GLB file with an edited JSON document or binary chunk."""
     json_size = struct.unpack_from("<I", data, 12)[0]

@@ -28,8 +28,8 @@ from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules import all_rules
 
-_CONTENTS: Final = (".glb", ".gltf")
-_NOTHING_DRAWN: Final = "the rules that drawing needs do not hold"
+_CONTENT_SUFFIXES: Final = (".glb", ".gltf")
+_NOT_DRAWN_REASON: Final = "the rules that drawing needs do not hold"
 
 
 def validate(
@@ -55,7 +55,7 @@ def validate(
         registry = registry.with_needs(settings.only)
     progress(f"reading {path.name}")
     registry = registry.of_scope(tilesets=True)
-    kind = TILE_CONTENT if path.suffix.lower() in _CONTENTS else TILESET
+    kind = TILE_CONTENT if path.suffix.lower() in _CONTENT_SUFFIXES else TILESET
     store, index = open_store(path)
     with store:
         inspected = _inspect(store, index, kind, path, settings, progress)
@@ -75,7 +75,7 @@ def validate(
         fail_on=settings.fail_on,
         findings=apply_waivers(results.findings(), settings.waivers, settings.today),
         outcomes=tuple(rules),
-        levels=tuple(_levels(settings.level, inspected)),
+        levels=tuple(_level_outcomes(settings.level, inspected)),
         environment={"gsgen": version("gsgen")},
         settings=settings.source,
         seconds=time.perf_counter() - start,
@@ -111,7 +111,7 @@ def _check(
 ) -> None:
     """Check the tileset rules of the requested levels in order of dependency; skip the others."""
     items = max(len(inspected.contents), 1)
-    for rule in _needs_first(results.registry.rules.values()):
+    for rule in _in_dependency_order(results.registry.rules.values()):
         if not results.is_ready(rule):
             continue
         if rule.level > level:
@@ -120,18 +120,18 @@ def _check(
         if rule.level is Level.RENDER:
             _draw(inspected, progress)
         results.check(rule, inspected)
-        reason = _undecided(rule, inspected)
+        reason = _incomplete_reason(rule, inspected)
         if reason and not results.fails(rule):
             results.skip([rule], reason)
         results.settle([rule], items=items)
 
 
-def _undecided(rule: Rule, inspected: InspectedTileset) -> str:
+def _incomplete_reason(rule: Rule, inspected: InspectedTileset) -> str:
     """Return why a rule checked only a part of the tileset; empty if it checked everything."""
-    if rule.level >= Level.VALUES and inspected.undecoded:
-        return f"{inspected.undecoded} (see --timeout)"
+    if rule.level >= Level.VALUES and inspected.undecoded_reason:
+        return f"{inspected.undecoded_reason} (see --timeout)"
     if rule.level is Level.RENDER:
-        return inspected.undrawn or (
+        return inspected.undrawn_reason or (
             inspected.drawn.skipped.get(rule.id, "") if inspected.drawn else ""
         )
     return ""
@@ -139,10 +139,10 @@ def _undecided(rule: Rule, inspected: InspectedTileset) -> str:
 
 def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
     """Draw tiles of the tileset once, or note why nothing can be drawn."""
-    if inspected.drawn is not None or inspected.undrawn or inspected.tileset is None:
+    if inspected.drawn is not None or inspected.undrawn_reason or inspected.tileset is None:
         return
     if find_spec("wgpu") is None:
-        inspected.undrawn = "wgpu is not installed: pip install 'gsgen[runtime]'"
+        inspected.undrawn_reason = "wgpu is not installed: pip install 'gsgen[runtime]'"
         return
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
     from gsgen.tiles.validation.drawing import draw_tileset
@@ -155,10 +155,12 @@ def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
     try:
         inspected.drawn = draw_tileset(inspected.tileset, inspected.store, counts)
     except (DeviceUnavailable, CapacityExceeded) as error:
-        inspected.undrawn = f"{error.where}: {error.message}" if error.where else error.message
+        inspected.undrawn_reason = (
+            f"{error.where}: {error.message}" if error.where else error.message
+        )
 
 
-def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
+def _in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
     """Order validation rules so that each rule comes after the rules that it depends on."""
     pending, ordered = list(rules), list[Rule]()
     ids: set[str] = set()
@@ -172,15 +174,15 @@ def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
     return ordered
 
 
-def _levels(requested: Level, inspected: InspectedTileset) -> Iterable[LevelOutcome]:
+def _level_outcomes(requested: Level, inspected: InspectedTileset) -> Iterable[LevelOutcome]:
     """Yield the outcome of every requested validation level that applies to tilesets."""
     yield LevelOutcome(level=Level.STATIC, ran=True)
     if requested >= Level.VALUES:
         yield LevelOutcome(level=Level.VALUES, ran=True)
     if requested >= Level.RENDER:
-        ran = inspected.drawn is not None
-        reason = "" if ran else inspected.undrawn or _NOTHING_DRAWN
-        yield LevelOutcome(level=Level.RENDER, ran=ran, reason=reason)
+        is_drawn = inspected.drawn is not None
+        reason = "" if is_drawn else inspected.undrawn_reason or _NOT_DRAWN_REASON
+        yield LevelOutcome(level=Level.RENDER, ran=is_drawn, reason=reason)
 
 
 def _index_digest(store: Store, index: str) -> tuple[int, str]:

@@ -18,13 +18,13 @@ from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.volumes import Box, Volume
-from gsgen.tiles.gltf.encoding import SIGMAS
+from gsgen.tiles.gltf.encoding import EXTENT_SIGMAS
 from gsgen.tiles.gltf.placement import PlacedSplats
 
-_SHARE_OF_SIZE: Final = 1e-3
-_SHARE_OF_REACH: Final = 0.04  # half a step of a scale in SPZ, and of its rotation
-_UNIT: Final = 0.02
-_SMALLEST: Final = 1e-6
+_SIZE_TOLERANCE: Final = 1e-3
+_RADIUS_TOLERANCE: Final = 0.04  # half a step of a scale in SPZ, and of its rotation
+_UNIT_TOLERANCE: Final = 0.02
+_MIN_TOLERANCE: Final = 1e-6
 
 
 @final
@@ -79,13 +79,13 @@ def measure_content(
     """
     outside = uncovered = None
     if volume is not None:
-        outside = _merge([_outside(part, volume, to_world) for part in parts])
+        outside = _merge([_outside_volume(part, volume, to_world) for part in parts])
     if children:
-        uncovered = _merge([_uncovered(part, children, margin, to_world) for part in parts])
+        uncovered = _merge([_outside_children(part, children, margin, to_world) for part in parts])
     return ContentValues(outside=outside, uncovered=uncovered)
 
 
-def _outside(
+def _outside_volume(
     part: PlacedSplats, volume: Volume, to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Return how far each splat's 3σ ellipsoid leaves a volume, and whether the centre does.
@@ -96,9 +96,11 @@ def _outside(
     """
     linear = to_world[:3, :3]
     centers = part.positions() @ linear.T + to_world[:3, 3]
-    allowed = _SHARE_OF_SIZE * volume.size + _SMALLEST
-    upper = covariance_upper(np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation)
-    center_beyond = volume.outside(centers)
+    allowed = _SIZE_TOLERANCE * volume.size + _MIN_TOLERANCE
+    covariances = covariance_upper(
+        np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation
+    )
+    center_overshoot = volume.outside(centers)
     if isinstance(volume, Box):
         lengths = np.linalg.norm(volume.half_axes, axis=1)
         axes = volume.half_axes / np.where(lengths > 0, lengths, 1)[:, None]
@@ -106,23 +108,25 @@ def _outside(
         rows, columns = COVARIANCE_INDEX
         inner = axes @ linear
         weights = inner[:, rows] * inner[:, columns] * np.where(np.equal(rows, columns), 1, 2)
-        reach = SIGMAS * np.sqrt(np.maximum(weights @ upper.T, 0))
+        reach = EXTENT_SIGMAS * np.sqrt(np.maximum(weights @ covariances.T, 0))
         along = np.abs(axes @ (centers - volume.center).T)
-        beyond = (along + reach * (1 - _SHARE_OF_REACH) - lengths[:, None]).max(axis=0)
+        overshoot = (along + reach * (1 - _RADIUS_TOLERANCE) - lengths[:, None]).max(axis=0)
     else:
-        least = np.linalg.eigvalsh(linear @ symmetric(upper) @ linear.T)[:, 0]
-        reach = SIGMAS * np.sqrt(np.maximum(least, 0))
-        beyond = np.where(center_beyond > 0, center_beyond + reach * (1 - _SHARE_OF_REACH), 0)
-    return np.where(beyond > allowed, beyond, 0.0), center_beyond > allowed
+        least = np.linalg.eigvalsh(linear @ symmetric(covariances) @ linear.T)[:, 0]
+        reach = EXTENT_SIGMAS * np.sqrt(np.maximum(least, 0))
+        overshoot = np.where(
+            center_overshoot > 0, center_overshoot + reach * (1 - _RADIUS_TOLERANCE), 0
+        )
+    return np.where(overshoot > allowed, overshoot, 0.0), center_overshoot > allowed
 
 
-def _uncovered(
+def _outside_children(
     part: PlacedSplats, children: list[Volume], margin: float, to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     centers = part.positions() @ to_world[:3, :3].T + to_world[:3, 3]
     nearest = np.full(len(centers), np.inf)
     for child in children:
-        allowed = margin + _SHARE_OF_SIZE * child.size + _SMALLEST
+        allowed = margin + _SIZE_TOLERANCE * child.size + _MIN_TOLERANCE
         nearest = np.minimum(nearest, np.maximum(child.outside(centers) - allowed, 0))
     return nearest, nearest > 0
 
@@ -168,7 +172,7 @@ def check_values(container: Container, decoded: list[Splats], location: str) -> 
 
 def _check_unit(rotation: Float64[np.ndarray, "n 4"], location: str) -> None:
     length = np.linalg.norm(rotation, axis=1)
-    wrong = ~(np.abs(length - 1) <= _UNIT)
+    wrong = ~(np.abs(length - 1) <= _UNIT_TOLERANCE)
     if wrong.any():
         first = int(np.argmax(wrong))
         raise TilesetInvalid(

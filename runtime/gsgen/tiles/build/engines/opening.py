@@ -1,6 +1,6 @@
 """Opens the build engine that a user names; ``serial`` runs one task after the other."""
 
-__all__ = ["Serial", "open_engine"]
+__all__ = ["SerialEngine", "open_engine"]
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar, final
@@ -15,10 +15,10 @@ _Result = TypeVar("_Result")
 
 
 @final
-class Serial(Engine):
+class SerialEngine(Engine):
     """Runs one build task after the other in this process."""
 
-    def __enter__(self) -> "Serial":
+    def __enter__(self) -> "SerialEngine":
         return self
 
     def __exit__(self, *error: object) -> None: ...
@@ -44,7 +44,7 @@ def open_engine(name: str, workers: int | None = None) -> Engine:
     count = workers or available_cores()
     kind, _, address = name.partition("=")
     if kind == "serial":
-        return Serial()
+        return SerialEngine()
     if kind == "processes":
         return Processes(count)
     if kind == "dask":

@@ -15,7 +15,7 @@ from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
-_AHEAD: Final = 2  # tasks a worker that wait with it: results arrive while it computes
+_QUEUED_PER_WORKER: Final = 2  # tasks a worker that wait with it: results arrive while it computes
 _MEMORY_HINT: Final = "A worker was killed, by lack of memory perhaps: use fewer --workers."
 
 
@@ -64,7 +64,7 @@ class Processes(Engine):
         while pending or running:
             try:
                 pool = self._open()
-                while pending and len(running) < _AHEAD * self._workers:
+                while pending and len(running) < _QUEUED_PER_WORKER * self._workers:
                     future: Future[_Result] = pool.submit(function, tasks[pending[-1]])
                     running[future] = pending.pop()
                 finished_tasks, _ = wait(running, return_when=FIRST_COMPLETED)

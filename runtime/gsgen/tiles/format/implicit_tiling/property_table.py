@@ -59,8 +59,8 @@ def _read_class(entry: JsonObject) -> PropertyClass:
             count = column.whole("count", least=1, most=_MOST_COUNT)
         if width is None or dtype is None:
             continue
-        known_by = column.text("semantic") if "semantic" in column else name
-        columns[name] = known_by, np.dtype(dtype), width * count
+        semantic_name = column.text("semantic") if "semantic" in column else name
+        columns[name] = semantic_name, np.dtype(dtype), width * count
     return PropertyClass(columns)
 
 
@@ -78,7 +78,7 @@ def read_property_table(
         table.refuse("count", f"{count}, as many as are available")
     columns: dict[str, np.ndarray] = {}
     properties = table.optional("properties")
-    for key, (known_by, dtype, width) in classes[name].columns.items():
+    for key, (semantic_name, dtype, width) in classes[name].columns.items():
         if properties is None or key not in properties:
             continue
         entry = properties.child(key)
@@ -91,5 +91,5 @@ def read_property_table(
                 fault=Fault.SUBTREE,
             )
         values = np.frombuffer(data[:size], dtype).reshape(count, width)
-        columns[known_by] = values[:, 0] if width == 1 else values
+        columns[semantic_name] = values[:, 0] if width == 1 else values
     return columns

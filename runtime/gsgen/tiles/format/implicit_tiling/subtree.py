@@ -75,7 +75,7 @@ def read_subtree(
         classes: The metadata classes of the tileset.
         read_buffer: Reads a buffer that lies in a file of its own.
     """
-    document, binary = _split(data, location)
+    document, binary = _split_chunks(data, location)
     reader = _Reader(document, binary, read_buffer)
     count = tile_count(branching, levels)
     tiles = reader.availability(document.child("tileAvailability"), count)
@@ -116,23 +116,23 @@ def _content_tables(
     )
 
 
-def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
+def _split_chunks(data: bytes, location: str) -> tuple[JsonObject, bytes]:
     """Return the JSON and the binary chunk of a subtree file."""
     if data[:4] != _MAGIC:
         document = parse_object(data, f"{location}, ", fault=Fault.SUBTREE)
         return document, b""
     if len(data) < _HEADER.size:
-        raise _wrong(
+        raise _mismatch_error(
             f"the subtree file has {len(data)} bytes", location, f"a header of {_HEADER.size}"
         )
     _, version, json_size, binary_size = _HEADER.unpack_from(data)
     if version != _SUBTREE_VERSION:
-        raise _wrong(
+        raise _mismatch_error(
             f"the subtree version is {version}", f"{location}, byte 4", f"{_SUBTREE_VERSION}"
         )
     whole = _HEADER.size + json_size + binary_size
     if whole != len(data) or json_size > MAX_JSON:
-        raise _wrong(
+        raise _mismatch_error(
             f"the subtree file has {len(data)} bytes",
             f"{location}, byte 8",
             f"{whole}: the header, {json_size} of JSON and {binary_size} of data",
@@ -142,7 +142,7 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
     return document, data[start:]
 
 
-def _wrong(actual: str, location: str, expected: str) -> TilesetInvalid:
+def _mismatch_error(actual: str, location: str, expected: str) -> TilesetInvalid:
     return TilesetInvalid(actual, location=location, expected=expected, fault=Fault.SUBTREE)
 
 
@@ -152,13 +152,13 @@ def _check_tree(
     """Raise for subtree tiles without a parent, and contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
     if not tiles[0]:
-        raise _wrong(
+        raise _mismatch_error(
             "the root tile of the subtree is not available", location, "a subtree with a root"
         )
     parents = (np.arange(1, len(tiles)) - 1) // branching
     orphans = np.flatnonzero(tiles[1:] & ~tiles[parents])
     if len(orphans):
-        raise _wrong(
+        raise _mismatch_error(
             f"tile {orphans[0] + 1} is available, but its parent is not",
             document.at("tileAvailability"),
             "a tree",
@@ -166,7 +166,7 @@ def _check_tree(
     for bits in contents:
         orphan_contents = np.flatnonzero(bits & ~tiles)
         if len(orphan_contents):
-            raise _wrong(
+            raise _mismatch_error(
                 f"content {orphan_contents[0]} is available, but its tile is not",
                 document.at("contentAvailability"),
                 "content of available tiles only",
@@ -174,7 +174,7 @@ def _check_tree(
     last = tiles[-(len(below) // branching) :]
     orphan_subtrees = np.flatnonzero(below & ~np.repeat(last, branching))
     if len(orphan_subtrees):
-        raise _wrong(
+        raise _mismatch_error(
             f"child subtree {orphan_subtrees[0]} is below a tile that is not available",
             document.at("childSubtreeAvailability"),
             "subtrees of available tiles only",
@@ -188,13 +188,13 @@ class _Reader:
     def __init__(self, document: JsonObject, binary: bytes, read: ReadBuffer) -> None:
         self._binary, self._read = binary, read
         self._buffers = list(document.objects("buffers"))
-        self._views = list(document.objects("bufferViews"))
+        self._buffer_views = list(document.objects("bufferViews"))
         self._loaded: dict[int, bytes] = {}
 
     def availability(self, entry: JsonObject, count: int) -> Bits:
         """Read ``count`` availability bits of a subtree, stored as one constant or a bitstream."""
         if count > MAX_BITS:
-            raise _wrong(
+            raise _mismatch_error(
                 f"the subtree has {count:,} tiles", entry.location, f"{MAX_BITS:,} or fewer"
             )
         if "constant" in entry:
@@ -204,26 +204,28 @@ class _Reader:
         size = (count + 7) // 8
         if len(data) < size:
             actual = f"the bitstream has {len(data)} bytes"
-            raise _wrong(actual, entry.at(key), f"{size}, a bit for each of {count}")
+            raise _mismatch_error(actual, entry.at(key), f"{size}, a bit for each of {count}")
         packed = np.frombuffer(data[:size], np.uint8)
         bits = np.unpackbits(packed, bitorder="little")[:count].astype(bool)
         if "availableCount" in entry:
             declared = entry.whole("availableCount")
             if declared != int(bits.sum()):
                 actual = f"availableCount is {declared}"
-                raise _wrong(actual, entry.at("availableCount"), f"{int(bits.sum())} set bits")
+                raise _mismatch_error(
+                    actual, entry.at("availableCount"), f"{int(bits.sum())} set bits"
+                )
         return np.asarray(bits)
 
     def view(self, entry: JsonObject, key: str) -> bytes:
         """Return the bytes of a subtree's buffer view, whose number is the JSON member ``key``."""
         index = entry.whole(key)
-        if index >= len(self._views):
-            entry.refuse(key, f"less than {len(self._views)}, the number of buffer views")
-        view = self._views[index]
+        if index >= len(self._buffer_views):
+            entry.refuse(key, f"less than {len(self._buffer_views)}, the number of buffer views")
+        view = self._buffer_views[index]
         start, size = view.whole("byteOffset"), view.whole("byteLength")
         data = self._buffer(view)
         if start + size > len(data):
-            raise _wrong(
+            raise _mismatch_error(
                 f"the buffer view ends at byte {start + size}",
                 view.location,
                 f"{len(data)} or less",
@@ -241,7 +243,7 @@ class _Reader:
             if "uri" in entry:
                 data = self._read(entry.text("uri"), entry.at("uri"), size)
             if len(data) < size:
-                raise _wrong(
+                raise _mismatch_error(
                     f"the buffer of the subtree has {len(data)} bytes", entry.location, f"{size}"
                 )
             self._loaded[index] = data[:size]
@@ -250,16 +252,16 @@ class _Reader:
     def table(
         self,
         tables: list[JsonObject],
-        holder: JsonObject,
+        parent_object: JsonObject,
         key: str,
         count: int,
         classes: dict[str, PropertyClass],
     ) -> dict[str, np.ndarray]:
         """Return the columns of a subtree's property table; empty if there is no property table."""
-        if key not in holder:
+        if key not in parent_object:
             return {}
-        index = holder.whole(key)
+        index = parent_object.whole(key)
         if index >= len(tables):
-            holder.refuse(key, f"less than {len(tables)}, the number of property tables")
+            parent_object.refuse(key, f"less than {len(tables)}, the number of property tables")
         columns: JsonDict = read_property_table(tables[index], count, classes, self.view)
         return columns

@@ -154,36 +154,38 @@ def _expand_subtree(
     if len(subtree.contents) > len(tree.content_uris):
         raise TilesetInvalid(
             f"the subtree has {len(subtree.contents)} contents per tile",
-            location=f"{tree.location}, subtree {_label(origin)}",
+            location=f"{tree.location}, subtree {_tile_label(origin)}",
             expected=f"{len(tree.content_uris)}, as many as the tile has templates",
             fault=Fault.SUBTREE,
         )
     available = np.flatnonzero(subtree.tiles)
-    count_tiles(len(available), f"{tree.location}, subtree {_label(origin)}")
+    count_tiles(len(available), f"{tree.location}, subtree {_tile_label(origin)}")
     rows = {int(index): row for row, index in enumerate(available)}
     content_rows = [np.cumsum(bits) - 1 for bits in subtree.contents]
     coordinates = _coordinates(tree, origin, available)
-    first_below = tile_count(tree.branching, tree.subtree_levels)
+    first_child_index = tile_count(tree.branching, tree.subtree_levels)
     # Tiles stand breadth first: from the last one back, children are built before their parent.
-    built: dict[int, Tile] = {}
+    tiles_by_index: dict[int, Tile] = {}
     for index in reversed([int(entry) for entry in available]):
         children = [index * tree.branching + 1 + k for k in range(tree.branching)]
-        if children[0] < first_below:  # within this subtree; else the roots of other subtrees
-            below = [built.pop(child) for child in children if child in built]
+        if children[0] < first_child_index:  # within this subtree; else the roots of other subtrees
+            below = [tiles_by_index.pop(child) for child in children if child in tiles_by_index]
         else:
             below = list(
-                _further(
-                    tree, root, subtree, coordinates[index], children[0] - first_below,
+                _child_subtree_roots(
+                    tree, root, subtree, coordinates[index], children[0] - first_child_index,
                     load, count_tiles,
                 )
             )  # fmt: skip
         values = {key: column[rows[index]] for key, column in subtree.properties.items()}
         contents = _contents(tree, subtree, coordinates[index], index, content_rows)
-        built[index] = _tile(tree, root, coordinates[index], values, contents, tuple(below))
-    return built[0]
+        tiles_by_index[index] = _tile(
+            tree, root, coordinates[index], values, contents, tuple(below)
+        )
+    return tiles_by_index[0]
 
 
-def _further(
+def _child_subtree_roots(
     tree: ImplicitTree,
     root: Tile,
     subtree: Subtree,
@@ -200,7 +202,7 @@ def _further(
         if origin.level >= tree.levels:
             raise TilesetInvalid(
                 f"the subtree begins at level {origin.level}",
-                location=f"{tree.location}, subtree {_label(origin)}",
+                location=f"{tree.location}, subtree {_tile_label(origin)}",
                 expected=f"less than the {tree.levels} levels of the tree",
                 fault=Fault.SUBTREE,
             )
@@ -231,7 +233,7 @@ def _contents(
     for number, bits in enumerate(subtree.contents):
         if not bits[index]:
             continue
-        location = f"{tree.location}, tile {_label(tile)}"
+        location = f"{tree.location}, tile {_tile_label(tile)}"
         volume = None
         if number < len(subtree.content_properties):
             columns = subtree.content_properties[number]
@@ -253,7 +255,7 @@ def _tile(
     level, cell = coordinates
     if level >= tree.levels:
         raise TilesetInvalid(
-            f"tile {_label(coordinates)} is available at level {level}",
+            f"tile {_tile_label(coordinates)} is available at level {level}",
             location=tree.location,
             expected=f"less than the {tree.levels} levels of the tree",
             fault=Fault.SUBTREE,
@@ -263,13 +265,13 @@ def _tile(
     if np.ndim(error) or not 0 <= error < np.inf:
         raise TilesetInvalid(
             shorten(error),
-            location=f"{tree.location}, tile {_label(coordinates)}, TILE_GEOMETRIC_ERROR",
+            location=f"{tree.location}, tile {_tile_label(coordinates)}, TILE_GEOMETRIC_ERROR",
             expected="a finite number, 0 or more",
             fault=Fault.SUBTREE,
         )
     return replace(
         root,
-        location=f"{tree.location}, tile {_label(coordinates)}",
+        location=f"{tree.location}, tile {_tile_label(coordinates)}",
         volume=_declared_volume(values, "TILE") or tree.volume.child(cell, level),
         geometric_error=float(error),
         refine=tree.refine,
@@ -298,5 +300,5 @@ def _declared_volume(values: JsonDict, owner: str) -> Volume | None:
     return None
 
 
-def _label(tile: TileCoordinates) -> str:
+def _tile_label(tile: TileCoordinates) -> str:
     return f"{tile.level}/{'/'.join(map(str, tile.cell))}"

@@ -33,7 +33,7 @@ SUBTREE_LEVELS: Final = 5
 _BRANCHING = 8
 _SUBTREE_URI = "s/{level}/{x}_{y}_{z}.subtree"
 _HEADER = struct.Struct("<4sIQQ")
-_ALIGN = 8
+_ALIGNMENT = 8
 
 
 def implicit_uri(level: int, coordinates: tuple[int, int, int], quality: int = 0) -> str:
@@ -75,7 +75,7 @@ def write_implicit_tileset(
     tiles: list[_Cell] = []
     oversized: list[TileRecord] = []
     low, high = _collect(root, quality, tiles, oversized)
-    wrapper = TileRecord(
+    wrapper_tile = TileRecord(
         level=0,
         coordinates=(0, 0, 0),
         low=low,
@@ -84,7 +84,7 @@ def write_implicit_tileset(
         children=tuple(replace(tile, children=()) for tile in oversized),
     )
     document = tileset_document(
-        wrapper,
+        wrapper_tile,
         source_splats=source_splats,
         sh_degree=sh_degree,
         codec=codec,
@@ -208,8 +208,8 @@ def _subtree(
     # Bits and rows of property tables are in breadth-first order, in Morton order on each level.
     ordered = sorted(members, key=lambda cell: index(cell.record.level, cell.record.coordinates))
     indices = [index(cell.record.level, cell.record.coordinates) for cell in ordered]
-    filled = [cell for cell in ordered if cell.record.contents]
-    content_indices = [index(c.record.level, c.record.coordinates) for c in filled]
+    content_cells = [cell for cell in ordered if cell.record.contents]
+    content_indices = [index(c.record.level, c.record.coordinates) for c in content_cells]
     first = tile_count(_BRANCHING, levels)
     children = [index(top + levels, child) - first for child in below]
     writer = _SubtreeWriter()
@@ -220,11 +220,11 @@ def _subtree(
         "tileMetadata": 0,
         "propertyTables": [writer.table(TILE_CLASS, len(ordered), _tile_columns(ordered))],
     }
-    if filled:
-        columns = _content_columns(filled, quality)
+    if content_cells:
+        columns = _content_columns(content_cells, quality)
         document["contentMetadata"] = [1]
         document["propertyTables"].append(
-            writer.table(f"{TILE_CLASS}_content", len(filled), columns)
+            writer.table(f"{TILE_CLASS}_content", len(content_cells), columns)
         )
     return writer.file(document)
 
@@ -251,7 +251,7 @@ class _SubtreeWriter:
 
     def __init__(self) -> None:
         self._data = bytearray()
-        self._views: list[dict[str, int]] = []
+        self._buffer_views: list[dict[str, int]] = []
 
     def bits(self, indices: list[int], count: int) -> dict[str, int]:
         """Return the JSON of a subtree's availability bits: a constant, or a bitstream."""
@@ -271,17 +271,17 @@ class _SubtreeWriter:
 
     def _view(self, data: bytes) -> int:
         view = {"buffer": 0, "byteLength": len(data), "byteOffset": len(self._data)}
-        self._views.append(view)
-        self._data += data + bytes(-len(data) % _ALIGN)
-        return len(self._views) - 1
+        self._buffer_views.append(view)
+        self._data += data + bytes(-len(data) % _ALIGNMENT)
+        return len(self._buffer_views) - 1
 
     def file(self, document: JsonDict) -> bytes:
         """Return an implicit subtree as the bytes of a binary subtree file."""
         values = dict(document)
         if self._data:
             values["buffers"] = [{"byteLength": len(self._data)}]
-            values["bufferViews"] = self._views
+            values["bufferViews"] = self._buffer_views
         text = json_bytes(values)
-        text += b" " * (-len(text) % _ALIGN)
+        text += b" " * (-len(text) % _ALIGNMENT)
         header = _HEADER.pack(b"subt", 1, len(text), len(self._data))
         return header + text + bytes(self._data)

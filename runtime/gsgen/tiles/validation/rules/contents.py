@@ -14,10 +14,10 @@ from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of, tileset_rule
 
-_BOTH: Final = (TILESET, TILE_CONTENT)
+_TARGET_KINDS: Final = (TILESET, TILE_CONTENT)
 
 
-@tileset_rule("GT005", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
+@tileset_rule("GT005", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
 def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every file that the tileset names exists, is complete, and is glTF 2.0 with splats.
 
@@ -40,7 +40,7 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
             yield Violation.at(f"content {primitive.location}", text, f"as {EXTENSION_NAME} says")
 
 
-@tileset_rule("GT006", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
+@tileset_rule("GT006", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
 def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """Accessors, SPZ header and metadata of a content declare the same number of splats.
 
@@ -93,14 +93,14 @@ def extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
     missing = [name for name in needed if name not in declared]
     location = f"tileset {tileset.index}, extensions.{CONTENT_EXTENSION}.extensionsRequired"
     if missing:
-        listed = ", ".join(declared) or "nothing"
-        yield Violation.at(location, f"{listed:.200}", " and ".join(needed))
+        declared_names = ", ".join(declared) or "nothing"
+        yield Violation.at(location, f"{declared_names:.200}", " and ".join(needed))
     elif CONTENT_EXTENSION not in tileset.extensions_used:
         location = f"tileset {tileset.index}, extensionsUsed"
         yield Violation.at(location, f"no {CONTENT_EXTENSION}", f"{CONTENT_EXTENSION} among them")
 
 
-@tileset_rule("GT009", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_BOTH)
+@tileset_rule("GT009", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
 def spz_version(inspected: InspectedTileset) -> Iterator[Violation]:
     """SPZ data in a tile's content are of version 2.
 

@@ -14,11 +14,11 @@ from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, tiles
 
 MAX_SPLATS: Final = 262_144
 MAX_BYTES: Final = 8 << 20
-_BOTH: Final = (TILESET, TILE_CONTENT)
-_WHOLE: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
+_TARGET_KINDS: Final = (TILESET, TILE_CONTENT)
+_COMPLETE_FILE_RULES: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
 
 
-@tileset_rule("GT014", Severity.ERROR, needs=_WHOLE)
+@tileset_rule("GT014", Severity.ERROR, needs=_COMPLETE_FILE_RULES)
 def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
     """All leaves together have as many splats as the tileset declares for the scene.
 
@@ -77,7 +77,7 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT016", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_BOTH)
+@tileset_rule("GT016", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
 def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile's content has at most 262,144 splats and 8 MiB.
 
@@ -97,7 +97,7 @@ def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT018", Severity.ERROR, needs=_WHOLE)
+@tileset_rule("GT018", Severity.ERROR, needs=_COMPLETE_FILE_RULES)
 def no_empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
     """Every leaf has a content, and every content has splats.
 
@@ -120,7 +120,7 @@ def no_empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT019", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_BOTH)
+@tileset_rule("GT019", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
 def draft_names(inspected: InspectedTileset) -> Iterator[Violation]:
     """Contents use the attribute names of the ratified glTF extension, not those of its drafts.
 

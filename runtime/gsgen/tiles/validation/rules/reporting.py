@@ -27,4 +27,4 @@ def faults_of(inspected: InspectedTileset, fault: Fault) -> Iterator[Violation]:
 
 def certainty(inspected: InspectedTileset) -> Certainty:
     """Return ``confirmed`` for violations in tilesets that gsgen built, else ``possible``."""
-    return "confirmed" if inspected.is_ours else "possible"
+    return "confirmed" if inspected.is_built_by_gsgen else "possible"

@@ -11,8 +11,8 @@ from gsgen.tiles.errors import Fault
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of, tileset_rule
 
-_SHARE: Final = 5e-3  # of the parent's size: curved regions are compared at 18 points
-_RELATIVE: Final = 1e-6
+_SIZE_TOLERANCE: Final = 5e-3  # of the parent's size: curved regions are compared at 18 points
+_ABSOLUTE_TOLERANCE: Final = 1e-6
 
 
 @tileset_rule("GT001", Severity.ERROR)
@@ -45,13 +45,13 @@ def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
     if tileset is None:
         return
     for parent, child in tileset.pairs():
-        outer = parent.volume.transformed(tileset.transform @ parent.transform)
-        inner = child.volume.transformed(tileset.transform @ child.transform)
-        out = float(outer.outside(inner.samples()).max())
-        if not out <= _SHARE * outer.size + _RELATIVE:
+        parent_volume = parent.volume.transformed(tileset.transform @ parent.transform)
+        child_volume = child.volume.transformed(tileset.transform @ child.transform)
+        overshoot = float(parent_volume.outside(child_volume.samples()).max())
+        if not overshoot <= _SIZE_TOLERANCE * parent_volume.size + _ABSOLUTE_TOLERANCE:
             yield Violation.at(
                 f"tile {child.location}",
-                f"its volume reaches {out:.4g} out of its parent's",
+                f"its volume reaches {overshoot:.4g} out of its parent's",
                 f"a volume within that of {parent.location}",
             )
 
@@ -68,7 +68,7 @@ def geometric_error_falls(inspected: InspectedTileset) -> Iterator[Violation]:
         Let errors fall from level to level, to 0 for the leaves.
     """
     for parent, child in inspected.tileset.pairs() if inspected.tileset else ():
-        if child.geometric_error > parent.geometric_error * (1 + _RELATIVE):
+        if child.geometric_error > parent.geometric_error * (1 + _ABSOLUTE_TOLERANCE):
             yield Violation.at(
                 f"tile {child.location}",
                 f"geometric error {child.geometric_error:g}",

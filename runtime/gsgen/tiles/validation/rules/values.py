@@ -29,14 +29,14 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     for content in inspected.contents:
         outside = content.values.outside if content.values else None
         if outside is not None:
-            sure = "confirmed" if outside.centers else certainty(inspected)
+            violation_certainty = "confirmed" if outside.centers else certainty(inspected)
             yield Violation.at(
                 f"content {content.content.uri}",
                 f"{outside.count} of {outside.total} splats reach out at 3σ "
                 f"({outside.centers} by their centre); row {outside.row} by "
                 f"{outside.distance:.3g}",
                 "all within the volume of the content, or of its tile",
-                certainty="confirmed" if sure == "confirmed" else "possible",
+                certainty="confirmed" if violation_certainty == "confirmed" else "possible",
             )
 
 
@@ -52,12 +52,12 @@ def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
         Add the missing children. Centres may lie outside by the geometric error of the tile.
     """
     for content in inspected.contents:
-        uncovered = content.values.uncovered if content.values else None
-        if uncovered is not None:
+        uncovered_splats = content.values.uncovered if content.values else None
+        if uncovered_splats is not None:
             yield Violation.at(
                 f"content {content.content.uri}",
-                f"{uncovered.count} of {uncovered.total} splats lie in no child; row {uncovered.row} is "
-                f"{uncovered.distance:.3g} from the nearest",
+                f"{uncovered_splats.count} of {uncovered_splats.total} splats lie in no child; row {uncovered_splats.row} is "
+                f"{uncovered_splats.distance:.3g} from the nearest",
                 "every centre in a child's volume",
             )
 
