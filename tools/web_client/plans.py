@@ -22,7 +22,7 @@ from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
-from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
+from gsgen.runtime.viewer.present import PRESENT_CONSTANTS, PRESENT_UNIFORM
 from web_client.browser_kernels import PICTURE, ImportLayer, LiveCounts, RepackRows
 from web_client.formulas import Formula
 from web_client.plan_tables import PlanTables, module_row
@@ -63,7 +63,7 @@ def plans_document() -> dict[str, Any]:
     tables = PlanTables()
     for shape in SHAPES:
         tables.add(record(shape))
-    present = RecordedModule("present", source("present", **SHOWING_CONSTANTS))
+    present = RecordedModule("present", source("present", **PRESENT_CONSTANTS))
     module = tables.row("modules", module_row(tables, present))
     generators = _generator_kernels(tables)
     importing = ImportLayer(Device(RecordingDevice())).kernel
@@ -78,7 +78,7 @@ def plans_document() -> dict[str, Any]:
         "uniforms": {
             "frame": _fields(FRAME),
             "page": _fields(PAGE),
-            "showing": _fields(SHOWING),
+            "showing": _fields(PRESENT_UNIFORM),
             "picture": _fields(PICTURE),
             "slot": _fields(SLOT),
         },
@@ -101,7 +101,7 @@ def plans_document() -> dict[str, Any]:
             "module": module,
             "vertex": "corner_of",
             "fragment": "color_at",
-            "modes": {"color": 0} | SHOWING_CONSTANTS,
+            "modes": {"color": 0} | PRESENT_CONSTANTS,
         },
         "constants": {
             "JACOBIAN_MARGIN": JACOBIAN_MARGIN,

@@ -111,7 +111,7 @@ def _widget() -> Check:
 
 def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
     """Return the JSON that ``code`` prints in a child process, or a failed check."""
-    failed = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
+    failed_check = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-c", code],
@@ -121,9 +121,11 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
             timeout=_TIMEOUT,
         )
     except subprocess.TimeoutExpired:
-        return failed(detail=f"no answer after {_TIMEOUT} s")
+        return failed_check(detail=f"no answer after {_TIMEOUT} s")
     if completed.returncode != 0:
-        tail = completed.stderr.strip().splitlines()[-1:] or [f"exit status {completed.returncode}"]
-        return failed(detail=tail[0])
+        last_line = completed.stderr.strip().splitlines()[-1:] or [
+            f"exit status {completed.returncode}"
+        ]
+        return failed_check(detail=last_line[0])
     result: object = json.loads(completed.stdout.strip().splitlines()[-1])
     return result

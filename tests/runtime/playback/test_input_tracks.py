@@ -55,8 +55,8 @@ def fed(score: Timeline, name: str, frames: int) -> list[object]:
 )
 def test_typed_values_become_a_track(text: str, shape: tuple[int, ...], values: list) -> None:
     track = input_track(text)
-    assert [track.at(shape, number, 3).tolist() for number in range(3)] == values
-    assert track.word == "x"
+    assert [track.value_at(shape, number, 3).tolist() for number in range(3)] == values
+    assert track.input_name == "x"
 
 
 def test_array_files_become_tracks(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_array_files_become_tracks(tmp_path: Path) -> None:
     for suffix in ("npy", "npz", "json"):
         track = input_track(f"pose={tmp_path / 'a'}.{suffix}")
         assert track.frames((4, 3)) == 2
-        np.testing.assert_array_equal(track.at((4, 3), 3, 9), inputs[1])
+        np.testing.assert_array_equal(track.value_at((4, 3), 3, 9), inputs[1])
         assert track.frames((2, 4, 3)) == 1
     np.savez(tmp_path / "two.npz", a=inputs, b=inputs)
     with pytest.raises(ConfigInvalid, match="has 2 arrays, expected one"):

@@ -42,7 +42,7 @@ class Body(Source):
 
 def read(path: Path, body: Body | None = None) -> dict[str, np.ndarray]:
     tracks, _ = pose_tracks(str(path), body or Body())
-    return {track.word: track.values for track in tracks}
+    return {track.input_name: track.values for track in tracks}
 
 
 def write(path: Path, **arrays: object) -> Path:
@@ -90,7 +90,7 @@ def test_one_pose_is_for_all_frames(tmp_path: Path) -> None:
     np.save(tmp_path / "one.npy", POSE[0])
     (track,), _ = pose_tracks(str(tmp_path / "one.npy"), Body())
     assert track.frames((24, 3)) == 1
-    np.testing.assert_array_equal(track.at((24, 3), 7, 9), POSE[0])
+    np.testing.assert_array_equal(track.value_at((24, 3), 7, 9), POSE[0])
 
 
 def test_root_rotation_and_shift_are_read(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def test_the_last_sample_of_a_frame_is_that_of_its_moment(
     for number in range(frames):
         last = min(round(number / fps * RATE), count - 1)
         expected = [samples[i] / 2**15 if i >= 0 else 0.0 for i in range(last - 63, last + 1)]
-        np.testing.assert_array_equal(track.at((64,), number, frames), np.float32(expected))
+        np.testing.assert_array_equal(track.value_at((64,), number, frames), np.float32(expected))
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4])
@@ -60,7 +60,7 @@ def test_a_tone_of_another_rate_is_resampled(tmp_path: Path) -> None:
     data = np.rint(30_000 * tone).astype("<i2").tobytes()
     track = sound_track(write_wav(tmp_path / "a.wav", data, rate=3000), SOUND, (64,), fps=10.0)
     heard_tone = 30_000 / 2**15 * np.sin(2 * np.pi * 20 * np.arange(500 - 63, 501) / RATE)
-    np.testing.assert_allclose(track.at((64,), 5, 10), heard_tone, atol=2e-3)
+    np.testing.assert_allclose(track.value_at((64,), 5, 10), heard_tone, atol=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.spec.manifest import Space
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.source import Source
-from gsgen.runtime.sources.world_origins import beside_the_first
+from gsgen.runtime.sources.world_origins import align_world_origins
 from support.commands import gsgen_here
 
 UTM = (449_123.25, 5_411_042.5, 88.125)
@@ -37,7 +37,7 @@ def test_a_model_stands_where_its_origin_says(tmp_path: Path, unit: float) -> No
     other_origin = tuple(0.5 / unit * x + d for x, d in zip(UTM, (3.0, -2.0, 0.25), strict=True))
     other = Space(origin=other_origin, metres_per_unit=unit)
     sources = [source(tmp_path, "a", first), source(tmp_path, "b", other)]
-    placed = beside_the_first(sources)
+    placed = align_world_origins(sources)
     assert placed[0] is sources[0]
     local = sources[1].data.rows[: sources[1].data.count, :3].astype(np.float64)
     expected = (np.array(other_origin) + local) * unit
@@ -49,7 +49,7 @@ def test_a_model_stands_where_its_origin_says(tmp_path: Path, unit: float) -> No
 def test_models_of_the_same_or_of_no_origin_stay(tmp_path: Path) -> None:
     spaces = [None, Space(origin=UTM), Space(), Space(origin=UTM)]
     sources = [source(tmp_path, str(number), space) for number, space in enumerate(spaces)]
-    assert beside_the_first(sources) == sources
+    assert align_world_origins(sources) == sources
     for opened in sources:
         opened.close()
 

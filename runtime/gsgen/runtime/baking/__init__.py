@@ -21,8 +21,8 @@ def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
     if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_MODULE_BY_NAME[name])
-    globals()[name] = getattr(home, name, home)
+    module = import_module(_MODULE_BY_NAME[name])
+    globals()[name] = getattr(module, name, module)
     return globals()[name]
 
 

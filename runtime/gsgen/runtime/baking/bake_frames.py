@@ -36,9 +36,11 @@ if TYPE_CHECKING:
     from gsgen.runtime.renderer.renderer import Renderer
 
 _CAMERA_ROLES: Final = frozenset({"view", "projection", "camera_position", "viewport"})
-_HELD_OUT: Final = 5  # every fifth camera chooses the degree and takes no part in the fit
+_HELD_OUT_STEP: Final = 5  # every fifth camera chooses the degree and takes no part in the fit
 _TEST_CAMERAS: Final = 4
-_QUEUED: Final = 1  # frames that wait for the writer, or are written, while the next is converted
+_MAX_QUEUED_FRAMES: Final = (
+    1  # frames that wait for the writer, or are written, while the next is converted
+)
 MIN_VIEWS: Final = 20
 """Fewest cameras for a fit of SH degree 3, which has 16 coefficients."""
 
@@ -88,8 +90,8 @@ def bake(
     """
     tracks = [] if time is None else [Track("time", np.asarray(time), "time")]
     tracks += [
-        Track(word, np.asarray(value), f"values[{word!r}]")
-        for word, value in (values or {}).items()
+        Track(input_name, np.asarray(value), f"values[{input_name!r}]")
+        for input_name, value in (values or {}).items()
     ]
     with closing(GeneratorSource(Path(model), provider, sizes)) as source:
         return bake_source(
@@ -147,11 +149,11 @@ def bake_source(
             antialiased=source.antialias == "mip", color_space=source.color_space
         ),
     )  # fmt: skip
-    written = job.write_all()
+    written_frames = job.write_all()
     return BakeReport(
         model=source.name,
         format=codec.name,
-        frames=written,
+        frames=written_frames,
         view_dependence=job.view_dependence,
         fit_error=job.fit_error,
         test_cameras=job.test_cameras,
@@ -201,29 +203,31 @@ class _Job:
 
         Where no camera is sampled, the model computes the frame after that meanwhile.
         """
-        written: list[BakedFrame] = []
+        written_frames: list[BakedFrame] = []
         queue: deque[Future[BakedFrame]] = deque()
         with ThreadPoolExecutor(1, thread_name_prefix="gsgen writing") as writer:
             for number in range(self.frames):
-                head = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
-                splats, skipped = self._converted(number, head)
-                self.progress(f"{head}: writing {self.files.path(number).name}")
+                frame_label = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
+                splats, skipped = self._convert_frame(number, frame_label)
+                self.progress(f"{frame_label}: writing {self.files.path(number).name}")
                 queue.append(writer.submit(self._write, number, splats, skipped))
-                while len(queue) > (0 if self._is_measured(number) else _QUEUED):
-                    written.append(queue.popleft().result())
+                while len(queue) > (0 if self._is_measured(number) else _MAX_QUEUED_FRAMES):
+                    written_frames.append(queue.popleft().result())
                 if self._is_measured(number):
-                    psnr = self._measured_psnr(number, Path(written[-1].file), head)
-                    written[-1] = replace(written[-1], psnr=psnr)
-            written.extend(future.result() for future in queue)
-        return tuple(written)
+                    psnr = self._measured_psnr(number, Path(written_frames[-1].file), frame_label)
+                    written_frames[-1] = replace(written_frames[-1], psnr=psnr)
+            written_frames.extend(future.result() for future in queue)
+        return tuple(written_frames)
 
-    def _converted(self, number: int, head: str) -> tuple[Splats, int]:
+    def _convert_frame(self, number: int, frame_label: str) -> tuple[Splats, int]:
         """Compute a frame; return its drawn Gaussians, and the number of Gaussians not drawn."""
-        self.progress(f"{head}: running the model")
-        gaussians = self._gaussians(number, head)
+        self.progress(f"{frame_label}: running the model")
+        gaussians = self._gaussians(number, frame_label)
         mask, nonfinite = self.converter.drawn_mask(gaussians)
         if nonfinite:
-            self._note(f"frame {number}: {nonfinite:,} Gaussians are not finite and were left out")
+            self._add_note(
+                f"frame {number}: {nonfinite:,} Gaussians are not finite and were left out"
+            )
         splats = self.converter.convert(gaussians, mask)
         self._note_losses(splats)
         return splats, len(gaussians) - len(splats)
@@ -243,13 +247,13 @@ class _Job:
 
     # ---- The Gaussians of a frame
 
-    def _gaussians(self, number: int, head: str) -> DecodedGaussians:
+    def _gaussians(self, number: int, frame_label: str) -> DecodedGaussians:
         """Return a frame's Gaussians without padding rows, with colours that a file can hold."""
         source = self.source
         if self.cameras or not _camera_inputs(source):
             if self.cameras:
                 self._note_camera()
-            return self._computed(number)
+            return self._compute_frame(number)
         values = self._values(number)
         if number == 0:
             source.survey([(0, values)])  # the sphere of cameras stays the same in all frames
@@ -258,28 +262,28 @@ class _Job:
             cameras_around(source, self.views),
             values,
             number,
-            lambda view: self.progress(f"{head}: camera {view + 1} of {self.views}"),
+            lambda view: self.progress(f"{frame_label}: camera {view + 1} of {self.views}"),
         )
         self._note_dependence(samples)
         if samples.colors is None:
             return samples.union
-        self.progress(f"{head}: fitting SH")
-        return replace(samples.union, sh=self._fitted(samples), rgb=None)
+        self.progress(f"{frame_label}: fitting SH")
+        return replace(samples.union, sh=self._fit_colors(samples), rgb=None)
 
-    def _computed(self, number: int) -> DecodedGaussians:
+    def _compute_frame(self, number: int) -> DecodedGaussians:
         """Return a frame's Gaussians without padding rows, and begin to compute the next frame."""
         source = self.source
         if self.started != number:
             source.start(self._camera(number), self._values(number), number)
         source.finish()
-        gaussians = self._decoded()
+        gaussians = self._decode_frame()
         # The model runs for other cameras when PSNR is measured.
         if number + 1 < self.frames and not self._is_measured(number):
             self.started = number + 1
             source.start(self._camera(number + 1), self._values(number + 1), number + 1)
         return gaussians
 
-    def _decoded(self) -> DecodedGaussians:
+    def _decode_frame(self) -> DecodedGaussians:
         """Copy a frame's Gaussians without padding rows; copy colours only if they changed."""
         data = self.source.data
         rows, version = data.rows[: data.count], (data.appearance_version, data.count)
@@ -294,19 +298,23 @@ class _Job:
         return number if self.values.frames > 1 else 0
 
     def _values(self, number: int) -> Mapping[str, object]:
-        return self.values.at(self._value_index(number))
+        return self.values.values_of_frame(self._value_index(number))
 
     def _camera(self, number: int) -> Camera | None:
         return self.cameras[number % len(self.cameras)] if self.cameras else None
 
-    def _fitted(self, samples: ViewSamples) -> np.ndarray:
+    def _fit_colors(self, samples: ViewSamples) -> np.ndarray:
         """Fit SH to the sampled colours; the first frame chooses the degree by held-out error."""
         assert samples.colors is not None
-        is_held_out = np.arange(self.views) % _HELD_OUT == _HELD_OUT // 2
+        is_held_out = np.arange(self.views) % _HELD_OUT_STEP == _HELD_OUT_STEP // 2
         positions = samples.union.position
         sets = [
-            (samples.eyes[chosen], samples.colors[chosen], samples.opacity[chosen])
-            for chosen in (~is_held_out, is_held_out)
+            (
+                samples.eye_positions[chosen_views],
+                samples.colors[chosen_views],
+                samples.opacity[chosen_views],
+            )
+            for chosen_views in (~is_held_out, is_held_out)
         ]
         if self.degree is None:
             self.fit_error = tuple(
@@ -318,20 +326,20 @@ class _Job:
 
     # ---- Notes
 
-    def _note(self, text: str) -> None:
+    def _add_note(self, text: str) -> None:
         self.notes[text] = None
 
     def _note_camera(self) -> None:
         self.view_dependence = "camera" if _camera_inputs(self.source) else "none"
         if self.view_dependence == "none":
-            self._note("the model does not depend on a camera: --camera changes nothing")
+            self._add_note("the model does not depend on a camera: --camera changes nothing")
 
     def _note_dependence(self, samples: ViewSamples) -> None:
         parts = ["rows"] * samples.rows_change + ["colors"] * (samples.colors is not None)
-        merged = {*self.view_dependence.split(" and "), *parts} - {"none"}
-        self.view_dependence = " and ".join(sorted(merged, reverse=True)) or "none"
+        dependences = {*self.view_dependence.split(" and "), *parts} - {"none"}
+        self.view_dependence = " and ".join(sorted(dependences, reverse=True)) or "none"
         if samples.rows_change:
-            self._note(
+            self._add_note(
                 "Gaussians depend on the camera: opacities, positions and covariances are means over "
                 f"{self.views} cameras around the scene; --camera bakes what one camera sees"
             )
@@ -339,13 +347,17 @@ class _Job:
     def _note_losses(self, splats: Splats) -> None:
         codec = self.files.codec
         if splats.degree > codec.most_degree:
-            self._note(f"{codec.title} holds SH up to degree {codec.most_degree}: the rest is lost")
+            self._add_note(
+                f"{codec.title} holds SH up to degree {codec.most_degree}: the rest is lost"
+            )
         if splats.antialiased and "antialiased" not in codec.keeps_flags:
-            self._note(f"{codec.title} does not store antialiasing: draw it with `--antialias mip`")
+            self._add_note(
+                f"{codec.title} does not store antialiasing: draw it with `--antialias mip`"
+            )
         if splats.color_space != "srgb" and "color_space" not in codec.keeps_flags:
-            self._note(f"{codec.title} does not store the colour space: colours are linear")
+            self._add_note(f"{codec.title} does not store the colour space: colours are linear")
         if self.source.weighted is not None:
-            self._note("the model is blended by weighted sums, and splat files by sorting")
+            self._add_note("the model is blended by weighted sums, and splat files by sorting")
 
     # ---- PSNR
 
@@ -356,14 +368,14 @@ class _Job:
         is_exact = self.view_dependence in ("none", "camera") and self.source.weighted is None
         return self.psnr if self.psnr is not None else not is_exact
 
-    def _measured_psnr(self, number: int, path: Path, head: str) -> float | None:
+    def _measured_psnr(self, number: int, path: Path, frame_label: str) -> float | None:
         """Measure the PSNR of a written frame; None, and a note, where nothing can be drawn."""
         if self.renderer is None:
             self.renderer, reason = renderer_or_none()
             if self.renderer is None:
-                self._note(f"PSNR was not measured: {reason}")
+                self._add_note(f"PSNR was not measured: {reason}")
                 return None
-        self.progress(f"{head}: measuring PSNR")
+        self.progress(f"{frame_label}: measuring PSNR")
         source, camera = self.source, self._camera(number)
         cameras = [camera] if camera else cameras_around(source, _TEST_CAMERAS, offset=0.2)
         self.test_cameras = len(cameras)

@@ -21,15 +21,15 @@ _MAX_FRAMES: Final = 1_000_000
 def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
     """Parse an option's value: a number, or a range FIRST:LAST:COUNT that includes both ends."""
     hint = "Give a number, or FIRST:LAST:COUNT such as 0:1:300."
-    words = text.split(":")
+    range_parts = text.split(":")
     try:
-        numbers = [float(word) for word in words[:2]]
-        count = int(words[2]) if len(words) == 3 else 1
+        numbers = [float(input_name) for input_name in range_parts[:2]]
+        count = int(range_parts[2]) if len(range_parts) == 3 else 1
     except ValueError as error:
         raise ConfigInvalid(
             f"{text!r} is not a number or a range", where=where, hint=hint
         ) from error
-    if len(words) not in (1, 3) or not all(map(math.isfinite, numbers)):
+    if len(range_parts) not in (1, 3) or not all(map(math.isfinite, numbers)):
         raise ConfigInvalid(f"{text!r} is not a number or a range", where=where, hint=hint)
     if not 1 <= count <= _MAX_FRAMES:
         raise ConfigInvalid(
@@ -49,22 +49,22 @@ class FrameValues:
             track.where: track.frames(source.shape(spec.name)) for spec, track in self._tracks
         }
         self.frames = max(lengths.values(), default=1)
-        uneven = [where for where, length in lengths.items() if length not in (1, self.frames)]
-        if uneven:
+        mismatched = [where for where, length in lengths.items() if length not in (1, self.frames)]
+        if mismatched:
             longest = max(lengths, key=lambda where: lengths[where])
             raise ConfigInvalid(
-                f"has {lengths[uneven[0]]} frames, expected 1 or {self.frames} as {longest}",
-                where=uneven[0],
+                f"has {lengths[mismatched[0]]} frames, expected 1 or {self.frames} as {longest}",
+                where=mismatched[0],
                 hint="Give all ranges the same number of frames.",
             )
         for spec, track in self._tracks:
             _require_range(spec, track)
 
-    def at(self, number: int) -> Mapping[str, object]:
+    def values_of_frame(self, number: int) -> Mapping[str, object]:
         """Return the input values of frame ``number``, from 0, by tensor name."""
         values: dict[str, object] = {}
         for spec, track in self._tracks:
-            value = track.at(self._source.shape(spec.name), number, self.frames)
+            value = track.value_at(self._source.shape(spec.name), number, self.frames)
             index = ROLES[spec.role].index
             values[spec.name] = np.rint(value).astype(np.int64) if index else value
         return values
@@ -74,23 +74,23 @@ class FrameValues:
         spec = self._source.time
         if spec is None:
             return None
-        if spec.name in self.at(number):
-            return float(np.asarray(self.at(number)[spec.name]).reshape(-1)[0])
+        if spec.name in self.values_of_frame(number):
+            return float(np.asarray(self.values_of_frame(number)[spec.name]).reshape(-1)[0])
         return float(spec.default) if isinstance(spec.default, int | float) else None
 
 
 def _inputs_of(source: GeneratorSource, track: Track) -> list[Input]:
-    matches = source.named(track.word)
+    matches = source.named(track.input_name)
     if matches:
         return matches
-    known = {word for spec in source.inputs for word in (spec.name, spec.role)}
-    if track.word == "time":
+    known_names = {input_name for spec in source.inputs for input_name in (spec.name, spec.role)}
+    if track.input_name == "time":
         raise ConfigInvalid(
-            f"{source.name} has no time input; its inputs are {', '.join(sorted(known)) or 'none'}",
+            f"{source.name} has no time input; its inputs are {', '.join(sorted(known_names)) or 'none'}",
             where=track.where,
             hint="Leave --time out, or set another input with --input NAME=VALUE.",
         )
-    raise UnknownName.among("input", track.word, known, track.where)
+    raise UnknownName.among("input", track.input_name, known_names, track.where)
 
 
 def _require_range(spec: Input, track: Track) -> None:
@@ -98,12 +98,14 @@ def _require_range(spec: Input, track: Track) -> None:
     if spec.range is None or not (spec.role == "time" or ROLES[spec.role].index):
         return
     low, high = spec.range
-    slack = 1e-6 * (high - low)  # a range in decimal text may end one rounding beyond
+    tolerance = 1e-6 * (high - low)  # a range in decimal text may end one rounding beyond
     values = np.asarray(track.values, np.float64)
-    outside = values[(values < low - slack) | (values > high + slack) | ~np.isfinite(values)]
-    if outside.size:
+    out_of_range = values[
+        (values < low - tolerance) | (values > high + tolerance) | ~np.isfinite(values)
+    ]
+    if out_of_range.size:
         raise ConfigInvalid(
-            f"is {outside.flat[0]:g} for input {spec.name}, expected {low:g} to {high:g}",
+            f"is {out_of_range.flat[0]:g} for input {spec.name}, expected {low:g} to {high:g}",
             where=track.where,
             hint="The manifest declares this range: `gsgen inspect` shows it.",
         )

@@ -33,28 +33,28 @@ class OutputFiles:
         """
         codec = writable_codec(pattern, format, where=f"-o {pattern}")
         numbers = len(_NUMBER.findall(str(pattern)))
-        example = pattern.with_name(f"{pattern.name.split('.')[0]}_%04d{codec.suffixes[0]}")
+        example_path = pattern.with_name(f"{pattern.name.split('.')[0]}_%04d{codec.suffixes[0]}")
         if numbers > 1:
             raise ConfigInvalid(
                 f"has {numbers} frame numbers, expected one",
                 where=f"-o {pattern}",
-                hint=f"Write for example -o {example}.",
+                hint=f"Write for example -o {example_path}.",
             )
         if frames > 1 and not numbers:
             raise ConfigInvalid(
                 f"is one file, expected a pattern for {frames} frames",
                 where=f"-o {pattern}",
-                hint=f"Write the frame's number as %04d, for example -o {example}.",
+                hint=f"Write the frame's number as %04d, for example -o {example_path}.",
             )
         refuse_folder(pattern)
         return cls(pattern, codec)
 
     def path(self, number: int) -> Path:
         """Return the output path of frame ``number``, from 0."""
-        return Path(_NUMBER.sub(lambda match: _digits(match, number), str(self.pattern)))
+        return Path(_NUMBER.sub(lambda match: _frame_digits(match, number), str(self.pattern)))
 
 
-def _digits(match: re.Match[str], number: int) -> str:
+def _frame_digits(match: re.Match[str], number: int) -> str:
     width = int(match[1] or 0)
     return f"{number:0{width}d}" if width else str(number)
 
@@ -74,7 +74,7 @@ def writable_codec(path: Path, format: str | None, where: str) -> Codec:
     if codec is None or codec.write is None:
         suffix = path.suffix or "(none)"
         actual = f"{codec.title} can only be read" if codec else f"has the suffix {suffix}"
-        suffixes = ", ".join(known.suffixes[0] for known in writable)
+        suffixes = ", ".join(known_codec.suffixes[0] for known_codec in writable)
         raise ConfigInvalid(
             f"{actual}, expected a format that can be written: {suffixes}",
             where=where,

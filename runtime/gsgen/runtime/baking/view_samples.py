@@ -15,9 +15,9 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.source import GeneratorSource
 
-_SIDE: Final = 256  # pixels: cameras are square, so that no direction is preferred
+_IMAGE_SIZE: Final = 256  # pixels: cameras are square, so that no direction is preferred
 _FOV: Final = 50.0
-_MAX_GROWTH: Final = 8  # rows of a union this many times larger than a frame do not match
+_MAX_UNION_RATIO: Final = 8  # rows of a union this many times larger than a frame do not match
 
 
 @final
@@ -28,14 +28,14 @@ class ViewSamples:
     Attributes:
         union: Means over the cameras: of opacities, and of positions and covariances weighted by
             opacity. Colours are those of the first camera that has the row.
-        eyes: Camera centres, [V, 3].
+        eye_positions: Camera centres, [V, 3].
         colors: Colours by camera, [V, N, 3]; None if they are the same for all.
         opacity: Opacity by camera, [V, N]; 0 where a camera has no such row.
         rows_change: Whether positions, opacities or covariances change with the camera.
     """
 
     union: DecodedGaussians
-    eyes: Float32[np.ndarray, "v 3"]
+    eye_positions: Float32[np.ndarray, "v 3"]
     colors: Float32[np.ndarray, "v n 3"] | None
     opacity: Float32[np.ndarray, "v n"]
     rows_change: bool
@@ -55,20 +55,20 @@ def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) 
 
     They are on a Fibonacci lattice, which ``offset`` shifts to other directions.
     """
-    center, reach = source.extent()
-    radius = reach / np.sin(np.radians(_FOV) / 2)
+    center, scene_radius = source.extent()
+    radius = scene_radius / np.sin(np.radians(_FOV) / 2)
     number = np.arange(count)
     height = 1 - 2 * (number + 0.5) / count
-    turn = np.pi * (3 - np.sqrt(5)) * (number + offset)
+    azimuth = np.pi * (3 - np.sqrt(5)) * (number + offset)
     level = np.sqrt(1 - height * height)
-    lattice = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
+    lattice = np.stack([level * np.cos(azimuth), height, level * np.sin(azimuth)], axis=1)
     return [
         Camera.look_at(
             (center + radius * direction).tolist(),
             center.tolist(),
             up=source.up,
-            width=_SIDE,
-            height=_SIDE,
+            width=_IMAGE_SIZE,
+            height=_IMAGE_SIZE,
             fov_y=_FOV,
             near=min(0.01, radius / 100),
         )
@@ -99,23 +99,27 @@ def sample_views(
         else:
             gaussians = decode(data.rows[: data.count], data.appearance[: data.count], data.space)
         views.append(_View(gaussians, versions, np.asarray(camera.eye, np.float32)))
-    first = views[0].versions
-    counts_change = any(view.versions[2] != first[2] for view in views)
-    rows_change = counts_change or any(view.versions[0] != first[0] for view in views)
-    colors_change = counts_change or any(view.versions[1] != first[1] for view in views)
+    first_array = views[0].versions
+    counts_change = any(view.versions[2] != first_array[2] for view in views)
+    rows_change = counts_change or any(view.versions[0] != first_array[0] for view in views)
+    colors_change = counts_change or any(view.versions[1] != first_array[1] for view in views)
     ids = (
         _matched_by_position(views, source.name)
         if counts_change
         else [np.arange(len(view.gaussians)) for view in views]
     )
-    opacity = _scattered(ids, [view.gaussians.opacity for view in views])
+    opacity = _scatter_rows(ids, [view.gaussians.opacity for view in views])
     colors = None
     if colors_change:
-        colors = _scattered(ids, [_colors(view) for view in views])
-    union = _mean(views, ids, opacity) if rows_change else views[0].gaussians
-    eyes = np.stack([view.eye for view in views])
+        colors = _scatter_rows(ids, [_colors(view) for view in views])
+    union = _mean_gaussians(views, ids, opacity) if rows_change else views[0].gaussians
+    eye_positions = np.stack([view.eye for view in views])
     return ViewSamples(
-        union=union, eyes=eyes, colors=colors, opacity=opacity, rows_change=rows_change
+        union=union,
+        eye_positions=eye_positions,
+        colors=colors,
+        opacity=opacity,
+        rows_change=rows_change,
     )
 
 
@@ -132,7 +136,7 @@ def _colors(view: _View) -> np.ndarray:
     return np.asarray(np.maximum(color, 0), np.float32)
 
 
-def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.ndarray:
+def _scatter_rows(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.ndarray:
     """Scatter each camera's array into the rows of all cameras' Gaussians; missing rows are 0."""
     size = max(int(rows.max(initial=-1)) for rows in ids) + 1
     result = np.zeros((len(arrays), size, *arrays[0].shape[1:]), np.float32)
@@ -141,7 +145,7 @@ def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.nd
     return result
 
 
-def _mean(
+def _mean_gaussians(
     views: Sequence[_View], ids: Sequence[np.ndarray], opacity: np.ndarray
 ) -> DecodedGaussians:
     """Return Gaussians averaged over the cameras, weighted by the opacity for each camera."""
@@ -149,18 +153,20 @@ def _mean(
     weight, sums = np.zeros(size), np.zeros((size, 9))
     appearance = views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh
     assert appearance is not None
-    first = np.zeros((size, *appearance.shape[1:]), np.float32)
+    first_array = np.zeros((size, *appearance.shape[1:]), np.float32)
     is_set = np.zeros(size, bool)
     for view, rows in zip(views, ids, strict=True):
         gaussians = view.gaussians
-        share = np.maximum(gaussians.opacity, 1e-6).astype(np.float64)  # invisible rows count, too
-        weight[rows] += share
-        sums[rows, :3] += share[:, None] * gaussians.position
-        sums[rows, 3:] += share[:, None] * gaussians.covariance
+        weights = np.maximum(gaussians.opacity, 1e-6).astype(
+            np.float64
+        )  # invisible rows count, too
+        weight[rows] += weights
+        sums[rows, :3] += weights[:, None] * gaussians.position
+        sums[rows, 3:] += weights[:, None] * gaussians.covariance
         colors = gaussians.rgb if gaussians.sh is None else gaussians.sh
         assert colors is not None
         is_new = ~is_set[rows]
-        first[rows[is_new]] = colors[is_new]
+        first_array[rows[is_new]] = colors[is_new]
         is_set[rows] = True
     mean = (sums / weight[:, None]).astype(np.float32)
     is_sh = views[0].gaussians.sh is not None
@@ -168,26 +174,26 @@ def _mean(
         position=mean[:, :3],
         opacity=opacity.mean(axis=0, dtype=np.float64).astype(np.float32),
         covariance=mean[:, 3:],
-        sh=first if is_sh else None,
-        rgb=None if is_sh else first,
+        sh=first_array if is_sh else None,
+        rgb=None if is_sh else first_array,
     )
 
 
 def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.ndarray, " n"]]:
     """Match Gaussians of several cameras by position; return the row of each in the union."""
     ids: list[np.ndarray] = []
-    known = np.empty(0, np.dtype((np.void, 16)))
+    known_keys = np.empty(0, np.dtype((np.void, 16)))
     largest = max((len(view.gaussians) for view in views), default=0)
     for view in views:
-        keys = np.concatenate([known, _keys(view.gaussians.position)])
+        keys = np.concatenate([known_keys, _keys(view.gaussians.position)])
         _, index, inverse = np.unique(keys, return_index=True, return_inverse=True)
         order = np.sort(index)
         rank = np.searchsorted(order, index)
-        ids.append(rank[inverse.reshape(-1)[len(known) :]])
-        known = keys[order]
-        if len(known) > _MAX_GROWTH * max(largest, 1):
+        ids.append(rank[inverse.reshape(-1)[len(known_keys) :]])
+        known_keys = keys[order]
+        if len(known_keys) > _MAX_UNION_RATIO * max(largest, 1):
             raise ConfigInvalid(
-                f"the model outputs {len(known):,} different positions over {len(ids)} cameras, but "
+                f"the model outputs {len(known_keys):,} different positions over {len(ids)} cameras, but "
                 f"at most {largest:,} rows per camera, so rows of different cameras cannot be matched",
                 where=model,
                 hint="Give --camera: the rows that this camera sees are baked.",
@@ -202,8 +208,8 @@ def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
     order = np.argsort(inverse.reshape(-1), kind="stable")
     ordered = inverse.reshape(-1)[order]
     is_start = np.diff(ordered, prepend=-1) != 0
-    starts = np.maximum.accumulate(np.where(is_start, np.arange(len(order)), 0))
+    start_indices = np.maximum.accumulate(np.where(is_start, np.arange(len(order)), 0))
     occurrence = np.empty(len(order), np.uint32)
-    occurrence[order] = np.arange(len(order)) - starts
-    joined = np.concatenate([bits, occurrence[:, None]], axis=1)
-    return np.ascontiguousarray(joined).view(np.dtype((np.void, 16))).reshape(-1)
+    occurrence[order] = np.arange(len(order)) - start_indices
+    row_keys = np.concatenate([bits, occurrence[:, None]], axis=1)
+    return np.ascontiguousarray(row_keys).view(np.dtype((np.void, 16))).reshape(-1)

@@ -9,39 +9,46 @@
    also holds the frames between the viewer's keyframes.
 """
 
-__all__ = ["is_own", "is_path", "is_training", "read_own", "read_path", "read_training"]
+__all__ = [
+    "is_camera_path",
+    "is_gsgen_camera",
+    "is_training",
+    "read_camera_path",
+    "read_gsgen_cameras",
+    "read_training_cameras",
+]
 
 import math
 from collections.abc import Mapping
 from typing import Any, Final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.fields import camera_at, matrix, number, side, text
+from gsgen.runtime.camera_files.fields import camera_at, matrix, number, pixel_count, text
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opencv, view_from_opengl
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 
-_STRAIGHT: Final = "perspective"
+_PERSPECTIVE_TYPE: Final = "perspective"
 _PANORAMA: Final = "equirectangular"
 
 
-def is_own(document: object) -> bool:
+def is_gsgen_camera(document: object) -> bool:
     """Return whether a JSON document is one gsgen camera, or a list that begins with one camera."""
     first = document[0] if isinstance(document, list) and document else document
     return isinstance(first, dict) and not first.keys().isdisjoint(("view", "fx", "fy"))
 
 
-def read_own(document: object, path: str) -> CameraFile:
+def read_gsgen_cameras(document: object, path: str) -> CameraFile:
     """Read the cameras of a JSON document: one gsgen camera, or a list of cameras."""
     entries = document if isinstance(document, list) else [document]
     if not entries:
         raise ConfigInvalid("has no cameras, expected at least one", where=path)
-    cameras = tuple(_own_camera(entry, index, path) for index, entry in enumerate(entries))
+    cameras = tuple(_gsgen_camera(entry, index, path) for index, entry in enumerate(entries))
     return CameraFile(path, "cameras of gsgen", cameras)
 
 
-def _own_camera(document: object, index: int, path: str) -> NamedCamera:
+def _gsgen_camera(document: object, index: int, path: str) -> NamedCamera:
     name = str(index)
     if isinstance(document, dict):
         name = text(document, "name", name)
@@ -59,7 +66,7 @@ def is_training(document: object) -> bool:
     return isinstance(first, dict) and {"rotation", "position"} <= first.keys()
 
 
-def read_training(document: list[Any], path: str) -> CameraFile:
+def read_training_cameras(document: list[Any], path: str) -> CameraFile:
     """Read the cameras of a cameras.json of 3D Gaussian Splatting."""
     cameras = tuple(_trained_camera(entry, index, path) for index, entry in enumerate(document))
     return CameraFile(path, "cameras.json of 3D Gaussian Splatting", cameras)
@@ -67,31 +74,34 @@ def read_training(document: list[Any], path: str) -> CameraFile:
 
 def _trained_camera(document: object, index: int, path: str) -> NamedCamera:
     where = f"{path}, camera {index}"
-    entry = _object(document, where)
+    entry = _require_object(document, where)
     axes = matrix(entry, "rotation", (3, 3), where)
     view = view_from_opencv(axes, matrix(entry, "position", (3,), where))
-    width, height = side(entry, "width", where), side(entry, "height", where)
+    width, height = pixel_count(entry, "width", where), pixel_count(entry, "height", where)
     fx, fy = number(entry, "fx", where), number(entry, "fy", where)
-    middle = {"cx": width / 2, "cy": height / 2}
-    camera = camera_at(where, view=view, fx=fx, fy=fy, width=width, height=height, **middle)
+    image_center = {"cx": width / 2, "cy": height / 2}
+    camera = camera_at(where, view=view, fx=fx, fy=fy, width=width, height=height, **image_center)
     return NamedCamera(text(entry, "img_name", str(index)), camera)
 
 
-def is_path(document: object) -> bool:
+def is_camera_path(document: object) -> bool:
     """Return whether a JSON document is a camera path of nerfstudio."""
     return isinstance(document, dict) and isinstance(document.get("camera_path"), list)
 
 
-def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
+def read_camera_path(document: Mapping[str, Any], path: str) -> CameraFile:
     """Read the camera of each frame of a nerfstudio camera path."""
-    kind = text(document, "camera_type", _STRAIGHT).lower()
-    if kind not in (_STRAIGHT, _PANORAMA):
+    kind = text(document, "camera_type", _PERSPECTIVE_TYPE).lower()
+    if kind not in (_PERSPECTIVE_TYPE, _PANORAMA):
         raise ConfigInvalid(
-            f"camera_type is {kind!r}, expected {_STRAIGHT} or {_PANORAMA}", where=path
+            f"camera_type is {kind!r}, expected {_PERSPECTIVE_TYPE} or {_PANORAMA}", where=path
         )
     if not document["camera_path"]:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
-    width, height = (side(document, "render_width", path), side(document, "render_height", path))
+    width, height = (
+        pixel_count(document, "render_width", path),
+        pixel_count(document, "render_height", path),
+    )
     cameras = tuple(
         _path_camera(frame, index, path, (width, height), kind)
         for index, frame in enumerate(document["camera_path"])
@@ -103,7 +113,7 @@ def _path_camera(
     document: object, index: int, path: str, size: tuple[int, int], kind: str
 ) -> NamedCamera:
     where = f"{path}, frame {index}"
-    entry = _object(document, where)
+    entry = _require_object(document, where)
     width, height = size
     to_world = matrix(entry, "camera_to_world", (16,), where).reshape(4, 4)
     values: dict[str, Any] = {
@@ -126,7 +136,7 @@ def _path_camera(
     return NamedCamera(str(index), camera_at(where, **values))
 
 
-def _object(document: object, where: str) -> dict[str, Any]:
+def _require_object(document: object, where: str) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise ConfigInvalid(
             f"the JSON value is a {type(document).__name__}, expected an object", where=where

@@ -48,8 +48,8 @@ def read_colmap(folder: Path) -> CameraFile:
         )
     ordered = sorted(images, key=lambda image: image.name)
     cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
-    used = {number: lenses[number] for number in sorted({image.lens for image in images})}
-    return CameraFile(str(folder), "a model of COLMAP", cameras, _notes(used, folder))
+    used_lenses = {number: lenses[number] for number in sorted({image.lens for image in images})}
+    return CameraFile(str(folder), "a model of COLMAP", cameras, _lens_notes(used_lenses, folder))
 
 
 def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> Camera:
@@ -73,7 +73,7 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
     )
 
 
-def _notes(lenses: dict[int, ColmapLens], folder: Path) -> tuple[str, ...]:
+def _lens_notes(lenses: dict[int, ColmapLens], folder: Path) -> tuple[str, ...]:
     distorted = [
         f"{number} ({lens.model})"
         for number, lens in lenses.items()

@@ -13,41 +13,41 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.colmap_models import MODELS, NAMES, ColmapImage, ColmapLens
+from gsgen.runtime.camera_files.colmap_models import MODEL_NAMES, MODELS, ColmapImage, ColmapLens
 
-_LENS: Final = struct.Struct("<iiQQ")  # number, model, width, height
-_IMAGE: Final = struct.Struct("<i7di")  # number, quaternion, translation, camera
-_COUNT: Final = struct.Struct("<Q")
-_POINT: Final = 24  # bytes of a 2D point of an image
+_LENS_STRUCT: Final = struct.Struct("<iiQQ")  # number, model, width, height
+_IMAGE_STRUCT: Final = struct.Struct("<i7di")  # number, quaternion, translation, camera
+_COUNT_STRUCT: Final = struct.Struct("<Q")
+_POINT_BYTES: Final = 24  # bytes of a 2D point of an image
 _LONGEST_NAME: Final = 4096
-_DAMAGED: Final = "The file is damaged, or was not written by COLMAP."
+_DAMAGED_HINT: Final = "The file is damaged, or was not written by COLMAP."
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
     """Read the intrinsics in COLMAP's cameras.bin, by camera number."""
-    with _opened(path) as data:
-        by_number: dict[int, ColmapLens] = {}
-        for index in range(data.count(_LENS.size)):
-            number, model, width, height = data.take(_LENS)
-            if not 0 <= model < len(NAMES):
+    with _open_reader(path) as data:
+        lens_by_number: dict[int, ColmapLens] = {}
+        for index in range(data.count(_LENS_STRUCT.size)):
+            number, model, width, height = data.read_record(_LENS_STRUCT)
+            if not 0 <= model < len(MODEL_NAMES):
                 raise ConfigInvalid(
-                    f"camera {index} has the model {model}, expected 0 to {len(NAMES) - 1}",
+                    f"camera {index} has the model {model}, expected 0 to {len(MODEL_NAMES) - 1}",
                     where=str(path),
                 )
-            expected = len(MODELS[NAMES[model]].split())
-            values = data.take(struct.Struct(f"<{expected}d"))
-            by_number[number] = ColmapLens(NAMES[model], width, height, values)
-        return by_number
+            expected = len(MODELS[MODEL_NAMES[model]].split())
+            values = data.read_record(struct.Struct(f"<{expected}d"))
+            lens_by_number[number] = ColmapLens(MODEL_NAMES[model], width, height, values)
+        return lens_by_number
 
 
 def images(path: Path) -> list[ColmapImage]:
     """Read the images of COLMAP's images.bin, without their 2D points."""
-    with _opened(path) as data:
+    with _open_reader(path) as data:
         records = []
-        for _ in range(data.count(_IMAGE.size + 1 + _COUNT.size)):
-            _, *pose, lens = data.take(_IMAGE)
+        for _ in range(data.count(_IMAGE_STRUCT.size + 1 + _COUNT_STRUCT.size)):
+            _, *pose, lens = data.read_record(_IMAGE_STRUCT)
             name = data.name()
-            data.skip(data.take(_COUNT)[0] * _POINT)
+            data.skip_bytes(data.read_record(_COUNT_STRUCT)[0] * _POINT_BYTES)
             records.append(ColmapImage(name, tuple(pose[:4]), tuple(pose[4:]), lens))
         return records
 
@@ -57,49 +57,50 @@ class _Reader:
     """A memory-mapped binary file of COLMAP with a read position."""
 
     def __init__(self, data: mmap.mmap, path: Path) -> None:
-        self._data, self._path, self._at = data, path, 0
+        self._data, self._path, self._offset = data, path, 0
 
-    def count(self, least: int) -> int:
+    def count(self, min_bytes: int) -> int:
         """Read the number of records in a COLMAP file, and check it against the file's size."""
-        (count,) = self.take(_COUNT)
-        if count > (len(self._data) - self._at) // least:
+        (count,) = self.read_record(_COUNT_STRUCT)
+        if count > (len(self._data) - self._offset) // min_bytes:
             raise ConfigInvalid(
                 f"declares {count} records, more than its {len(self._data)} bytes can hold",
                 where=str(self._path),
-                hint=_DAMAGED,
+                hint=_DAMAGED_HINT,
             )
         return int(count)
 
-    def take(self, form: struct.Struct) -> tuple[Any, ...]:
+    def read_record(self, record_format: struct.Struct) -> tuple[Any, ...]:
         """Read the numbers of one record of a COLMAP file."""
-        offset = self._at
-        self.skip(form.size)
-        return form.unpack_from(self._data, offset)
+        offset = self._offset
+        self.skip_bytes(record_format.size)
+        return record_format.unpack_from(self._data, offset)
 
-    def skip(self, size: int) -> None:
+    def skip_bytes(self, size: int) -> None:
         """Advance the read position of a COLMAP file by some bytes."""
-        if size > len(self._data) - self._at:
+        if size > len(self._data) - self._offset:
             raise ConfigInvalid(
-                f"ends at byte {len(self._data)}, expected {size} bytes from byte {self._at} on",
+                f"ends at byte {len(self._data)}, expected {size} bytes from byte {self._offset} on",
                 where=str(self._path),
-                hint=_DAMAGED,
+                hint=_DAMAGED_HINT,
             )
-        self._at += size
+        self._offset += size
 
     def name(self) -> str:
         """Read a zero-terminated text of a COLMAP file."""
-        end = self._data.find(b"\0", self._at, self._at + _LONGEST_NAME)
+        end = self._data.find(b"\0", self._offset, self._offset + _LONGEST_NAME)
         if end < 0:
             raise ConfigInvalid(
-                f"the image name at byte {self._at} has no final zero byte", where=str(self._path)
+                f"the image name at byte {self._offset} has no final zero byte",
+                where=str(self._path),
             )
-        content = self._data[self._at : end]
-        self._at = end + 1
+        content = self._data[self._offset : end]
+        self._offset = end + 1
         return content.decode("utf-8", errors="replace")
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[_Reader]:
+def _open_reader(path: Path) -> Iterator[_Reader]:
     try:
         with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             yield _Reader(data, path)

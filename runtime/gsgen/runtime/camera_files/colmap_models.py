@@ -1,6 +1,6 @@
 """COLMAP's camera models with their parameters, and the records of COLMAP's files."""
 
-__all__ = ["MODELS", "NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
+__all__ = ["MODELS", "MODEL_NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
 
 from dataclasses import dataclass
 from typing import Final, final
@@ -22,7 +22,7 @@ MODELS: Final = {
 }
 """Parameter names of each camera model; the index of a model is its number in binary files."""
 
-NAMES: Final = tuple(MODELS)
+MODEL_NAMES: Final = tuple(MODELS)
 PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
 
 

@@ -10,13 +10,13 @@ from typing import Final
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.colmap_models import ColmapImage, ColmapLens
 
-_LONGEST: Final = 1 << 26  # characters of a line: an image may have a million points
+_MAX_LINE_LENGTH: Final = 1 << 26  # characters of a line: an image may have a million points
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
     """Read the intrinsics in COLMAP's cameras.txt, by camera number."""
-    by_number = {}
-    for number, line in _lines(path):
+    lens_by_number = {}
+    for number, line in _read_lines(path):
         if not line or line.startswith("#"):
             continue
         words, where = line.split(), f"{path}, line {number}"
@@ -25,16 +25,18 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
                 f"the line has {len(words)} words, expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
                 where=where,
             )
-        lens_number, width, height = _integers([words[0], *words[2:4]], where)
-        by_number[lens_number] = ColmapLens(words[1], width, height, _numbers(words[4:], where))
-    return by_number
+        lens_number, width, height = _parse_integers([words[0], *words[2:4]], where)
+        lens_by_number[lens_number] = ColmapLens(
+            words[1], width, height, _parse_floats(words[4:], where)
+        )
+    return lens_by_number
 
 
 def images(path: Path) -> list[ColmapImage]:
     """Read COLMAP's images.txt: per image a line of pose, camera and name, and a line of points."""
     records = []
     points = False  # whether the next line holds the points of an image
-    for number, line in _lines(path):
+    for number, line in _read_lines(path):
         if points or not line or line.startswith("#"):
             points = False
             continue
@@ -45,28 +47,29 @@ def images(path: Path) -> list[ColmapImage]:
                 f"the line has {len(words)} words, expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
                 where=where,
             )
-        pose = _numbers(words[1:8], where)
-        _, lens = _integers([words[0], words[8]], where)
+        pose = _parse_floats(words[1:8], where)
+        _, lens = _parse_integers([words[0], words[8]], where)
         records.append(ColmapImage(words[9], pose[:4], pose[4:], lens))
     return records
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
+def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             number = 0
-            while line := file.readline(_LONGEST):
+            while line := file.readline(_MAX_LINE_LENGTH):
                 number += 1
-                if len(line) == _LONGEST:
+                if len(line) == _MAX_LINE_LENGTH:
                     raise ConfigInvalid(
-                        f"line {number} has more than {_LONGEST:,} characters", where=str(path)
+                        f"line {number} has more than {_MAX_LINE_LENGTH:,} characters",
+                        where=str(path),
                     )
                 yield number, line.strip()
     except OSError as error:
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
-def _numbers(words: list[str], where: str) -> tuple[float, ...]:
+def _parse_floats(words: list[str], where: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(word) for word in words)
     except ValueError as error:
@@ -76,7 +79,7 @@ def _numbers(words: list[str], where: str) -> tuple[float, ...]:
     return numbers
 
 
-def _integers(words: list[str], where: str) -> list[int]:
+def _parse_integers(words: list[str], where: str) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError as error:

@@ -1,6 +1,6 @@
 """Reads typed fields of a camera file's JSON, with errors that name field and location."""
 
-__all__ = ["camera_at", "matrix", "number", "side", "text"]
+__all__ = ["camera_at", "matrix", "number", "pixel_count", "text"]
 
 import math
 from collections.abc import Mapping
@@ -18,13 +18,13 @@ def number(document: Mapping[str, Any], name: str, where: str) -> float:
     """Read a JSON field of a camera file that must be a finite number."""
     value = document.get(name)
     # An integer may be too large for a float.
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    if not good or not abs(value) <= 1e300:  # type: ignore[arg-type]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= 1e300:  # type: ignore[arg-type]
         raise ConfigInvalid(_mismatch(document, name, "a finite number"), where=where)
     return float(value)  # type: ignore[arg-type]
 
 
-def side(document: Mapping[str, Any], name: str, where: str) -> int:
+def pixel_count(document: Mapping[str, Any], name: str, where: str) -> int:
     """Read a JSON field of a camera file in whole pixels; some writers store 1920.0."""
     value = number(document, name, where)
     if value != math.floor(value):

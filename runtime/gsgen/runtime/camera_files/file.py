@@ -11,7 +11,7 @@ from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.runtime.scene.camera import Camera
 
 _LISTED_NAMES: Final = 8  # names that an error lists
-_SLICE: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
+_SLICE_PATTERN: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 
 
 @final
@@ -53,23 +53,23 @@ class CameraFile:
         """
         if selection is None:
             return self.cameras
-        for known_as in (_whole, _last, _stem):
-            matches = [camera for camera in self.cameras if known_as(camera.name) == selection]
+        for name_form in (_full_name, _file_name, _file_stem):
+            matches = [camera for camera in self.cameras if name_form(camera.name) == selection]
             if len(matches) > 1:
                 raise ConfigInvalid(
-                    f"{len(matches)} cameras are called {selection!r}: {_listed(matches)}",
+                    f"{len(matches)} cameras are called {selection!r}: {_list_names(matches)}",
                     where=self.path,
                     hint="Give a number from 0, or the full name.",
                 )
             if matches:
                 return tuple(matches)
         if re.fullmatch(r"-?\d{1,9}", selection):
-            return (self._numbered(int(selection)),)
-        if match := _SLICE.fullmatch(selection):
-            return self._slice(selection, match)
-        raise self._unknown(selection)
+            return (self._camera_by_number(int(selection)),)
+        if match := _SLICE_PATTERN.fullmatch(selection):
+            return self._cameras_in_slice(selection, match)
+        raise self._unknown_camera_error(selection)
 
-    def _numbered(self, number: int) -> NamedCamera:
+    def _camera_by_number(self, number: int) -> NamedCamera:
         count = len(self.cameras)
         if not -count <= number < count:
             raise ConfigInvalid(
@@ -77,9 +77,10 @@ class CameraFile:
             )
         return self.cameras[number]
 
-    def _slice(self, selection: str, match: re.Match[str]) -> tuple[NamedCamera, ...]:
+    def _cameras_in_slice(self, selection: str, match: re.Match[str]) -> tuple[NamedCamera, ...]:
         first, last, step = (
-            int(bound) if bound and bound != "-" else None for bound in match.groups()
+            int(slice_bound) if slice_bound and slice_bound != "-" else None
+            for slice_bound in match.groups()
         )
         matches = self.cameras[slice(first, last, step)] if step != 0 else ()
         if not matches:
@@ -88,30 +89,30 @@ class CameraFile:
             )
         return matches
 
-    def _unknown(self, selection: str) -> ConfigInvalid:
+    def _unknown_camera_error(self, selection: str) -> ConfigInvalid:
         error = UnknownName.among(
-            "camera", selection, (_last(camera.name) for camera in self.cameras), self.path
+            "camera", selection, (_file_name(camera.name) for camera in self.cameras), self.path
         )
         return ConfigInvalid(
             error.message,
             where=self.path,
-            hint=f"{error.hint} It has {_listed(self.cameras)}; a number from 0 works, too.",
+            hint=f"{error.hint} It has {_list_names(self.cameras)}; a number from 0 works, too.",
         )
 
 
-def _whole(name: str) -> str:
+def _full_name(name: str) -> str:
     return name
 
 
-def _last(name: str) -> str:
+def _file_name(name: str) -> str:
     return PurePosixPath(name).name
 
 
-def _stem(name: str) -> str:
+def _file_stem(name: str) -> str:
     return PurePosixPath(name).stem
 
 
-def _listed(cameras: list[NamedCamera] | tuple[NamedCamera, ...]) -> str:
+def _list_names(cameras: list[NamedCamera] | tuple[NamedCamera, ...]) -> str:
     names = ", ".join(camera.name for camera in cameras[:_LISTED_NAMES])
-    unlisted = len(cameras) - _LISTED_NAMES
-    return f"{names} and {unlisted} more" if unlisted > 0 else names
+    unlisted_count = len(cameras) - _LISTED_NAMES
+    return f"{names} and {unlisted_count} more" if unlisted_count > 0 else names

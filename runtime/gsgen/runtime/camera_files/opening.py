@@ -9,24 +9,24 @@ from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.camera_lists import (
-    is_own,
-    is_path,
+    is_camera_path,
+    is_gsgen_camera,
     is_training,
-    read_own,
-    read_path,
-    read_training,
+    read_camera_path,
+    read_gsgen_cameras,
+    read_training_cameras,
 )
 from gsgen.runtime.camera_files.colmap import FOLDERS, model_folder, read_colmap
 from gsgen.runtime.camera_files.file import CameraFile
 from gsgen.runtime.camera_files.transforms_json import is_transforms, read_transforms
 
 _LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras take a tenth of them
-_KNOWN: Final = (
+_KNOWN_FORMATS: Final = (
     "Supported: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
     "nerfstudio, cameras.json of 3D Gaussian Splatting, and folders of COLMAP with cameras and "
     "images as .bin or .txt."
 )
-_IN_FOLDER: Final = ("transforms.json", "cameras.json", "transforms_train.json")
+_FOLDER_FILES: Final = ("transforms.json", "cameras.json", "transforms_train.json")
 
 
 def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
@@ -41,11 +41,11 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
     """
     location = Path(path)
     if location.is_dir():
-        return _in_folder(location)
+        return _open_folder(location)
     try:
         if not location.is_file():
-            missing = "is not a file" if location.exists() else "does not exist"
-            raise ConfigInvalid(missing, where=str(location), hint=_KNOWN)
+            problem = "is not a file" if location.exists() else "does not exist"
+            raise ConfigInvalid(problem, where=str(location), hint=_KNOWN_FORMATS)
         if location.stat().st_size > _LARGEST and location.suffix == ".json":
             raise ConfigInvalid(
                 f"has {location.stat().st_size:,} bytes, expected at most {_LARGEST:,}",
@@ -62,19 +62,21 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
     if model is not None and location.stem in ("cameras", "images", "points3D"):
         return read_colmap(model)
     raise ConfigInvalid(
-        f"begins with {start[:16]!r}, expected a camera file", where=str(location), hint=_KNOWN
+        f"begins with {start[:16]!r}, expected a camera file",
+        where=str(location),
+        hint=_KNOWN_FORMATS,
     )
 
 
 def split_pick(text: str) -> tuple[Path, str | None]:
     """Split ``FILE#CAMERA`` into path and camera, unless a file with the whole name exists."""
-    whole = Path(text)
-    name, mark, selection = text.rpartition("#")
+    whole_path = Path(text)
+    name, separator, selection = text.rpartition("#")
     try:
-        if not mark or whole.exists():
-            return whole, None
+        if not separator or whole_path.exists():
+            return whole_path, None
     except OSError:  # for example a name that is too long
-        return whole, None
+        return whole_path, None
     return Path(name), selection
 
 
@@ -82,17 +84,17 @@ def _may_be_json(start: bytes) -> bool:
     return start.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"[")
 
 
-def _in_folder(folder: Path) -> CameraFile:
+def _open_folder(folder: Path) -> CameraFile:
     model = model_folder(folder)
     if model is not None:
         return read_colmap(model)
-    for name in _IN_FOLDER:
+    for name in _FOLDER_FILES:
         if (folder / name).is_file():
             return open_cameras(folder / name)
     raise ConfigInvalid(
         "is a folder without cameras",
         where=str(folder),
-        hint=f"Expected {', '.join(_IN_FOLDER)}, or cameras and images of COLMAP as .bin or .txt, "
+        hint=f"Expected {', '.join(_FOLDER_FILES)}, or cameras and images of COLMAP as .bin or .txt, "
         f"there or in {', '.join(FOLDERS[1:])}.",
     )
 
@@ -104,18 +106,18 @@ def _from_json(content: bytes, location: Path) -> CameraFile:
         raise ConfigInvalid(f"is not valid JSON: {error}", where=str(location)) from error
     if is_transforms(document):
         return read_transforms(document, str(location))
-    if is_path(document):
-        return read_path(document, str(location))
+    if is_camera_path(document):
+        return read_camera_path(document, str(location))
     if is_training(document):
-        return read_training(document, str(location))
-    if is_own(document):
-        return read_own(document, str(location))
+        return read_training_cameras(document, str(location))
+    if is_gsgen_camera(document):
+        return read_gsgen_cameras(document, str(location))
     if document in ([], {}):
         raise ConfigInvalid(
-            "has no cameras, expected at least one", where=str(location), hint=_KNOWN
+            "has no cameras, expected at least one", where=str(location), hint=_KNOWN_FORMATS
         )
     first = document[0] if isinstance(document, list) else document
     keys = ", ".join(map(str, list(first)[:8])) if isinstance(first, dict) else repr(first)[:60]
     raise ConfigInvalid(
-        f"is JSON without cameras, but with {keys}", where=str(location), hint=_KNOWN
+        f"is JSON without cameras, but with {keys}", where=str(location), hint=_KNOWN_FORMATS
     )

@@ -14,13 +14,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.fields import camera_at, matrix, number, side, text
+from gsgen.runtime.camera_files.fields import camera_at, matrix, number, pixel_count, text
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opengl
 
-_STRAIGHT: Final = ("PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+_SUPPORTED_MODELS: Final = (
+    "PERSPECTIVE",
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+)
 _PANORAMA: Final = "EQUIRECTANGULAR"
-_BENT: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
+_DISTORTION_FIELDS: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
 _SUFFIXES: Final = ("", ".png", ".jpg")  # synthetic scenes omit the suffix
 
 
@@ -35,7 +42,7 @@ def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
     if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
     cameras: list[NamedCamera] = []
-    bent = 0
+    distorted_count = 0
     size: tuple[int, int] | None = None
     for index, frame in enumerate(frames):
         where = f"{path}, frame {index}"
@@ -48,26 +55,26 @@ def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
             size = size or _picture_size(merged, path, where)
             merged |= {"w": size[0], "h": size[1]}
         cameras.append(_camera(merged, index, where))
-        bent += any(merged.get(name) not in (None, 0) for name in _BENT)
+        distorted_count += any(merged.get(name) not in (None, 0) for name in _DISTORTION_FIELDS)
     notes = []
-    if bent:
+    if distorted_count:
         notes.append(
-            f"{path}: the lens distortion of {bent} of {len(frames)} frames is left out; "
+            f"{path}: the lens distortion of {distorted_count} of {len(frames)} frames is left out; "
             "their pictures need to be undistorted to match."
         )
     return CameraFile(path, "transforms.json", tuple(cameras), tuple(notes))
 
 
 def _camera(document: Mapping[str, Any], index: int, where: str) -> NamedCamera:
-    width, height = side(document, "w", where), side(document, "h", where)
-    to_world = matrix(document, "transform_matrix", _shape(document), where)
+    width, height = pixel_count(document, "w", where), pixel_count(document, "h", where)
+    to_world = matrix(document, "transform_matrix", _matrix_shape(document), where)
     model = text(document, "camera_model", "PERSPECTIVE").upper()
-    if document.get("is_fisheye") or model not in (*_STRAIGHT, _PANORAMA):
+    if document.get("is_fisheye") or model not in (*_SUPPORTED_MODELS, _PANORAMA):
         raise ConfigInvalid(
             f"has the camera model {model if not document.get('is_fisheye') else 'fisheye'}, "
             "which no pinhole camera approximates",
             where=where,
-            hint=f"Supported: {', '.join(_STRAIGHT)}, {_PANORAMA}. Undistort the pictures first.",
+            hint=f"Supported: {', '.join(_SUPPORTED_MODELS)}, {_PANORAMA}. Undistort the pictures first.",
         )
     fx, fy = _focal(document, "x", where), _focal(document, "y", where)
     scale = math.pi if model == _PANORAMA else 1.0  # a panorama has fl / π pixels per radian
@@ -85,7 +92,7 @@ def _camera(document: Mapping[str, Any], index: int, where: str) -> NamedCamera:
     return NamedCamera(text(document, "file_path", str(index)), camera)
 
 
-def _shape(document: Mapping[str, Any]) -> tuple[int, int]:
+def _matrix_shape(document: Mapping[str, Any]) -> tuple[int, int]:
     """Return the shape of a ``transform_matrix``, whose last row some writers omit."""
     transform = document.get("transform_matrix")
     return (3, 4) if isinstance(transform, list) and len(transform) == 3 else (4, 4)
@@ -98,13 +105,13 @@ def _focal(document: Mapping[str, Any], axis: str, where: str) -> float:
             return number(document, f"fl_{name}", where)
         angle = f"camera_angle_{name}"
         if angle in document:
-            across = side(document, "w" if name == "x" else "h", where)
+            pixel_size = pixel_count(document, "w" if name == "x" else "h", where)
             radians = number(document, angle, where)
             if not 0 < radians < math.pi:
                 raise ConfigInvalid(
                     f"{angle} is {radians}, expected radians between 0 and π", where=where
                 )
-            return across / 2 / math.tan(radians / 2)
+            return pixel_size / 2 / math.tan(radians / 2)
     raise ConfigInvalid(
         f"has neither fl_{axis} nor camera_angle_{axis}, expected one of them as the focal length",
         where=where,

@@ -45,7 +45,7 @@ from gsgen.runtime.sources.source import axis_direction
 _WIDTH: Final = 640
 _HEIGHT: Final = 360
 _FRAMES: Final = 5
-_AGREEMENT: Final = "GB020"
+_AGREEMENT_RULE: Final = "GB020"
 _REFERENCES: Final = "GB021"
 _FOV_Y: Final = 50.0
 
@@ -58,14 +58,14 @@ class RenderedProbe:
         probe: Label of the probe's inputs.
         live: Number of live rows.
         visible: Number of drawn Gaussians.
-        covered: The highest alpha of any pixel, in [0, 1].
+        coverage: The highest alpha of any pixel, in [0, 1].
         agreement: PSNR between both rasterisers in decibels; None if one cannot draw the frame.
     """
 
     probe: str
     live: int
     visible: int
-    covered: float
+    coverage: float
     agreement: float | None = None
 
 
@@ -103,8 +103,8 @@ def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
     started = time.monotonic()
     try:
         renderer = Renderer(rasteriser="tiles")
-        quads = _quad_renderer(renderer.device)
-        frames = tuple(_render_probes(probe_runs, renderer, quads))
+        quad_renderer = _quad_renderer(renderer.device)
+        frames = tuple(_render_probes(probe_runs, renderer, quad_renderer))
         references = tuple(_compare_references(probe_runs, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
         message = f"{error.where}: {error.message}" if error.where else error.message
@@ -128,16 +128,16 @@ def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
     manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":
-        reasons[_AGREEMENT] = "weighted sums have one rasteriser only"
+        reasons[_AGREEMENT_RULE] = "weighted sums have one rasteriser only"
     elif not device.blends_floats:
-        reasons[_AGREEMENT] = f"{device.name} cannot blend 32-bit floats, which quads need"
+        reasons[_AGREEMENT_RULE] = f"{device.name} cannot blend 32-bit floats, which quads need"
     if manifest is not None and manifest.reference_images and find_spec("PIL") is None:
         reasons[_REFERENCES] = "pillow is not installed"
     return reasons
 
 
 def _render_probes(
-    probe_runs: ProbeRuns, renderer: Renderer, quads: Renderer | None
+    probe_runs: ProbeRuns, renderer: Renderer, quad_renderer: Renderer | None
 ) -> Iterator[RenderedProbe]:
     manifest = probe_runs.subject.generator
     assert manifest is not None  # the rules apply to generators only
@@ -148,13 +148,13 @@ def _render_probes(
         scene, camera = _probe_scene(probe_runs, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
         agreement = None
-        if quads is not None and scene.sets[0].weighted is None:
-            agreement = decibels(frame, quads.render(scene, camera))
+        if quad_renderer is not None and scene.sets[0].weighted is None:
+            agreement = decibels(frame, quad_renderer.render(scene, camera))
         yield RenderedProbe(
             probe=probe.label,
             live=scene.sets[0].data.count,
             visible=frame.visible,
-            covered=float(frame.alpha.max()),
+            coverage=float(frame.alpha.max()),
             agreement=agreement,
         )
 
@@ -197,13 +197,15 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
     manifest = probe_runs.subject.generator
     if manifest is None or find_spec("PIL") is None:
         return
-    labels = [probe.label for probe in probe_runs.plan.probes[: probe_runs.plan.values]]
+    probe_labels = [probe.label for probe in probe_runs.plan.probes[: probe_runs.plan.values]]
     for number, reference in enumerate(manifest.reference_images[: MAX_REFERENCES + 1]):
         ratio, problem = None, ""
         if number == MAX_REFERENCES:
             problem = f"only the first {MAX_REFERENCES} reference images are compared"
-        elif reference.inputs not in labels:
-            problem = f"no probe has the label {reference.inputs!r}, but {', '.join(labels[:5])}, …"
+        elif reference.inputs not in probe_labels:
+            problem = (
+                f"no probe has the label {reference.inputs!r}, but {', '.join(probe_labels[:5])}, …"
+            )
         else:
             try:
                 expected = read_reference(probe_runs.subject.file.path.parent, reference)
@@ -212,7 +214,7 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
             except (ReferenceUnreadable, SceneInvalid) as error:
                 problem = str(error).partition("\n")[0]
             else:
-                scene = _probe_scene(probe_runs, labels.index(reference.inputs))
+                scene = _probe_scene(probe_runs, probe_labels.index(reference.inputs))
                 frame = renderer.render(scene, camera, background=BACKGROUND)
                 ratio = image_decibels(frame.srgb8, expected)
         yield ComparedReference(reference.path, reference.psnr, ratio, problem)

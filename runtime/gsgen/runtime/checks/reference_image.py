@@ -56,14 +56,14 @@ class ReferenceUnreadable(GsgenError):
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
     """Read a reference image of a model's folder, as red, green and blue in [0, 1]."""
-    raw = _bytes(folder, reference.path)
-    digest = hashlib.sha256(raw).hexdigest()
+    image_bytes = _bytes(folder, reference.path)
+    digest = hashlib.sha256(image_bytes).hexdigest()
     if digest != reference.sha256:
         raise ReferenceUnreadable(f"the image's sha256 is {digest}, expected {reference.sha256}")
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
+        with Image.open(io.BytesIO(image_bytes), formats=["PNG"]) as image:
             if max(image.size) > MAX_SIDE:
                 raise ReferenceUnreadable(
                     f"the image is {image.width}×{image.height}, expected at most "
@@ -103,9 +103,9 @@ def _bytes(folder: Path, name: str) -> bytes:
         if not path.is_file():
             raise ReferenceUnreadable("the reference image is missing in the model's folder")
         with path.open("rb") as file:
-            raw = file.read(_MAX_BYTES + 1)
+            image_bytes = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ReferenceUnreadable(f"the image cannot be read: {error.strerror}") from error
-    if len(raw) > _MAX_BYTES:
+    if len(image_bytes) > _MAX_BYTES:
         raise ReferenceUnreadable(f"the image has more than {_MAX_BYTES:,} bytes, the limit")
-    return raw
+    return image_bytes

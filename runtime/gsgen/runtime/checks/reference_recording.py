@@ -105,7 +105,7 @@ def record_references(
     if subject.generator is None:
         message = "is not a gaussian-generator; only generators have reference images"
         raise RecordingRefused(message, where=str(source))
-    probes = _spread_probes(make_plan(subject, Level.VALUES, settings.seed).probes, count)
+    probes = _evenly_spread_probes(make_plan(subject, Level.VALUES, settings.seed).probes, count)
     renderer = renderer or Renderer(rasteriser="tiles")
     cameras = _PictureCameras(subject.generator, camera, width or _DEFAULT_WIDTH)
     pictures = list(_draw(subject, probes, cameras, renderer, progress))
@@ -200,7 +200,7 @@ def _existing_pictures(folder: Path) -> list[Path]:
     return sorted(pictures, key=lambda path: int(path.stem))
 
 
-def _spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
+def _evenly_spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
     """Choose evenly spread test inputs, except all-zero inputs, whose camera would be invalid."""
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
     limit = min(len(candidates), MAX_REFERENCES)

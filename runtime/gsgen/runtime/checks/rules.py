@@ -46,9 +46,11 @@ def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
         With antialias "mip", visible Gaussians are about a pixel wide or more.
     """
     frames = [frame for frame in evidence.frames if frame.live]
-    if frames and not any(_is_seen(frame.covered) for frame in frames):
-        most = max(frame.covered for frame in frames)
-        actual = f"no pixel is covered by more than {most:.2g} in any of {len(frames)} frames"
+    if frames and not any(_is_visible(frame.coverage) for frame in frames):
+        max_coverage = max(frame.coverage for frame in frames)
+        actual = (
+            f"no pixel is covered by more than {max_coverage:.2g} in any of {len(frames)} frames"
+        )
         yield Violation.at("picture", actual, f"at least {CULL_OPACITY:.2g} somewhere")
 
 
@@ -65,7 +67,7 @@ def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
         to zero; else check the parts of the model that read the camera and the time.
     """
     for frame in evidence.frames:
-        if frame.live and not _is_seen(frame.covered):
+        if frame.live and not _is_visible(frame.coverage):
             actual = (
                 f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visible"
             )
@@ -115,5 +117,5 @@ def reference_images_match(evidence: "RenderEvidence") -> Iterator[Violation]:
             yield Violation.at(subject, actual, f"at least {reference.expected:g} dB")
 
 
-def _is_seen(covered: float) -> bool:
-    return covered >= CULL_OPACITY
+def _is_visible(coverage: float) -> bool:
+    return coverage >= CULL_OPACITY

@@ -127,7 +127,7 @@ def record_source_pictures(
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
     chosen_probe = _probe(subject, settings, probe)
-    sources, unmatched = _matched(folder, open_cameras(cameras))
+    sources, unmatched = _match_cameras(folder, open_cameras(cameras))
     selected = evenly_spaced(sources, min(count or len(sources), len(sources), MAX_REFERENCES))
     progress(f"drawing {len(selected)} pictures")
     decibels = _compare(subject, chosen_probe, selected, renderer or Renderer(rasteriser="tiles"))
@@ -144,9 +144,9 @@ def record_source_pictures(
         (draft_folder / target.name).mkdir()
         for path, file in files.items():
             (draft_folder / path).write_bytes(file)
-    for earlier in existing:
-        if f"{target.name}/{earlier.name}" not in files:
-            earlier.unlink()
+    for earlier_file in existing:
+        if f"{target.name}/{earlier_file.name}" not in files:
+            earlier_file.unlink()
     return SourcePictures(
         model=model,
         images=images,
@@ -162,7 +162,11 @@ def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Pr
     if manifest is None:
         message = "is not a gaussian-generator; only generators have reference images"
         raise RecordingRefused(message, where=where)
-    bound = [e.name for e in manifest.inputs if e.role in CAMERA_ROLES and manifest.depends(e)]
+    bound = [
+        input_spec.name
+        for input_spec in manifest.inputs
+        if input_spec.role in CAMERA_ROLES and manifest.depends(input_spec)
+    ]
     if bound:
         message = (
             f"depends on the camera ({', '.join(bound)}), so no other camera's picture can be drawn"
@@ -178,13 +182,13 @@ def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Pr
     return by_label[label or next(iter(by_label))]
 
 
-def _matched(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple[str, ...]]:
+def _match_cameras(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple[str, ...]]:
     """Return the training pictures that have a camera, and the names of those without a camera."""
     if not folder.is_dir():
         raise InputUnreadable("is not a folder, expected one of training images", where=str(folder))
     by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
-    sources = [_read(path, by_stem[path.stem]) for path in paths if path.stem in by_stem]
+    sources = [_read_source(path, by_stem[path.stem]) for path in paths if path.stem in by_stem]
     if not sources:
         names = ", ".join(list(by_stem)[:3])
         message = f"holds {len(paths)} pictures, and none is named like a camera ({names}, …)"
@@ -192,7 +196,7 @@ def _matched(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple[str, 
     return sources, tuple(path.name for path in paths if path.stem not in by_stem)
 
 
-def _read(path: Path, camera: Camera) -> _Source:
+def _read_source(path: Path, camera: Camera) -> _Source:
     from PIL import Image, UnidentifiedImageError
 
     if camera.kind != "pinhole":
@@ -204,7 +208,7 @@ def _read(path: Path, camera: Camera) -> _Source:
                 size = f"{image.width}×{image.height} pixels"
                 message = f"has {size}, expected at most {MAX_SIDE} a side"
                 raise InputUnreadable(message, where=str(path))
-            colors = _over_black(image)
+            colors = _composite_over_black(image)
     except (Image.DecompressionBombError, UnidentifiedImageError, OSError) as error:
         raise InputUnreadable(f"is not a picture: {error}", where=str(path)) from error
     height, width = colors.shape[:2]
@@ -214,7 +218,7 @@ def _read(path: Path, camera: Camera) -> _Source:
     return _Source(path.name, colors, camera.scaled(width, height))
 
 
-def _over_black(image: "Image") -> UInt8[np.ndarray, "h w 3"]:
+def _composite_over_black(image: "Image") -> UInt8[np.ndarray, "h w 3"]:
     pixels = np.asarray(image.convert("RGBA"), np.float64)
     return np.asarray((pixels[..., :3] * pixels[..., 3:] / 255).round(), np.uint8)
 

@@ -26,7 +26,7 @@ from gsgen.runtime.scene.frame import Frame, linear_of_srgb
 EXR_SUFFIX: Final = ".exr"
 """The suffix of OpenEXR files."""
 
-_LARGEST16 = 65535
+_MAX_UINT16 = 65535
 
 
 def exr_channels(frame: Frame, mode: Mode) -> dict[str, Float32[np.ndarray, "h w *c"]]:
@@ -36,9 +36,9 @@ def exr_channels(frame: Frame, mode: Mode) -> dict[str, Float32[np.ndarray, "h w
     drawn, in the channel Z; normals are N.X, N.Y and N.Z in world space.
     """
     if mode == "color":
-        straight = linear_of_srgb(frame.srgb[..., :3])
+        linear_colors = linear_of_srgb(frame.srgb[..., :3])
         alpha = np.clip(frame.alpha if frame.rgba is None else frame.rgba[..., 3], 0, 1)
-        rgba = np.concatenate([straight * alpha[..., None], alpha[..., None]], axis=-1)
+        rgba = np.concatenate([linear_colors * alpha[..., None], alpha[..., None]], axis=-1)
         return {"RGBA": np.ascontiguousarray(rgba, np.float32)}
     array = np.asarray(array_of(frame, mode), np.float32)
     if mode == "normal":
@@ -54,15 +54,15 @@ def save_exr(path: Path, frame: Frame, mode: Mode) -> None:
     """
     exr = exr_package()
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
-    with atomic_write(path) as draft, exr.File(header, exr_channels(frame, mode)) as file:
-        file.write(str(draft))
+    with atomic_write(path) as temporary_path, exr.File(header, exr_channels(frame, mode)) as file:
+        file.write(str(temporary_path))
 
 
 def picture16_of(
     frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
 ) -> UInt16[np.ndarray, "h w *c"]:
     """Return a frame's output for a display mode, as an image of 16-bit integers."""
-    return np.asarray(np.rint(levels_of(frame, mode, depths) * _LARGEST16), np.uint16)
+    return np.asarray(np.rint(levels_of(frame, mode, depths) * _MAX_UINT16), np.uint16)
 
 
 def save_png16(path: Path, picture: UInt16[np.ndarray, "h w *c"]) -> None:
@@ -75,24 +75,24 @@ def save_png16(path: Path, picture: UInt16[np.ndarray, "h w *c"]) -> None:
     height, width, *channels = picture.shape
     kind = {(): "L;16", (3,): "RGB;16", (4,): "RGBA;16"}[tuple(channels)]
     rows = picture.reshape(height, -1)
-    with atomic_write(path) as draft:
-        png.from_array(rows, kind, {"width": width, "height": height}).save(str(draft))
+    with atomic_write(path) as temporary_path:
+        png.from_array(rows, kind, {"width": width, "height": height}).save(str(temporary_path))
 
 
 def exr_package() -> ModuleType:
     """Return the package OpenEXR; raise if it is not installed."""
-    return _package("OpenEXR", "EXR files need OpenEXR")
+    return _require_package("OpenEXR", "EXR files need OpenEXR")
 
 
 def png_package() -> ModuleType:
     """Return the package pypng; raise if it is not installed."""
-    return _package("png", "PNG files of 16 bits need pypng")
+    return _require_package("png", "PNG files of 16 bits need pypng")
 
 
-def _package(name: str, need: str) -> ModuleType:
+def _require_package(name: str, purpose: str) -> ModuleType:
     try:
         return import_module(name)
     except ImportError as error:
         raise SceneInvalid(
-            f"{need}, which is not installed", hint="pip install 'gsgen[deep]'"
+            f"{purpose}, which is not installed", hint="pip install 'gsgen[deep]'"
         ) from error

@@ -21,15 +21,15 @@ from gsgen.runtime.errors import SceneInvalid
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-_TICKS: Final = 1000
+_TICKS_PER_SECOND: Final = 1000
 """Units of time per frame, so that rates such as 23.976 are stored exactly."""
 
-_GROUP: Final = 48  # frames encoded together; players can seek to the first
+_GROUP_FRAMES: Final = 48  # frames encoded together; players can seek to the first
 _MAX_BYTES: Final = 1 << 32  # offsets have 32 bits
 _QUALITY: Final = 80
 _SPEED: Final = 8  # of 10; 6 takes four times as long for the same size at this quality
 _ENTRY_FIELDS: Final = 8 + 78  # bytes of a visual sample entry before its boxes
-_UNITY: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
+_IDENTITY_MATRIX: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
 
 
 def encode(pictures: Iterable["Image"], fps: float) -> bytes:
@@ -39,22 +39,22 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
         SceneInvalid: Pillow has no AV1 encoder, the pictures differ in size, or the video
             exceeds 4 GiB.
     """
-    groups = [_sequence(group) for group in _groups(iter(pictures))]
+    groups = [_encode_group(group) for group in _split_groups(iter(pictures))]
     if len(sizes := {(group.width, group.height) for group in groups}) > 1:
-        raise _differing_sizes(sizes)
+        raise _size_mismatch(sizes)
     samples = [sample for group in groups for sample in group.samples]
-    firsts = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
-    head = _box(b"ftyp", b"isom", _u32(0x200), b"isomiso6av01mp41")
+    first_samples = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
+    ftyp_box = _box(b"ftyp", b"isom", _u32(0x200), b"isomiso6av01mp41")
     # The table of contents stores the offset of the samples, which depends on the table's length.
     # The length does not depend on the offset, so the table is built twice.
-    size = len(head) + len(_contents(groups[0], samples, firsts.tolist(), fps, 0)) + 8
+    size = len(ftyp_box) + len(_moov_box(groups[0], samples, first_samples.tolist(), fps, 0)) + 8
     if size + sum(map(len, samples)) >= _MAX_BYTES:
         raise SceneInvalid(
             f"the {len(samples):,} frames take more than 4 GiB, the limit of an .mp4 file",
             hint="Draw the video in parts, or smaller.",
         )
-    contents = _contents(groups[0], samples, firsts.tolist(), fps, size)
-    return b"".join([head, contents, _box(b"mdat", *samples)])
+    moov = _moov_box(groups[0], samples, first_samples.tolist(), fps, size)
+    return b"".join([ftyp_box, moov, _box(b"mdat", *samples)])
 
 
 def require_encoder() -> None:
@@ -79,24 +79,24 @@ class _Group:
     height: int
 
 
-def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
+def _split_groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
     """Divide video pictures into groups to encode; a group of one would become a still image.
 
     AVIF stores a sequence of one picture as a still image, which has other boxes. Only a video of
     one picture has such a group.
     """
-    group = list(islice(pictures, _GROUP))
-    while len(following := list(islice(pictures, _GROUP))) > 1:
+    group = list(islice(pictures, _GROUP_FRAMES))
+    while len(next_group := list(islice(pictures, _GROUP_FRAMES))) > 1:
         yield group
-        group = following
-    yield group + following
+        group = next_group
+    yield group + next_group
 
 
-def _sequence(pictures: Sequence["Image"]) -> _Group:
+def _encode_group(pictures: Sequence["Image"]) -> _Group:
     """Encode pictures as an AVIF sequence, and extract the AV1 samples from it."""
     require_encoder()
-    if len(shapes := {picture.size for picture in pictures}) > 1:
-        raise _differing_sizes(shapes)
+    if len(picture_sizes := {picture.size for picture in pictures}) > 1:
+        raise _size_mismatch(picture_sizes)
     first, *remaining = pictures
     buffer = io.BytesIO()
     first.save(
@@ -110,16 +110,16 @@ def _sequence(pictures: Sequence["Image"]) -> _Group:
         range="limited",  # the default that players assume
     )
     file = buffer.getvalue()
-    table = _find(file, b"moov", b"trak", b"mdia", b"minf", b"stbl")
-    lengths = np.frombuffer(_find(table, b"stsz"), ">u4")[3:]
-    start = int.from_bytes(_find(table, b"stco")[8:12], "big")
+    table = _find_box(file, b"moov", b"trak", b"mdia", b"minf", b"stbl")
+    lengths = np.frombuffer(_find_box(table, b"stsz"), ">u4")[3:]
+    start = int.from_bytes(_find_box(table, b"stco")[8:12], "big")
     ends = start + np.cumsum(lengths)
     samples = [file[end - size : end] for size, end in zip(lengths, ends, strict=True)]
-    entry = _entry(_find(table, b"stsd")[8:])
+    entry = _mp4_sample_entry(_find_box(table, b"stsd")[8:])
     return _Group(entry, samples[: len(pictures)], first.width, first.height)
 
 
-def _differing_sizes(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
+def _size_mismatch(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
     size_list = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
     return SceneInvalid(
         f"frames have several sizes ({size_list}), expected one size for a video",
@@ -127,24 +127,24 @@ def _differing_sizes(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
     )
 
 
-def _entry(avif: bytes) -> bytes:
+def _mp4_sample_entry(avif: bytes) -> bytes:
     """Convert the sample entry of an AVIF sequence to that of an MP4 video."""
-    retained = {b"av1C", b"colr"}
-    boxes = [_box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in retained]
+    kept_boxes = {b"av1C", b"colr"}
+    boxes = [_box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in kept_boxes]
     return _box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
 
 
-def _contents(
-    group: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, offset: int
+def _moov_box(
+    group: _Group, samples: Sequence[bytes], first_samples: Sequence[int], fps: float, offset: int
 ) -> bytes:
     """Return the MP4 box ``moov`` for consecutive samples that begin at byte ``offset``."""
-    duration = _TICKS * len(samples)
-    rate = round(_TICKS * fps)
+    duration = _TICKS_PER_SECOND * len(samples)
+    rate = round(_TICKS_PER_SECOND * fps)
     table = _box(
         b"stbl",
         _box(b"stsd", _u32(0, 1), group.entry),
-        _box(b"stts", _u32(0, 1, len(samples), _TICKS)),
-        _box(b"stss", _u32(0, len(firsts), *firsts)),
+        _box(b"stts", _u32(0, 1, len(samples), _TICKS_PER_SECOND)),
+        _box(b"stss", _u32(0, len(first_samples), *first_samples)),
         _box(b"stsc", _u32(0, 1, 1, len(samples), 1)),
         _box(b"stsz", _u32(0, 0, len(samples), *map(len, samples))),
         _box(b"stco", _u32(0, 1, offset)),
@@ -158,9 +158,9 @@ def _contents(
     )
     size = _u32(group.width << 16, group.height << 16)
     track_fields = _u32(3, 0, 0, 1, 0, duration, 0, 0, 0, 0)  # flags enabled and in movie; track 1
-    track = _box(b"trak", _box(b"tkhd", track_fields, _UNITY, size), media)
+    track = _box(b"trak", _box(b"tkhd", track_fields, _IDENTITY_MATRIX, size), media)
     header = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
-    return _box(b"moov", _box(b"mvhd", header, _UNITY, bytes(24), _u32(2)), track)
+    return _box(b"moov", _box(b"mvhd", header, _IDENTITY_MATRIX, bytes(24), _u32(2)), track)
 
 
 def _u32(*values: int) -> bytes:
@@ -181,7 +181,7 @@ def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
         offset += size
 
 
-def _find(data: bytes, *path: bytes) -> bytes:
+def _find_box(data: bytes, *path: bytes) -> bytes:
     """Return the content of the MP4 box at a path of box types."""
     for kind in path:
         data = next(body for box_kind, body in _boxes(data) if box_kind == kind)

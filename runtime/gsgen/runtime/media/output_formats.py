@@ -32,8 +32,8 @@ def require_output_format(path: Path, *, frames: int = 1, bits: Literal[8, 16] =
             where="--bits",
             hint="Give a .png or a folder; an .exr has 32 bits.",
         )
-    known = (*_PICTURES, *pictures.VIDEO_SUFFIXES, ".npy")
-    if suffix in known and not (frames > 1 and suffix in _PICTURES):
+    known_suffixes = (*_PICTURES, *pictures.VIDEO_SUFFIXES, ".npy")
+    if suffix in known_suffixes and not (frames > 1 and suffix in _PICTURES):
         refuse_folder(path)
     if frames > 1 and suffix in _PICTURES and not is_folder:
         raise ConfigInvalid(
@@ -41,11 +41,11 @@ def require_output_format(path: Path, *, frames: int = 1, bits: Literal[8, 16] =
             where=str(path),
             hint="Give a folder, an .mp4, a .gif or an .npy.",
         )
-    if not is_folder and suffix not in known:
+    if not is_folder and suffix not in known_suffixes:
         raise ConfigInvalid(
             f"has the unknown suffix {path.suffix!r}",
             where=str(path),
-            hint=f"Known: {', '.join(known)}, or a folder.",
+            hint=f"Known: {', '.join(known_suffixes)}, or a folder.",
         )
     _require_packages(suffix, bits)
 

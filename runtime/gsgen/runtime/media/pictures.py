@@ -62,15 +62,15 @@ _OUTLIERS: Final = 2.0  # percent of the depths, at each end, outside the grey s
 
 # Animated GIFs have 256 colours a picture, and pixels that are opaque or absent.
 _MILLISECONDS: Final = 1000
-_HALF: Final = 128
+_ALPHA_THRESHOLD: Final = 128
 """The least alpha of pixels that are shown as opaque."""
 _OPAQUE: Final = 255
-_ABSENT: Final = 255
+_TRANSPARENT_INDEX: Final = 255
 """The palette index of transparent pixels, and the number of colours."""
-_CLEARED: Final = 2
+_DISPOSE_TO_BACKGROUND: Final = 2
 """GIF's disposal "restore to background": transparent pixels hide the previous frame."""
 
-_PACKET: Final = (
+_XMP_TEMPLATE: Final = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/">'
     '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
     '<rdf:Description rdf:about="" xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
@@ -119,8 +119,8 @@ def levels_of(
     if mode == "alpha":
         return np.asarray(np.clip(array, 0, 1))
     near, far = depths or depth_range(array)
-    share = (np.where(np.isfinite(array), array, far) - near) / max(far - near, 1e-12)
-    return np.asarray(np.where(np.isfinite(array), 1 - 0.9 * np.clip(share, 0, 1), 0))
+    depth_fraction = (np.where(np.isfinite(array), array, far) - near) / max(far - near, 1e-12)
+    return np.asarray(np.where(np.isfinite(array), 1 - 0.9 * np.clip(depth_fraction, 0, 1), 0))
 
 
 def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
@@ -144,9 +144,9 @@ def save_picture(
     """
     image = _image()
     metadata = _metadata(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
-    with atomic_write(path) as draft:
+    with atomic_write(path) as temporary_path:
         try:
-            image.fromarray(_on_black(path, picture)).save(draft, **metadata)
+            image.fromarray(_on_black(path, picture)).save(temporary_path, **metadata)
         except ValueError as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
 
@@ -162,8 +162,8 @@ def _metadata(camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]) -> di
     """Return the metadata of an image file, unless a post-process model changed its size."""
     if camera is None or picture.shape[:2] != (camera.height, camera.width):
         return {}
-    packet = gpano(camera)
-    return {} if packet is None else {"xmp": packet}
+    xmp = gpano(camera)
+    return {} if xmp is None else {"xmp": xmp}
 
 
 def gpano(camera: Camera) -> bytes | None:
@@ -180,7 +180,7 @@ def gpano(camera: Camera) -> bytes | None:
     is_inside &= left + camera.width <= width and top + camera.height <= height
     if camera.kind != "panorama" or width != 2 * height or not is_inside:
         return None
-    terms = {
+    panorama_fields = {
         "ProjectionType": "equirectangular",
         "UsePanoramaViewer": "True",
         "FullPanoWidthPixels": width,
@@ -190,14 +190,14 @@ def gpano(camera: Camera) -> bytes | None:
         "CroppedAreaLeftPixels": left,
         "CroppedAreaTopPixels": top,
     }
-    attributes = " ".join(f'GPano:{name}="{value}"' for name, value in terms.items())
-    return _PACKET.format(attributes).encode()
+    attributes = " ".join(f'GPano:{name}="{value}"' for name, value in panorama_fields.items())
+    return _XMP_TEMPLATE.format(attributes).encode()
 
 
 def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
     """Write an array as an .npy file atomically."""
-    with atomic_write(path) as draft:
-        np.save(draft, array)
+    with atomic_write(path) as temporary_path:
+        np.save(temporary_path, array)
 
 
 def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
@@ -212,12 +212,12 @@ def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: fl
     if path.suffix.lower() == ".mp4":
         colors = (image.fromarray(_on_black(path, picture)).convert("RGB") for picture in pictures)
         video = mp4.encode(colors, fps)
-        with atomic_write(path) as draft:
-            draft.write_bytes(video)
+        with atomic_write(path) as temporary_path:
+            temporary_path.write_bytes(video)
         return
     frames = list(pictures)
-    with atomic_write(path) as draft:
-        save_gif(draft, frames, fps)
+    with atomic_write(path) as temporary_path:
+        save_gif(temporary_path, frames, fps)
 
 
 def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: float) -> None:
@@ -229,7 +229,11 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
     options: dict[str, Any] = {"duration": round(_MILLISECONDS / fps), "loop": 0}
     if any(picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE for picture in pictures):
         frames = [_with_transparent_color(picture) for picture in pictures]
-        options |= {"disposal": _CLEARED, "transparency": _ABSENT, "optimize": False}
+        options |= {
+            "disposal": _DISPOSE_TO_BACKGROUND,
+            "transparency": _TRANSPARENT_INDEX,
+            "optimize": False,
+        }
     else:
         frames = [
             image.fromarray(picture[..., :3] if picture.ndim == 3 else picture)
@@ -241,12 +245,12 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
 def _with_transparent_color(picture: UInt8[np.ndarray, "h w 4"]) -> "Image":
     """Quantise a picture to 255 colours and a transparent one."""
     image = _image()
-    is_opaque = picture[..., 3] >= _HALF
-    colors = image.fromarray(picture[..., :3] * is_opaque[..., None]).quantize(_ABSENT)
-    indices = np.where(is_opaque, np.asarray(colors), _ABSENT).astype(np.uint8)
-    frame: Image = image.frombytes("P", colors.size, indices.tobytes())
+    is_opaque = picture[..., 3] >= _ALPHA_THRESHOLD
+    colors = image.fromarray(picture[..., :3] * is_opaque[..., None]).quantize(_TRANSPARENT_INDEX)
+    color_indices = np.where(is_opaque, np.asarray(colors), _TRANSPARENT_INDEX).astype(np.uint8)
+    frame: Image = image.frombytes("P", colors.size, color_indices.tobytes())
     palette = colors.getpalette() or []
-    frame.putpalette(palette + [0] * (3 * (_ABSENT + 1) - len(palette)))
+    frame.putpalette(palette + [0] * (3 * (_TRANSPARENT_INDEX + 1) - len(palette)))
     return frame
 
 

@@ -14,7 +14,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.scene.camera import DEFAULT_NEAR, Camera
 from gsgen.runtime.sources.source import Source, axis_direction
 
-_FORMS: Final = (
+_FORMS_HINT: Final = (
     "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
 )
 _AZIMUTH: Final = 30.0
@@ -76,7 +76,7 @@ class Viewpoint:
         center, reach = source.extent()
         if self.is_panorama:
             return self._panorama(source, center, number, turn)
-        camera = self._placed(source, center, reach, number, turn)
+        camera = self._place_cameras(source, center, reach, number, turn)
         if not self.is_orthographic:
             return camera
         ahead = float(camera.view[2, :3] @ center + camera.view[2, 3])
@@ -93,11 +93,11 @@ class Viewpoint:
                 return file_camera.all_around(width, height)
             eye, toward = file_camera.eye.tolist(), file_camera.view[2, :3].tolist()
             return Camera.panorama(eye, toward, up=self.up, width=width, height=height)
-        eye, toward = self._heading(source, center, turn)
+        eye, toward = self._panorama_pose(source, center, turn)
         up = self.up or source.up
         return Camera.panorama(eye, toward, up=up, width=width, height=height)
 
-    def _heading(
+    def _panorama_pose(
         self, source: Source, center: Float[np.ndarray, "3"], turn: float
     ) -> tuple[list[float], list[float]]:
         """Return a panorama camera's position, and the direction of the image's middle column."""
@@ -112,7 +112,7 @@ class Viewpoint:
         orbit = Camera.orbit(middle, radius, azimuth=azimuth, elevation=elevation, up=up)
         return orbit.eye.tolist(), level
 
-    def _placed(
+    def _place_cameras(
         self, source: Source, center: Float[np.ndarray, "3"], reach: float, number: int, turn: float
     ) -> Camera:
         if self.cameras:
@@ -165,34 +165,34 @@ def viewpoint(
             where="--orthographic and --panorama",
             hint="Leave one of them out.",
         )
-    upward = None if up is None else axis_direction(up)
-    common = Viewpoint(
+    up_vector = None if up is None else axis_direction(up)
+    viewpoint_base = Viewpoint(
         width=width,
         height=height,
         fov=fov,
-        up=upward,
+        up=up_vector,
         is_orthographic=orthographic,
         is_panorama=panorama,
     )
-    head, _, arguments = (text or "orbit").partition(":")
-    if head == "orbit":
+    camera_type, _, arguments = (text or "orbit").partition(":")
+    if camera_type == "orbit":
         numbers = _numbers(text or "", arguments, (0, 2, 3)) if arguments else ()
         azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION)
         radius = numbers[2] if len(numbers) > 2 else None
-        return replace(common, orbit=(azimuth, elevation, radius))
-    if head == "look-at":
+        return replace(viewpoint_base, orbit=(azimuth, elevation, radius))
+    if camera_type == "look-at":
         eye_and_target = _numbers(text or "", arguments, (6,))
-        return replace(common, look_at=eye_and_target)
+        return replace(viewpoint_base, look_at=eye_and_target)
     from gsgen.runtime.camera_files import open_cameras, split_pick
 
     path, selection = split_pick(text or "")
     if not _exists(path):
         raise ConfigInvalid(
-            f"{text!r} is neither a camera nor an existing file", where="--camera", hint=_FORMS
+            f"{text!r} is neither a camera nor an existing file", where="--camera", hint=_FORMS_HINT
         )
     file = open_cameras(path)
     cameras = tuple(entry.camera for entry in file.pick(selection))
-    return replace(common, cameras=cameras, notes=file.notes)
+    return replace(viewpoint_base, cameras=cameras, notes=file.notes)
 
 
 def _exists(path: Path) -> bool:
@@ -206,12 +206,12 @@ def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]
     try:
         numbers = tuple(float(word) for word in part.split(","))
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r}: {error}", where="--camera", hint=_FORMS) from error
+        raise ConfigInvalid(f"{text!r}: {error}", where="--camera", hint=_FORMS_HINT) from error
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         expected = " or ".join(map(str, counts))
         raise ConfigInvalid(
             f"{text!r} has {len(numbers)} numbers, expected {expected} finite ones",
             where="--camera",
-            hint=_FORMS,
+            hint=_FORMS_HINT,
         )
     return numbers

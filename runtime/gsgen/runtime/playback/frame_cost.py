@@ -100,7 +100,7 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
     for number in range(min(sequence.frames, _WARM_UP_FRAMES)):
         sequence.draw(number)
     on_step(f"drawing {sequence.frames} frames")
-    played, statistics = _play(sequence), sequence.player.statistics
+    playback_cost, statistics = _play(sequence), sequence.player.statistics
     on_step("measuring stages")
     with device.translate_errors():
         staged = _stage(sequence)
@@ -109,15 +109,17 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
         software=device.software,
         size=(camera.width, camera.height),
         frames=sequence.frames,
-        wall=Span.of(played.wall),
-        cpu=Span.of(played.cpu),
+        wall=Span.of(playback_cost.wall),
+        cpu=Span.of(playback_cost.cpu),
         submit=Span.of(staged.submit),
-        inference={name: Span.of(seconds) for name, seconds in played.inference.items() if seconds},
+        inference={
+            name: Span.of(seconds) for name, seconds in playback_cost.inference.items() if seconds
+        },
         stages=staged.stages,
         clock=staged.clock,
-        gaussians=int(np.median(played.gaussians)),
-        visible=int(np.median(played.visible)),
-        pairs=int(np.median(played.pairs)),
+        gaussians=int(np.median(playback_cost.gaussians)),
+        visible=int(np.median(playback_cost.visible)),
+        pairs=int(np.median(playback_cost.pairs)),
         rows_bytes=staged.rows_bytes,
         plan_bytes=staged.plan_bytes,
         capacity=len(sequence.player.scene),
@@ -129,7 +131,7 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Played:
+class _PlaybackCost:
     """Times and counts of each frame of a played sequence: inference, drawing, Gaussians."""
 
     inference: dict[str, list[float]]
@@ -140,25 +142,25 @@ class _Played:
     pairs: list[int] = field(default_factory=list)
 
 
-def _play(sequence: FrameSequence) -> _Played:
-    played = _Played(inference={source.name: [] for source in sequence.sources})
-    started, busy = time.perf_counter(), time.process_time()
+def _play(sequence: FrameSequence) -> _PlaybackCost:
+    playback_cost = _PlaybackCost(inference={source.name: [] for source in sequence.sources})
+    started, cpu_start = time.perf_counter(), time.process_time()
     for frame in sequence.player.play(sequence.frame_requests()):
         now, used = time.perf_counter(), time.process_time()
-        played.wall.append(now - started)
-        played.cpu.append(used - busy)
-        started, busy = now, used
-        played.visible.append(frame.visible)
-        played.pairs.append(frame.pairs)
-        played.gaussians.append(sum(source.count for source in sequence.sources))
+        playback_cost.wall.append(now - started)
+        playback_cost.cpu.append(used - cpu_start)
+        started, cpu_start = now, used
+        playback_cost.visible.append(frame.visible)
+        playback_cost.pairs.append(frame.pairs)
+        playback_cost.gaussians.append(sum(source.count for source in sequence.sources))
         for source in sequence.sources:
             if source.seconds:
-                played.inference[source.name].append(source.seconds)
-    return played
+                playback_cost.inference[source.name].append(source.seconds)
+    return playback_cost
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Staged:
+class _StageCost:
     """The seconds of each drawing stage, and the bytes of the buffers, of a frame sequence."""
 
     submit: list[float]
@@ -168,7 +170,7 @@ class _Staged:
     plan_bytes: int
 
 
-def _stage(sequence: FrameSequence) -> _Staged:
+def _stage(sequence: FrameSequence) -> _StageCost:
     """Draw some frames of a sequence stage by stage, and measure them."""
     renderer = sequence.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None
@@ -181,19 +183,19 @@ def _stage(sequence: FrameSequence) -> _Staged:
     _PlannedFrame.of(sequence, sequence.frames - 1).submit(clock)  # the first timestamps are slow
     for number in frame_numbers:
         sequence.draw(int(number))
-        planned = _PlannedFrame.of(sequence, int(number))
-        submit.append(planned.submit(clock))
+        planned_frame = _PlannedFrame.of(sequence, int(number))
+        submit.append(planned_frame.submit(clock))
         ticks = clock.seconds() if clock is not None else {}
         if not any(ticks.values()):
-            clock_kind, ticks = "cpu", planned.stage_seconds()
+            clock_kind, ticks = "cpu", planned_frame.stage_seconds()
         rows.append(ticks)
     stages = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
-    return _Staged(
+    return _StageCost(
         submit=submit,
         stages=stages,
         clock=clock_kind,
-        rows_bytes=planned.rows_bytes,
-        plan_bytes=planned.plan_bytes,
+        rows_bytes=planned_frame.rows_bytes,
+        plan_bytes=planned_frame.plan_bytes,
     )
 
 

@@ -116,7 +116,7 @@ class FrameQueue:
             GsgenError: See :meth:`gsgen.runtime.renderer.renderer.Renderer.render`.
         """
         draw = self._renderer.render if self.waits else self._renderer.submit
-        with self._measured():
+        with self._update_statistics():
             frame = draw(self._scene, camera, background=self._background, outputs=self._outputs)
         self._frames.append((frame, self._states()))
         self.statistics.in_flight = max(self.statistics.in_flight, len(self))
@@ -145,13 +145,13 @@ class FrameQueue:
         self.statistics.frames += 1
         if isinstance(submitted, Frame):
             return submitted
-        with self._measured():
-            return self._renderer.collect(submitted) or self._redrawn(submitted.camera, states)
+        with self._update_statistics():
+            return self._renderer.collect(submitted) or self._redraw_frame(submitted.camera, states)
 
-    def _redrawn(self, camera: Camera, states: list[_DataState]) -> Frame:
+    def _redraw_frame(self, camera: Camera, states: list[_DataState]) -> Frame:
         """Draw a frame from the arrays that it was submitted with, and wait for it."""
         self.statistics.redrawn += 1
-        present = self._states()
+        current_states = self._states()
         for state in states:
             state.restore()
         try:
@@ -159,7 +159,7 @@ class FrameQueue:
                 self._scene, camera, background=self._background, outputs=self._outputs
             )
         finally:
-            for state in present:
+            for state in current_states:
                 state.restore()
 
     def _states(self) -> list[_DataState]:
@@ -167,12 +167,12 @@ class FrameQueue:
         return [_DataState.of(data) for data in sets]
 
     @contextmanager
-    def _measured(self) -> Iterator[None]:
+    def _update_statistics(self) -> Iterator[None]:
         """Add to the statistics what happens in a ``with`` block."""
         growths, start = self._renderer.growths, time.perf_counter() - time.thread_time()
         try:
             yield
         finally:
-            stood_still = time.perf_counter() - time.thread_time() - start
-            self.statistics.waited += max(0.0, stood_still)
+            stalled_seconds = time.perf_counter() - time.thread_time() - start
+            self.statistics.waited += max(0.0, stalled_seconds)
             self.statistics.growths += self._renderer.growths - growths

@@ -135,7 +135,7 @@ class FrameSequence(Playback):
         if needs_one_size and len(self._view.sizes) > 1:
             raise _differing_sizes(path, self._view.sizes)
         if suffix == ".npy":
-            arrays = [pictures.array_of(frame, self._mode) for frame in self._drawn(on_frame)]
+            arrays = [pictures.array_of(frame, self._mode) for frame in self._draw_frames(on_frame)]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
         elif suffix in pictures.VIDEO_SUFFIXES:
             pictures.save_video(path, self._pictures(on_frame), self.fps)
@@ -146,14 +146,14 @@ class FrameSequence(Playback):
                 else:
                     deep_pictures.save_png16(path, picture)
         elif suffix == deep_pictures.EXR_SUFFIX and self.frames == 1:
-            for frame in self._drawn(on_frame):
+            for frame in self._draw_frames(on_frame):
                 deep_pictures.save_exr(path, frame, self._mode)
         else:
             save = pictures.save_picture if bits == 8 else deep_pictures.save_png16
             for number, picture in enumerate(self._pictures(on_frame, bits)):
                 save(path / f"frame_{number:04}.png", picture)
 
-    def _drawn(self, on_frame: Callable[[int], None]) -> Iterator[Frame]:
+    def _draw_frames(self, on_frame: Callable[[int], None]) -> Iterator[Frame]:
         on_frame(1)
         for number, frame in enumerate(self.player.play(self.frame_requests())):
             self._last = frame
@@ -166,7 +166,7 @@ class FrameSequence(Playback):
     ) -> Iterator[np.ndarray]:
         """Yield frames as integer images; the depth range of the first frame scales all of them."""
         depths: tuple[float, float] | None = None
-        for frame in self._drawn(on_frame):
+        for frame in self._draw_frames(on_frame):
             if depths is None and "depth" in self._mode:
                 depths = pictures.depth_range(pictures.array_of(frame, self._mode))
             convert = pictures.picture_of if bits == 8 else deep_pictures.picture16_of

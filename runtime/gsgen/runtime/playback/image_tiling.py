@@ -35,13 +35,13 @@ def lay_tiles(image: tuple[int, int], tile: tuple[int, int], overlap: int) -> It
 
     Sizes are height and width; the image is at least as large as a tile.
     """
-    rows, columns = (_starts(n, size, overlap) for n, size in zip(image, tile, strict=True))
+    rows, columns = (_tile_starts(n, size, overlap) for n, size in zip(image, tile, strict=True))
     for top in rows:
         for left in columns:
             yield Tile(top, left)
 
 
-def _starts(length: int, size: int, overlap: int) -> list[int]:
+def _tile_starts(length: int, size: int, overlap: int) -> list[int]:
     """Return the first pixel of each of evenly spaced tiles along one axis."""
     step, room = size - overlap, length - size
     count = 1 + max(0, -(-room // step))
@@ -56,21 +56,21 @@ def tile_weights(
     A weight rises from a tile's edge over ``overlap`` pixels. The weights of all tiles sum to 1
     at each pixel; a pixel of one tile alone has weight 1.
     """
-    ramp = np.outer(_ramp(tile[0], overlap), _ramp(tile[1], overlap))
+    ramp = np.outer(_blend_ramp(tile[0], overlap), _blend_ramp(tile[1], overlap))
     tiles = list(lay_tiles(image, tile, overlap))
     total = np.zeros(image)
     for corner in tiles:
-        total[_part(corner, tile)] += ramp
-    return [(corner, ramp / total[_part(corner, tile)]) for corner in tiles]
+        total[_tile_slices(corner, tile)] += ramp
+    return [(corner, ramp / total[_tile_slices(corner, tile)]) for corner in tiles]
 
 
-def _ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
+def _blend_ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
     """Return a tile's blend weights along an axis: 1 in the middle, just above 0 at the ends."""
-    from_end = np.minimum(np.arange(1, size + 1), np.arange(size, 0, -1))
-    return np.minimum(from_end / (overlap + 1), 1.0)
+    edge_distance = np.minimum(np.arange(1, size + 1), np.arange(size, 0, -1))
+    return np.minimum(edge_distance / (overlap + 1), 1.0)
 
 
-def _part(tile: Tile, size: tuple[int, int]) -> tuple[slice, slice]:
+def _tile_slices(tile: Tile, size: tuple[int, int]) -> tuple[slice, slice]:
     rows, columns = (slice(tile.top, tile.top + size[0]), slice(tile.left, tile.left + size[1]))
     return rows, columns
 
@@ -92,14 +92,14 @@ def run_tiled(image: Image, network: Network, tile: tuple[int, int], overlap: in
     Raises:
         ConfigInvalid: The overlap does not fit the tile, or a size is invalid.
     """
-    _require(image, tile, overlap)
+    _require_tile_size(image, tile, overlap)
     height, width = image.shape[2:]
     missing = [max(0, size - n) for size, n in zip(tile, (height, width), strict=True)]
     padded = np.pad(image, ((0, 0), (0, 0), (0, missing[0]), (0, missing[1])), mode="edge")
     total: np.ndarray | None = None
     dtype = image.dtype
     for corner, weight in tile_weights(padded.shape[2:], tile, overlap):
-        part = (slice(None), slice(None), *_part(corner, tile))
+        part = (slice(None), slice(None), *_tile_slices(corner, tile))
         result = np.asarray(network(np.ascontiguousarray(padded[part])))
         if result.ndim != 4 or result.shape[0] != 1 or result.shape[2:] != tile:
             message = f"the network returned {list(result.shape)}, expected [1, channels, {tile[0]}, {tile[1]}]"
@@ -112,13 +112,13 @@ def run_tiled(image: Image, network: Network, tile: tuple[int, int], overlap: in
     return np.asarray(total[:, :, :height, :width].astype(dtype))
 
 
-def _require(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
+def _require_tile_size(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
     if image.ndim != 4 or image.shape[0] != 1 or 0 in image.shape:
         message = f"the image is {list(image.shape)}, expected [1, channels, height, width]"
         raise ConfigInvalid(message, where="image")
     if min(tile) < 1 or not 0 <= overlap <= (min(tile) - 1) // 2:
-        most = max(0, (min(tile) - 1) // 2)
-        message = f"is {overlap}, expected 0 to {most} for tiles of {tile[0]} × {tile[1]}"
+        max_overlap = max(0, (min(tile) - 1) // 2)
+        message = f"is {overlap}, expected 0 to {max_overlap} for tiles of {tile[0]} × {tile[1]}"
         raise ConfigInvalid(message, where="overlap")
 
 

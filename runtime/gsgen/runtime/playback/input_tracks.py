@@ -13,7 +13,9 @@ from jaxtyping import Shaped
 
 from gsgen.contract.errors import ConfigInvalid
 
-_FORMS: Final = "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
+_FORMS_HINT: Final = (
+    "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
+)
 
 ARRAY_SUFFIXES: Final = (".npy", ".npz", ".json")
 """Suffixes of files that hold the values of a track."""
@@ -25,13 +27,13 @@ class Track:
     """The values of one model input over the frames.
 
     Attributes:
-        word: The tensor's name, or its role.
+        input_name: The tensor's name, or its role.
         values: One value of the input, or one per frame along the first axis.
         where: The option of the values, for error messages.
         sweep: Whether ``values`` are the first and the last value, with even steps between.
     """
 
-    word: str
+    input_name: str
     values: Shaped[np.ndarray, "..."]
     where: str
     sweep: bool = False
@@ -46,11 +48,13 @@ class Track:
         expected = ", ".join(map(str, shape))
         raise ConfigInvalid(
             f"has shape {list(self.values.shape)}, expected [{expected}] or [frames, {expected}] "
-            f"for input {self.word}",
+            f"for input {self.input_name}",
             where=self.where,
         )
 
-    def at(self, shape: tuple[int, ...], number: int, frames: int) -> Shaped[np.ndarray, "..."]:
+    def value_at(
+        self, shape: tuple[int, ...], number: int, frames: int
+    ) -> Shaped[np.ndarray, "..."]:
         """Return the value of a model input in one frame of a video.
 
         A track with fewer values than frames repeats.
@@ -67,23 +71,23 @@ class Track:
 
 def input_track(text: str) -> Track:
     """Parse the value of ``--input``, for example ``time=0..1``."""
-    word, sign, value = text.partition("=")
-    where = f"--input {word}"
-    if not (word and sign and value):
-        raise ConfigInvalid(f"{text!r} has no name or no value", where="--input", hint=_FORMS)
+    input_name, equals_sign, value = text.partition("=")
+    where = f"--input {input_name}"
+    if not (input_name and equals_sign and value):
+        raise ConfigInvalid(f"{text!r} has no name or no value", where="--input", hint=_FORMS_HINT)
     if Path(value).suffix.lower() in ARRAY_SUFFIXES:
-        return Track(word, read_array(Path(value)), f"{where}={value}")
-    first, dots, last = value.partition("..")
-    if dots:
-        return Track(word, _numbers(text, f"{first},{last}"), where, sweep=True)
-    return Track(word, _numbers(text, value), where)
+        return Track(input_name, read_array(Path(value)), f"{where}={value}")
+    first, separator, last = value.partition("..")
+    if separator:
+        return Track(input_name, _numbers(text, f"{first},{last}"), where, sweep=True)
+    return Track(input_name, _numbers(text, value), where)
 
 
 def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
     try:
-        numbers = [float(word) for word in part.split(",")]
+        numbers = [float(input_name) for input_name in part.split(",")]
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r}: {error}", where="--input", hint=_FORMS) from error
+        raise ConfigInvalid(f"{text!r}: {error}", where="--input", hint=_FORMS_HINT) from error
     return integers_if_whole(np.asarray(numbers))
 
 
@@ -100,7 +104,7 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
         if path.suffix.lower() == ".json":
             array = np.asarray(json.loads(path.read_text("utf-8")))
         else:
-            array = _loaded(path)
+            array = _load_array(path)
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
         raise ConfigInvalid(message, where=str(path)) from error
@@ -109,7 +113,7 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
     return numbers_of(array, str(path))
 
 
-def _loaded(path: Path) -> Shaped[np.ndarray, "..."]:
+def _load_array(path: Path) -> Shaped[np.ndarray, "..."]:
     with path.open("rb") as file:
         array = np.load(file, allow_pickle=False)
         if isinstance(array, np.ndarray):

@@ -62,24 +62,24 @@ class LivePlayback(Playback):
             antialias=antialias,
         )
         self.playing, self.version = False, 0
-        self._position = 0.0
-        self._shown: object = None  # the moment that the sources are at
-        self._pending: object = None  # the moment that the sources compute
+        self._frame_position = 0.0
+        self._drawn_moment: object = None  # the moment that the sources are at
+        self._pending_moment: object = None  # the moment that the sources compute
         self.scene()  # sources that cannot be drawn together raise here
 
     @property
     def number(self) -> int:
         """The number of the current frame, from 0."""
-        return int(self._position)
+        return int(self._frame_position)
 
     def seek(self, number: int) -> None:
         """Go to a frame number, modulo the number of frames."""
-        self._position = float(number % self.frames)
+        self._frame_position = float(number % self.frames)
 
     def advance(self, seconds: float) -> None:
         """Advance the playback by some seconds, unless it is paused."""
         if self.playing:
-            self._position = (self._position + seconds * self.fps) % self.frames
+            self._frame_position = (self._frame_position + seconds * self.fps) % self.frames
 
     def moment(self) -> float | None:
         """Return the current time of the first source of Gaussians that has a time input."""
@@ -91,7 +91,7 @@ class LivePlayback(Playback):
     @property
     def busy(self) -> bool:
         """Whether a frame of the playback is in progress, or its Gaussians may still change."""
-        return self._pending is not None or self._is_streaming()
+        return self._pending_moment is not None or self._is_streaming()
 
     def _is_streaming(self) -> bool:
         return any(source.is_streaming for source in self.sources)
@@ -99,18 +99,18 @@ class LivePlayback(Playback):
     def begin(self, camera: Camera) -> None:
         """Begin to compute the current frame for a camera, unless it is computed or in progress."""
         moment = self._moment_key(camera)
-        if self._pending is None and (moment != self._shown or self._is_streaming()):
+        if self._pending_moment is None and (moment != self._drawn_moment or self._is_streaming()):
             values = self.values(self.number)
             for source, source_values in zip(self.sources, values, strict=False):
                 source.start(camera, source_values, self.number)
-            self._pending = moment
+            self._pending_moment = moment
 
     def take(self, *, wait: bool = False) -> None:
         """Switch to the frame of :meth:`begin` if it is computed; ``wait`` waits until it is."""
         is_ready = wait or all(source.ready for source in self.sources)
-        if self._pending is None or not is_ready:
+        if self._pending_moment is None or not is_ready:
             return
-        self._shown, self._pending = self._pending, None
+        self._drawn_moment, self._pending_moment = self._pending_moment, None
         before = self._data_versions()
         try:
             for source in self.sources:
@@ -138,7 +138,7 @@ class LivePlayback(Playback):
         self.abandon()
         moment, before = self._moment_key(camera), self._data_versions()
         frame = player.render(self.request(camera, self.number))
-        self._shown = moment
+        self._drawn_moment = moment
         self.version += before != self._data_versions()
         return frame
 
@@ -158,7 +158,7 @@ class LivePlayback(Playback):
 
     def abandon(self) -> None:
         """Wait for the frame that :meth:`begin` requested, and discard its result or error."""
-        self._pending = None
+        self._pending_moment = None
         for source in self.sources:
             source.abandon()
 

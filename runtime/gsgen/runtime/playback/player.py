@@ -24,7 +24,7 @@ from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import GeneratorSource, Source, Values
 
-_NOTHING = (0.0, 0.0, 0.0, 0.0)
+_TRANSPARENT = (0.0, 0.0, 0.0, 0.0)
 
 
 @final
@@ -79,7 +79,7 @@ class Player:
         *,
         post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
-        background: Sequence[float] = _NOTHING,
+        background: Sequence[float] = _TRANSPARENT,
         outputs: Collection[Output] = COLOR_ONLY,
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
@@ -93,11 +93,11 @@ class Player:
         if frames_in_flight < 1:
             message = f"is {frames_in_flight}, expected at least 1"
             raise ConfigInvalid(message, where="frames_in_flight")
-        self._sources, self._post = list(sources), list(post)
+        self._sources, self._post_processors = list(sources), list(post)
         self.scene = compose_scene(sources, sh_degree, antialias)
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
-        self._begun, self._frames_in_flight = 0, frames_in_flight
+        self._started_count, self._frames_in_flight = 0, frames_in_flight
         self.statistics = PlayStatistics()
 
     def render(self, request: FrameRequest) -> Frame:
@@ -106,12 +106,12 @@ class Player:
         Raises:
             GsgenError: A value does not fit or a model fails; the error names model, input, frame.
         """
-        number = self._start(request)
-        self._finish()
+        number = self._start_frame(request)
+        self._finish_sources()
         frame = self.renderer.render(
             self.scene, request.camera, background=self._background, outputs=self._outputs
         )
-        return self._processed(frame, request, number)
+        return self._post_process(frame, request, number)
 
     def play(self, requests: Iterable[FrameRequest]) -> Iterator[Frame]:
         """Yield the frame of each request, with others in flight: drawn, or being computed.
@@ -124,10 +124,10 @@ class Player:
         """
         queue = FrameQueue(self.renderer, self.scene, self._background, self._outputs)
         self.statistics = queue.statistics
-        most = self._held_frames()
-        queue.waits = most == 1
+        max_in_flight = self._max_frames_in_flight()
+        queue.waits = max_in_flight == 1
         try:
-            yield from self._drawn(self._computed(requests), queue, most)
+            yield from self._draw_computed(self._compute_frames(requests), queue, max_in_flight)
         except KeyboardInterrupt:
             for source in self._sources:
                 source.interrupt()
@@ -136,7 +136,7 @@ class Player:
             for source in self._sources:  # the caller may stop before the last frame
                 source.abandon()
 
-    def _held_frames(self) -> int:
+    def _max_frames_in_flight(self) -> int:
         """Return how many frames may be in flight, for which all sources hold their arrays."""
         if all(source.hold(self._frames_in_flight - 1) for source in self._sources):
             return self._frames_in_flight
@@ -144,28 +144,30 @@ class Player:
             source.hold(0)
         return 1
 
-    def _computed(self, requests: Iterable[FrameRequest]) -> Iterator[tuple[FrameRequest, int]]:
+    def _compute_frames(
+        self, requests: Iterable[FrameRequest]
+    ) -> Iterator[tuple[FrameRequest, int]]:
         """Yield each request with its number once it is computed, and the next one has begun."""
         before: tuple[FrameRequest, int] | None = None
         for request in requests:
-            self._finish()
-            number = self._start(request)
+            self._finish_sources()
+            number = self._start_frame(request)
             if before is not None:
                 yield before
             before = request, number
-        self._finish()
+        self._finish_sources()
         if before is not None:
             yield before
 
-    def _drawn(
-        self, computed: Iterator[tuple[FrameRequest, int]], queue: FrameQueue, most: int
+    def _draw_computed(
+        self, computed: Iterator[tuple[FrameRequest, int]], queue: FrameQueue, max_in_flight: int
     ) -> Iterator[Frame]:
-        """Yield the frames of computed requests in order, of which ``most`` may be in flight."""
+        """Yield the frames of computed requests in order, of which ``max_in_flight`` may be in flight."""
         submitted: deque[tuple[FrameRequest, int]] = deque()
 
         def take(left: int) -> Iterator[Frame]:
             while len(queue) > left:
-                yield self._processed(queue.take(), *submitted.popleft())
+                yield self._post_process(queue.take(), *submitted.popleft())
 
         while True:
             try:
@@ -174,31 +176,31 @@ class Player:
                     break
                 if not queue.try_submit(frame[0].camera):
                     yield from take(0)
-                    queue.waits, most = True, 1
+                    queue.waits, max_in_flight = True, 1
                     queue.submit(frame[0].camera)
             except Exception:
                 yield from take(0)  # the error is of a later frame
                 raise
             submitted.append(frame)
-            yield from take(most - 1)
+            yield from take(max_in_flight - 1)
         yield from take(0)
 
-    def _start(self, request: FrameRequest) -> int:
+    def _start_frame(self, request: FrameRequest) -> int:
         """Begin to compute a frame, and return its number."""
-        number = self._begun if request.number is None else request.number
-        self._begun += 1
-        for source, values in zip(self._sources, _each(request.values), strict=False):
+        number = self._started_count if request.number is None else request.number
+        self._started_count += 1
+        for source, values in zip(self._sources, _padded_values(request.values), strict=False):
             source.start(request.camera, values, number)
         return number
 
-    def _finish(self) -> None:
+    def _finish_sources(self) -> None:
         for source in self._sources:
             source.finish()
 
-    def _processed(self, frame: Frame, request: FrameRequest, number: int) -> Frame:
+    def _post_process(self, frame: Frame, request: FrameRequest, number: int) -> Frame:
         """Return a frame whose colours the post-process models have changed."""
-        post_values = _each(request.values[len(self._sources) :])
-        for model, values in zip(self._post, post_values, strict=False):
+        post_values = _padded_values(request.values[len(self._sources) :])
+        for model, values in zip(self._post_processors, post_values, strict=False):
             try:
                 frame = model(frame, values)
             except GsgenError as error:
@@ -206,7 +208,7 @@ class Player:
         return frame
 
 
-def _each(values: Sequence[Values]) -> Iterator[Values]:
+def _padded_values(values: Sequence[Values]) -> Iterator[Values]:
     """Yield the given sets of input values in order, and then empty mappings without end."""
     yield from values
     yield from repeat({})
@@ -224,25 +226,25 @@ def compose_scene(
         meshes=[mesh for source in sources for mesh in source.meshes],
         pools=[
             replace(
-                pooled,
-                degree=pooled.degree if sh_degree is None else sh_degree,
-                antialias=antialias or pooled.antialias,
+                pooled_set,
+                degree=pooled_set.degree if sh_degree is None else sh_degree,
+                antialias=antialias or pooled_set.antialias,
             )
             for source in sources
-            for pooled in source.pools
+            for pooled_set in source.pools
         ],
     )
 
 
 def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:
-    spaces = {source.color_space for source in sources if len(source.data) or source.pools}
-    if len(spaces) > 1:
+    color_spaces = {source.color_space for source in sources if len(source.data) or source.pools}
+    if len(color_spaces) > 1:
         raise ConfigInvalid(
             "have linear and sRGB colours, expected one colour space, as they are blended",
             where="scenes",
             hint="Draw the scenes separately, or train them in one colour space.",
         )
-    return spaces.pop() if spaces else "srgb"
+    return color_spaces.pop() if color_spaces else "srgb"
 
 
 @final
@@ -286,16 +288,16 @@ class GeneratorPlayer:
         provider: str = "auto",
         sizes: Mapping[str, int] | None = None,
         renderer: Renderer | None = None,
-        background: Sequence[float] = _NOTHING,
+        background: Sequence[float] = _TRANSPARENT,
         outputs: Collection[Output] = COLOR_ONLY,
     ) -> None:
         self.source = GeneratorSource(Path(model), provider, sizes)
-        self._post: list[PostProcessor] = []
+        self._post_processors: list[PostProcessor] = []
         try:
-            self._post.extend(PostProcessor(Path(path), provider) for path in post)
+            self._post_processors.extend(PostProcessor(Path(path), provider) for path in post)
             self._player = Player(
                 [self.source],
-                post=self._post,
+                post=self._post_processors,
                 renderer=renderer,
                 background=background,
                 outputs=outputs,
@@ -335,7 +337,7 @@ class GeneratorPlayer:
             InputInvalid: A value does not fit; the message names the model, input and frame.
             RunFailed: ONNX Runtime failed.
         """
-        return self._player.render(FrameRequest(camera, (_merged(time, pose, values),)))
+        return self._player.render(FrameRequest(camera, (_merge_outputs(time, pose, values),)))
 
     def play(
         self,
@@ -364,14 +366,14 @@ class GeneratorPlayer:
             cameras = repeat(cameras) if has_frames else [cameras]
         columns = [repeat(None) if argument is None else argument for argument in arguments]
         return self._player.play(
-            FrameRequest(camera, (_merged(*parts),))
+            FrameRequest(camera, (_merge_outputs(*parts),))
             for camera, *parts in zip(cameras, *columns, strict=False)
         )
 
     def close(self) -> None:
         """Release the sessions of all models; a second call has no effect."""
         self.source.close()
-        for model in self._post:
+        for model in self._post_processors:
             model.close()
 
     def __enter__(self) -> Self:
@@ -381,7 +383,7 @@ class GeneratorPlayer:
         self.close()
 
 
-def _merged(
+def _merge_outputs(
     time: float | None, pose: np.ndarray | None, values: Values | None
 ) -> dict[str, object]:
     by_role = {"time": time, "pose": pose}

@@ -26,11 +26,11 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.playback.input_tracks import ARRAY_SUFFIXES, Track, numbers_of
 from gsgen.runtime.sources.source import Source
 
-_KINDS: Final = (
+_MOTION_FORMATS: Final = (
     "Give an .npy, .npz or .json of [joints, 3] or [frames, joints, 3], an .npz of AMASS, "
     "LHM's .json, or a folder of such files."
 )
-_RATES: Final = ("mocap_framerate", "mocap_frame_rate")
+_RATE_FIELDS: Final = ("mocap_framerate", "mocap_frame_rate")
 # LHM's names for the parts of an SMPL-X pose, in order, with their numbers of values.
 _PARTS: Final = {
     "root_pose": 3,
@@ -42,8 +42,8 @@ _PARTS: Final = {
     "rhand_pose": 45,
 }
 _SHARED: Final = 22  # joints that SMPL, SMPL+H and SMPL-X have in common: root and body
-_HANDS: Final = 30  # joints of the hands, the last of SMPL+H and SMPL-X
-_BODIES: Final = (_SHARED, 24, 52, 55)
+_HAND_JOINTS: Final = 30  # joints of the hands, the last of SMPL+H and SMPL-X
+_BODY_JOINT_COUNTS: Final = (_SHARED, 24, 52, 55)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +61,17 @@ def pose_tracks(text: str, source: Source) -> tuple[list[Track], float | None]:
     Returns:
         A track for each of those inputs, and the frames per second if the file has them.
     """
-    word, path = named_file(text)
-    motion, where = _read(path), f"--pose {path}"
-    pose_input = source.named(word)[0]
+    input_name, path = named_file(text)
+    motion, where = _read_motion(path), f"--pose {path}"
+    pose_input = source.named(input_name)[0]
     shape = source.shape(pose_input.name)
     pose = _fit_pose(motion.pose, shape, pose_input.convention, where)
-    tracks = [Track(word, pose, where)]
+    tracks = [Track(input_name, pose, where)]
     for role, values in motion.extra_inputs.items():
         for spec in source.named(role):
             shape = source.shape(spec.name)
-            fitting = _fit_rotation(values, shape) if role == "root_rotation" else values
-            tracks.append(Track(spec.name, fitting, f"{where}, {role}"))
+            fitted_values = _fit_rotation(values, shape) if role == "root_rotation" else values
+            tracks.append(Track(spec.name, fitted_values, f"{where}, {role}"))
     return tracks, motion.fps
 
 
@@ -90,9 +90,9 @@ def _fit_rotation(
 
 def named_file(text: str) -> tuple[str, Path]:
     """Split ``NAME=FILE`` of ``--pose``; the default name is the role ``pose``."""
-    word, sign, name = text.partition("=")
-    if sign and word and not Path(text).exists():
-        return word, Path(name)
+    input_name, equals_sign, name = text.partition("=")
+    if equals_sign and input_name and not Path(text).exists():
+        return input_name, Path(name)
     return "pose", Path(text)
 
 
@@ -106,41 +106,44 @@ def _fit_pose(
     if frame_size == expected_size:
         return flat.reshape(frames, *shape)
     joints, file_joints = shape[0], frame_size // 3
-    known = (
-        shape[1:] == (3,) and file_joints in _BODIES and joints in _BODIES and frame_size % 3 == 0
+    known_formats = (
+        shape[1:] == (3,)
+        and file_joints in _BODY_JOINT_COUNTS
+        and joints in _BODY_JOINT_COUNTS
+        and frame_size % 3 == 0
     )
-    if not (known and convention == "smpl-axis-angle"):
+    if not (known_formats and convention == "smpl-axis-angle"):
         raise ConfigInvalid(
             f"the file holds poses of {list(pose.shape[1:])}, expected {list(shape)}",
             where=where,
-            hint=_KINDS,
+            hint=_MOTION_FORMATS,
         )
     padded = np.zeros((frames, joints, 3))
     file_pose = flat.reshape(frames, file_joints, 3)
     padded[:, :_SHARED] = file_pose[:, :_SHARED]
-    if min(joints, file_joints) >= _SHARED + _HANDS:
-        padded[:, -_HANDS:] = file_pose[:, -_HANDS:]
+    if min(joints, file_joints) >= _SHARED + _HAND_JOINTS:
+        padded[:, -_HAND_JOINTS:] = file_pose[:, -_HAND_JOINTS:]
     return padded
 
 
-def _read(path: Path) -> _Motion:
+def _read_motion(path: Path) -> _Motion:
     if not path.is_dir():
         return _read_file(path)
     for suffix in ARRAY_SUFFIXES:
-        files = sorted(path.glob(f"*{suffix}"), key=_number)
+        files = sorted(path.glob(f"*{suffix}"), key=_frame_number_key)
         if files:
-            return _joined(path, [_read_file(file) for file in files])
+            return _join_frames(path, [_read_file(file) for file in files])
     raise ConfigInvalid(
-        "is a folder without .npy, .npz or .json files", where=str(path), hint=_KINDS
+        "is a folder without .npy, .npz or .json files", where=str(path), hint=_MOTION_FORMATS
     )
 
 
-def _number(path: Path) -> tuple[int, str]:
+def _frame_number_key(path: Path) -> tuple[int, str]:
     match = re.search(r"(\d+)$", path.stem)
     return (int(match[1]) if match else -1, path.stem)
 
 
-def _joined(path: Path, frames: list[_Motion]) -> _Motion:
+def _join_frames(path: Path, frames: list[_Motion]) -> _Motion:
     try:
         extra_inputs = {
             name: np.concatenate([frame.extra_inputs[name] for frame in frames])
@@ -157,47 +160,51 @@ def _joined(path: Path, frames: list[_Motion]) -> _Motion:
 def _read_file(path: Path) -> _Motion:
     try:
         if path.suffix.lower() == ".json":
-            return _of_json(json.loads(path.read_text("utf-8")), str(path))
+            return _motion_of_json(json.loads(path.read_text("utf-8")), str(path))
         with path.open("rb") as file:
             contents = np.load(file, allow_pickle=False)
             if isinstance(contents, np.ndarray):
-                return _Motion(_framed(contents, str(path)), {})
-            return _of_arrays({name: contents[name] for name in contents.files}, str(path))
+                return _Motion(_with_frame_axis(contents, str(path)), {})
+            return _motion_of_arrays({name: contents[name] for name in contents.files}, str(path))
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
-        raise ConfigInvalid(message, where=str(path), hint=_KINDS) from error
+        raise ConfigInvalid(message, where=str(path), hint=_MOTION_FORMATS) from error
     except (ValueError, EOFError, RecursionError, zipfile.BadZipFile) as error:
-        raise ConfigInvalid(f"cannot be read: {error}", where=str(path), hint=_KINDS) from error
+        raise ConfigInvalid(
+            f"cannot be read: {error}", where=str(path), hint=_MOTION_FORMATS
+        ) from error
 
 
-def _framed(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
+def _with_frame_axis(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
     """Add the frame axis to a single pose, such as [joints, 3]."""
-    checked = numbers_of(array, where).astype(np.float64)
-    if checked.ndim not in (1, 2, 3):
+    numbers = numbers_of(array, where).astype(np.float64)
+    if numbers.ndim not in (1, 2, 3):
         message = f"has shape {list(array.shape)}, expected [joints, 3] or [frames, joints, 3]"
-        raise ConfigInvalid(message, where=where, hint=_KINDS)
-    is_single = checked.ndim == 1 or (checked.ndim == 2 and checked.shape[1] in (3, 4))
-    return checked[None] if is_single else checked
+        raise ConfigInvalid(message, where=where, hint=_MOTION_FORMATS)
+    is_single_pose = numbers.ndim == 1 or (numbers.ndim == 2 and numbers.shape[1] in (3, 4))
+    return numbers[None] if is_single_pose else numbers
 
 
-def _of_json(document: object, where: str) -> _Motion:
+def _motion_of_json(document: object, where: str) -> _Motion:
     if (
         isinstance(document, list)
         and document
         and all(isinstance(entry, dict) for entry in document)
     ):
-        return _joined(
+        return _join_frames(
             Path(where),
-            [_of_json(entry, f"{where}, frame {k}") for k, entry in enumerate(document)],
+            [_motion_of_json(entry, f"{where}, frame {k}") for k, entry in enumerate(document)],
         )
     if isinstance(document, dict) and "body_pose" in document:
-        return _of_lhm(document, where)
+        return _motion_of_lhm(document, where)
     if isinstance(document, dict):
-        return _of_arrays({name: np.asarray(values) for name, values in document.items()}, where)
-    return _Motion(_framed(np.asarray(document), where), {})
+        return _motion_of_arrays(
+            {name: np.asarray(values) for name, values in document.items()}, where
+        )
+    return _Motion(_with_frame_axis(np.asarray(document), where), {})
 
 
-def _of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
+def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
     parts = []
     for name, size in _PARTS.items():
         part = np.asarray(document.get(name, ()), np.float64).ravel()
@@ -213,14 +220,14 @@ def _of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
     return _Motion(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
 
 
-def _of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
+def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
     names = [name for name in ("poses", "pose") if name in arrays]
     if not names and len(arrays) == 1:
         names = list(arrays)
     if not names:
         message = f"has the arrays {', '.join(arrays) or '(none)'}, expected `poses` or `pose`"
-        raise ConfigInvalid(message, where=where, hint=_KINDS)
-    pose = _framed(arrays[names[0]], where)
+        raise ConfigInvalid(message, where=where, hint=_MOTION_FORMATS)
+    pose = _with_frame_axis(arrays[names[0]], where)
     extra_inputs = {}
     for name, role, size in (
         ("trans", "root_translation", 3),
@@ -234,5 +241,5 @@ def _of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
                 message = f"has shape {list(rows.shape)}, expected [{len(pose)}, {size}]: {size} numbers a frame"
                 raise ConfigInvalid(message, where=f"{where}, {name}")
             extra_inputs[role] = rows.reshape(len(pose), size)
-    fps = next((float(np.ravel(arrays[n])[0]) for n in _RATES if n in arrays), None)
+    fps = next((float(np.ravel(arrays[n])[0]) for n in _RATE_FIELDS if n in arrays), None)
     return _Motion(pose, extra_inputs, fps)

@@ -63,7 +63,7 @@ class PostProcessor:
             raise SceneInvalid(message, where=self.name)
         self._image = image[0].name
         self._shapes = {spec.name: spec for spec in _specs(facts)}
-        self._known = facts.sizes(self._sizes)
+        self._size_bindings = facts.sizes(self._sizes)
         self._axes = {
             axis: dim or f"{self._image}[{axis + 2}]"
             for axis, dim in enumerate(self._shapes[self._image].dims[2:])
@@ -90,7 +90,7 @@ class PostProcessor:
         """
         if self._opened is not None:
             return self._opened[1].inputs[name].shape
-        return self._shapes[name].shape(self._known)
+        return self._shapes[name].shape(self._size_bindings)
 
     def __call__(self, frame: Frame, values: Mapping[str, object] | None = None) -> Frame:
         """Run the model on a frame with colours, and return the frame with new colours.
@@ -111,13 +111,15 @@ class PostProcessor:
         session = self._session((height, width))
         session.update(values)
         binding = session.inputs[self._image]
-        pixels = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[..., : binding.shape[1]]
+        pixels = np.concatenate([_straight_srgb(frame, alpha), alpha], axis=-1)[
+            ..., : binding.shape[1]
+        ]
         low, high = self.manifest.image_range
         image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(binding.dtype)
         result = self._run(session, image)
         return replace(
             frame,
-            rgba=self._blended(result, alpha),
+            rgba=self._apply_alpha(result, alpha),
             color_space=self.manifest.outputs.image.color_space,
         )
 
@@ -135,7 +137,7 @@ class PostProcessor:
             return run_tiled(image, network, (height, width), overlap)
         return network(image)
 
-    def _blended(
+    def _apply_alpha(
         self, result: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
     ) -> Float32[np.ndarray, "h w 4"]:
         """Scale the model's output image to [0, 1], and multiply it by alpha."""
@@ -207,9 +209,11 @@ def _specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
         yield TensorSpec(value.name, np.dtype(np.float32), dims)
 
 
-def _srgb(frame: Frame, alpha: Float32[np.ndarray, "h w 1"]) -> Float32[np.ndarray, "h w 3"]:
+def _straight_srgb(
+    frame: Frame, alpha: Float32[np.ndarray, "h w 1"]
+) -> Float32[np.ndarray, "h w 3"]:
     """Return the colours of a frame in sRGB, in [0, 1], with straight alpha."""
     assert frame.rgba is not None
-    straight = frame.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
-    color = np.clip(straight, 0, 1)
+    straight_colors = frame.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
+    color = np.clip(straight_colors, 0, 1)
     return np.asarray(srgb_of_linear(color) if frame.color_space == "linear" else color)

@@ -34,8 +34,8 @@ def scene_viewpoint(
 
     Options are those of :func:`gsgen.runtime.playback.camera_options.viewpoint`.
     """
-    has_kind = orthographic or panorama or camera is not None
-    kind = None if has_kind else first_setting([file.kind for file in files])
+    has_camera_option = orthographic or panorama or camera is not None
+    kind = None if has_camera_option else first_setting([file.kind for file in files])
     cameras: list[str | Camera | None] = [camera, *(file.camera for file in files)]
     scene_camera = next((entry for entry in cameras if entry is not None), None)
     text = None if isinstance(scene_camera, Camera) else scene_camera

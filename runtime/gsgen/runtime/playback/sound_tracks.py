@@ -21,8 +21,8 @@ from gsgen.runtime.playback.input_tracks import Track
 SOUND_SUFFIX: Final = ".wav"
 """Suffix of files that hold the sound of a track."""
 
-_MOST_BYTES: Final = 1 << 30  # of the windows of all frames
-_CLOSEST_RATIO: Final = 1000  # largest denominator of the ratio of two sample rates
+_MAX_BYTES: Final = 1 << 30  # of the windows of all frames
+_MAX_DENOMINATOR: Final = 1000  # largest denominator of the ratio of two sample rates
 _PCM: Final = {1: "u1", 2: "<i2", 4: "<i4"}
 _ARRAYS: Final = "Compute the input yourself, and give an .npy of [frames, …]."
 
@@ -41,17 +41,17 @@ def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> 
     """
     where = f"--input {spec.name}={path}"
     if spec.role != "audio" or spec.convention == "mel" or len(shape) != 1 or spec.rate is None:
-        takes = "mel energies" if spec.role == "audio" else f"the role {spec.role}"
+        expected = "mel energies" if spec.role == "audio" else f"the role {spec.role}"
         raise ConfigInvalid(
-            f"a sound file cannot feed the input {spec.name!r}, which takes {takes}: "
+            f"a sound file cannot feed the input {spec.name!r}, which takes {expected}: "
             "expected an input of audio samples with a sampling rate",
             where=where,
             hint=_ARRAYS,
         )
     samples, rate = read_sound(path)
-    samples = _resampled(samples, rate, spec.rate)
+    samples = _resample(samples, rate, spec.rate)
     frames = max(1, int(np.ceil(len(samples) / spec.rate * fps)))
-    if 4 * frames * shape[0] > _MOST_BYTES:
+    if 4 * frames * shape[0] > _MAX_BYTES:
         raise ConfigInvalid(
             f"{frames:,} frames with {shape[0]:,} samples each take more than 1 GiB",
             where=where,
@@ -93,13 +93,13 @@ def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:
     return amplitudes.reshape(-1, channels).mean(axis=1).astype(np.float32), float(rate)
 
 
-def _resampled(
+def _resample(
     samples: Float32[np.ndarray, " n"], rate: float, target: float
 ) -> Float32[np.ndarray, " m"]:
     if rate == target:
         return samples
     from scipy.signal import resample_poly
 
-    ratio = Fraction(target / rate).limit_denominator(_CLOSEST_RATIO)
+    ratio = Fraction(target / rate).limit_denominator(_MAX_DENOMINATOR)
     resampled = resample_poly(samples, ratio.numerator, ratio.denominator)
     return np.asarray(np.clip(resampled, -1, 1), np.float32)

@@ -22,7 +22,7 @@ class AnimatedInputs(Protocol):
     def inputs(self) -> Sequence[Input]:
         """The model inputs that a caller may set."""
 
-    def named(self, word: str) -> list[Input]:
+    def named(self, input_name: str) -> list[Input]:
         """Return the model inputs with this tensor name, or else with this input role."""
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -41,7 +41,7 @@ class Timeline:
         self, models: Sequence[AnimatedInputs], tracks: Sequence[Track], time: float | None = None
     ) -> None:
         self._models, self._tracks, self._time = list(models), list(tracks), time
-        if time is not None and not any(_of_role(model, "time") for model in models):
+        if time is not None and not any(_inputs_of_role(model, "time") for model in models):
             raise ConfigInvalid(
                 f"the time is {time}, but no scene has a time input",
                 where="--time",
@@ -52,16 +52,18 @@ class Timeline:
     def _length(self, track: Track) -> int:
         """Return the number of frames of an input track, by the shapes of the track's inputs."""
         shapes = [
-            model.shape(spec.name) for model in self._models for spec in model.named(track.word)
+            model.shape(spec.name)
+            for model in self._models
+            for spec in model.named(track.input_name)
         ]
         if not shapes:
-            known = {
-                word
+            known_names = {
+                input_name
                 for model in self._models
                 for spec in model.inputs
-                for word in (spec.name, spec.role)
+                for input_name in (spec.name, spec.role)
             }
-            raise UnknownName.among("input", track.word, known, track.where)
+            raise UnknownName.among("input", track.input_name, known_names, track.where)
         return max(track.frames(shape) for shape in shapes)
 
     @property
@@ -72,9 +74,9 @@ class Timeline:
     @property
     def is_animated(self) -> bool:
         """Whether the value of any model input differs between the frames of a video."""
-        sweeps = any(track.sweep for track in self._tracks)
-        advances = any(self._advancing(model) for model in self._models)
-        return self.frames > 1 or sweeps or advances
+        has_sweep = any(track.sweep for track in self._tracks)
+        has_advancing_input = any(self._advancing_inputs(model) for model in self._models)
+        return self.frames > 1 or has_sweep or has_advancing_input
 
     def values(self, number: int, frames: int) -> list[Values]:
         """Return the input values of each model in frame ``number``, from 0, of ``frames``."""
@@ -83,34 +85,36 @@ class Timeline:
     def _values(self, model: AnimatedInputs, number: int, frames: int) -> Values:
         values: dict[str, object] = {}
         if frames > 1:
-            for spec, ends in self._advancing(model):
+            for spec, ends in self._advancing_inputs(model):
                 values[spec.name] = _moment(spec, ends, number, frames)
         if self._time is not None:
-            values |= {spec.name: self._time for spec in _of_role(model, "time")}
+            values |= {spec.name: self._time for spec in _inputs_of_role(model, "time")}
         for track in self._tracks:
-            for spec in model.named(track.word):
-                value = track.at(model.shape(spec.name), number, frames)
+            for spec in model.named(track.input_name):
+                value = track.value_at(model.shape(spec.name), number, frames)
                 is_counter = track.sweep and ROLES[spec.role].index
-                values[spec.name] = _rounded(value) if is_counter else value
+                values[spec.name] = _round_to_integers(value) if is_counter else value
         return values
 
-    def _advancing(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
+    def _advancing_inputs(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
         """Return a model's inputs of time or frame number, which advance where no value is given."""
-        fixed_names = {spec.name for track in self._tracks for spec in model.named(track.word)}
+        fixed_names = {
+            spec.name for track in self._tracks for spec in model.named(track.input_name)
+        }
         if self._time is not None:
-            fixed_names |= {spec.name for spec in _of_role(model, "time")}
+            fixed_names |= {spec.name for spec in _inputs_of_role(model, "time")}
         times, numbers = (
-            [spec for spec in _of_role(model, role) if spec.name not in fixed_names]
+            [spec for spec in _inputs_of_role(model, role) if spec.name not in fixed_names]
             for role in ("time", "frame_index")
         )
         return [(spec, spec.range) for spec in times or numbers if spec.range is not None]
 
 
-def _of_role(model: AnimatedInputs, role: str) -> list[Input]:
+def _inputs_of_role(model: AnimatedInputs, role: str) -> list[Input]:
     return [spec for spec in model.inputs if spec.role == role]
 
 
-def _rounded(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
+def _round_to_integers(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
     """Round interpolated values for an integer input, such as a frame number."""
     return np.asarray(np.rint(value), np.int64)
 

@@ -76,7 +76,7 @@ class Camera:
             )
         object.__setattr__(self, "view", view)
         for name in ("fx", "fy", "near", "dilation"):
-            _require_number(name, getattr(self, name), positive=True)
+            _require_number(name, getattr(self, name), must_be_positive=True)
         for name in ("cx", "cy"):
             _require_number(name, getattr(self, name))
         for name in ("width", "height"):
@@ -87,11 +87,11 @@ class Camera:
             )
         if self.kind == "panorama":
             _require_sphere(self)
-        turn = view[:3, :3]
+        rotation = view[:3, :3]
         with np.errstate(all="ignore"):  # numbers may be so large that they overflow
-            off = np.abs(turn @ turn.T - np.eye(3)).max()
-            rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
-        if not (rigid and np.array_equal(view[3], [0, 0, 0, 1])):
+            orthogonality_error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+            is_rotation = orthogonality_error <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0
+        if not (is_rotation and np.array_equal(view[3], [0, 0, 0, 1])):
             raise SceneInvalid(
                 f"is not a rigid transform: {view.tolist()}",
                 where="camera.view",
@@ -127,15 +127,15 @@ class Camera:
         if not 0 < fov_y < 180:
             raise SceneInvalid(f"is {fov_y} degrees, expected 0 to 180", where="camera.fov_y")
         _require_side("height", height)
-        position, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
-        if not np.linalg.norm(goal - position) > 0:
+        position, target_position = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+        if not np.linalg.norm(target_position - position) > 0:
             raise SceneInvalid(
-                f"looks from {position.tolist()} at {goal.tolist()}, expected two different points",
+                f"looks from {position.tolist()} at {target_position.tolist()}, expected two different points",
                 where="camera",
             )
-        upward = _direction("up", up)
+        up_vector = _direction("up", up)
         focal = height / 2 / math.tan(math.radians(fov_y) / 2)
-        view = geometry.look_at(position, goal, upward)
+        view = geometry.look_at(position, target_position, up_vector)
         return cls(
             view,
             fx=focal,
@@ -169,20 +169,24 @@ class Camera:
         Raises:
             SceneInvalid: A number is out of range.
         """
-        _require_number("radius", radius, positive=True)
+        _require_number("radius", radius, must_be_positive=True)
         axis = _direction("up", up)
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
-        turn, lift = math.radians(azimuth), math.radians(elevation)
-        level = math.cos(turn) * np.cross(side, axis) + math.sin(turn) * side
-        offset = math.cos(lift) * level + math.sin(lift) * axis
+        rotation, elevation_radians = math.radians(azimuth), math.radians(elevation)
+        level = math.cos(rotation) * np.cross(side, axis) + math.sin(rotation) * side
+        offset = math.cos(elevation_radians) * level + math.sin(elevation_radians) * axis
         middle = np.asarray(center, np.float64)
         # Straight above the centre, `up` is the viewing direction: the horizon's direction replaces it.
-        upward = axis if abs(lift) < math.pi / 2 - 1e-6 else -math.copysign(1, lift) * level
+        up_vector = (
+            axis
+            if abs(elevation_radians) < math.pi / 2 - 1e-6
+            else -math.copysign(1, elevation_radians) * level
+        )
         return cls.look_at(
             (middle + radius * offset).tolist(),
             middle.tolist(),
-            up=upward.tolist(),
+            up=up_vector.tolist(),
             width=width,
             height=height,
             fov_y=fov_y,
@@ -229,21 +233,21 @@ class Camera:
                     f"are {low} to {high} degrees, expected ascending angles at most {most} apart",
                     where=f"camera.{name}",
                 )
-        across = math.radians(longitudes[1] - longitudes[0])
-        down = math.radians(latitudes[1] - latitudes[0])
+        x_scale = math.radians(longitudes[1] - longitudes[0])
+        y_scale = math.radians(latitudes[1] - latitudes[0])
         _require_side("width", width)
-        tall = max(1, round(width * down / across)) if height is None else height
+        tall = max(1, round(width * y_scale / x_scale)) if height is None else height
         _require_side("height", tall)
-        fx, fy = width / across, tall / down
-        upward = _direction("up", up)
+        fx, fy = width / x_scale, tall / y_scale
+        up_vector = _direction("up", up)
         ahead = _direction("toward", toward)
-        ahead -= upward * (upward @ ahead)
+        ahead -= up_vector * (up_vector @ ahead)
         if not np.linalg.norm(ahead) > 1e-6:
             raise SceneInvalid(
                 f"is {list(toward)}, expected a direction that is not parallel to up, {list(up)}",
                 where="camera.toward",
             )
-        view = geometry.look_at(np.zeros(3), ahead, upward)
+        view = geometry.look_at(np.zeros(3), ahead, up_vector)
         view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
         cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
         return cls(
@@ -270,19 +274,21 @@ class Camera:
         Raises:
             SceneInvalid: A field is missing, unknown or invalid.
         """
-        known = _stored_fields()
+        known_names = _stored_fields()
         if not isinstance(document, Mapping):
             raise SceneInvalid(
-                f"is a {type(document).__name__}, expected an object with {', '.join(known)}",
+                f"is a {type(document).__name__}, expected an object with {', '.join(known_names)}",
                 where="camera",
             )
-        missing = [name for name in known if name not in document and name not in ("near", "kind")]
-        unknown = [name for name in document if name not in known]
-        if missing or unknown:
+        missing = [
+            name for name in known_names if name not in document and name not in ("near", "kind")
+        ]
+        unknown_names = [name for name in document if name not in known_names]
+        if missing or unknown_names:
             parts = [f"lacks {', '.join(missing)}"] if missing else []
-            parts += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
+            parts += [f"has unknown {', '.join(map(str, unknown_names))}"] if unknown_names else []
             raise SceneInvalid(
-                "; ".join(parts), where="camera", hint=f"Fields: {', '.join(known)}."
+                "; ".join(parts), where="camera", hint=f"Fields: {', '.join(known_names)}."
             )
         values: dict[str, Any] = dict(document)
         try:
@@ -332,7 +338,7 @@ class Camera:
         Raises:
             SceneInvalid: The distance is not positive, or the camera is a panorama.
         """
-        _require_number("distance", distance, positive=True)
+        _require_number("distance", distance, must_be_positive=True)
         if self.kind == "panorama":
             raise SceneInvalid(
                 "is panorama, expected pinhole or orthographic for an orthographic view",
@@ -357,22 +363,22 @@ class Camera:
 
     def scaled(self, width: int, height: int) -> "Camera":
         """Return the camera with the same field of view in an image of another size."""
-        across, down = width / self.width, height / self.height
+        x_scale, y_scale = width / self.width, height / self.height
         return replace(
             self,
-            fx=self.fx * across,
-            fy=self.fy * down,
-            cx=self.cx * across,
-            cy=self.cy * down,
+            fx=self.fx * x_scale,
+            fy=self.fy * y_scale,
+            cx=self.cx * x_scale,
+            cy=self.cy * y_scale,
             width=width,
             height=height,
         )
 
 
-def _require_number(name: str, value: object, *, positive: bool = False) -> None:
+def _require_number(name: str, value: object, *, must_be_positive: bool = False) -> None:
     good = isinstance(value, int | float) and math.isfinite(value)
-    if not good or (positive and not float(value) > 0):  # type: ignore[arg-type]
-        expected = "a positive number" if positive else "a finite number"
+    if not good or (must_be_positive and not float(value) > 0):  # type: ignore[arg-type]
+        expected = "a positive number" if must_be_positive else "a finite number"
         raise SceneInvalid(f"is {value!r}, expected {expected}", where=f"camera.{name}")
 
 

@@ -27,8 +27,8 @@ def color_of(text: str, where: str) -> tuple[float, float, float, float]:
         return _COLOR_NAMES[text.lower()]
     try:
         if text.startswith("#") and len(text) == 7:
-            hexed = bytes.fromhex(text[1:])
-            return hexed[0] / 255, hexed[1] / 255, hexed[2] / 255, 1.0
+            rgb_bytes = bytes.fromhex(text[1:])
+            return rgb_bytes[0] / 255, rgb_bytes[1] / 255, rgb_bytes[2] / 255, 1.0
         red, green, blue, *alphas = (float(channel) for channel in text.split(","))
         (alpha,) = alphas or (1.0,)
         if not all(0 <= channel <= 1 for channel in (red, green, blue, alpha)):

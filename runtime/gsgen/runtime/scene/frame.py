@@ -23,7 +23,7 @@ NOTHING: Final = -1
 """The id of pixels at which no Gaussian took half of the light."""
 
 
-_CONVERTED: Final = 256  # rows of an image at a time
+_ENCODED_ROWS: Final = 256  # rows of an image at a time
 
 
 @final
@@ -70,10 +70,10 @@ class Frame:
         rgba = self._colors()
         image = np.empty(rgba.shape, np.uint8)
         for first in range(
-            0, len(rgba), _CONVERTED
+            0, len(rgba), _ENCODED_ROWS
         ):  # large images would take five times the memory
-            rows = slice(first, first + _CONVERTED)
-            image[rows] = np.rint(self._encoded(rgba[rows]) * 255)
+            rows = slice(first, first + _ENCODED_ROWS)
+            image[rows] = np.rint(self._encode_srgb(rgba[rows]) * 255)
         return image
 
     @property
@@ -83,18 +83,18 @@ class Frame:
         Raises:
             ValueError: Colours were not requested.
         """
-        return self._encoded(self._colors())
+        return self._encode_srgb(self._colors())
 
     def _colors(self) -> Float32[np.ndarray, "h w 4"]:
         if self.rgba is None:
             raise ValueError("this frame has no colours: pass 'color' in the outputs of render()")
         return self.rgba
 
-    def _encoded(self, rgba: Float32[np.ndarray, "h w 4"]) -> Float[np.ndarray, "h w 4"]:
+    def _encode_srgb(self, rgba: Float32[np.ndarray, "h w 4"]) -> Float[np.ndarray, "h w 4"]:
         """Encode rows of colours as sRGB with straight alpha."""
         alpha = np.clip(rgba[..., 3:], 0, 1)
-        straight = rgba[..., :3] / np.where(alpha > 0, alpha, 1)
-        color = np.clip(straight, 0, 1)
+        straight_colors = rgba[..., :3] / np.where(alpha > 0, alpha, 1)
+        color = np.clip(straight_colors, 0, 1)
         if self.color_space == "linear":
             color = srgb_of_linear(color)
         return np.concatenate([color, alpha], axis=-1)
@@ -122,8 +122,10 @@ class Frame:
 
 def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """Encode linear light in [0, 1] as sRGB (IEC 61966-2-1)."""
-    curve = 1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
-    return np.asarray(np.where(color <= 0.0031308, 12.92 * color, curve))
+    power_curve = (
+        1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
+    )
+    return np.asarray(np.where(color <= 0.0031308, 12.92 * color, power_curve))
 
 
 def linear_of_srgb(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:

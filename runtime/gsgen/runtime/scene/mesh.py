@@ -16,7 +16,7 @@ Shading = Literal["unlit", "headlight"]
 
 SHADINGS: Final[tuple[Shading, ...]] = get_args(Shading)
 
-_GREY: Final = 0.7
+_DEFAULT_GREY: Final = 0.7
 _LARGEST: Final = 1e18  # its square is finite in float32
 
 
@@ -70,10 +70,12 @@ class MeshData:
         self.texture = None if texture is None else _texture(texture)
         self.uv = None if uv is None else _floats(uv, "uv", (2,), len(self.vertices))
         if (self.uv is None) != (self.texture is None):
-            absent = "uv" if self.uv is None else "texture"
-            raise SceneInvalid("is None, expected both uv and texture, or neither", where=absent)
+            missing_field = "uv" if self.uv is None else "texture"
+            raise SceneInvalid(
+                "is None, expected both uv and texture, or neither", where=missing_field
+            )
         if colors is None:
-            colors = np.full((len(self.vertices), 3), _GREY if texture is None else 1.0)
+            colors = np.full((len(self.vertices), 3), _DEFAULT_GREY if texture is None else 1.0)
         elif np.asarray(colors).dtype == np.uint8:
             colors = np.asarray(colors) / 255
         self.colors = _floats(colors, "colors", (3, 4), len(self.vertices))[:, :3]
@@ -124,9 +126,9 @@ class Mesh:
         return replace(self, transform=np.asarray(transform, np.float64) @ self.transform)
 
 
-def _require_one_of(value: str, known: tuple[str, ...], where: str) -> None:
-    if value not in known:
-        raise SceneInvalid(f"is {value!r}, expected {' or '.join(known)}", where=where)
+def _require_one_of(value: str, allowed_values: tuple[str, ...], where: str) -> None:
+    if value not in allowed_values:
+        raise SceneInvalid(f"is {value!r}, expected {' or '.join(allowed_values)}", where=where)
 
 
 def _floats(
@@ -134,19 +136,21 @@ def _floats(
 ) -> Float32[np.ndarray, "n c"]:
     """Convert rows of finite vertex attributes to float32 in C order."""
     converted = np.asarray(array)
-    fits = converted.ndim == 2 and converted.shape[1] in widths and converted.dtype.kind in "fiu"
-    if not fits or (rows is not None and len(converted) != rows):
+    is_valid = (
+        converted.ndim == 2 and converted.shape[1] in widths and converted.dtype.kind in "fiu"
+    )
+    if not is_valid or (rows is not None and len(converted) != rows):
         expected = " or ".join(map(str, widths))
         raise SceneInvalid(
             f"is {converted.dtype} {list(converted.shape)}, expected numbers "
             f"[{'N' if rows is None else rows}, {expected}]",
             where=where,
         )
-    wrong = ~(np.abs(converted) <= _LARGEST).all(axis=1)
-    if wrong.any():
-        row = int(wrong.argmax())
+    invalid_rows = ~(np.abs(converted) <= _LARGEST).all(axis=1)
+    if invalid_rows.any():
+        row = int(invalid_rows.argmax())
         raise SceneInvalid(
-            f"{wrong.sum():,} of {len(converted):,} rows are not finite or beyond {_LARGEST:g}; "
+            f"{invalid_rows.sum():,} of {len(converted):,} rows are not finite or beyond {_LARGEST:g}; "
             f"row {row} is {converted[row].tolist()}",
             where=where,
             hint="Remove these vertices and the faces that use them.",
@@ -160,9 +164,9 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
         raise SceneInvalid(
             f"is {converted.dtype} {list(converted.shape)}, expected integers [F, 3]", where="faces"
         )
-    wrong = ~((converted >= 0) & (converted < vertices)).all(axis=1)
-    if wrong.any():
-        row = int(wrong.argmax())
+    invalid_rows = ~((converted >= 0) & (converted < vertices)).all(axis=1)
+    if invalid_rows.any():
+        row = int(invalid_rows.argmax())
         raise SceneInvalid(
             f"row {row} is {converted[row].tolist()}, expected indices of {vertices:,} vertices",
             where="faces",
@@ -172,8 +176,8 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
 
 def _texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
     converted = np.asarray(array)
-    fits = converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
-    if not fits or 0 in converted.shape:
+    is_valid = converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
+    if not is_valid or 0 in converted.shape:
         raise SceneInvalid(
             f"is {converted.dtype} {list(converted.shape)}, expected uint8 [height, width, 3 or 4]",
             where="texture",

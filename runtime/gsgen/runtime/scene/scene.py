@@ -139,10 +139,11 @@ class Scene:
         splat_sets = tuple(map(_as_set, sets))
         object.__setattr__(self, "sets", splat_sets)
         object.__setattr__(self, "color_space", color_space or _common_space(splat_sets))
-        stood = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
-        object.__setattr__(self, "meshes", stood)
+        placed_meshes = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
+        object.__setattr__(self, "meshes", placed_meshes)
         pooled_sets = tuple(
-            pooled if isinstance(pooled, PooledSet) else PooledSet(pooled) for pooled in pools
+            pooled_set if isinstance(pooled_set, PooledSet) else PooledSet(pooled_set)
+            for pooled_set in pools
         )
         object.__setattr__(self, "pools", pooled_sets)
 
@@ -167,15 +168,15 @@ class Scene:
             if 0 <= remaining < len(splat_set.data):
                 return number, remaining
             remaining -= len(splat_set.data)
-        for number, pooled in enumerate(self.pools, start=len(self.sets)):
-            if 0 <= remaining < len(pooled.pool):
+        for number, pooled_set in enumerate(self.pools, start=len(self.sets)):
+            if 0 <= remaining < len(pooled_set.pool):
                 return number, remaining
-            remaining -= len(pooled.pool)
+            remaining -= len(pooled_set.pool)
         raise IndexError(f"Gaussian {index} is not in the scene: expected 0 to {len(self) - 1}")
 
     def __len__(self) -> int:
         own = sum(len(splat_set.data) for splat_set in self.sets)
-        return own + sum(len(pooled.pool) for pooled in self.pools)
+        return own + sum(len(pooled_set.pool) for pooled_set in self.pools)
 
 
 def _as_set(entry: SplatSet | SplatData) -> SplatSet:
@@ -191,11 +192,11 @@ def _as_set(entry: SplatSet | SplatData) -> SplatSet:
 
 
 def _common_space(sets: Iterable[SplatSet]) -> Literal["srgb", "linear"]:
-    spaces = {splat_set.data.color_space for splat_set in sets}
-    if len(spaces) > 1:
+    color_spaces = {splat_set.data.color_space for splat_set in sets}
+    if len(color_spaces) > 1:
         raise SceneInvalid(
             "one set has linear colours, another sRGB: they cannot be blended",
             where="sets",
             hint="Draw them as two scenes, or pass color_space.",
         )
-    return spaces.pop() if spaces else "srgb"
+    return color_spaces.pop() if color_spaces else "srgb"

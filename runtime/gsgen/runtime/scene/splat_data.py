@@ -52,9 +52,9 @@ class SplatData:
         self.color_space: Literal["srgb", "linear"] = color_space
         self.space: Literal["sh", "rgb"] = space
         self.rows_version = self.appearance_version = self.cells_version = 0
-        self.rows, self.appearance, self.count = _checked(rows, appearance, space, count)
+        self.rows, self.appearance, self.count = _validate_rows(rows, appearance, space, count)
         self.per_cell = per_cell
-        self.cells = None if cells is None else _checked_cells(cells, per_cell, len(rows))
+        self.cells = None if cells is None else _validate_cells(cells, per_cell, len(rows))
 
     @classmethod
     def from_splats(cls, splats: Splats) -> "SplatData":
@@ -89,8 +89,8 @@ class SplatData:
             packed: The rows.
             space: Kind of the appearance; if None, three or four channels mean RGB.
         """
-        three = packed.appearance.shape[1] in (3, 4)
-        return cls(packed.gaussians, packed.appearance, space or ("rgb" if three else "sh"))
+        is_rgb = packed.appearance.shape[1] in (3, 4)
+        return cls(packed.gaussians, packed.appearance, space or ("rgb" if is_rgb else "sh"))
 
     @classmethod
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
@@ -123,19 +123,19 @@ class SplatData:
         Raises:
             SceneInvalid: A shape or a dtype changed.
         """
-        arrays = _checked(
+        arrays = _validate_rows(
             self.rows if rows is None else rows,
             self.appearance if appearance is None else appearance,
             self.space,
             count,
         )
-        for name, new, old in (
+        for name, new_array, old_array in (
             ("rows", arrays[0], self.rows),
             ("appearance", arrays[1], self.appearance),
         ):
-            if new.shape != old.shape or new.dtype != old.dtype:
+            if new_array.shape != old_array.shape or new_array.dtype != old_array.dtype:
                 raise SceneInvalid(
-                    f"is {new.dtype} {list(new.shape)}, expected {old.dtype} {list(old.shape)}, "
+                    f"is {new_array.dtype} {list(new_array.shape)}, expected {old_array.dtype} {list(old_array.shape)}, "
                     "as before",
                     where=name,
                 )
@@ -147,12 +147,14 @@ class SplatData:
         self.appearance_version += appearance is not None
 
     def _next_cells(self, cells: np.ndarray) -> np.ndarray:
-        checked = _checked_cells(cells, self.per_cell, len(self.rows))
-        if self.cells is None or checked.dtype != self.cells.dtype:
+        valid_cells = _validate_cells(cells, self.per_cell, len(self.rows))
+        if self.cells is None or valid_cells.dtype != self.cells.dtype:
             before = "no cells" if self.cells is None else str(self.cells.dtype)
-            message = f"the new cells are {checked.dtype}, expected {before} as in the frame before"
+            message = (
+                f"the new cells are {valid_cells.dtype}, expected {before} as in the frame before"
+            )
             raise SceneInvalid(message, where="cells")
-        return checked
+        return valid_cells
 
     @property
     def degree(self) -> int | None:
@@ -180,7 +182,7 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     return np.asarray(np.sqrt(np.square(distances[:, 1:]).mean(axis=1)))
 
 
-def _checked(
+def _validate_rows(
     rows: np.ndarray, appearance: np.ndarray, space: Literal["sh", "rgb"], count: int | None
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return validated packed Gaussians and colours in C order, and the number of Gaussians."""
@@ -190,23 +192,23 @@ def _checked(
             f"is {rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW}]",
             where="rows",
         )
-    fits = appearance.ndim == 2 and appearance.shape[1] in allowed
-    if not fits or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
+    is_valid = appearance.ndim == 2 and appearance.shape[1] in allowed
+    if not is_valid or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
         raise SceneInvalid(
             f"is {appearance.dtype} {list(appearance.shape)}, expected float16 or float32 "
             f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
             where="appearance",
         )
-    live = len(rows) if count is None else int(count)
-    if not 0 <= live <= len(rows):
-        raise SceneInvalid(f"is {live}, expected 0 to {len(rows)}", where="count")
-    return np.ascontiguousarray(rows), np.ascontiguousarray(appearance), live
+    live_count = len(rows) if count is None else int(count)
+    if not 0 <= live_count <= len(rows):
+        raise SceneInvalid(f"is {live_count}, expected 0 to {len(rows)}", where="count")
+    return np.ascontiguousarray(rows), np.ascontiguousarray(appearance), live_count
 
 
-def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
+def _validate_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
     """Validate the rows of cells (groups of Gaussians), and return them in C order."""
-    fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
-    if per_cell < 1 or not fits or len(cells) * per_cell != rows:
+    is_valid = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
+    if per_cell < 1 or not is_valid or len(cells) * per_cell != rows:
         raise SceneInvalid(
             f"is {cells.dtype} {list(cells.shape)} with {per_cell} rows a cell, expected float16 "
             f"or float32 [C, {layout.ROW}] with C × {per_cell} = {rows} rows",

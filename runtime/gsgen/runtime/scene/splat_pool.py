@@ -23,7 +23,7 @@ from gsgen.runtime.scene.transforms import identity, require_affine
 SLOT_ROWS: Final = 4096
 """Rows of a tile slot: few, so that half a slot is a small waste and slots can be culled."""
 
-_VECTOR: Final = 16  # bytes: shaders read colours in whole vectors
+_VECTOR_BYTES: Final = 16  # bytes: shaders read colours in whole vectors
 
 REACH: Final = 3.5
 """More standard deviations than a splat is drawn in: √(2 ln 255) = 3.33."""
@@ -31,7 +31,7 @@ REACH: Final = 3.5
 
 def pool_row_bytes(channels: int) -> int:
     """Return the most bytes that a Gaussian of a splat pool takes on the GPU."""
-    return 4 * layout.ROW + -(-4 * channels // _VECTOR) * _VECTOR
+    return 4 * layout.ROW + -(-4 * channels // _VECTOR_BYTES) * _VECTOR_BYTES
 
 
 @final
@@ -132,14 +132,14 @@ class SplatPool:
         if tile in self._slots_of:
             raise SceneInvalid("the tile is in the splat pool already", where=f"tile {tile}")
         self._require_shapes(tile, rows, appearance)
-        needed = -(-max(len(rows), reserved_rows) // self.slot_rows)
-        if needed > len(self._free):
+        needed_slots = -(-max(len(rows), reserved_rows) // self.slot_rows)
+        if needed_slots > len(self._free):
             raise CapacityExceeded(
-                f"the tile needs {needed} slots, but only {len(self._free)} of {self.slots} are free",
+                f"the tile needs {needed_slots} slots, but only {len(self._free)} of {self.slots} are free",
                 where=f"tile {tile}",
                 hint="Evict tiles first, or make the pool larger.",
             )
-        slots = [heapq.heappop(self._free) for _ in range(needed)]
+        slots = [heapq.heappop(self._free) for _ in range(needed_slots)]
         self._slots_of[tile] = slots
         self._write(slots, rows, appearance, origin)
 
@@ -255,14 +255,17 @@ class SplatPool:
     ) -> None:
         """Record a tile's slots (row ranges) in the splat pool, and queue its upload to the GPU."""
         reach = REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
-        lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
+        box_lows, box_highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):
             part = slice(index * self.slot_rows, (index + 1) * self.slot_rows)
             self.live[slot] = len(rows[part])
             self.origin[slot] = origin
             if not self.live[slot]:  # a reserved slot without rows
                 continue
-            self.low[slot], self.high[slot] = lows[part].min(axis=0), highs[part].max(axis=0)
+            self.low[slot], self.high[slot] = (
+                box_lows[part].min(axis=0),
+                box_highs[part].max(axis=0),
+            )
             first = slot * self.slot_rows
             self._writes.append(SlotWrite(first, rows[part], appearance[part]))
 

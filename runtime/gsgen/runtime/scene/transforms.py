@@ -10,7 +10,7 @@ from jaxtyping import Float
 from gsgen.runtime.errors import SceneInvalid
 
 # The inverse of a worse matrix would lose more digits than float32 has.
-_WORST_CONDITION: Final = 1e6
+_MAX_CONDITION_NUMBER: Final = 1e6
 
 
 def identity() -> Float[np.ndarray, "4 4"]:
@@ -37,7 +37,7 @@ def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -
             f"the matrix has the last row {matrix[3].tolist()}, expected 0 0 0 1", where=where
         )
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
-    if not sizes[2] * _WORST_CONDITION > sizes[0]:
+    if not sizes[2] * _MAX_CONDITION_NUMBER > sizes[0]:
         raise SceneInvalid(
             f"the matrix is singular: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
             where=where,

@@ -90,7 +90,7 @@ class GeneratorWorker:
             spec.name for spec in self.manifest.inputs if not self.manifest.depends(spec)
         )
         self._held_frames = 0
-        self._forget()
+        self._discard_copies()
 
     def start(self, camera: "Camera | None", values: Mapping[str, object]) -> "Future[FrameDelta]":
         """Begin to compute a frame of the ONNX generator, after the pending ones.
@@ -121,7 +121,7 @@ class GeneratorWorker:
         self._worker.shutdown()
         self.session.close()
 
-    def _forget(self) -> None:
+    def _discard_copies(self) -> None:
         """Discard the copied outputs, so that all outputs of the next frame count as changed."""
         self._buffers = tuple(_OutputBuffer() for _ in self._names)
         self._count = -1
@@ -134,16 +134,18 @@ class GeneratorWorker:
                 return FrameDelta(count=self._count)
             frame = self.session.run()
             self._count = frame.count
-            live = (self._count, self._count, None)  # cells have no count of their own
+            live_count = (self._count, self._count, None)  # cells have no count of their own
             constant = self.session.constant_outputs
             rows, appearance, *cells = (
                 buffer.take(
                     frame[name], live_rows, is_constant=name in constant, retained=self._held_frames
                 )
-                for buffer, name, live_rows in zip(self._buffers, self._names, live, strict=False)
+                for buffer, name, live_rows in zip(
+                    self._buffers, self._names, live_count, strict=False
+                )
             )
         except BaseException:
-            self._forget()
+            self._discard_copies()
             raise
         return FrameDelta(
             rows=rows,
@@ -162,10 +164,14 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
         if manifest and manifest.kind == "post-process":
             hint = "Run post-process models on the drawn frames with `--post`."
         raise SceneInvalid(f"{kind}, expected a gaussian-generator", where=str(path), hint=hint)
-    unknown = [name for name in manifest.extensions_required if name not in REGISTERED_EXTENSIONS]
-    if unknown:
+    unknown_extensions = [
+        name for name in manifest.extensions_required if name not in REGISTERED_EXTENSIONS
+    ]
+    if unknown_extensions:
         hint = "Ask the author of the model for a copy without them."
-        message = f"requires extensions that this runtime does not know: {', '.join(unknown)}"
+        message = (
+            f"requires extensions that this runtime does not know: {', '.join(unknown_extensions)}"
+        )
         raise SceneInvalid(message, where=str(path), hint=hint)
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
         raise SceneInvalid(
@@ -180,9 +186,9 @@ class _OutputBuffer:
     """Copies of a model output: one is drawn while the next frame fills another."""
 
     def __init__(self) -> None:
-        self._shown: np.ndarray | None = None
-        self._older: deque[np.ndarray] = deque()  # copies before the shown one, oldest first
-        self._live = 0
+        self._current_copy: np.ndarray | None = None
+        self._older_copies: deque[np.ndarray] = deque()  # copies before the shown one, oldest first
+        self._live_rows = 0
 
     def take(
         self,
@@ -197,23 +203,23 @@ class _OutputBuffer:
         The copy stays valid until the call after the next, and for ``retained`` further calls. A
         constant output is not compared.
         """
-        old, live = self._shown, len(array) if live_rows is None else live_rows
+        old_array, live_count = self._current_copy, len(array) if live_rows is None else live_rows
         if (
-            old is not None
-            and live <= self._live
-            and (is_constant or _same(old[:live], array[:live]))
+            old_array is not None
+            and live_count <= self._live_rows
+            and (is_constant or _are_bits_equal(old_array[:live_count], array[:live_count]))
         ):
             return None
-        is_free = len(self._older) > retained
-        new = self._older.popleft() if is_free else np.zeros_like(array)
-        new[:live] = array[:live]
-        if old is not None:
-            self._older.append(old)
-        self._shown, self._live = new, live
-        return new
+        is_free = len(self._older_copies) > retained
+        new_array = self._older_copies.popleft() if is_free else np.zeros_like(array)
+        new_array[:live_count] = array[:live_count]
+        if old_array is not None:
+            self._older_copies.append(old_array)
+        self._current_copy, self._live_rows = new_array, live_count
+        return new_array
 
 
-def _same(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) -> bool:
+def _are_bits_equal(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) -> bool:
     """Return whether two arrays have the same bits, stopping at the first difference."""
     bits = np.dtype(f"u{a.itemsize}")
     a_bits, b_bits = (np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b))

@@ -28,11 +28,11 @@ SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 """Suffixes of files that may hold meshes."""
 
 # glTF is x left, y up, z forward; worlds here, and PLY files, are x right, y down.
-_FROM_GLTF: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
+_SCENE_FROM_GLTF: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SPLAT_EXTENSION: Final = b"KHR_gaussian_splatting"
 _COMPRESSIONS: Final = (*COMPRESSIONS, "KHR_texture_basisu")
 _HEADER: Final = 1 << 20  # bytes of a PLY file that are searched for the end of its header
-_STL: Final = struct.Struct("<80xI")
+_STL_HEADER: Final = struct.Struct("<80xI")
 _STL_FACE: Final = 50
 _GLB: Final = struct.Struct("<4sIII4s")
 _WHITE: Final = np.ones(3)
@@ -50,15 +50,15 @@ def is_mesh(path: Path) -> bool:
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
-            head = file.read(_HEADER)
+            header = file.read(_HEADER)
     except OSError:
         return False
     suffix = path.suffix.lower()
-    if head.startswith((b"ply\n", b"ply\r\n")):
-        return _faces_in_ply(head) > 0 and not _splats_in_ply(head)
-    if head.startswith(b"glTF") or suffix == ".gltf":
+    if header.startswith((b"ply\n", b"ply\r\n")):
+        return _faces_in_ply(header) > 0 and not _splats_in_ply(header)
+    if header.startswith(b"glTF") or suffix == ".gltf":
         return _SPLAT_EXTENSION not in _json_of(path)
-    return suffix in (".obj", ".stl") or _is_binary_stl(head, size)
+    return suffix in (".obj", ".stl") or _is_binary_stl(header, size)
 
 
 def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
@@ -91,7 +91,7 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
         raise SceneUnreadable(message, where=str(file), hint=error.hint) from error
     except Exception as error:  # a malformed file can raise any error in trimesh
         raise SceneUnreadable(
-            f"cannot be read as {kind.upper()}: {type(error).__name__}: {_shortened(error)}",
+            f"cannot be read as {kind.upper()}: {type(error).__name__}: {_shorten(error)}",
             where=str(file),
             hint="Copy or export the file again.",
         ) from error
@@ -102,15 +102,15 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
     return meshes
 
 
-def _is_binary_stl(head: bytes, size: int | None = None) -> bool:
+def _is_binary_stl(header: bytes, size: int | None = None) -> bool:
     """Return whether the length of an STL file agrees with the triangle count in its header."""
-    if len(head) < _STL.size:
+    if len(header) < _STL_HEADER.size:
         return False
-    count = int(_STL.unpack_from(head)[0])
-    return count > 0 and _STL.size + _STL_FACE * count == (size or len(head))
+    count = int(_STL_HEADER.unpack_from(header)[0])
+    return count > 0 and _STL_HEADER.size + _STL_FACE * count == (size or len(header))
 
 
-def _shortened(error: Exception) -> str:
+def _shorten(error: Exception) -> str:
     text = " ".join(str(error).split())
     return text if len(text) <= 120 else text[:119] + "…"
 
@@ -129,14 +129,14 @@ def _kind(path: Path) -> str:
     """Return the format of a mesh file, from its first bytes or else its name."""
     try:
         with path.open("rb") as file:
-            head = file.read(4)
+            header = file.read(4)
     except OSError as error:
         raise SceneUnreadable(f"cannot be opened: {error}", where=str(path)) from error
-    magics = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
-    kind = magics.get(head, path.suffix.lower().removeprefix("."))
-    if f".{kind}" not in SUFFIXES or (kind in ("glb", "ply") and head not in magics):
+    kind_by_magic = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
+    kind = kind_by_magic.get(header, path.suffix.lower().removeprefix("."))
+    if f".{kind}" not in SUFFIXES or (kind in ("glb", "ply") and header not in kind_by_magic):
         raise SceneUnreadable(
-            f"begins with the bytes {head.hex(' ') or '(none)'}, expected a mesh",
+            f"begins with the bytes {header.hex(' ') or '(none)'}, expected a mesh",
             where=str(path),
             hint="Known: GLB, glTF, OBJ, PLY and STL.",
         )
@@ -167,18 +167,18 @@ def _meshes(
     scene: "trimesh.Scene", path: Path, *, is_gltf: bool, has_no_materials: bool
 ) -> Iterator[Mesh]:
     """Yield a mesh for each node of a scene; nodes of one geometry share the data."""
-    by_geometry: dict[object, tuple[MeshData, bool]] = {}
+    mesh_by_geometry: dict[object, tuple[MeshData, bool]] = {}
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         geometry = scene.geometry[name]
         if not hasattr(geometry, "faces") or not len(geometry.faces):
             continue  # points and lines
-        if name not in by_geometry:
-            by_geometry[name] = _mesh_data(
+        if name not in mesh_by_geometry:
+            mesh_by_geometry[name] = _mesh_data(
                 geometry, is_gltf=is_gltf, has_no_materials=has_no_materials
             )
-        data, is_colored = by_geometry[name]
-        transform = (_FROM_GLTF if is_gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
+        data, is_colored = mesh_by_geometry[name]
+        transform = (_SCENE_FROM_GLTF if is_gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
         try:
             yield Mesh(data, transform, "unlit" if is_colored else "headlight")
         except SceneInvalid as error:
@@ -192,7 +192,7 @@ class _Surface:
     """The colours and the texture of a mesh, in the colour space of the file."""
 
     colors: Float[np.ndarray, "v 3"] | None
-    factor: Float[np.ndarray, "3"]
+    color_factor: Float[np.ndarray, "3"]
     uv: Float[np.ndarray, "v 2"] | None = None
     texture: UInt8[np.ndarray, "h w 4"] | None = None
 
@@ -216,13 +216,15 @@ def _mesh_data(
     else:
         surface = _surface(geometry, has_no_materials=has_no_materials)
     is_colored = (
-        surface.colors is not None or surface.texture is not None or surface.factor is not _WHITE
+        surface.colors is not None
+        or surface.texture is not None
+        or surface.color_factor is not _WHITE
     )
     space: Literal["srgb", "linear"] = "srgb"
     colors = surface.colors
     if is_colored:
         vertex_colors = np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
-        colors = vertex_colors * surface.factor
+        colors = vertex_colors * surface.color_factor
         if is_gltf and surface.texture is None:
             space = "linear"
         elif is_gltf:
@@ -248,14 +250,14 @@ def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface
     rgba = getattr(material, "baseColorFactor", None)
     if rgba is None:
         rgba = getattr(material, "diffuse", None)
-    factor = _WHITE if rgba is None else np.asarray(rgba)[:3] / 255.0
+    color_factor = _WHITE if rgba is None else np.asarray(rgba)[:3] / 255.0
     image = getattr(material, "baseColorTexture", None)
     image = getattr(material, "image", None) if image is None else image
     uv = getattr(visual, "uv", None)
     if image is None or uv is None:
-        return _Surface(colors, factor)
+        return _Surface(colors, color_factor)
     texture = np.asarray(image.convert("RGBA"))
-    return _Surface(colors, factor, np.asarray(uv, np.float64), texture)
+    return _Surface(colors, color_factor, np.asarray(uv, np.float64), texture)
 
 
 def _has_materials(path: Path) -> bool:
@@ -263,42 +265,42 @@ def _has_materials(path: Path) -> bool:
     with path.open("rb") as file:
         libraries = [line.split(None, 1) for line in file if line.startswith(b"mtllib")]
     names = [words[1].strip().decode("utf-8", "replace") for words in libraries if len(words) > 1]
-    absent = [name for name in names if not (path.parent / name).is_file()]
-    if absent:
-        note = f"{path}: {', '.join(absent)} is missing in its folder; the mesh is drawn without materials"
+    missing_files = [name for name in names if not (path.parent / name).is_file()]
+    if missing_files:
+        note = f"{path}: {', '.join(missing_files)} is missing in its folder; the mesh is drawn without materials"
         warnings.warn(note, UserWarning, stacklevel=2)
-    return bool(names) and not absent
+    return bool(names) and not missing_files
 
 
 def _json_of(path: Path) -> bytes:
     """Return the JSON text of a GLB or a glTF file."""
     with path.open("rb") as file:
-        head = file.read(_GLB.size)
-        if not head.startswith(b"glTF"):
-            return head + file.read()
-        if len(head) < _GLB.size:
+        header = file.read(_GLB.size)
+        if not header.startswith(b"glTF"):
+            return header + file.read()
+        if len(header) < _GLB.size:
             return b""
-        return file.read(_GLB.unpack(head)[3])
+        return file.read(_GLB.unpack(header)[3])
 
 
-def _lines_of_ply(head: bytes) -> list[list[bytes]]:
-    return [line.split() for line in head.partition(b"end_header")[0].splitlines()]
+def _lines_of_ply(header: bytes) -> list[list[bytes]]:
+    return [line.split() for line in header.partition(b"end_header")[0].splitlines()]
 
 
-def _counts_of_ply(head: bytes) -> dict[bytes, int]:
+def _counts_of_ply(header: bytes) -> dict[bytes, int]:
     return {
         words[1]: int(words[2])
-        for words in _lines_of_ply(head)
+        for words in _lines_of_ply(header)
         if len(words) == 3 and words[0] == b"element" and words[2].isdigit()
     }
 
 
-def _faces_in_ply(head: bytes) -> int:
-    return _counts_of_ply(head).get(b"face", 0)
+def _faces_in_ply(header: bytes) -> int:
+    return _counts_of_ply(header).get(b"face", 0)
 
 
-def _splats_in_ply(head: bytes) -> bool:
-    names = {words[-1] for words in _lines_of_ply(head) if words[:1] == [b"property"]}
+def _splats_in_ply(header: bytes) -> bool:
+    names = {words[-1] for words in _lines_of_ply(header) if words[:1] == [b"property"]}
     return bool(names & {b"f_dc_0", b"scale_0", b"rot_0", b"packed_position"})
 
 
@@ -312,9 +314,11 @@ def _require_plausible_sizes(path: Path, kind: str) -> None:
             _require_count(count, size, f"element {name.decode('ascii', 'replace')}")
     elif kind == "stl":
         with path.open("rb") as file:
-            head = file.read(_STL.size)
-        if len(head) == _STL.size and not head.lstrip().startswith(b"solid"):
-            _require_count(_STL.unpack(head)[0], (size - _STL.size) // _STL_FACE, "triangles")
+            header = file.read(_STL_HEADER.size)
+        if len(header) == _STL_HEADER.size and not header.lstrip().startswith(b"solid"):
+            _require_count(
+                _STL_HEADER.unpack(header)[0], (size - _STL_HEADER.size) // _STL_FACE, "triangles"
+            )
     elif kind in ("glb", "gltf"):
         _require_plausible_gltf(path, size)
 
@@ -344,7 +348,7 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
 def _require_textures(document: _GltfObject, scene: "trimesh.Scene") -> None:
     """Raise if textures of a glTF file were not read: trimesh skips them silently."""
     materials = document.get("materials", [])
-    declared = sum(
+    declared_count = sum(
         "baseColorTexture" in materials[part["material"]].get("pbrMetallicRoughness", {})
         for mesh in document.get("meshes", [])
         for part in mesh["primitives"]
@@ -353,12 +357,12 @@ def _require_textures(document: _GltfObject, scene: "trimesh.Scene") -> None:
     loaded_materials = [
         getattr(geometry.visual, "material", None) for geometry in scene.geometry.values()
     ]
-    loaded = sum(
+    loaded_count = sum(
         getattr(material, "baseColorTexture", None) is not None for material in loaded_materials
     )
-    if loaded < declared:
+    if loaded_count < declared_count:
         raise SceneInvalid(
-            f"cannot be read for {declared - loaded} of {declared} parts",
+            f"cannot be read for {declared_count - loaded_count} of {declared_count} parts",
             where="textures",
             hint="Textures must be PNG, JPEG or WebP, inside the file or in its folder.",
         )

@@ -61,20 +61,20 @@ class PlacedSource(Source):
     ) -> None:
         self._inner, self._settings = inner, settings or DrawSettings()
         self._transform = np.array(transform, np.float64)
-        self._fixed = _by_name(inner, values or {}, where)
+        self._fixed_values = _by_name(inner, values or {}, where)
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
         self.antialias = self._settings.antialias or inner.antialias
         self.weighted = None if self._settings.sorted else inner.weighted
-        self.inputs = tuple(spec for spec in inner.inputs if spec.name not in self._fixed)
+        self.inputs = tuple(spec for spec in inner.inputs if spec.name not in self._fixed_values)
         self.splats(None, None)  # invalid settings raise here
         self.meshes = tuple(mesh.placed(self._transform) for mesh in inner.meshes)
-        self.pools = tuple(self._placed(pooled) for pooled in inner.pools)
+        self.pools = tuple(self._place_pool(pooled_set) for pooled_set in inner.pools)
         up = _rotation(self._transform) @ np.array(inner.up)
         self.up = (float(up[0]), float(up[1]), float(up[2]))
-        if self._fixed:
+        if self._fixed_values:
             self.update(None, {})
 
-    def _placed(self, pooled: PooledSet) -> PooledSet:
+    def _place_pool(self, pooled_set: PooledSet) -> PooledSet:
         """Return a splat pool (streamed tiles) with this source's transform and drawing settings.
 
         Raises:
@@ -83,8 +83,8 @@ class PlacedSource(Source):
         if self._settings.clip is not None:
             raise SceneInvalid("a tileset cannot be clipped", where="clip")
         return replace(
-            pooled,
-            transform=self._transform @ pooled.transform,
+            pooled_set,
+            transform=self._transform @ pooled_set.transform,
             opacity_scale=self._settings.opacity_scale,
             degree=self._settings.sh_degree,
             antialias=self.antialias,
@@ -133,7 +133,7 @@ class PlacedSource(Source):
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Begin to compute a frame; the camera is converted to the local space of the Gaussians."""
         local = None if camera is None else local_camera(camera, self._transform)
-        self._inner.start(local, {**values, **self._fixed}, frame)
+        self._inner.start(local, {**values, **self._fixed_values}, frame)
 
     @property
     def ready(self) -> bool:
@@ -155,7 +155,7 @@ class PlacedSource(Source):
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
         """Compute some frames, and set the scene extent to a box around all their Gaussians."""
-        self._inner.survey((frame, {**values, **self._fixed}) for frame, values in frames)
+        self._inner.survey((frame, {**values, **self._fixed_values}) for frame, values in frames)
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -175,12 +175,12 @@ class PlacedSource(Source):
 
 def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
     """Convert names and input roles of model inputs to tensor names, the keys of input values."""
-    known = {word for spec in source.inputs for word in (spec.name, spec.role)}
+    known_names = {input_name for spec in source.inputs for input_name in (spec.name, spec.role)}
     by_name: dict[str, object] = {}
-    for word, value in values.items():
-        matches = source.named(word)
+    for input_name, value in values.items():
+        matches = source.named(input_name)
         if not matches:
-            raise UnknownName.among("input", word, known, where)
+            raise UnknownName.among("input", input_name, known_names, where)
         by_name |= {spec.name: value for spec in matches}
     return by_name
 

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from gsgen.contract.errors import UnknownName
 from gsgen.runtime.errors import SceneInvalid
 
-_MAX = 1e12
-Word = TypeVar("Word", bound=str)
+_MAX_NUMBER = 1e12
+ChoiceText = TypeVar("ChoiceText", bound=str)
 Alternative = TypeVar("Alternative", list[object], dict[str, object])
 
 
@@ -42,52 +42,54 @@ class Fields:
         """Raise SceneInvalid with the location of a scene file's field."""
         refuse(message, self.location(name))
 
-    def has(self, name: str) -> bool:
+    def has_field(self, name: str) -> bool:
         """Return whether a field of a scene file exists and is not null."""
-        return self.peek(name) is not None
+        return self.unchecked_value(name) is not None
 
-    def peek(self, name: str) -> object:
+    def unchecked_value(self, name: str) -> object:
         """Read a field of a scene file without a check; None if the field is absent."""
         self._known.append(name)
         return self._document.get(name)
 
     def text(self, name: str) -> str | None:
         """Read a text field of a scene file; None if the field is absent."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is not None and not isinstance(value, str):
             self._mismatch(name, "text")
         return value
 
     def text_or(self, name: str, kind: type[Alternative], title: str) -> str | Alternative | None:
         """Read a field of a scene file that is a text or of another given type."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is not None and not isinstance(value, str | kind):
             self._mismatch(name, f"text or {title}")
         return value
 
-    def required(self, name: str) -> str:
+    def required_text(self, name: str) -> str:
         """Read a text field of a scene file that must be present and not empty."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if not isinstance(value, str) or not value:
             self._mismatch(name, "text")
         return str(value)
 
-    def number(self, name: str, *, low: float = -_MAX, high: float = _MAX) -> float | None:
+    def number(
+        self, name: str, *, low: float = -_MAX_NUMBER, high: float = _MAX_NUMBER
+    ) -> float | None:
         """Read a number field of a scene file, from ``low`` to ``high``."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float):
             self._mismatch(name, "a number")
         if not low <= value <= high:
-            least = f"from {low:g}" if low > -_MAX else ""
-            most = f"to {high:g}" if high < _MAX else ""
-            self._mismatch(name, " ".join(filter(None, ["a finite number", least, most])))
+            least = f"from {low:g}" if low > -_MAX_NUMBER else ""
+            upper_limit = f"to {high:g}" if high < _MAX_NUMBER else ""
+            self._mismatch(name, " ".join(filter(None, ["a finite number", least, upper_limit])))
         return float(value)
 
-    def whole(self, name: str, *, low: int, high: int) -> int | None:
+    def integer(self, name: str, *, low: int, high: int) -> int | None:
         """Read an integer field of a scene file, from ``low`` to ``high``."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
@@ -96,20 +98,20 @@ class Fields:
 
     def side(self, name: str) -> int | None:
         """Read a field of a scene file that is a width or a height in pixels."""
-        return self.whole(name, low=1, high=16_384)
+        return self.integer(name, low=1, high=16_384)
 
-    def choice(self, name: str, known: tuple[Word, ...]) -> Word | None:
+    def choice(self, name: str, known: tuple[ChoiceText, ...]) -> ChoiceText | None:
         """Read a field of a scene file that must be one of the known words."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is not None and value not in known:
             if not isinstance(value, str):
                 self._mismatch(name, " or ".join(known))
             raise UnknownName.among("word", value, known, self.location(name))
-        return next((word for word in known if word == value), None)
+        return next((choice_text for choice_text in known if choice_text == value), None)
 
     def array(self, name: str, *shapes: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
         """Read a field of a scene file with finite numbers in one of the given array shapes."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is None:
             return None
         kinds = [
@@ -122,13 +124,13 @@ class Fields:
             self._mismatch(name, expected)
         if array.dtype.kind not in "if" or array.shape not in shapes:
             self._mismatch(name, expected)
-        if not (np.abs(array) <= _MAX).all():
+        if not (np.abs(array) <= _MAX_NUMBER).all():
             self._mismatch(name, f"{expected} that are finite")
         return array.astype(np.float64)
 
     def mapping(self, name: str) -> Mapping[str, np.ndarray]:
         """Read an object of a scene file whose values are numbers or lists of numbers."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if value is None:
             return {}
         if not isinstance(value, dict):
@@ -141,26 +143,26 @@ class Fields:
         except ValueError:
             array = np.array(None)
         if array.dtype.kind not in "ifb":
-            refuse(f"is {_shortened(value)}, expected numbers", self.location(name))
+            refuse(f"is {_shorten(value)}, expected numbers", self.location(name))
         return array
 
-    def inner(self, name: str) -> "Fields":
+    def nested_fields(self, name: str) -> "Fields":
         """Return a reader of the fields of a nested JSON object in a scene file."""
-        value = self.peek(name)
+        value = self.unchecked_value(name)
         if not isinstance(value, dict):
             self._mismatch(name, "an object")
         return Fields(value, self.location(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
         """Yield a field reader for each object in a list; a string means an object's path."""
-        entries = self.peek(name)
+        entries = self.unchecked_value(name)
         if entries is not None and not isinstance(entries, list):
             self._mismatch(name, "a list")
         for index, entry in enumerate(entries or []):
             where = f"{self.location(name)}[{index}]"
             document = {"path": entry} if isinstance(entry, str) else entry
             if not isinstance(document, dict):
-                refuse(f"is {_shortened(entry)}, expected an object or a path", where)
+                refuse(f"is {_shorten(entry)}, expected an object or a path", where)
             yield Fields(document, where)
 
     def close(self) -> None:
@@ -172,9 +174,9 @@ class Fields:
     def _mismatch(self, name: str, expected: str) -> NoReturn:
         if name not in self._document:
             refuse(f"is missing, expected {expected}", self.location(name))
-        refuse(f"is {_shortened(self._document[name])}, expected {expected}", self.location(name))
+        refuse(f"is {_shorten(self._document[name])}, expected {expected}", self.location(name))
 
 
-def _shortened(value: object) -> str:
+def _shorten(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:59] + "…"

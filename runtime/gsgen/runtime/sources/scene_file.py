@@ -169,16 +169,16 @@ def _open_model(
 ) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
-    inner = _locate_errors(
+    nested_fields = _locate_errors(
         lambda: open_source(model.path, provider, sizes, stream), f"{model.where}.path"
     )
     try:
         return PlacedSource(
-            inner, model.transform, model.settings, model.inputs, f"{model.where}.inputs"
+            nested_fields, model.transform, model.settings, model.inputs, f"{model.where}.inputs"
         )
     except GsgenError as error:
-        inner.close()
-        separator = ": " if error.where.startswith(inner.name) else "."
+        nested_fields.close()
+        separator = ": " if error.where.startswith(nested_fields.name) else "."
         where = (
             error.where if model.where in error.where else f"{model.where}{separator}{error.where}"
         )
@@ -235,13 +235,13 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def _model(fields: Fields, folder: Path) -> SceneModel:
     opacity_scale = fields.number("opacity_scale", low=0)
     model = SceneModel(
-        path=folder / fields.required("path"),
+        path=folder / fields.required_text("path"),
         transform=_transform(fields),
         settings=DrawSettings(
             opacity_scale=1.0 if opacity_scale is None else opacity_scale,
-            sh_degree=fields.whole("sh_degree", low=0, high=3),
+            sh_degree=fields.integer("sh_degree", low=0, high=3),
             antialias=fields.choice("antialias", ("classic", "mip")),
-            clip=_clip(fields),
+            clip=_read_clip_box(fields),
             sorted=fields.choice("blend", ("alpha", "declared")) == "alpha",
         ),
         inputs=fields.mapping("inputs"),
@@ -252,7 +252,7 @@ def _model(fields: Fields, folder: Path) -> SceneModel:
 
 
 def _mesh(fields: Fields, folder: Path) -> SceneMesh:
-    path = folder / fields.required("path")
+    path = folder / fields.required_text("path")
     shading = fields.choice("shading", SHADINGS)
     part = SceneMesh(path, _transform(fields), shading, fields.where)
     fields.close()
@@ -262,7 +262,7 @@ def _mesh(fields: Fields, folder: Path) -> SceneMesh:
 def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
     """Return the transform of an object in a scene file, by default translate × rotate × scale."""
     matrix = fields.array("transform", (4, 4))
-    steps = [name for name in ("translate", "rotate", "scale") if fields.has(name)]
+    steps = [name for name in ("translate", "rotate", "scale") if fields.has_field(name)]
     if matrix is not None:
         if steps:
             fields.refuse(steps[0], "excludes `transform`: leave one of them out")
@@ -281,11 +281,11 @@ def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
 
 def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
     """Return the field ``rotate``: a quaternion w, x, y, z, or an axis and an angle in degrees."""
-    if isinstance(fields.peek("rotate"), Mapping):
-        inner = fields.inner("rotate")
-        axis = inner.array("axis", (3,))
-        degrees = inner.number("degrees")
-        inner.close()
+    if isinstance(fields.unchecked_value("rotate"), Mapping):
+        nested_fields = fields.nested_fields("rotate")
+        axis = nested_fields.array("axis", (3,))
+        degrees = nested_fields.number("degrees")
+        nested_fields.close()
         if axis is None or degrees is None or not np.linalg.norm(axis) > 0:
             fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]')
         half = np.radians(degrees) / 2
@@ -298,12 +298,12 @@ def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
     return np.asarray(rotation_matrix(rotation[None])[0])
 
 
-def _clip(fields: Fields) -> Box | None:
-    if not fields.has("clip"):
+def _read_clip_box(fields: Fields) -> Box | None:
+    if not fields.has_field("clip"):
         return None
-    inner = fields.inner("clip")
-    low, high = inner.array("low", (3,)), inner.array("high", (3,))
-    inner.close()
+    nested_fields = fields.nested_fields("clip")
+    low, high = nested_fields.array("low", (3,)), nested_fields.array("high", (3,))
+    nested_fields.close()
     if low is None or high is None or not (low <= high).all():
         fields.refuse("clip", 'expected {"low": [x, y, z], "high": [x, y, z]} with low <= high')
     return Box(tuple(low.tolist()), tuple(high.tolist()))

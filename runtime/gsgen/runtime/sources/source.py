@@ -36,7 +36,7 @@ Center = Float[np.ndarray, "3"]
 Values = Mapping[str, object]
 """Tensor name or role → value."""
 
-_CROPPED = 2.0  # percent of the centres, at each end of each axis, that framing ignores
+_CROPPED_PERCENT = 2.0  # percent of the centres, at each end of each axis, that framing ignores
 
 
 class Source(ABC):
@@ -173,7 +173,7 @@ class Source(ABC):
         that are placed by it stand still while Gaussians move.
         """
         if self._extent is None:
-            self._extent = _around([_centers(self.data)])
+            self._extent = _box_around([_centers(self.data)])
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
@@ -184,7 +184,7 @@ class Source(ABC):
             state = (self.data.rows_version, self.data.count)
             if state not in centers:
                 centers[state] = _centers(self.data)
-        self._extent = _around(list(centers.values()))
+        self._extent = _box_around(list(centers.values()))
 
     @abstractmethod
     def close(self) -> None:
@@ -193,8 +193,8 @@ class Source(ABC):
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
     """Return the model inputs with this tensor name, or else with this input role."""
-    exact = [spec for spec in inputs if spec.name == word]
-    return exact or [spec for spec in inputs if spec.role == word]
+    exact_matches = [spec for spec in inputs if spec.name == word]
+    return exact_matches or [spec for spec in inputs if spec.role == word]
 
 
 def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
@@ -206,10 +206,10 @@ def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
     return np.asarray(centers[is_visible if is_visible.any() else finite])
 
 
-def _around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
+def _box_around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
     """Return the centre and half diagonal of a box around most Gaussians of all frames."""
     boxes = [
-        np.percentile(centers, [_CROPPED, 100 - _CROPPED], axis=0)
+        np.percentile(centers, [_CROPPED_PERCENT, 100 - _CROPPED_PERCENT], axis=0)
         for centers in frames
         if len(centers)
     ]
@@ -253,7 +253,7 @@ class StillSource(StaticSource):
             content = open_splats(path, drop_invalid=True)
         except FormatError as error:
             raise SceneUnreadable(str(error)) from error
-        self.data = _drawable(content)
+        self.data = _splat_data(content)
         if isinstance(content, Splats):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
@@ -349,7 +349,7 @@ class GeneratorSource(Source):
         self._worker.close()
 
 
-def _drawable(content: Splats | PointCloud | PackedRows) -> SplatData:
+def _splat_data(content: Splats | PointCloud | PackedRows) -> SplatData:
     if isinstance(content, Splats):
         return SplatData.from_splats(content)
     if isinstance(content, PointCloud):

@@ -1,6 +1,6 @@
 """Places generators of one world beside each other, by the origins that their manifests declare."""
 
-__all__ = ["beside_the_first"]
+__all__ = ["align_world_origins"]
 
 from collections.abc import Sequence
 
@@ -12,26 +12,26 @@ from gsgen.runtime.sources.placed_source import PlacedSource
 from gsgen.runtime.sources.source import Source
 
 
-def beside_the_first(sources: Sequence[Source]) -> list[Source]:
+def align_world_origins(sources: Sequence[Source]) -> list[Source]:
     """Move the sources of Gaussians that declare a world origin into the local space of the first.
 
     Cameras, files and models without an origin are in that space, too. Offsets are computed in
     float64: origins may be millions of units, and differ by a few.
     """
-    spaces = [source.space for source in sources if source.space and source.space.origin]
+    world_spaces = [source.space for source in sources if source.space and source.space.origin]
     placed: list[Source] = []
     for source in sources:
         space = source.space
-        if space is None or space.origin is None or space is spaces[0]:
+        if space is None or space.origin is None or space is world_spaces[0]:
             placed.append(source)
             continue
-        transform = _between(space, spaces[0])
+        transform = _space_transform(space, world_spaces[0])
         is_same = np.array_equal(transform, np.eye(4))
         placed.append(source if is_same else PlacedSource(source, transform))
     return placed
 
 
-def _between(space: Space, first: Space) -> Float64[np.ndarray, "4 4"]:
+def _space_transform(space: Space, first: Space) -> Float64[np.ndarray, "4 4"]:
     """Return the transform from one local space to another, given the world origins of both."""
     assert space.origin is not None
     assert first.origin is not None

@@ -15,12 +15,12 @@ from gsgen.runtime.scene.camera import Camera
 Vector = Float[np.ndarray, "3"]
 
 _POLE: Final = math.radians(1.0)  # least angle between the view and straight up or down
-_TURN: Final = math.radians(0.3)  # per dragged pixel
-_WHEEL: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 100
+_RADIANS_PER_PIXEL: Final = math.radians(0.3)  # per dragged pixel
+_ZOOM_PER_WHEEL_UNIT: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 100
 _SPEED: Final = 0.5  # reaches per second
-_FAST: Final = 4.0  # factor of the speed with shift
+_FAST_FACTOR: Final = 4.0  # factor of the speed with shift
 _MIN_DISTANCE: Final = 1e-4  # reaches between the eye and the pivot
-_NEAR_SHARE: Final = 0.01  # distance of the near plane, relative to that of the pivot
+_NEAR_FRACTION: Final = 0.01  # distance of the near plane, relative to that of the pivot
 
 KEYS: Final = {
     "w": (0, 0, 1),
@@ -41,21 +41,23 @@ class Controls:
     is a rotation matrix, not two angles, so that tilted cameras of files keep their tilt.
     """
 
-    def __init__(self, home: Camera, up: Vector, center: Vector, reach: float) -> None:
-        self._home = home
+    def __init__(
+        self, initial_camera: Camera, up: Vector, center: Vector, scene_radius: float
+    ) -> None:
+        self._initial_camera = initial_camera
         self._up = np.asarray(up, np.float64) / np.linalg.norm(up)
-        self._center, self._reach = np.asarray(center, np.float64), reach
+        self._center, self._scene_radius = np.asarray(center, np.float64), scene_radius
         self.reset()
 
     def reset(self) -> None:
         """Reset the camera to its first position and direction."""
-        self._rotation = self._home.view[:3, :3].copy()  # world → camera
+        self._rotation = self._initial_camera.view[:3, :3].copy()  # world → camera
         self._zoom = 1.0
-        ahead = float(self._rotation[2] @ (self._center - self._home.eye))
-        self._distance = ahead if ahead > _MIN_DISTANCE * self._reach else self._reach
-        if self._home.kind == "panorama":
-            self._distance = _MIN_DISTANCE * self._reach  # a panorama turns in place
-        self.pivot = self._home.eye + self._distance * self._rotation[2]
+        ahead = float(self._rotation[2] @ (self._center - self._initial_camera.eye))
+        self._distance = ahead if ahead > _MIN_DISTANCE * self._scene_radius else self._scene_radius
+        if self._initial_camera.kind == "panorama":
+            self._distance = _MIN_DISTANCE * self._scene_radius  # a panorama turns in place
+        self.pivot = self._initial_camera.eye + self._distance * self._rotation[2]
 
     @property
     def eye(self) -> Vector:
@@ -64,43 +66,43 @@ class Controls:
 
     def camera(self, width: int, height: int) -> Camera:
         """Return the camera at an image size; unzoomed, the whole initial view is in the image."""
-        home = self._home
+        initial_camera = self._initial_camera
         view = np.eye(4)
         view[:3, :3] = self._rotation
         view[:3, 3] = -self._rotation @ self.eye
-        if home.kind == "panorama":
-            return replace(home.scaled(width, height), view=view)
-        scale = min(width / home.width, height / home.height)
+        if initial_camera.kind == "panorama":
+            return replace(initial_camera.scaled(width, height), view=view)
+        scale = min(width / initial_camera.width, height / initial_camera.height)
         return replace(
-            home,
+            initial_camera,
             view=view,
-            fx=home.fx * scale * self._zoom,
-            fy=home.fy * scale * self._zoom,
-            cx=width / 2 + (home.cx - home.width / 2) * scale,
-            cy=height / 2 + (home.cy - home.height / 2) * scale,
+            fx=initial_camera.fx * scale * self._zoom,
+            fy=initial_camera.fy * scale * self._zoom,
+            cx=width / 2 + (initial_camera.cx - initial_camera.width / 2) * scale,
+            cy=height / 2 + (initial_camera.cy - initial_camera.height / 2) * scale,
             width=width,
             height=height,
-            near=min(home.near, _NEAR_SHARE * self._distance),
+            near=min(initial_camera.near, _NEAR_FRACTION * self._distance),
         )
 
     def orbit(self, right: float, down: float) -> None:
         """Turn the camera about its pivot by a mouse drag, in pixels."""
-        if self._home.kind == "panorama":
+        if self._initial_camera.kind == "panorama":
             return self.look(right, down)
-        self._rotate(right * _TURN, down * _TURN)
+        self._rotate(right * _RADIANS_PER_PIXEL, down * _RADIANS_PER_PIXEL)
 
     def look(self, right: float, down: float) -> None:
         """Turn the camera in place by a mouse drag, in pixels."""
         eye = self.eye
-        self._rotate(-right * _TURN, -down * _TURN)
+        self._rotate(-right * _RADIANS_PER_PIXEL, -down * _RADIANS_PER_PIXEL)
         self.pivot = eye + self._distance * self._rotation[2]
 
-    def _rotate(self, around: float, over: float) -> None:
+    def _rotate(self, yaw: float, pitch: float) -> None:
         """Rotate the camera about the upward direction, then about its horizontal axis."""
-        rotation = self._rotation @ _rotation(self._up, around)
+        rotation = self._rotation @ _rotation(self._up, yaw)
         # The angle to the upward direction avoids the poles, where the view would flip.
         angle = math.acos(float(np.clip(rotation[2] @ self._up, -1, 1)))
-        target = float(np.clip(angle + over, min(angle, _POLE), max(angle, math.pi - _POLE)))
+        target = float(np.clip(angle + pitch, min(angle, _POLE), max(angle, math.pi - _POLE)))
         rotation = rotation @ _rotation(rotation[0], target - angle)
         # The matrix is orthogonalised, so that rounding errors of many drags do not add up.
         left, _, right = np.linalg.svd(rotation)
@@ -109,17 +111,17 @@ class Controls:
     def pan(self, right: float, down: float, width: int, height: int) -> None:
         """Move the camera so that its pivot follows a mouse drag in pixels, for an image size."""
         camera = self.camera(width, height)
-        depth = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._reach}
+        depth = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._scene_radius}
         steps = -depth[camera.kind] * np.array([right / camera.fx, down / camera.fy, 0])
         self.pivot = self.pivot + self._rotation.T @ steps
 
     def wheel(self, amount: float) -> None:
         """Zoom by a mouse wheel amount: in if negative, out if positive; 100 is one notch."""
-        factor = math.exp(float(np.clip(amount * _WHEEL, -5, 5)))
-        if self._home.kind == "orthographic":
+        factor = math.exp(float(np.clip(amount * _ZOOM_PER_WHEEL_UNIT, -5, 5)))
+        if self._initial_camera.kind == "orthographic":
             self._zoom = float(np.clip(self._zoom / factor, 1e-4, 1e4))
-        elif self._home.kind == "pinhole":
-            low, high = _MIN_DISTANCE * self._reach, 1e4 * self._reach
+        elif self._initial_camera.kind == "pinhole":
+            low, high = _MIN_DISTANCE * self._scene_radius, 1e4 * self._scene_radius
             self._distance = float(np.clip(self._distance * factor, low, high))
 
     def fly(self, keys: frozenset[str], seconds: float, *, fast: bool) -> bool:
@@ -127,7 +129,7 @@ class Controls:
         steps = np.sum([KEYS[key] for key in keys if key in KEYS] or [(0, 0, 0)], axis=0)
         if not steps.any():
             return False
-        length = _SPEED * self._reach * seconds * (_FAST if fast else 1)
+        length = _SPEED * self._scene_radius * seconds * (_FAST_FACTOR if fast else 1)
         self.pivot = self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
         return True
 
@@ -136,7 +138,7 @@ class Controls:
         eye = self.eye
         ahead = np.asarray(point, np.float64) - eye
         distance = float(np.linalg.norm(ahead))
-        if not distance > _MIN_DISTANCE * self._reach:
+        if not distance > _MIN_DISTANCE * self._scene_radius:
             return
         if np.linalg.norm(np.cross(ahead / distance, self._up)) > math.sin(_POLE):
             self._rotation = look_at(eye, np.asarray(point, np.float64), self._up)[:3, :3]
@@ -144,23 +146,29 @@ class Controls:
 
     def frame(self) -> None:
         """Move the camera until the whole scene is in view, without turning it."""
-        home = self._home
+        initial_camera = self._initial_camera
         self.pivot, self._zoom = self._center.copy(), 1.0
-        if home.kind == "pinhole":
-            half = math.atan(min(home.width / home.fx, home.height / home.fy) / 2)
-            self._distance = self._reach / math.sin(half)
+        if initial_camera.kind == "pinhole":
+            half = math.atan(
+                min(
+                    initial_camera.width / initial_camera.fx,
+                    initial_camera.height / initial_camera.fy,
+                )
+                / 2
+            )
+            self._distance = self._scene_radius / math.sin(half)
 
 
 def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
     """Return the world position at a pixel and a depth of a camera's image."""
-    across, down = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
-    local = np.array([across, down, 1.0]) * depth
+    x_slope, down = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
+    local = np.array([x_slope, down, 1.0]) * depth
     if camera.kind == "orthographic":
-        local = np.array([across, down, depth])
+        local = np.array([x_slope, down, depth])
     elif camera.kind == "panorama":
         level = math.cos(down)
         local = depth * np.array(
-            [math.sin(across) * level, math.sin(down), math.cos(across) * level]
+            [math.sin(x_slope) * level, math.sin(down), math.cos(x_slope) * level]
         )
     return np.asarray(camera.eye + camera.view[:3, :3].T @ local)
 
@@ -168,5 +176,9 @@ def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
 def _rotation(axis: Vector, angle: float) -> Float[np.ndarray, "3 3"]:
     """Return the right-handed rotation about a unit axis (Rodrigues' formula)."""
     x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
+    cross_matrix = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(
+        np.eye(3)
+        + math.sin(angle) * cross_matrix
+        + (1 - math.cos(angle)) * cross_matrix @ cross_matrix
+    )

@@ -36,9 +36,11 @@ HELP: Final = (
 )
 """Keys and mouse actions with their effects, shown by the help panel and the guide."""
 
-_REFRESH: Final = 0.25  # seconds between two updates of the statistics while something moves
-_EDGE: Final = 10  # pixels between a panel and the edge of the window
-_CHARACTER: Final = 8.5  # pixels of a character, on average
+_REFRESH_SECONDS: Final = (
+    0.25  # seconds between two updates of the statistics while something moves
+)
+_EDGE_MARGIN: Final = 10  # pixels between a panel and the edge of the window
+_CHARACTER_WIDTH: Final = 8.5  # pixels of a character, on average
 
 
 @final
@@ -47,12 +49,12 @@ class Statistics:
 
     def __init__(self) -> None:
         self.rows: tuple[tuple[str, str], ...] = ()
-        self._updated = -math.inf
+        self._last_update = -math.inf
         self._frame_times: deque[float] = deque()
 
     def refresh(self) -> None:
         """Make the next :meth:`update` refresh the statistics without its usual delay."""
-        self._updated = -math.inf
+        self._last_update = -math.inf
 
     def update(
         self,
@@ -68,9 +70,9 @@ class Statistics:
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()
         drawn = renderer.drawn
-        if drawn is None or (is_moving and now - self._updated < _REFRESH):
+        if drawn is None or (is_moving and now - self._last_update < _REFRESH_SECONDS):
             return
-        self._updated = now
+        self._last_update = now
         count = sum(source.count for source in playback.sources)
         rows = [(title, ""), ("Gaussians", f"{count:,}, {drawn.visible:,} drawn")]
         if any(source.inputs for source in playback.sources):
@@ -131,7 +133,7 @@ class Overlay:
         builders: dict[object, Callable[[], Panel]] = {}
         rows = self.statistics.rows
         if self.shows_statistics and rows and not self.shows_help:
-            edge = round(_EDGE * ratio)
+            edge = round(_EDGE_MARGIN * ratio)
             builders["statistics", rows, ratio] = lambda: Panel(
                 paragraph(rows, ratio), (edge, edge)
             )
@@ -141,15 +143,17 @@ class Overlay:
                 bar.picture(state.fraction, state.label, playing=state.playing), bar.corner
             )
         if message:
-            lines = tuple((line, "") for line in _wrapped(message, size[0] / ratio))
-            builders["message", lines, size, ratio] = lambda: _centered(lines, size, ratio, 0.3)
+            lines = tuple((line, "") for line in _wrap_text(message, size[0] / ratio))
+            builders["message", lines, size, ratio] = lambda: _centered_panel(
+                lines, size, ratio, 0.3
+            )
         if self.shows_help:
-            builders["help", size, ratio] = lambda: _centered(HELP, size, ratio, 0.5)
+            builders["help", size, ratio] = lambda: _centered_panel(HELP, size, ratio, 0.5)
         self._panels = {key: self._panels.get(key) or build() for key, build in builders.items()}
         return list(self._panels.values())
 
 
-def _centered(
+def _centered_panel(
     rows: Sequence[tuple[str, str]], size: tuple[int, int], ratio: float, height: float
 ) -> Panel:
     """Return a text panel, centred horizontally, at a fraction of the surface's free height."""
@@ -158,6 +162,6 @@ def _centered(
     return Panel(picture, (left, max(0, round((size[1] - picture.shape[0]) * height))))
 
 
-def _wrapped(text: str, width: float) -> list[str]:
-    columns = max(20, int(width / _CHARACTER))
+def _wrap_text(text: str, width: float) -> list[str]:
+    columns = max(20, int(width / _CHARACTER_WIDTH))
     return [part for line in text.splitlines() for part in textwrap.wrap(line.strip(), columns)]

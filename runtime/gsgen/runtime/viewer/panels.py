@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 _TEXT: Final = 14  # logical pixels
 _LINE_HEIGHT: Final = 1.45  # text sizes
 _MARGIN: Final = 10
-_CORNER: Final = 6
-_ASCII: Final = str.maketrans({"–": "-", "—": "-", "×": "x", "’": "'", "…": "..."})
+_CORNER_RADIUS: Final = 6
+_ASCII_REPLACEMENTS: Final = str.maketrans({"–": "-", "—": "-", "×": "x", "’": "'", "…": "..."})
 _BACKGROUND: Final = (16, 18, 22, 190)
 _WHITE: Final = (236, 238, 242, 255)
 _GREY: Final = (150, 156, 166, 255)
@@ -53,18 +53,18 @@ class Slider:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the time slider's panel, in pixels."""
-        return max(1, self.width - 2 * self._edge), round(34 * self.ratio)
+        return max(1, self.width - 2 * self._edge_margin), round(34 * self.ratio)
 
     @property
     def corner(self) -> tuple[int, int]:
         """The upper left corner of the time slider's panel, in pixels of the surface."""
-        return self._edge, max(0, self.height - self.size[1] - self._edge)
+        return self._edge_margin, max(0, self.height - self.size[1] - self._edge_margin)
 
     @property
-    def _edge(self) -> int:
+    def _edge_margin(self) -> int:
         return round(_MARGIN * self.ratio)
 
-    def _ends(self) -> tuple[float, float]:
+    def _track_ends(self) -> tuple[float, float]:
         """Return both ends of the time slider's track, in pixels from the left of its panel."""
         width = self.size[0]
         return min(34 * self.ratio, width / 2), max(width - 130 * self.ratio, width / 2 + 1)
@@ -74,24 +74,27 @@ class Slider:
         left, top = self.corner
         return 0 <= x - left < self.size[0] and 0 <= y - top < self.size[1]
 
-    def on_button(self, x: float) -> bool:
+    def is_on_button(self, x: float) -> bool:
         """Return whether a point of the time slider's panel is on the play button."""
-        return x - self.corner[0] < self._ends()[0] - 6 * self.ratio
+        return x - self.corner[0] < self._track_ends()[0] - 6 * self.ratio
 
     def fraction(self, x: float) -> float:
         """Return the position of a point along the time slider's track, from 0 to 1."""
-        low, high = self._ends()
+        low, high = self._track_ends()
         return float(np.clip((x - self.corner[0] - low) / (high - low), 0, 1))
 
     def picture(self, fraction: float, label: str, *, playing: bool) -> UInt8[np.ndarray, "h w 4"]:
         """Draw the time slider, with the knob at a ``fraction`` and a label at the end."""
-        (width, height), ratio, (low, high) = self.size, self.ratio, self._ends()
+        (width, height), ratio, (low, high) = self.size, self.ratio, self._track_ends()
         image, draw = _blank_panel(width, height, ratio)
-        middle, knob = height / 2, 6 * ratio
+        middle, knob_radius = height / 2, 6 * ratio
         draw.line((low, middle, high, middle), _GREY, max(1, round(2 * ratio)))
         value = low + (high - low) * fraction
         draw.line((low, middle, value, middle), _ORANGE, max(1, round(3 * ratio)))
-        draw.ellipse((value - knob, middle - knob, value + knob, middle + knob), _WHITE)
+        draw.ellipse(
+            (value - knob_radius, middle - knob_radius, value + knob_radius, middle + knob_radius),
+            _WHITE,
+        )
         left, half = 12 * ratio, 6 * ratio
         if playing:
             for start in (left, left + half):
@@ -106,7 +109,7 @@ class Slider:
 
 def _printable(text: str) -> str:
     """Replace characters that Pillow's built-in font lacks."""
-    return text.translate(_ASCII).encode("latin-1", "replace").decode("latin-1")
+    return text.translate(_ASCII_REPLACEMENTS).encode("latin-1", "replace").decode("latin-1")
 
 
 @cache
@@ -118,7 +121,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 def _blank_panel(width: int, height: int, ratio: float) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     image = Image.new("RGBA", (width, height))
     draw = ImageDraw.Draw(image)
-    draw.rounded_rectangle((0, 0, width - 1, height - 1), _CORNER * ratio, _BACKGROUND)
+    draw.rounded_rectangle((0, 0, width - 1, height - 1), _CORNER_RADIUS * ratio, _BACKGROUND)
     return image, draw
 
 

@@ -1,6 +1,6 @@
 """Shows a drawn image, and panels over it, on the surface of a window."""
 
-__all__ = ["SHOWING", "SHOWING_CONSTANTS", "Panel", "Present", "View"]
+__all__ = ["PRESENT_CONSTANTS", "PRESENT_UNIFORM", "Panel", "Present", "View"]
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from gsgen.runtime.renderer.bands import Drawn
 from gsgen.runtime.scene.camera import Camera
 
 _MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
-SHOWING_CONSTANTS: Final = {
+PRESENT_CONSTANTS: Final = {
     "MODE_DEPTH": _MODES["depth"],
     "MODE_MEDIAN": _MODES["median-depth"],
     "MODE_NORMAL": _MODES["normal"],
@@ -34,7 +34,7 @@ SHOWING_CONSTANTS: Final = {
 }
 """The modes of present.wgsl; other numbers show colours."""
 
-SHOWING: Final = np.dtype(
+PRESENT_UNIFORM: Final = np.dtype(
     [
         ("turn", np.float32, (3, 4)),
         ("size", np.float32, 2),
@@ -92,17 +92,17 @@ class Present:
         self._pipeline, self._layout = render_pipeline(
             device,
             "present",
-            source("present", **SHOWING_CONSTANTS),
+            source("present", **PRESENT_CONSTANTS),
             [_UNIFORM, {"buffer": {"type": "read-only-storage"}}],
             targets=[{"format": format}],
         )
-        over = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
+        blend_state = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
         self._panels, self._panel_layout = render_pipeline(
             device,
             "panel",
             source("panel"),
             [_UNIFORM, {"texture": {"sample_type": "float"}}],
-            targets=[{"format": format, "blend": over}],
+            targets=[{"format": format, "blend": blend_state}],
         )
         self._bindings: dict[Buffer, tuple[Buffer, BindGroup]] = {}
         self._panel_bindings: dict[Panel, tuple[Texture, BindGroup]] = {}
@@ -142,8 +142,8 @@ class Present:
         render_pass.set_pipeline(self._pipeline)
         # A row belongs to the band that holds the pixel of the image at its centre.
         scale = height / view.camera.height
-        tops = [math.ceil(band.first * scale - 0.5) for band in view.bands]
-        for band, top, bottom in zip(view.bands, tops, [*tops[1:], height], strict=True):
+        band_tops = [math.ceil(band.first * scale - 0.5) for band in view.bands]
+        for band, top, bottom in zip(view.bands, band_tops, [*band_tops[1:], height], strict=True):
             uniform, bind_group = self._bindings[band.image]
             self._device.write(uniform, _uniforms(view, band, surface))
             render_pass.set_bind_group(0, bind_group)
@@ -155,7 +155,7 @@ class Present:
         """Return the uniform and the bind group of an image, created when it is first shown."""
         if image in self._bindings:
             return self._bindings[image]
-        uniform = self._device.uniform("showing", SHOWING.itemsize)
+        uniform = self._device.uniform("showing", PRESENT_UNIFORM.itemsize)
         resources = [{"buffer": uniform}, {"buffer": image}]
         return uniform, _bind_group(self._device.raw, self._layout, resources)
 
@@ -185,7 +185,7 @@ class Present:
 
 def _uniforms(view: View, band: Drawn, surface: tuple[int, int]) -> np.ndarray:
     camera = view.camera
-    uniforms = np.zeros(1, SHOWING)
+    uniforms = np.zeros(1, PRESENT_UNIFORM)
     # The rows of world → camera are the columns of camera → world.
     uniforms["turn"][0, :, :3] = camera.view[:3, :3]
     uniforms["size"] = camera.width, camera.height

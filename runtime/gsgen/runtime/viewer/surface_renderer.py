@@ -56,7 +56,7 @@ class SurfaceRenderer:
         rasteriser: RasteriserOption = "auto",
         compact: bool = False,
     ) -> None:
-        self._open = open_device
+        self._open_device = open_device
         self._rasteriser: RasteriserOption = rasteriser
         self._compact = compact
         self._upload: tuple[Device, list[int], list[Buffer]] | None = None
@@ -64,9 +64,11 @@ class SurfaceRenderer:
         self._begin()
 
     def _begin(self) -> None:
-        self.renderer = Renderer(self._open(), rasteriser=self._rasteriser, compact=self._compact)
+        self.renderer = Renderer(
+            self._open_device(), rasteriser=self._rasteriser, compact=self._compact
+        )
         self._present: Present | None = None
-        self._configured: WgpuContext | None = None
+        self._configured_context: WgpuContext | None = None
         self._last_view: tuple[object, View] | None = None
         self.drawn: Drawn | None = None
 
@@ -78,7 +80,7 @@ class SurfaceRenderer:
             return last[1]
         started = time.perf_counter()
         view = self._draw(playback, request)
-        self.seconds, self.drawn = time.perf_counter() - started, _added(view.bands)
+        self.seconds, self.drawn = time.perf_counter() - started, _summed_counts(view.bands)
         # The key is computed again: a post-process model may have taken a new frame.
         self._last_view = request.key(playback), view
         return view
@@ -93,14 +95,14 @@ class SurfaceRenderer:
     def _show(
         self, device: Device, context: "WgpuContext", view: View | None, panels: Sequence[Panel]
     ) -> None:
-        if self._present is None or self._configured is not context:
+        if self._present is None or self._configured_context is not context:
             # The shader encodes sRGB itself, so that panels are blended in sRGB.
             preferred = context.get_preferred_format(device.raw.adapter)
             surface_format = preferred.removesuffix("-srgb")
             if context.get_configuration() is not None:
                 context.unconfigure()  # its texture belongs to a lost device
             context.configure(device=device.raw, format=surface_format)
-            self._present, self._configured = Present(device, surface_format), context
+            self._present, self._configured_context = Present(device, surface_format), context
         self._present(context.get_current_texture(), view, panels)
 
     def _draw(self, playback: LivePlayback, request: ViewRequest) -> View:
@@ -110,7 +112,7 @@ class SurfaceRenderer:
         if playback.post and request.mode == "color":
             player = playback.player(self.renderer, request.background, output)
             frame = playback.frame(player, camera)
-            bands, camera = self._uploaded(frame), _resized(camera, frame)
+            bands, camera = self._uploaded(frame), _resize_camera(camera, frame)
             color_space = frame.color_space
         else:
             scene = playback.scene()
@@ -170,13 +172,13 @@ class SurfaceRenderer:
             raise DeviceUnavailable(message, hint=error.hint) from error
 
 
-def _added(bands: Sequence[Drawn]) -> Drawn:
+def _summed_counts(bands: Sequence[Drawn]) -> Drawn:
     """Return the first band of rows of an image, with the summed splat counters of all bands."""
     visible, pairs = sum(band.visible for band in bands), sum(band.pairs for band in bands)
     return replace(bands[0], visible=visible, pairs=pairs)
 
 
-def _resized(camera: Camera, frame: Frame) -> Camera:
+def _resize_camera(camera: Camera, frame: Frame) -> Camera:
     assert frame.rgba is not None
     height, width = frame.rgba.shape[:2]
     return camera.scaled(width, height)

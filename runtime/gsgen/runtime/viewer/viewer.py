@@ -35,7 +35,7 @@ Event: TypeAlias = Mapping[str, Any]
 
 _MODES: Final[dict[str, Mode]] = dict(zip("12345", MODES, strict=True))
 _BACKGROUNDS: Final = ((1.0, 1.0, 1.0, 1.0), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, 0.0, 1.0))
-_DEGREES: Final = (None, *range(MAX_DEGREE + 1))
+_SH_DEGREES: Final = (None, *range(MAX_DEGREE + 1))
 _ANTIALIAS: Final[tuple[Literal["classic", "mip"] | None, ...]] = (None, "classic", "mip")
 _MAX_STEP: Final = 0.25  # seconds; time does not jump after a stall
 _MAX_SECONDS: Final = 0.12  # that drawing may take while something moves
@@ -101,8 +101,8 @@ class Viewer:
     def _make_controls(self) -> Controls:
         source = self.playback.sources[0]
         center, reach = source.extent()
-        home = self._view.camera(source, 0, 0.0)
-        return Controls(home, np.array(self._view.up or source.up), center, reach)
+        initial_camera = self._view.camera(source, 0, 0.0)
+        return Controls(initial_camera, np.array(self._view.up or source.up), center, reach)
 
     # ----- drawing
 
@@ -127,16 +127,16 @@ class Viewer:
     def _draw(self, context: "WgpuContext") -> bool:
         # Step 1: let time pass, for the flight of the camera and for the playback.
         now = self._clock()
-        passed, self._last_draw = min(now - self._last_draw, _MAX_STEP), now
+        elapsed, self._last_draw = min(now - self._last_draw, _MAX_STEP), now
         width, height = context.physical_size
         self._size = (max(1, width), max(1, height))
-        is_flying = self.controls.fly(self._held_keys, passed, fast=self._is_shift_held)
-        self.playback.advance(passed)
+        is_flying = self.controls.fly(self._held_keys, elapsed, fast=self._is_shift_held)
+        self.playback.advance(elapsed)
         # Step 2: take the frame that was computed, and begin the current one. A file, or a quick
         # model, is ready at once.
         self._show_errors(self.playback.take)
         is_moving = is_flying or self.playback.playing or self._drag_button is not None
-        camera = self.camera(self._coarseness() if is_moving else 1)
+        camera = self.camera(self._downscale() if is_moving else 1)
         self.playback.begin(camera)
         self._show_errors(self.playback.take)
         # Step 3: draw it, with the panels over it.
@@ -176,17 +176,17 @@ class Viewer:
     def _request(self, camera: Camera) -> ViewRequest:
         return ViewRequest(camera, self.mode, self._backgrounds[0])
 
-    def camera(self, coarseness: int = 1) -> Camera:
-        """Return the viewer's camera; an image pixel covers ``coarseness``² surface pixels."""
+    def camera(self, downscale: int = 1) -> Camera:
+        """Return the viewer's camera; an image pixel covers ``downscale``² surface pixels."""
         width, height = self._size
         camera = self.controls.camera(width, height)
-        if coarseness == 1:
+        if downscale == 1:
             return camera
-        coarse = camera.scaled(max(1, width // coarseness), max(1, height // coarseness))
+        small_camera = camera.scaled(max(1, width // downscale), max(1, height // downscale))
         # Splats keep their size on the surface: the filter of its pixels, not of the image's.
-        return replace(coarse, dilation=camera.dilation / coarseness**2)
+        return replace(small_camera, dilation=camera.dilation / downscale**2)
 
-    def _coarseness(self) -> int:
+    def _downscale(self) -> int:
         """Return the factor by which image size is reduced, so that a frame is drawn in time."""
         drawn = self._renderer.drawn
         if drawn is None:
@@ -221,7 +221,7 @@ class Viewer:
             "pointer_up": self._pointer_up,
             "double_click": self._double_click,
             "wheel": self._wheel,
-            "resize": self._resized,
+            "resize": self._on_resize,
         }.get(event["event_type"])
         if handler is not None:
             handler(event)
@@ -242,7 +242,7 @@ class Viewer:
         self._view = replace(self._view, orbit=None, look_at=None, cameras=())
         self.controls = self._make_controls()
 
-    def _resized(self, event: Event) -> None:
+    def _on_resize(self, event: Event) -> None:
         self._ratio = float(event.get("pixel_ratio") or 1.0)
 
     def _key_down(self, event: Event) -> None:
@@ -272,11 +272,11 @@ class Viewer:
         x, y = self._surface_position()
         slider = self.slider
         if slider and event["button"] == _LEFT_BUTTON and slider.contains(x, y):
-            if slider.on_button(x):
+            if slider.is_on_button(x):
                 self._toggle_playing()
             else:
                 self._is_sliding = True
-                self._slide(x)
+                self._move_slider(x)
             return
         self._drag_button = int(event["button"])
         self._is_shift_held = "Shift" in event.get("modifiers", ())
@@ -286,7 +286,7 @@ class Viewer:
         right, down = self._pointer[0] - x, self._pointer[1] - y
         is_shift_drag = self._drag_button == _LEFT_BUTTON and self._is_shift_held
         if self._is_sliding:
-            self._slide(self._surface_position()[0])
+            self._move_slider(self._surface_position()[0])
         elif self._drag_button == _MIDDLE_BUTTON or is_shift_drag:
             self.controls.pan(right * self._ratio, down * self._ratio, *self._size)
         elif self._drag_button == _LEFT_BUTTON:
@@ -312,7 +312,7 @@ class Viewer:
 
     # ----- actions of keys and of the pointer
 
-    def _slide(self, x: float) -> None:
+    def _move_slider(self, x: float) -> None:
         assert self.slider is not None
         self.playback.playing = False
         self.playback.seek(round(self.slider.fraction(x) * (self.playback.frames - 1)))
@@ -322,7 +322,7 @@ class Viewer:
         if self.playback.frames == 1:
             self.message = "Nothing moves: no model has a time, and no input varies."
 
-    def _step(self, frames: int) -> None:
+    def _step_frames(self, frames: int) -> None:
         self.playback.playing = False
         self.playback.seek(self.playback.number + frames)
 
@@ -361,10 +361,10 @@ class Viewer:
         self._print_line(f"{path}: the picture; --camera {file} is its camera")
 
     def _next_degree(self) -> None:
-        self.playback.sh_degree = _next(_DEGREES, self.playback.sh_degree)
+        self.playback.sh_degree = _next_choice(_SH_DEGREES, self.playback.sh_degree)
 
     def _next_antialias(self) -> None:
-        self.playback.antialias = _next(_ANTIALIAS, self.playback.antialias)
+        self.playback.antialias = _next_choice(_ANTIALIAS, self.playback.antialias)
 
     def _next_background(self) -> None:
         self._backgrounds = [*self._backgrounds[1:], self._backgrounds[0]]
@@ -377,8 +377,8 @@ class Viewer:
 
     _key_actions: Final[dict[str, Callable[["Viewer"], None]]] = {
         " ": _toggle_playing,
-        "ArrowRight": lambda self: self._step(1),
-        "ArrowLeft": lambda self: self._step(-1),
+        "ArrowRight": lambda self: self._step_frames(1),
+        "ArrowLeft": lambda self: self._step_frames(-1),
         "Home": lambda self: self.playback.seek(0),
         "f": lambda self: self._show_errors(self._look_at_pointer),
         "r": lambda self: self.controls.reset(),
@@ -391,7 +391,7 @@ class Viewer:
     }
 
 
-def _next(choices: Sequence[Choice], current: Choice) -> Choice:
+def _next_choice(choices: Sequence[Choice], current: Choice) -> Choice:
     """Return the value that follows the current one in a cyclic list of choices."""
     return choices[(choices.index(current) + 1) % len(choices)]
 

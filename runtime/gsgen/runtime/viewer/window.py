@@ -100,10 +100,10 @@ def open_window(
     scale = min(1.0, _MAX_SIZE[0] / size[0], _MAX_SIZE[1] / size[1])
     width, height = (max(1, round(side * scale)) for side in size)
     canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_MAX_FPS)
-    failure = attach(viewer, canvas, after_draw)
+    open_error = attach(viewer, canvas, after_draw)
     accept_drops(viewer, canvas)
     loop.run()
-    if (error := failure()) is not None:
+    if (error := open_error()) is not None:
         raise error
 
 

@@ -19,11 +19,11 @@ ORT_VERSION: Final = "1.30.0"
 
 _PACKAGE: Final = "onnxruntime-web"
 _SHA256: Final = "d2228df7e4616bc3348bf504ee888f3bec43789a273f0a63f3e68d203ce3bf71"
-_BUILDS: Final = {
+_BUILD_FILES: Final = {
     "ort.jspi.bundle.min.mjs": "ort-wasm-simd-threaded.jspi.wasm",
     "ort.webgpu.bundle.min.mjs": "ort-wasm-simd-threaded.asyncify.wasm",
 }
-ORT_FILES: Final = (*_BUILDS, *_BUILDS.values())
+ORT_FILES: Final = (*_BUILD_FILES, *_BUILD_FILES.values())
 """Two builds, each a module and its WebAssembly: for browsers that suspend WebAssembly, and others."""
 
 
@@ -65,15 +65,15 @@ def _fetch(folder: Path) -> None:
         message = "npm is not installed, which fetches ONNX Runtime Web"
         raise ConfigInvalid(message, where=package, hint=hint)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ort.") as work:
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ort.") as work_folder:
         result = subprocess.run(
             [npm, "pack", "--silent", package],
-            cwd=work,
+            cwd=work_folder,
             capture_output=True,
             text=True,
             encoding="utf-8",
         )
-        archives = list(Path(work).glob("*.tgz"))
+        archives = list(Path(work_folder).glob("*.tgz"))
         if result.returncode or not archives:
             lines = result.stderr.strip().splitlines() or ["npm pack failed"]
             raise ConfigInvalid(lines[-1], where=package, hint=hint)
@@ -86,7 +86,7 @@ def _fetch(folder: Path) -> None:
             for name in ORT_FILES:
                 file = archive.extractfile(f"package/dist/{name}")
                 assert file is not None, f"{name} is a file in the package of this digest"
-                (Path(work) / name).write_bytes(file.read())
+                (Path(work_folder) / name).write_bytes(file.read())
         folder.mkdir(exist_ok=True)
         for name in ORT_FILES:
-            (Path(work) / name).replace(folder / name)
+            (Path(work_folder) / name).replace(folder / name)

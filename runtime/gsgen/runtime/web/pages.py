@@ -27,7 +27,7 @@ from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 
-_CLIENT: Final = files("gsgen.runtime.web").joinpath("client")
+_CLIENT_FOLDER: Final = files("gsgen.runtime.web").joinpath("client")
 _PREFIX: Final = "gsgen/"
 _PAGE_MAGIC: Final = {"spz": b"\x1f\x8b", "sog": b"PK"}  # of the formats that pages read
 _STYLE: Final = """
@@ -61,37 +61,39 @@ class ModelView:
 
     def attributes(self) -> str:
         """Return the HTML attributes of the element ``gsgen-model`` for a page's view settings."""
-        words = ["camera-controls", "loop", "file-drop"]
+        attribute_names = ["camera-controls", "loop", "file-drop"]
         if self.background is not None:
-            words.append(f'background="{" ".join(f"{part:g}" for part in self.background)}"')
+            attribute_names.append(
+                f'background="{" ".join(f"{part:g}" for part in self.background)}"'
+            )
         if self.fov is not None:
-            words.append(f'field-of-view="{self.fov:g}"')
+            attribute_names.append(f'field-of-view="{self.fov:g}"')
         if self.up is not None:
-            words.append(f'up="{html.escape(self.up)}"')
+            attribute_names.append(f'up="{html.escape(self.up)}"')
         if self.time is not None:
-            words.append(f'time="{self.time:g}"')
+            attribute_names.append(f'time="{self.time:g}"')
         elif self.play:
-            words.append("autoplay")
-        return " ".join(words)
+            attribute_names.append("autoplay")
+        return " ".join(attribute_names)
 
 
 @cache
 def client_names() -> tuple[str, ...]:
     """Return the names of the browser client's files: ES modules and recorded GPU plans."""
-    names = (file.name for file in _CLIENT.iterdir())
+    names = (file.name for file in _CLIENT_FOLDER.iterdir())
     return tuple(sorted(name for name in names if name.endswith((".js", ".json"))))
 
 
 def client_file(name: str) -> bytes:
     """Return the bytes of a file of the browser client; see :func:`client_names`."""
-    return _CLIENT.joinpath(name).read_bytes()
+    return _CLIENT_FOLDER.joinpath(name).read_bytes()
 
 
-Reader = Callable[..., Splats | PointCloud | PackedRows]
+SplatReader = Callable[..., Splats | PointCloud | PackedRows]
 """Reads a file of splats, as ``open_splats`` of gsgen.formats or of gsgen.tiles does."""
 
 
-def model_bytes(path: Path, read: Reader = open_splats) -> bytes:
+def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
     """Return a model file's bytes for a web page; splat formats that no page reads become a PLY.
 
     Raises:
@@ -125,12 +127,12 @@ def model_bytes(path: Path, read: Reader = open_splats) -> bytes:
 
 def served_page(models: Mapping[str, Path], view: ModelView) -> str:
     """Return the HTML page that shows the models at the given addresses of a server."""
-    figures = [_figure(address, path, view) for address, path in models.items()]
+    figures = [_figure_html(address, path, view) for address, path in models.items()]
     script = '<script type="module" src="/gsgen/gsgen.js"></script>'
-    return _page([path.name for path in models.values()], [script], figures, _RELOADING)
+    return _page([path.name for path in models.values()], [script], figures, _RELOAD_SCRIPT)
 
 
-_RELOADING: Final = """
+_RELOAD_SCRIPT: Final = """
 <script type="module">
 let known = null;
 for (;;) {
@@ -149,7 +151,7 @@ for (;;) {
 
 
 def single_file_page(
-    paths: Iterable[Path], view: ModelView, ort: Path | None, read: Reader = open_splats
+    paths: Iterable[Path], view: ModelView, ort: Path | None, read: SplatReader = open_splats
 ) -> str:
     """Return an HTML page that opens from disk: it embeds the models and the browser client.
 
@@ -164,14 +166,14 @@ def single_file_page(
     """
     models = list(paths)
     head = [f'<script type="importmap">{json.dumps({"imports": _inlined_modules()})}</script>']
-    head.append(_inlined("gsgen-plans", client_file("plans.json")))
+    head.append(_inline_script("gsgen-plans", client_file("plans.json")))
     if ort is not None:
         # The build for all browsers: which one opens the page is not known.
-        head.append(_inlined("gsgen-ort", (ort / "ort.webgpu.bundle.min.mjs").read_bytes()))
+        head.append(_inline_script("gsgen-ort", (ort / "ort.webgpu.bundle.min.mjs").read_bytes()))
         wasm = (ort / "ort-wasm-simd-threaded.asyncify.wasm").read_bytes()
-        head.append(_inlined("gsgen-ort-wasm", wasm))
-    head += [_inlined(f"model-{i}", model_bytes(path, read)) for i, path in enumerate(models)]
-    figures = [_figure(f"#model-{i}", path, view) for i, path in enumerate(models)]
+        head.append(_inline_script("gsgen-ort-wasm", wasm))
+    head += [_inline_script(f"model-{i}", model_bytes(path, read)) for i, path in enumerate(models)]
+    figures = [_figure_html(f"#model-{i}", path, view) for i, path in enumerate(models)]
     start = '<script type="module">import "gsgen/gsgen.js";</script>'
     return _page([path.name for path in models], head, figures, start)
 
@@ -189,12 +191,12 @@ def _inlined_modules() -> dict[str, str]:
     return modules
 
 
-def _inlined(identifier: str, content: bytes) -> str:
+def _inline_script(identifier: str, content: bytes) -> str:
     text = base64.b64encode(content).decode()
     return f'<script type="text/plain" id="{identifier}">{text}</script>'
 
 
-def _figure(address: str, path: Path, view: ModelView) -> str:
+def _figure_html(address: str, path: Path, view: ModelView) -> str:
     name = html.escape(path.name)
     return (
         f'<figure><gsgen-model src="{html.escape(address)}" name="{name}" alt="{name}" '

@@ -15,7 +15,7 @@ from gsgen.formats import open_splats
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from gsgen.runtime.web.pages import (
     ModelView,
-    Reader,
+    SplatReader,
     client_file,
     client_names,
     model_bytes,
@@ -29,7 +29,7 @@ _TYPES: Final = {
     ".wasm": "application/wasm",
 }
 
-Content = tuple[str, bytes]
+TypedContent = tuple[str, bytes]
 """A content type and the bytes of a file."""
 
 
@@ -57,27 +57,29 @@ class ModelServer(ThreadingHTTPServer):
         *,
         ort: Path | None,
         port: int = 0,
-        read: Reader = open_splats,
+        read: SplatReader = open_splats,
     ) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
         self.address = f"http://127.0.0.1:{self.server_port}/"
         self._models = {f"/models/{number}/{path.name}": path for number, path in enumerate(models)}
         addresses = {quote(address): path for address, path in self._models.items()}
         page = served_page(addresses, view).encode()
-        self._files: dict[str, Callable[[], Content]] = {
+        self._content_readers: dict[str, Callable[[], TypedContent]] = {
             "/": lambda: ("text/html; charset=utf-8", page),
             "/versions": lambda: ("application/json", json.dumps(self._versions()).encode()),
         }
         for name in client_names():
-            self._files[f"/gsgen/{name}"] = partial(_client, name)
+            self._content_readers[f"/gsgen/{name}"] = partial(_client_content, name)
         for name in ORT_FILES if ort is not None else ():
-            self._files[f"/gsgen/ort/{name}"] = partial(_file, ort / name if ort else Path())
+            self._content_readers[f"/gsgen/ort/{name}"] = partial(
+                _file, ort / name if ort else Path()
+            )
         for address, path in self._models.items():
-            self._files[address] = partial(_model, path, read)
+            self._content_readers[address] = partial(_model, path, read)
 
-    def content(self, path: str) -> Content | None:
+    def content(self, path: str) -> TypedContent | None:
         """Return content type and bytes of the file at a URL path; None if no file is there."""
-        make = self._files.get(path)
+        make = self._content_readers.get(path)
         return None if make is None else make()
 
     def _versions(self) -> dict[str, str]:
@@ -90,15 +92,15 @@ class ModelServer(ThreadingHTTPServer):
         return versions
 
 
-def _client(name: str) -> Content:
+def _client_content(name: str) -> TypedContent:
     return _TYPES[Path(name).suffix], client_file(name)
 
 
-def _file(path: Path) -> Content:
+def _file(path: Path) -> TypedContent:
     return _TYPES[path.suffix], path.read_bytes()
 
 
-def _model(path: Path, read: Reader) -> Content:
+def _model(path: Path, read: SplatReader) -> TypedContent:
     return "application/octet-stream", model_bytes(path, read)
 
 
@@ -111,14 +113,14 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             content = self.server.content(unquote(urlsplit(self.path).path))
         except GsgenError as error:
-            self._answer(500, "text/plain; charset=utf-8", str(error).encode())
+            self._send_response(500, "text/plain; charset=utf-8", str(error).encode())
             return
         if content is None:
-            self._answer(404, "text/plain", b"not found")
+            self._send_response(404, "text/plain", b"not found")
         else:
-            self._answer(200, *content)
+            self._send_response(200, *content)
 
-    def _answer(self, status: int, kind: str, body: bytes) -> None:
+    def _send_response(self, status: int, kind: str, body: bytes) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))

@@ -67,7 +67,7 @@ def open_scenes(
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.opening import open_source
     from gsgen.runtime.sources.scene_file import open_scene
-    from gsgen.runtime.sources.world_origins import beside_the_first
+    from gsgen.runtime.sources.world_origins import align_world_origins
 
     sizes = sizes_of(size)
     stream = tileset_opener(streaming)
@@ -97,7 +97,7 @@ def open_scenes(
                 raise typer.Exit(ExitCode.UNREADABLE) from error
             finally:
                 clear()
-        yield beside_the_first(sources), models
+        yield align_world_origins(sources), models
 
 
 def tileset_opener(settings: "StreamSettings | None" = None) -> "StreamOpener":
