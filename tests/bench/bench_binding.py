@@ -72,7 +72,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_moving(tmp_path_factory.mktemp("tiny") / "tiny.onnx", good_rows(5))
 
 
-def alternating(actions: list[Callable[[], object]], times: int) -> np.ndarray:
+def alternating_seconds(actions: list[Callable[[], object]], times: int) -> np.ndarray:
     """Return the seconds of each action, one row a turn.
 
     They take turns, so that load hits all alike, and in changing order, since the first of a turn
@@ -102,7 +102,7 @@ def bare_frame(session: FrameSession) -> Callable[[], object]:
     return frame
 
 
-def bare(path: Path, threads: int = 1) -> Callable[[], object]:
+def bare_session_frame(path: Path, threads: int = 1) -> Callable[[], object]:
     """Return what runs a frame on the CPU with ONNX Runtime alone, all buffers bound once."""
     settings = onnxruntime.SessionOptions()
     settings.intra_op_num_threads = threads
@@ -139,7 +139,7 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
     with FrameSession(decoder, provider="cpu", threads=1) as session:
         alone = bare_frame(session)
         actions = [alone, lambda: session.run({"time": 0.3})["gaussians"], alone]
-        entry, ours, again = np.median(alternating(actions, 30), axis=0)
+        entry, ours, again = np.median(alternating_seconds(actions, 30), axis=0)
         inside = Inside(session._ready.bound.session)
         session._ready.bound.session = inside
         frames = np.zeros((60, 2))
@@ -163,7 +163,7 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
 def bench_overhead_on_a_tiny_model(tiny: Path, provider: str) -> None:
     with FrameSession(tiny, provider=provider, threads=1) as session:
         actions = [bare_frame(session), lambda: session.run({"time": 0.3})]
-        alone, ours = 1e6 * np.median(alternating(actions, 2000), axis=0)
+        alone, ours = 1e6 * np.median(alternating_seconds(actions, 2000), axis=0)
     print_figure(
         f"5 Gaussians, {provider}: update and run bare {alone:.1f} µs, FrameSession {ours:.1f} µs"
     )
@@ -172,13 +172,13 @@ def bench_overhead_on_a_tiny_model(tiny: Path, provider: str) -> None:
 
 def bench_first_frame(decoder: Path) -> None:
     def create() -> None:
-        bare(decoder)()
+        bare_session_frame(decoder)()
 
     def ours() -> None:
         with FrameSession(decoder, provider="cpu", threads=1) as session:
             session.run()
 
-    baseline, durations = np.median(alternating([create, ours], 5), axis=0)
+    baseline, durations = np.median(alternating_seconds([create, ours], 5), axis=0)
     print_figure(f"first frame, from the file: bare {1e3 * baseline:.0f} ms, ")
     print_figure(
         f"FrameSession {1e3 * durations:.0f} ms with its warm-up, ratio {durations / baseline:.2f}"

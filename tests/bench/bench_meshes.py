@@ -19,7 +19,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 
 COUNT = 300_000
 CAMERA = Camera(np.eye(4), fx=600.0, fy=600.0, cx=480.0, cy=270.0, width=960, height=540)
-AROUND = Camera.panorama((0, 0, 0), width=1024)
+PANORAMA_CAMERA = Camera.panorama((0, 0, 0), width=1024)
 
 
 def cpu(renderer: Renderer, scene: Scene, times: int = 5, camera: Camera = CAMERA) -> float:
@@ -95,9 +95,11 @@ def bench_meshes_all_around() -> None:
         "a room of 1,800 triangles": placed(ball(30), 0, 5),
         "a room of 105,800 triangles": placed(ball(230), 0, 5),
     }
-    sys.stdout.write(f"\n  8 triangles, far away: {cpu(renderer, sky, camera=AROUND):.3f} s")
+    sys.stdout.write(
+        f"\n  8 triangles, far away: {cpu(renderer, sky, camera=PANORAMA_CAMERA):.3f} s"
+    )
     for name, mesh in cases.items():
         scene = Scene([], meshes=[mesh])
-        seconds_taken, ahead = cpu(renderer, scene, camera=AROUND), cpu(renderer, scene)
+        seconds_taken, ahead = cpu(renderer, scene, camera=PANORAMA_CAMERA), cpu(renderer, scene)
         sys.stdout.write(f"\n  {name}: {seconds_taken:.3f} s, as a pinhole sees it {ahead:.3f} s")
     sys.stdout.write("\n")

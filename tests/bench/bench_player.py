@@ -30,7 +30,7 @@ GOALS = {1: 1.0, 32: 2.0}  # milliseconds
 NOTHING_BEHIND = np.zeros(3)
 
 
-def least(action: Callable[[], object], after: Callable[[], object]) -> float:
+def min_seconds(action: Callable[[], object], after: Callable[[], object]) -> float:
     """Return the least CPU milliseconds of this thread for an action, over many frames."""
     durations = []
     for _ in range(FRAMES):
@@ -76,8 +76,8 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
         plan._readback.staging.encode(encoder)
         renderer.device.raw.queue.submit([encoder.finish()])
 
-    whole, bare = least(frame, plan.collect), least(nothing, plan.collect)
-    uniforms = least(lambda: frame(()), plan.collect) - bare
+    whole, bare = min_seconds(frame, plan.collect), min_seconds(nothing, plan.collect)
+    uniforms = min_seconds(lambda: frame(()), plan.collect) - bare
     steps = sum(map(len, plan.stages.values()))
     goal = f" (goal {GOALS[count]:g})" if count in GOALS else ""
     print_figure(
@@ -86,7 +86,7 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
     print_figure(
         f"    empty one's {bare:.2f}; uniforms {uniforms:.2f}, dispatches {whole - uniforms - bare:.2f}"
     )
-    placing_seconds = least(lambda: renderer.placed(scene), lambda: None)
+    placing_seconds = min_seconds(lambda: renderer.placed(scene), lambda: None)
     print_figure(f"    finding what changed {placing_seconds:.3f} ms")
 
 

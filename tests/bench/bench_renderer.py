@@ -77,7 +77,7 @@ def planned(renderer: Renderer, scene: Scene, camera: Camera) -> tuple[Plan, lis
     return renderer.plan(placed, camera, frozenset(["color"])), placed, pairs
 
 
-def floor(
+def minimum_bytes(
     gaussians: int, visible: int, pairs: int, pixels: int, row: int, harmonics: int
 ) -> dict[str, float]:
     """Return the least bytes of each stage, as the renderer is built."""
@@ -130,7 +130,7 @@ def bench_a_million(device: Device, scene: Scene, size: tuple[int, int], compact
     print_figure(f"{visible:,} visible, {pairs:,} pairs")
     rate = copy_rate()
     unchanged_bytes = (32, 96) if compact else (40, 192)  # bytes of a row, and of its harmonics
-    min_costs = floor(MILLION, visible, pairs, size[0] * size[1], *unchanged_bytes)
+    min_costs = minimum_bytes(MILLION, visible, pairs, size[0] * size[1], *unchanged_bytes)
     idle_seconds = cpu(lambda: frame("none"))  # uniforms, clearing, and copying the image back
     names = list(plan.stages)
     # What a stage adds to those before it: each needs what they made.

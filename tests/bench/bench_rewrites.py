@@ -31,7 +31,7 @@ from support.measures import print_figure
 from support.models.reference_models import Avatar, HexPlane, ScaffoldDecoder
 from support.models.traced import traced
 
-TURNS = 9
+BENCH_ROUNDS = 9
 # Ours over the plain export, and over eager torch.
 BAR_PLAIN, BAR_EAGER = 0.75, 1.1
 CASES: dict[str, tuple[Callable[[], GaussianGenerator], int, int | None]] = {
@@ -86,7 +86,7 @@ def cpu_seconds(action: Callable[[], object]) -> float:
 def by_turns(actions: dict[str, Callable[[], object]]) -> dict[str, float]:
     """Run all actions in turn, several times; return the shortest time of each."""
     durations = {name: [cpu_seconds(action) for _ in range(1)] for name, action in actions.items()}
-    for _ in range(TURNS):
+    for _ in range(BENCH_ROUNDS):
         for name, action in actions.items():
             durations[name].append(cpu_seconds(action))
     return {name: min(times[1:]) for name, times in durations.items()}

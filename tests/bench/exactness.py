@@ -27,10 +27,10 @@ from support.measures import print_figure
 
 BAR_PSNR: Final = 80.0
 BAR_ERROR: Final = 1e-3
-_WORST: Final = 12
+_WORST_PIXEL_COUNT: Final = 12
 _CULL: Final = 1 / 255
-_FINISHED: Final = 1e-4
-_TIE: Final = 1e-12  # of a depth: nearer to each other two are not told apart
+_MIN_TRANSMITTANCE: Final = 1e-4
+_TIE_EPSILON: Final = 1e-12  # of a depth: nearer to each other two are not told apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +86,7 @@ def describe(result: Splats) -> None:
         result.rounded[order],
     )
     swapped = (np.diff(key) < 0) | ((np.diff(key) == 0) & (np.diff(low) < 0))
-    swapped &= np.diff(result.depth[order]) > _TIE * result.depth[order][1:]
+    swapped &= np.diff(result.depth[order]) > _TIE_EPSILON * result.depth[order][1:]
     print_figure(
         f"of {len(order):,} splats, {int((np.diff(naive_offsets) < 0).sum()):,} stand before one that is "
     )
@@ -112,9 +112,9 @@ def reason(result: Splats, x: int, y: int) -> str:
         return f"two splats {depth_gap:.1e} apart, at {result.depth[near[first]]:.3f}, stand the other way around"
     drawn = np.minimum(np.where(alpha[near] >= _CULL, alpha[near], 0), 0.99)
     light = np.cumprod(1 - drawn)
-    is_reached = np.append(1, light[:-1]) > _FINISHED
+    is_reached = np.append(1, light[:-1]) > _MIN_TRANSMITTANCE
     edge = float(np.abs(alpha[near][is_reached] / _CULL - 1).min(initial=np.inf))
-    stop = float(np.abs(light[is_reached] / _FINISHED - 1).min(initial=np.inf))
+    stop = float(np.abs(light[is_reached] / _MIN_TRANSMITTANCE - 1).min(initial=np.inf))
     if min(edge, stop) > 1e-2:
         return "no threshold is near: rounding"
     if edge < stop:
@@ -146,7 +146,7 @@ def main() -> int:
         f"largest error {max_error.max():.1e}, away from declared discontinuities {undeclared:.1e} "
     )
     print_figure(f"({100 * frame.fragile.mean():.1f} % of the pixels have one)")
-    for pixel in np.argsort(max_error.ravel())[::-1][:_WORST]:
+    for pixel in np.argsort(max_error.ravel())[::-1][:_WORST_PIXEL_COUNT]:
         y, x = divmod(int(pixel), width)
         print_figure(f"  pixel {x:4}, {y:4}: {max_error[y, x]:.1e}: {reason(result, x, y)}")
     sys.stdout.write("\n")

@@ -70,14 +70,16 @@ MODES: Final = {
     "quads, compact": {"rasteriser": "quads", "compact": True},
 }
 IN_IMAGE: Final = 0.76  # of the Gaussians
-WARM: Final = 3  # frames: the second one arranges rows, the third has grown room for all pairs
+WARM_UP_FRAMES: Final = (
+    3  # frames: the second one arranges rows, the third has grown room for all pairs
+)
 FLOPS_OF_A_PIXEL: Final = 14  # that a splat is blended into
 CROP: Final = (256, 144)
 NOTHING: Final = np.zeros(3)
 CHAINS: Final = 8
 LEAST_KEYS: Final = 1 << 20  # fewer are sorted in less time than a busy machine's copies vary
 
-FUSED: Final = """
+FUSED_MULTIPLY_SHADER: Final = """
 @group(0) @binding(0) var<storage, read_write> made: array<vec4f>;
 @compute @workgroup_size(256)
 fn fused(@builtin(global_invocation_id) at: vec3u) {
@@ -151,7 +153,7 @@ def flop_rate(device: Device) -> float:
     """Return float32 operations in a second, two for a fused multiplication and addition."""
     loops, groups = (64, 64) if device.software else (4096, 16384)
     raw = device.raw
-    code = f"const LOOPS: u32 = {loops}u;\n" + FUSED
+    code = f"const LOOPS: u32 = {loops}u;\n" + FUSED_MULTIPLY_SHADER
     pipeline = raw.create_compute_pipeline(
         layout="auto", compute={"module": raw.create_shader_module(code=code)}
     )
@@ -184,7 +186,7 @@ class Frame:
 
     @classmethod
     def of(cls, renderer: Renderer, scene: Scene, camera: Camera) -> "Frame":
-        for _ in range(WARM):
+        for _ in range(WARM_UP_FRAMES):
             drawn = renderer.draw(scene, camera)
         placed = renderer.placed(scene)
         plan = renderer.plan(placed, camera, frozenset({"color"}))
@@ -197,10 +199,10 @@ class Frame:
             return {}
         clock = StageClock(device)
         message = list[dict[str, float]]()
-        for number in range(frames + WARM):
+        for number in range(frames + WARM_UP_FRAMES):
             self.plan.submit(self.placed, self.camera, NOTHING, clock=clock, fetch=False)
             self.plan.collect(fetch=False)
-            if number >= WARM:
+            if number >= WARM_UP_FRAMES:
                 message.append(clock.seconds())
         for first in message:
             first["sum"] = sum(first.values())
@@ -239,7 +241,9 @@ class Frame:
         )
 
 
-def floors(frame: Frame, gaussians: int, bytes_a_second: float, flops: float) -> dict[str, Any]:
+def minimum_times(
+    frame: Frame, gaussians: int, bytes_a_second: float, flops: float
+) -> dict[str, Any]:
     """Return the least milliseconds of each stage: its bytes once, and blending's operations.
 
     Bytes are those of the stages as they are built: 32-bit keys, splats of 48 bytes, tiles of the
@@ -297,7 +301,7 @@ def cropped(camera: Camera, size: tuple[int, int]) -> tuple[Camera, int, int]:
     return part, x, y
 
 
-def near(data: SplatData, camera: Camera) -> SplatData:
+def rows_near_view(data: SplatData, camera: Camera) -> SplatData:
     """Return the rows that can reach the camera's image: a bound on each ellipse, and more.
 
     A standard deviation is at most the root of the covariance's trace, and its image at most that
@@ -323,7 +327,7 @@ class Exactness:
     def __init__(self, scene: Scene, camera: Camera) -> None:
         self.scene = scene
         self.camera, self.x, self.y = cropped(camera, CROP)
-        visible_rows = near(scene.sets[0].data, self.camera)
+        visible_rows = rows_near_view(scene.sets[0].data, self.camera)
         self.gaussians = len(visible_rows)
         start_time = time.perf_counter()
         self.wanted = oracle.render(Scene([visible_rows]), self.camera)
@@ -413,7 +417,7 @@ class Report:
         return self.made.get(name)
 
 
-def asked() -> argparse.Namespace:
+def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--gaussians", type=int, default=6_060_000)
     parser.add_argument("--size", default="1920x1080", help="WIDTHxHEIGHT")
@@ -425,7 +429,7 @@ def asked() -> argparse.Namespace:
 
 
 def main() -> int:
-    words = asked()
+    words = parse_arguments()
     width, height = map(int, words.size.split("x"))
     modes = [word.strip().replace(" compact", ", compact") for word in words.modes.split(",")]
     out = Path(words.out)
@@ -468,12 +472,13 @@ def main() -> int:
             "stages, ms": stages,
             "frame, ms of wall": wall,
             "frame of a window, ms": frame.unwaited(scene, words.frames),
-            "floor": floors(frame, words.gaussians, bytes_a_second, flops),
+            "floor": minimum_times(frame, words.gaussians, bytes_a_second, flops),
             "beside the oracle": exactness.of(renderer, whole),
         }
 
     report.part(
-        "gsplat, ms", lambda: gsplat_milliseconds(scene.sets[0].data, camera, WARM, words.frames)
+        "gsplat, ms",
+        lambda: gsplat_milliseconds(scene.sets[0].data, camera, WARM_UP_FRAMES, words.frames),
     )
     for mode in modes:
         report.part(mode, lambda mode=mode: measured(mode))

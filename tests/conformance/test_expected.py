@@ -10,7 +10,9 @@ from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.rules.catalogue import installed_rules
 from support.commands import gsgen_here
 
-KNOWN = '[[xfail]]\nrule = "opacity-range"\nmodel = "opacity*.onnx"\nreason = "until 2.0"\n'
+EXPECTED_FAILURES_TOML = (
+    '[[xfail]]\nrule = "opacity-range"\nmodel = "opacity*.onnx"\nreason = "until 2.0"\n'
+)
 
 
 def read(tmp_path: Path, text: str) -> tuple[ExpectedFailure, ...]:
@@ -21,7 +23,7 @@ def read(tmp_path: Path, text: str) -> tuple[ExpectedFailure, ...]:
 
 def test_a_file_names_rules_by_id_or_name(tmp_path: Path) -> None:
     more = '[[xfail]]\nrule = "gv001"\nreason = "known"\n'
-    first, second = read(tmp_path, KNOWN + more)
+    first, second = read(tmp_path, EXPECTED_FAILURES_TOML + more)
     assert (first.rule, first.model, first.reason) == ("GV003", "opacity*.onnx", "until 2.0")
     assert (second.rule, second.model) == ("GV001", "")
     assert first.matches("GV003", Path("a/opacity_is_logits.onnx"))
@@ -79,12 +81,14 @@ def test_unmatched_entries_are_reported() -> None:
 def test_pytest_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
     models = ("--gsgen=drift.onnx", "--gsgen=opacity_is_logits.onnx", "-k", "GV003 or xfail")
-    (folder / "known.toml").write_text(KNOWN)
+    (folder / "known.toml").write_text(EXPECTED_FAILURES_TOML)
     completed = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
     assert completed.code == 0, completed.out
     assert completed.names("xfailed") == ["opacity_is_logits.onnx.basic::GV003-opacity-range"]
     assert "until 2.0" in completed.out
-    stale = KNOWN.replace("opacity*", "d*") + KNOWN.replace("opacity*", "none")
+    stale = EXPECTED_FAILURES_TOML.replace("opacity*", "d*") + EXPECTED_FAILURES_TOML.replace(
+        "opacity*", "none"
+    )
     (folder / "known.toml").write_text(stale)
     completed = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
     assert completed.code == 1
@@ -100,16 +104,16 @@ def test_pytest_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
 def test_command_fails_on_fulfilled_or_unmatched_entries(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     known = folder / "known.toml"
-    known.write_text(KNOWN)
+    known.write_text(EXPECTED_FAILURES_TOML)
     completed = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
     assert completed.code == 0, completed.out + completed.err
     assert "1 expected" in completed.out
     assert "until 2.0" in completed.out
-    known.write_text(KNOWN.replace("opacity-range", "rows-finite"))
+    known.write_text(EXPECTED_FAILURES_TOML.replace("opacity-range", "rows-finite"))
     completed = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
     assert completed.code == 1
     assert "2 failed" in completed.out
-    known.write_text(KNOWN.replace("opacity*", "none"))
+    known.write_text(EXPECTED_FAILURES_TOML.replace("opacity*", "none"))
     completed = gsgen_here("conformance", model, "--xfails", known, "--level", "static")
     assert completed.code == 2
     assert "matches no rule of any tested model" in completed.err

@@ -17,7 +17,7 @@ def files_of(fixture: Fixture) -> set[str]:
 WITH_FILES = [
     fixture for fixture in fixtures() if files_of(fixture) or fixture.draw().external
 ]  # the second also names fixtures whose file is missing
-MISSING = {"external_data_missing.bin", "reference_image_left_behind.png"}
+MISSING_FILES = {"external_data_missing.bin", "reference_image_left_behind.png"}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_files_beside_a_model_have_its_name() -> None:
 
 def test_missing_files_are_missing_where_all_fixtures_are(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
-    assert not names & MISSING
+    assert not names & MISSING_FILES
     models = {f"{fixture.name}{fixture.suffix}" for fixture in fixtures()}
     assert names == models.union(*map(files_of, fixtures()))
 

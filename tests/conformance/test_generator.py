@@ -103,7 +103,7 @@ class TestMine(GeneratorConformance):
     assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in completed.out
 
 
-UNMADE = """
+FAILING_BUILDERS_TEXT = """
 from gsgen.contract.errors import GsgenError
 
 def build():
@@ -131,7 +131,7 @@ class TestTwice(GeneratorConformance):
 
 def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(folder: Path) -> None:
     write(folder, "camera_and_proj")
-    (folder / "test_mine.py").write_text(HEAD + UNMADE)
+    (folder / "test_mine.py").write_text(HEAD + FAILING_BUILDERS_TEXT)
     completed = run_pytest(folder, "--gsgen-level=static")
     assert completed.code == 1
     errors = [name.partition("::")[0] for name in completed.names("error")]

@@ -10,7 +10,7 @@ import pytest
 
 from conformance.pytest_runs import run_pytest
 
-HEAVY = {"numpy", "onnx", "onnxruntime", "jsonschema", "typer", "torch", "jaxtyping"}
+HEAVY_MODULES = {"numpy", "onnx", "onnxruntime", "jsonschema", "typer", "torch", "jaxtyping"}
 
 
 def test_a_run_without_models_imports_nothing_heavy(folder: Path) -> None:
@@ -25,7 +25,7 @@ def test_a_run_without_models_imports_nothing_heavy(folder: Path) -> None:
     assert completed.returncode == 0
     names = set(json.loads((folder / "modules.json").read_text()))
     assert "gsgen.conformance.pytest.plugin" in names  # the measure works
-    assert {name.partition(".")[0] for name in names} & HEAVY == set()
+    assert {name.partition(".")[0] for name in names} & HEAVY_MODULES == set()
     assert {name for name in names if name.startswith("gsgen.")} == {
         *("gsgen.conformance", "gsgen.conformance.pytest", "gsgen.conformance.pytest.plugin")
     }

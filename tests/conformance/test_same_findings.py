@@ -18,7 +18,7 @@ Found = tuple[str, str, str, str]
 MODELS = {"core": ("opacity_is_logits", "time_is_baked"), "visionary": ("drift", "still_sh1")}
 
 
-def told(findings: Iterable[dict[str, Any]]) -> list[Found]:
+def finding_lines(findings: Iterable[dict[str, Any]]) -> list[Found]:
     lines = []
     for finding in findings:
         where = finding["where"]["subject"], finding["where"].get("field") or ""
@@ -42,11 +42,11 @@ def test_python_command_and_pytest_report_equal_findings(folder: Path, target: s
 
     completed = gsgen_here("validate", *named, "--target", target, "--format", "json", cwd=folder)
     reports = json.loads(completed.out)["reports"]
-    assert {r["subject"]["uri"]: told(r["findings"]) for r in reports} == python
+    assert {r["subject"]["uri"]: finding_lines(r["findings"]) for r in reports} == python
 
     suites = gsgen_here("conformance", *named, "--target", target, "--format", "json", cwd=folder)
     models = json.loads(suites.out)["models"]
-    assert {m["subject"]["uri"]: told(m["findings"]) for m in models} == python
+    assert {m["subject"]["uri"]: finding_lines(m["findings"]) for m in models} == python
     assert suites.code == completed.code == 1
 
     tested = run_pytest(folder, *[f"--gsgen={n}" for n in named], f"--gsgen-target={target}")
@@ -54,7 +54,7 @@ def test_python_command_and_pytest_report_equal_findings(folder: Path, target: s
     for name, case in tested.cases.items():
         model = f"{name.partition('.onnx')[0]}.onnx"
         by_model[model] += json.loads(property_of(case, "gsgen.findings") or "[]")
-    assert {name: told(actual) for name, actual in by_model.items()} == python
+    assert {name: finding_lines(actual) for name, actual in by_model.items()} == python
     failing = {r["subject"]["uri"] for r in reports if r["verdict"] != "conforms"}
     failed = {f"{name.partition('.onnx')[0]}.onnx" for name in tested.names("failure")}
     assert failed == failing

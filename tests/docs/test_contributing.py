@@ -25,7 +25,7 @@ _ROW = re.compile(r"^\| (?P<name>[\w ]+) \| (?P<places>.*`.*) \|$", re.MULTILINE
 _EXAMPLE = re.compile(
     r"^<!-- append: (?P<path>\S+) -->\n```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
 )
-_PLACES = {
+_PATHS_BY_EXTENSION = {
     row["name"]: [path for path in re.findall(r"`([^`]+)`", row["places"]) if "/" in path]
     for row in _ROW.finditer(TEXT.partition("| extension | places |")[2])
 }
@@ -89,7 +89,7 @@ class Copy:
 
     def assert_touches_only(self, extension: str) -> None:
         """Assert that each touched file is in a place of the extension, and each place is used."""
-        places = _PLACES[extension]
+        places = _PATHS_BY_EXTENSION[extension]
         used = [
             max((location for location in places if f"{path}/".startswith(f"{location}/")), key=len)
             for path in self.touched
@@ -103,16 +103,23 @@ def copy(tmp_path: Path) -> Copy:
 
 
 def test_the_page_lists_every_extension() -> None:
-    assert list(_PLACES) == ["rule", "pass", "splat format", "family", "command", "target"]
-    assert len(_PLACES["rule"]) == 2
-    assert len(_PLACES["splat format"]) <= 3
+    assert list(_PATHS_BY_EXTENSION) == [
+        "rule",
+        "pass",
+        "splat format",
+        "family",
+        "command",
+        "target",
+    ]
+    assert len(_PATHS_BY_EXTENSION["rule"]) == 2
+    assert len(_PATHS_BY_EXTENSION["splat format"]) <= 3
     assert len(TEXT.splitlines()) < 150
 
 
 def test_every_path_on_the_page_exists() -> None:
     paths = {path for path in re.findall(r"`([\w./-]+/[\w./-]*)`", TEXT) if "…" not in path}
     paths |= {link.partition("#")[0] for link in links(PAGE) if "://" not in link}
-    assert {path for places in _PLACES.values() for path in places} <= paths
+    assert {path for places in _PATHS_BY_EXTENSION.values() for path in places} <= paths
     missing = [path for path in paths if not (ROOT / path).exists() and path[0] != "."]
     assert missing == []
 
@@ -261,7 +268,7 @@ def test_a_splat_format_touches_the_places_of_the_page(copy: Copy) -> None:
 
 def test_a_target_touches_the_place_of_the_page(copy: Copy) -> None:
     copy.take("contract/gsgen")
-    (folder,) = _PLACES["target"]
+    (folder,) = _PATHS_BY_EXTENSION["target"]
     target = json.loads((ROOT / folder / "gsgen.json").read_text("utf-8"))
     changes = {"name": "acme", "opset": [13, 17], "follows_runtime": False}
     copy.write(f"{folder}/acme.json", json.dumps(target | changes))

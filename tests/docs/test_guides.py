@@ -67,7 +67,7 @@ def test_every_block_runs(page, tmp_path):
 
 
 # What a block may begin with that no test runs: it needs a network, a screen, or sets up all.
-_EXCUSED = (
+_UNTESTED_COMMANDS = (
     "make demo",
     "pip install",
     "git clone",
@@ -89,7 +89,7 @@ def test_every_block_of_a_guide_is_run(page: Path) -> None:
     unmarked = [
         match["text"].partition("\n")[0]
         for match in _FENCE.finditer(page.read_text("utf-8"))
-        if match["mark"] is None and not match["text"].startswith(_EXCUSED)
+        if match["mark"] is None and not match["text"].startswith(_UNTESTED_COMMANDS)
     ]
     commands = EXPORTED if page.stem == "export-your-method" else ()
     assert [line for line in unmarked if not line.startswith(commands or "\0")] == []

@@ -76,7 +76,7 @@ def _files(entry: object) -> list[str]:
     return [file for entry in inner for file in _files(entry)]  # type: ignore[attr-defined]
 
 
-def _shown(page: Path) -> list[str]:
+def _visible_lines(page: Path) -> list[str]:
     lines = page.read_text("utf-8").splitlines()
     return [line.removeprefix("::: ") for line in lines if line.startswith("::: ")]
 
@@ -96,7 +96,7 @@ def _shown(page: Path) -> list[str]:
 )
 def test_every_public_name_is_on_its_page(name):
     shown = set()
-    for path in _shown(DOCS / "api" / f"{name.partition('.')[0]}.md"):
+    for path in _visible_lines(DOCS / "api" / f"{name.partition('.')[0]}.md"):
         module, _, last = path.rpartition(".")
         actual = getattr(import_module(module), last)
         # A page may show a module as a whole.
@@ -106,12 +106,12 @@ def test_every_public_name_is_on_its_page(name):
 
 def test_no_name_is_on_two_places_of_a_page():
     for page in (DOCS / "api").iterdir():
-        assert len(_shown(page)) == len(set(_shown(page))), name_of(page)
+        assert len(_visible_lines(page)) == len(set(_visible_lines(page))), name_of(page)
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "api").iterdir()), ids=name_of)
 def test_every_name_on_a_page_exists(page):
-    for path in _shown(page):
+    for path in _visible_lines(page):
         module, _, name = path.rpartition(".")
         try:
             assert hasattr(import_module(module), name), path

@@ -15,9 +15,9 @@ from support.reports.pages import DOCS
 
 PAGES = DOCS / "plugins"
 PICTURES = DOCS / "assets" / "plugins"
-LARGEST = 40_000  # bytes
+MAX_PICTURE_BYTES = 40_000  # bytes
 SECTIONS = ("Inputs", "Input files", "Options", "Ignored data", "Known limits")
-OURS = sorted(
+BUILT_IN_PLUGINS = sorted(
     name for name, plugin in find_plugins().items() if plugin.point.value.startswith("gsgen.")
 )
 
@@ -28,17 +28,17 @@ def text_of(name: str) -> str:
 
 def test_every_plugin_has_a_page_and_a_picture() -> None:
     pages = {path.stem for path in PAGES.glob("*.md")} - {"index"}
-    assert pages == {path.stem for path in PICTURES.glob("*.jpg")} == set(OURS)
+    assert pages == {path.stem for path in PICTURES.glob("*.jpg")} == set(BUILT_IN_PLUGINS)
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", BUILT_IN_PLUGINS)
 def test_the_page_shows_its_picture_which_is_small(name: str) -> None:
     shown, *others = re.findall(r"^!\[(.+)\]\((\S+)\)$", text_of(name), re.MULTILINE)
     assert shown[1] == f"../assets/plugins/{name}.jpg"
     for expected_message, array in (shown, *others):
         assert len(expected_message) > 20  # says what can be seen, to those who cannot see it
         data = (PAGES / array).read_bytes()
-        assert len(data) <= LARGEST
+        assert len(data) <= MAX_PICTURE_BYTES
         with Image.open(io.BytesIO(data)) as picture:
             assert picture.format == "JPEG"
             assert picture.size == (1440, 240)
@@ -46,7 +46,7 @@ def test_the_page_shows_its_picture_which_is_small(name: str) -> None:
             assert levels[1] - levels[0] > 100, "there is hardly anything to see"
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", BUILT_IN_PLUGINS)
 def test_the_page_has_every_section_and_something_in_each(name: str) -> None:
     parts = re.split(r"^## (.+)$", text_of(name), flags=re.MULTILINE)
     sections = dict(zip(parts[1::2], parts[2::2], strict=True))
@@ -56,7 +56,7 @@ def test_the_page_has_every_section_and_something_in_each(name: str) -> None:
         assert "arxiv.org/abs/" in parts[0] or "code: " in parts[0]
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", BUILT_IN_PLUGINS)
 def test_the_page_names_every_option_of_its_command(name: str) -> None:
     text = text_of(name)
     missing = [option for option in options_of(plugin_of(name)) if option not in text]
@@ -81,14 +81,16 @@ def plugin_of(name: str) -> Plugin:
 def options_of(plugin: Plugin) -> list[str]:
     """Return what is typed for each option, but for those that every export has."""
     if plugin.build is not None:
-        return spelled(plugin.build)
+        return option_names(plugin.build)
     example = plugin_of("stylise")
     assert example.build is not None
-    shared_options = set(spelled(plugin_function(example))) - set(spelled(example.build))
-    return [option for option in spelled(plugin_function(plugin)) if option not in shared_options]
+    shared_options = set(option_names(plugin_function(example))) - set(option_names(example.build))
+    return [
+        option for option in option_names(plugin_function(plugin)) if option not in shared_options
+    ]
 
 
-def spelled(function: Callable[..., object]) -> list[str]:
+def option_names(function: Callable[..., object]) -> list[str]:
     """Return a function's options as typed: of a switch that is on, what turns it off."""
     results = []
     for parameter in inspect.signature(function).parameters.values():
@@ -102,12 +104,12 @@ def spelled(function: Callable[..., object]) -> list[str]:
     return results
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", BUILT_IN_PLUGINS)
 def test_every_plugin_has_a_demo(name: str) -> None:
     assert plugin_of(name).demo is not None
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", BUILT_IN_PLUGINS)
 def test_the_page_cites_what_the_plugin_cites(name: str) -> None:
     publication, introduction = (plugin_of(name).publication, text_of(name).partition("\n## ")[0])
     cited_papers = re.findall(r"arxiv\.org/abs/([\d.]+)\)", introduction)

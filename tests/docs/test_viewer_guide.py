@@ -20,24 +20,24 @@ from support.reports.pages import DOCS, blocks
 GUIDE = DOCS / "guides" / "write-a-viewer.md"
 SIZE = (48, 36)
 FOV = 0.9
-FAR = (0.5, -1.0, -4.0)
-AMONG = (0.1, 0.05, -0.3)  # some Gaussians are beside the picture, some behind the camera
+FAR_EYE = (0.5, -1.0, -4.0)
+INNER_EYE = (0.1, 0.05, -0.3)  # some Gaussians are beside the picture, some behind the camera
 MODELS = [
-    ("still_sh3", FAR),
-    ("still_half_rgb4", AMONG),
-    ("padded_half", FAR),
-    ("fade_row", FAR),
-    ("camera_and_proj", AMONG),
-    ("viewport", FAR),
-    ("flat_disks", AMONG),
-    ("opacity_at_its_ends", FAR),
-    ("bright_sh", AMONG),
-    ("nan_color", FAR),
-    ("nan_row", FAR),
-    ("indefinite_covariance", FAR),
-    ("axes_without_variance", FAR),
-    ("count_above_capacity", FAR),
-    ("shape_differs_at_run", FAR),
+    ("still_sh3", FAR_EYE),
+    ("still_half_rgb4", INNER_EYE),
+    ("padded_half", FAR_EYE),
+    ("fade_row", FAR_EYE),
+    ("camera_and_proj", INNER_EYE),
+    ("viewport", FAR_EYE),
+    ("flat_disks", INNER_EYE),
+    ("opacity_at_its_ends", FAR_EYE),
+    ("bright_sh", INNER_EYE),
+    ("nan_color", FAR_EYE),
+    ("nan_row", FAR_EYE),
+    ("indefinite_covariance", FAR_EYE),
+    ("axes_without_variance", FAR_EYE),
+    ("count_above_capacity", FAR_EYE),
+    ("shape_differs_at_run", FAR_EYE),
 ]
 OFF_CENTER = (0.0, 31.0)  # the principal point, at the left and near the lower edge
 DEFAULTS = [
@@ -112,7 +112,7 @@ def test_the_picture_is_that_of_the_oracle(
 
 def test_both_memory_orders_give_one_picture(viewer: ModuleType, tmp_path: Path) -> None:
     first, other = (
-        viewer.frame(str(find(name).write(tmp_path)), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+        viewer.frame(str(find(name).write(tmp_path)), viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE))
         for name in ("fade_row", "fade_column")
     )
     assert first[..., 3].max() > 0.1
@@ -124,7 +124,7 @@ def test_missing_inputs_are_fed_as_gsgen_feeds_them(
     name: str, viewer: ModuleType, fed: dict[str, Any], tmp_path: Path
 ) -> None:
     path = find(name).write(tmp_path)
-    viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+    viewer.frame(str(path), viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE))
     with FrameSession(path) as session:
         assert fed.keys() == session.inputs.keys()
         outputs = session.run(copy=True)
@@ -133,7 +133,7 @@ def test_missing_inputs_are_fed_as_gsgen_feeds_them(
             np.testing.assert_array_equal(again[output], outputs[output])
 
 
-def altered(name: str, path: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
+def with_edited_manifest(name: str, path: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
     """Write a fixture with an edited manifest to ``path``."""
     find(name).draw().edit_manifest(edit).write(path)
     return path
@@ -142,7 +142,7 @@ def altered(name: str, path: Path, edit: Callable[[dict[str, Any]], object]) -> 
 def test_a_count_below_zero_counts_as_zero(viewer: ModuleType, tmp_path: Path) -> None:
     path = tmp_path / "negative.onnx"
     spec = find("still_sh0").draw()
-    lens = viewer.look_at(FAR, (0, 0, 0), size=SIZE)
+    lens = viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE)
     spec.write(path)
     assert viewer.frame(str(path), lens).max() > 0.1
     spec.with_weights(live=i32(-1)).write(path)
@@ -152,7 +152,7 @@ def test_a_count_below_zero_counts_as_zero(viewer: ModuleType, tmp_path: Path) -
 def test_the_fourth_channel_of_rgb_may_be_nan(viewer: ModuleType, tmp_path: Path) -> None:
     path = tmp_path / "fourth.onnx"
     spec = find("still_half_rgb4").draw()
-    lens = viewer.look_at(FAR, (0, 0, 0), size=SIZE)
+    lens = viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE)
     spec.write(path)
     right = viewer.frame(str(path), lens)
     spec.with_weight_values("colors", np.s_[:, 3], np.nan).write(path)
@@ -162,23 +162,27 @@ def test_the_fourth_channel_of_rgb_may_be_nan(viewer: ModuleType, tmp_path: Path
 def test_a_required_extension_is_refused_by_its_name(viewer: ModuleType, tmp_path: Path) -> None:
     path = find("extension_unregistered").write(tmp_path)
     with pytest.raises(SystemExit, match="x-studio-relight"):
-        viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+        viewer.frame(str(path), viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE))
 
 
 @pytest.mark.parametrize("version", ["2.0", "1", "1.x", "", None])
 def test_other_versions_are_refused(
     version: str | None, viewer: ModuleType, tmp_path: Path
 ) -> None:
-    path = altered("still_sh0", tmp_path / "m.onnx", lambda m: m.update(contract=version))
+    path = with_edited_manifest(
+        "still_sh0", tmp_path / "m.onnx", lambda m: m.update(contract=version)
+    )
     with pytest.raises(SystemExit, match=r"expected a generator of 1\.x"):
-        viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+        viewer.frame(str(path), viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE))
 
 
 def test_a_newer_minor_version_is_drawn_with_a_note(
     viewer: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = altered("still_sh0", tmp_path / "m.onnx", lambda m: m.update(contract="1.9"))
-    picture = viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+    path = with_edited_manifest(
+        "still_sh0", tmp_path / "m.onnx", lambda m: m.update(contract="1.9")
+    )
+    picture = viewer.frame(str(path), viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE))
     assert picture.max() > 0.1
     assert "1.9 is newer" in capsys.readouterr().err
 
@@ -186,4 +190,4 @@ def test_a_newer_minor_version_is_drawn_with_a_note(
 def test_other_kinds_are_refused(viewer: ModuleType, tmp_path: Path) -> None:
     path = find("trajectory").write(tmp_path)
     with pytest.raises(SystemExit, match="trajectory-predictor"):
-        viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
+        viewer.frame(str(path), viewer.look_at(FAR_EYE, (0, 0, 0), size=SIZE))

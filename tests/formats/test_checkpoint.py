@@ -222,7 +222,9 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path, monkeypatch, location):
     assert not Path("exploded").exists()
 
 
-def remade(file: Path, changes: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> Path:
+def rewritten_archive(
+    file: Path, changes: dict[str, bytes], method: int = zipfile.ZIP_STORED
+) -> Path:
     """Replace members of an archive."""
     with zipfile.ZipFile(BytesIO(file.read_bytes())) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
@@ -234,10 +236,10 @@ def remade(file: Path, changes: dict[str, bytes], method: int = zipfile.ZIP_STOR
 
 def test_short_storage_and_compression_are_refused(tmp_path):
     file = stored(tmp_path / "a.pt", of_gsplat())
-    assert "means" in refusal(remade(file, {"data/0": b"\0" * 8}), ArchiveDamaged)
+    assert "means" in refusal(rewritten_archive(file, {"data/0": b"\0" * 8}), ArchiveDamaged)
     packed = stored(tmp_path / "b.pt", of_gsplat(count=5000))
     assert "the file in the archive is compressed" in refusal(
-        remade(packed, {}, zipfile.ZIP_DEFLATED), NotSupported
+        rewritten_archive(packed, {}, zipfile.ZIP_DEFLATED), NotSupported
     )
 
 
@@ -251,7 +253,7 @@ def test_an_expanded_tensor_does_not_take_more_memory_than_its_storage(tmp_path)
 
 def test_a_pickle_beyond_the_limit_is_refused(tmp_path):
     file = stored(tmp_path / "a.pt", of_gsplat())
-    refusal(remade(file, {"data.pkl": bytes((16 << 20) + 1)}), SizeExceeded)
+    refusal(rewritten_archive(file, {"data.pkl": bytes((16 << 20) + 1)}), SizeExceeded)
 
 
 def test_big_endian_numbers_are_read(tmp_path):
@@ -263,7 +265,7 @@ def test_big_endian_numbers_are_read(tmp_path):
             for name in archive.namelist()
             if "/data/" in name
         }
-    restored = read_checkpoint(remade(file, swapped | {"byteorder": b"big"}))
+    restored = read_checkpoint(rewritten_archive(file, swapped | {"byteorder": b"big"}))
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(restored, name), getattr(expected, name))
 

@@ -24,7 +24,7 @@ from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.shared.quantities import rotations
 from support.splat_files import GOLDENS, assert_near, opacity, scene, turn_between
 
-WRITTEN = [codec.name for codec in CODECS if codec.write]
+WRITABLE_FORMATS = [codec.name for codec in CODECS if codec.write]
 
 
 def by_name(actual: tuple) -> dict[str, float]:
@@ -86,7 +86,7 @@ def test_other_numbers_of_splats_are_no_difference():
 
 
 @pytest.mark.parametrize("degree", [None, 0, 1])
-@pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.parametrize("name", WRITABLE_FORMATS)
 def test_every_format_is_written_and_compared(tmp_path, name, degree):
     splats = scene(400, 2, antialiased=True, color_space="linear")
     file, target = tmp_path / "a.spz", tmp_path / "b"

@@ -116,7 +116,7 @@ def with_nodes(file, splats: Splats, nodes: list, **document: object) -> Splats:
     return read_glb(file)
 
 
-def spun(node: dict) -> np.ndarray:
+def node_matrix(node: dict) -> np.ndarray:
     """The matrix of a node of translation, rotation and scale."""
     x, y, z, w = node.get("rotation", [0, 0, 0, 1])
     matrix = np.eye(4)
@@ -126,18 +126,18 @@ def spun(node: dict) -> np.ndarray:
 
 
 TURN = (np.array([0.5, -0.3, 0.2, 0.7]) / np.linalg.norm([0.5, -0.3, 0.2, 0.7])).tolist()
-EVEN = {"translation": [1, 2, 3], "rotation": TURN, "scale": [2, 2, 2]}
-UNEVEN = {"translation": [-1, 0, 3], "rotation": TURN, "scale": [2, 0.5, 1]}
+UNIFORM_SCALE_NODE = {"translation": [1, 2, 3], "rotation": TURN, "scale": [2, 2, 2]}
+NONUNIFORM_SCALE_NODE = {"translation": [-1, 0, 3], "rotation": TURN, "scale": [2, 0.5, 1]}
 
 
-@pytest.mark.parametrize("inner", [{}, EVEN, UNEVEN])
-@pytest.mark.parametrize("outer_matrix", [{}, EVEN, UNEVEN])
+@pytest.mark.parametrize("inner", [{}, UNIFORM_SCALE_NODE, NONUNIFORM_SCALE_NODE])
+@pytest.mark.parametrize("outer_matrix", [{}, UNIFORM_SCALE_NODE, NONUNIFORM_SCALE_NODE])
 def test_nodes_put_splats_into_the_world(tmp_path, outer_matrix, inner):
     splats = scene(6, 3)
     nodes = [outer_matrix | {"children": [1]}, inner | {"mesh": 0}]
     moved = with_nodes(tmp_path / "a.glb", splats, nodes)
     flip = np.diag([-1, -1, 1, 1])
-    matrix = flip @ spun(outer_matrix) @ spun(inner) @ flip
+    matrix = flip @ node_matrix(outer_matrix) @ node_matrix(inner) @ flip
     linear = matrix[:3, :3]
     np.testing.assert_allclose(
         moved.position, splats.position @ linear.T + matrix[:3, 3], atol=1e-5
@@ -154,8 +154,8 @@ def test_nodes_put_splats_into_the_world(tmp_path, outer_matrix, inner):
 
 def test_node_matrix_equals_its_translation_rotation_scale(tmp_path):
     splats = scene(3, 1)
-    parts_file = with_nodes(tmp_path / "a.glb", splats, [UNEVEN | {"mesh": 0}])
-    matrix = {"matrix": spun(UNEVEN).T.ravel().tolist(), "mesh": 0}
+    parts_file = with_nodes(tmp_path / "a.glb", splats, [NONUNIFORM_SCALE_NODE | {"mesh": 0}])
+    matrix = {"matrix": node_matrix(NONUNIFORM_SCALE_NODE).T.ravel().tolist(), "mesh": 0}
     assert_near(with_nodes(tmp_path / "a.glb", splats, [matrix]), parts_file, position=1e-6)
 
 
@@ -180,7 +180,7 @@ def test_a_file_without_scenes_shows_all_roots(tmp_path):
     assert len(read_glb(tmp_path / "a.glb")) == 3
 
 
-STORED = {
+INTEGER_COMPONENTS = {
     "ROTATION": [(5122, "<i2", 32767), (5120, "i1", 127)],
     "SCALE": [(5121, "u1", 1), (5123, "<u2", 1), (5121, "u1", 255), (5123, "<u2", 65535)],
     "OPACITY": [(5121, "u1", 255), (5123, "<u2", 65535)],
@@ -189,7 +189,7 @@ STORED = {
 
 @pytest.mark.parametrize(
     ("name", "kind", "code", "largest"),
-    [(name, *kind) for name, kinds in STORED.items() for kind in kinds],
+    [(name, *kind) for name, kinds in INTEGER_COMPONENTS.items() for kind in kinds],
 )
 def test_normalised_integers_are_read_as_fractions(tmp_path, name, kind, code, largest):
     write_glb(tmp_path / "a.glb", scene(5, 0))

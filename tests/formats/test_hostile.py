@@ -21,7 +21,7 @@ from support.splat_files import ksplat, scene
 with tempfile.TemporaryDirectory() as _folder:
     WHOLE = whole_files(Path(_folder))
 
-LITTLE = 4 << 20
+MAX_MEMORY = 4 << 20
 
 
 def peak_while_refusing(file: Path, name: str) -> int:
@@ -100,7 +100,7 @@ def test_a_huge_count_takes_no_memory(tmp_path, label):
     name, content = huge_counts()[label]
     file = tmp_path / "huge"
     file.write_bytes(content)
-    assert peak_while_refusing(file, name) < LITTLE
+    assert peak_while_refusing(file, name) < MAX_MEMORY
 
 
 def test_a_gzip_bomb_is_unpacked_no_further_than_its_header_says(tmp_path):
@@ -110,7 +110,7 @@ def test_a_gzip_bomb_is_unpacked_no_further_than_its_header_says(tmp_path):
     assert len(bomb) < 40_000
     file = tmp_path / "bomb.spz"
     file.write_bytes(bomb)
-    assert peak_while_refusing(file, "spz") < LITTLE
+    assert peak_while_refusing(file, "spz") < MAX_MEMORY
 
 
 def test_a_zstd_bomb_is_unpacked_no_further_than_its_header_says(tmp_path):
@@ -123,7 +123,7 @@ def test_a_zstd_bomb_is_unpacked_no_further_than_its_header_says(tmp_path):
     content[32:40] = struct.pack("<Q", len(bomb))
     file.write_bytes(bytes(content[:first]) + bomb + bytes(content[first + size :]))
     assert len(bomb) < 40_000
-    assert peak_while_refusing(file, "spz") < LITTLE
+    assert peak_while_refusing(file, "spz") < MAX_MEMORY
 
 
 def test_a_frame_that_asks_for_a_huge_window_is_refused(tmp_path):
@@ -136,7 +136,7 @@ def test_a_frame_that_asks_for_a_huge_window_is_refused(tmp_path):
     size = struct.unpack_from("<Q", content, 32)[0]
     content[32:40] = struct.pack("<Q", len(frame))
     file.write_bytes(bytes(content[:first]) + frame + bytes(content[first + size :]))
-    assert peak_while_refusing(file, "spz") < LITTLE
+    assert peak_while_refusing(file, "spz") < MAX_MEMORY
 
 
 def test_reader_memory_is_proportional_to_the_splats(tmp_path):

@@ -25,7 +25,7 @@ GAUSSIANS = np.arange(40, dtype=np.float32).reshape(4, 10)
 APPEARANCE = np.arange(12, dtype=np.float32).reshape(4, 3)
 POINTS = np.arange(12, dtype=np.float32).reshape(4, 3)
 COLORS = np.arange(0, 240, 20, dtype=np.uint8).reshape(4, 3)
-AGAIN = "copy, download or save the file again"
+RETRY_HINT = "copy, download or save the file again"
 
 
 def saved(file: Path, **arrays: np.ndarray) -> Path:
@@ -231,7 +231,7 @@ def test_an_array_that_declares_more_than_it_has_is_refused(tmp_path):
     content = npy(GAUSSIANS).replace(b"(4, 10)", b"(9, 10)")
     file = zipped(tmp_path / "lie.npz", gaussians=content, appearance=npy(APPEARANCE))
     assert refusal(file, ArchiveDamaged) == (
-        f"array gaussians: the array has 288 bytes, but float32 [9, 10] takes 488, header included\n{AGAIN}"
+        f"array gaussians: the array has 288 bytes, but float32 [9, 10] takes 488, header included\n{RETRY_HINT}"
     )
 
 
@@ -253,7 +253,7 @@ def test_an_array_that_cannot_be_parsed_is_refused(tmp_path, content):
     file = zipped(tmp_path / "bad.npz", gaussians=content, appearance=npy(APPEARANCE))
     text = refusal(file, ArchiveDamaged)
     assert text.startswith("array gaussians: ")
-    assert text.endswith(f"\n{AGAIN}")
+    assert text.endswith(f"\n{RETRY_HINT}")
 
 
 def test_a_header_of_any_claimed_length_takes_little_memory(tmp_path):
@@ -287,7 +287,7 @@ def test_damage_inside_an_array_is_noticed(tmp_path):
     file.write_bytes(content.replace(GAUSSIANS.tobytes(), GAUSSIANS[::-1].tobytes()))
     assert refusal(file, ArchiveDamaged) == (
         "array gaussians: the archive cannot be unpacked "
-        f"(BadZipFile: Bad CRC-32 for file 'gaussians.npy')\n{AGAIN}"
+        f"(BadZipFile: Bad CRC-32 for file 'gaussians.npy')\n{RETRY_HINT}"
     )
 
 
@@ -298,7 +298,7 @@ def whole_archives() -> list[bytes]:
     return [stream.getvalue() for stream in streams]
 
 
-WHOLE = whole_archives()
+VALID_ARCHIVES = whole_archives()
 
 
 def read_or_refuse(file: Path, content: bytes) -> bool:
@@ -311,7 +311,7 @@ def read_or_refuse(file: Path, content: bytes) -> bool:
     return True
 
 
-@pytest.mark.parametrize("content", WHOLE, ids=["packed", "points"])
+@pytest.mark.parametrize("content", VALID_ARCHIVES, ids=["packed", "points"])
 def test_every_truncated_archive_is_refused(tmp_path, content):
     assert read_or_refuse(tmp_path / "whole.npz", content)
     shorter = (content[:size] for size in range(0, len(content), 3))
@@ -320,7 +320,7 @@ def test_every_truncated_archive_is_refused(tmp_path, content):
 
 @settings(max_examples=250, deadline=None)
 @given(
-    content=st.sampled_from(WHOLE),
+    content=st.sampled_from(VALID_ARCHIVES),
     edits=st.lists(
         st.tuples(st.integers(4, 900), st.integers(0, 3), st.binary(max_size=3)),
         min_size=1,

@@ -28,11 +28,11 @@ def main() -> int:
     """Run as the command line says; 1 where something failed."""
     arguments = _arguments()
     if arguments.only is not None:
-        return _once(arguments.seed, arguments.only)
+        return _run_single_case(arguments.seed, arguments.only)
     folder = arguments.folder / f"seed-{arguments.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "cases.jsonl"
-    done = _read(log)
+    done = _read_log(log)
     todo = [index for index in range(arguments.count) if index not in done]
     deadline = time.monotonic() + 60 * arguments.minutes
     failed = sum(bool(outcome["failures"]) for outcome in done.values())
@@ -44,7 +44,7 @@ def main() -> int:
             out.flush()
             if result["failures"]:
                 failed += 1
-                _keep(arguments.seed, result, folder)
+                _save_failure(arguments.seed, result, folder)
                 bar.console.print(f"case {result['case']}: {result['failures'][0][-300:]}")
             bar.update(task, advance=1, description=f"{failed} failed")
     return _sum_up(
@@ -70,7 +70,7 @@ def _bar() -> Progress:
     return Progress(*shown, console=console, disable=not console.is_terminal)
 
 
-def _read(log: Path) -> dict[int, dict[str, Any]]:
+def _read_log(log: Path) -> dict[int, dict[str, Any]]:
     """Return what an earlier run of the same seed judged; a half-written line is its end."""
     done: dict[int, dict[str, Any]] = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
@@ -82,7 +82,7 @@ def _read(log: Path) -> dict[int, dict[str, Any]]:
     return done
 
 
-def _keep(seed: int, result: dict[str, Any], folder: Path) -> None:
+def _save_failure(seed: int, result: dict[str, Any], folder: Path) -> None:
     """Write what is needed to see a failure again: the model, what is beside it, the commands."""
     kept_path = folder / "failures" / str(result["case"])
     shutil.rmtree(kept_path, ignore_errors=True)
@@ -101,7 +101,7 @@ def _keep(seed: int, result: dict[str, Any], folder: Path) -> None:
     (kept_path / "case.json").write_text(json.dumps({"seed": seed, **result}, indent=2))
 
 
-def _once(seed: int, index: int) -> int:
+def _run_single_case(seed: int, index: int) -> int:
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:

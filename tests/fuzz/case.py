@@ -68,7 +68,7 @@ def _mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:
         for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
             mutation = rng.choice(mutate_model.MUTATIONS)
             _try(mutation, model, rng, names)
-    return _written(model)
+    return _serialized(model)
 
 
 def _bytes_mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:
@@ -106,5 +106,5 @@ def _try(
         names.append(f"{mutation.__name__}!")
 
 
-def _written(model: ModelProto) -> bytes:
+def _serialized(model: ModelProto) -> bytes:
     return model.SerializeToString() or b"\0"

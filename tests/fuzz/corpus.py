@@ -8,7 +8,7 @@ from pathlib import Path
 from gsgen.conformance.fixtures import fixtures
 
 # A mutant of a larger model shows nothing that one of a smaller does not, and takes longer.
-_LARGEST = 128 << 10
+_MAX_BYTES = 128 << 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def bases(folder: Path | None = None) -> list[Base]:
     for fixture in fixtures():
         spec = fixture.draw()
         content = spec.build().SerializeToString()
-        if len(content) > _LARGEST:
+        if len(content) > _MAX_BYTES:
             continue
         external_data = None
         if folder is not None and (spec.beside or spec.zero_files or spec.links):

@@ -120,7 +120,7 @@ def _run(format: str, count: int, seed: int) -> int:
             failures[first] = f"ended with {completed.returncode}: {completed.stderr[-500:]}"
             kinds["died"] += 1
             first += 1
-    _keep(format, seed, failures)
+    _save_failures(format, seed, failures)
     most = ", ".join(f"{kind} {number}" for kind, number in kinds.most_common())
     _say(
         f"{format}: {count} files in {time.monotonic() - start_time:.0f} s, {len(failures)} failed, "
@@ -131,7 +131,7 @@ def _run(format: str, count: int, seed: int) -> int:
     return len(failures)
 
 
-def _keep(format: str, seed: int, failures: dict[int, str]) -> None:
+def _save_failures(format: str, seed: int, failures: dict[int, str]) -> None:
     if not failures:
         return
     FOLDER.mkdir(parents=True, exist_ok=True)

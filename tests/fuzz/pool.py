@@ -112,7 +112,9 @@ class Pool:
             if not worker.ready:
                 raise RuntimeError(f"a worker did not start: exit status {status}: {last}")
             if worker.case is not None:
-                yield _lost(worker, f"the validator's process ended with {status}: {last}")
+                yield _lost_worker_record(
+                    worker, f"the validator's process ended with {status}: {last}"
+                )
                 self._replace(hands)
             return
         worker.text += chunk
@@ -150,11 +152,11 @@ class Pool:
             raise RuntimeError(f"a worker was not ready after {_START:g} s")
         if worker.ready and worker.case is not None and elapsed > self.limit:
             self._dismiss(worker, hands)
-            yield _lost(worker, f"still busy after {self.limit:g} s")
+            yield _lost_worker_record(worker, f"still busy after {self.limit:g} s")
             self._replace(hands)
 
 
-def _lost(worker: _Hand, reason: str) -> dict[str, Any]:
+def _lost_worker_record(worker: _Hand, reason: str) -> dict[str, Any]:
     """Return what stands in the log for a case that gave no verdict."""
     seconds = round(time.monotonic() - worker.since, 4)
     facts = {"verdict": "lost", "ran": False, "mutations": [], "failures": [reason]}

@@ -34,10 +34,12 @@ def draw(format: str, seed: int, index: int, samples: Sequence[bytes]) -> bytes:
 
 def mutate(content: bytes, rng: random.Random) -> bytes:
     """Change ``content`` at one place, in one of many ways."""
-    inner = _INNER.get(bytes(content[:4])) or _INNER.get(bytes(content[:2]))
+    inner = _CONTAINER_MUTATIONS.get(bytes(content[:4])) or _CONTAINER_MUTATIONS.get(
+        bytes(content[:2])
+    )
     if inner is not None and rng.random() < 0.5:
         return inner(content, rng)
-    return rng.choice(_PLAIN)(content, rng) if content else b"\0"
+    return rng.choice(_BYTE_MUTATIONS)(content, rng) if content else b"\0"
 
 
 def _flip(content: bytes, rng: random.Random) -> bytes:
@@ -101,7 +103,16 @@ def _lines(content: bytes, rng: random.Random) -> bytes:
     return b"\n".join(lines) + sign + body
 
 
-_PLAIN: tuple[Mutation, ...] = (_flip, _flip, _resize, _resize, _number, _cut, _repeat, _lines)
+_BYTE_MUTATIONS: tuple[Mutation, ...] = (
+    _flip,
+    _flip,
+    _resize,
+    _resize,
+    _number,
+    _cut,
+    _repeat,
+    _lines,
+)
 
 
 def _inside_gzip(content: bytes, rng: random.Random) -> bytes:
@@ -111,7 +122,7 @@ def _inside_gzip(content: bytes, rng: random.Random) -> bytes:
         return _flip(content, rng)
     if rng.random() < 0.05:  # far more than the header says
         return gzip.compress(body + bytes(10**6), 9, mtime=0)
-    return gzip.compress(rng.choice(_PLAIN)(body or b"\0", rng), 1, mtime=0)
+    return gzip.compress(rng.choice(_BYTE_MUTATIONS)(body or b"\0", rng), 1, mtime=0)
 
 
 def _inside_zip(content: bytes, rng: random.Random) -> bytes:
@@ -133,7 +144,7 @@ def _inside_zip(content: bytes, rng: random.Random) -> bytes:
     elif name == "meta.json":
         files[name] = _json(files[name], rng)
     else:
-        files[name] = rng.choice(_PLAIN)(files[name] or b"\0", rng)
+        files[name] = rng.choice(_BYTE_MUTATIONS)(files[name] or b"\0", rng)
     methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
     return zipped(files, rng.choice(methods))
 
@@ -179,7 +190,7 @@ def _json(text: bytes, rng: random.Random) -> bytes:
         return text
 
 
-_INNER: Mapping[bytes, Mutation] = {
+_CONTAINER_MUTATIONS: Mapping[bytes, Mutation] = {
     b"\x1f\x8b": _inside_gzip,
     b"PK\x03\x04": _inside_zip,
     b"glTF": _inside_glb,

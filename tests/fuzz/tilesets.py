@@ -60,7 +60,7 @@ class _Late(BaseException):
 
 
 @cache
-def whole() -> tuple[dict[str, bytes], ...]:
+def valid_tilesets() -> tuple[dict[str, bytes], ...]:
     """Return what is damaged: tilesets as files by name."""
     sets = []
     for fixture in tiles_fixtures():
@@ -105,7 +105,7 @@ def _files(root: Path) -> dict[str, bytes]:
 def mutant(seed: int, case: int) -> tuple[dict[str, bytes], bool]:
     """Return the files of a mutant, always the same, and whether they are to be packed."""
     rng = np.random.default_rng([seed, case])
-    files = dict(whole()[int(rng.integers(len(whole())))])
+    files = dict(valid_tilesets()[int(rng.integers(len(valid_tilesets())))])
     packed = bool(rng.random() < 0.1)
     for _ in range(int(rng.integers(1, 4))):
         name = sorted(files)[int(rng.integers(len(files)))]
@@ -206,7 +206,7 @@ def judge(folder: Path, files: dict[str, bytes], *, packed: bool) -> Trial:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for action in (_validate, describe_tileset):
-            trial = _tried(action, source)
+            trial = _run_guarded(action, source)
             if trial.failure:
                 return trial
             kinds.append(trial.kind)
@@ -221,7 +221,7 @@ def _validate(source: Path) -> Any:
     return report.verdict
 
 
-def _tried(action: Callable[[Path], Any], source: Path) -> Trial:
+def _run_guarded(action: Callable[[Path], Any], source: Path) -> Trial:
     try:
         result = action(source)
     except GsgenError as error:
@@ -266,7 +266,7 @@ def _run(count: int, seed: int) -> int:
             kinds["died"] += 1
             first += 1
     for case, failure in failures.items():
-        _keep(seed, case, failure)
+        _save_failure(seed, case, failure)
     most = ", ".join(f"{kind} {number}" for kind, number in kinds.most_common())
     sys.stdout.write(
         f"{count} mutants in {time.monotonic() - start_time:.0f} s, {len(failures)} failed, "
@@ -277,7 +277,7 @@ def _run(count: int, seed: int) -> int:
     return len(failures)
 
 
-def _keep(seed: int, case: int, failure: str) -> None:
+def _save_failure(seed: int, case: int, failure: str) -> None:
     folder = FOLDER / f"{seed}-{case}"
     shutil.rmtree(folder, ignore_errors=True)
     for name, data in mutant(seed, case)[0].items():
@@ -289,7 +289,7 @@ def _keep(seed: int, case: int, failure: str) -> None:
 
 def _work(count: int, seed: int, first: int) -> int:
     """Judge mutants, and write a line of JSON about each."""
-    whole()
+    valid_tilesets()
     used = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[5]) * os.sysconf(
         "SC_PAGE_SIZE"
     )

@@ -24,10 +24,10 @@ def main(seed: int) -> None:
         corpus = bases(folder)
         _say({"ready": len(corpus)})
         for line in sys.stdin:
-            _say(_judged(draw(seed, int(line), corpus), folder))
+            _say(_run_case(draw(seed, int(line), corpus), folder))
 
 
-def _judged(case: Case, scratch: Path) -> dict[str, Any]:
+def _run_case(case: Case, scratch: Path) -> dict[str, Any]:
     folder = case.base.folder or scratch
     path = folder / f"case_{case.index}.onnx"
     path.write_bytes(case.content)

@@ -41,7 +41,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="gsgen-neighbours-") as name:
         folder = Path(name)
         checks = [*gsplat_files(folder), *gsplat_formulas(), *nerfstudio_files(folder)]
-        checks += [*viser_scene(folder), *rerun_log(folder)]
+        checks += [*viser_scene(folder), *check_rerun_recording(folder)]
     for title, difference, bound in checks:
         print(f"{title}: largest difference {difference:.2g}; bound {bound:.2g}")
     return 0 if all(difference <= bound for _, difference, bound in checks) else 1
@@ -83,11 +83,15 @@ def gsplat_files(folder: Path) -> Iterator[Check]:
     torch.save({"step": 29_999, "splats": tensors}, folder / "ckpt_29999_rank0.pt")
     yield (
         "gsplat: checkpoint of its trainer",
-        _apart(open_splats(folder / "ckpt_29999_rank0.pt"), splats),
+        _max_difference(open_splats(folder / "ckpt_29999_rank0.pt"), splats),
         0,
     )
     gsplat.export_splats(**tensors, format="ply", save_to=str(folder / "gsplat.ply"))
-    yield "gsplat: PLY of its exporter", _apart(open_splats(folder / "gsplat.ply"), splats), 0
+    yield (
+        "gsplat: PLY of its exporter",
+        _max_difference(open_splats(folder / "gsplat.ply"), splats),
+        0,
+    )
     # The compressed PLY quantises; rows are in another order, so that clouds are compared.
     gsplat.export_splats(
         **tensors, format="ply_compressed", save_to=str(folder / "c.compressed.ply")
@@ -101,10 +105,10 @@ def gsplat_files(folder: Path) -> Iterator[Check]:
     distance = np.linalg.norm(again.position[:, None] - splats.position, axis=2).min(axis=1).max()
     yield "gsplat: .splat, centres", float(distance), 1e-6
     write_ply(folder / "back.ply", open_splats(folder / "gsplat.ply"))
-    yield "gsplat: PLY there and back", _apart(open_splats(folder / "back.ply"), splats), 0
+    yield "gsplat: PLY there and back", _max_difference(open_splats(folder / "back.ply"), splats), 0
 
 
-def _apart(first: Splats, second: Splats) -> float:
+def _max_difference(first: Splats, second: Splats) -> float:
     names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
     return max(float(np.abs(getattr(first, x) - getattr(second, x)).max()) for x in names)
 
@@ -139,14 +143,18 @@ def nerfstudio_files(folder: Path) -> Iterator[Check]:
     pipeline = {f"_model.gauss_params.{name}": tensor for name, tensor in tensors.items()}
     torch.save({"step": 29_999, "pipeline": pipeline}, folder / "step-000029999.ckpt")
     again = open_splats(folder / "step-000029999.ckpt")
-    yield "nerfstudio: checkpoint of splatfacto", _apart(again, splats), 0
+    yield "nerfstudio: checkpoint of splatfacto", _max_difference(again, splats), 0
     exporter = nerfstudio_exporter()
     model = exporter.SplatfactoModel()
     vars(model).update(tensors | {"config": SimpleNamespace(sh_degree=3)})
     model.shs_0, model.shs_rest = tensors["features_dc"], tensors["features_rest"]
     exporter.eval_setup = lambda *_, **__: (None, SimpleNamespace(model=model), None, None)
     exporter.ExportGaussianSplat(folder / "config.yml", folder).main()
-    yield "nerfstudio: PLY of ns-export", _apart(open_splats(folder / "splat.ply"), splats), 0
+    yield (
+        "nerfstudio: PLY of ns-export",
+        _max_difference(open_splats(folder / "splat.ply"), splats),
+        0,
+    )
 
 
 def nerfstudio_exporter() -> Any:
@@ -179,7 +187,7 @@ def viser_scene(folder: Path) -> Iterator[Check]:
     yield "viser: centres of the first frame", _largest(centers - expected.position), 0
 
 
-def rerun_log(folder: Path) -> Iterator[Check]:
+def check_rerun_recording(folder: Path) -> Iterator[Check]:
     """Run the example as a program, read its recording, and compose Σ from scales and axes."""
     model = str(find("drift").write(folder))
     example = ROOT / "docs" / "examples" / "log_to_rerun.py"

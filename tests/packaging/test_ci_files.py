@@ -40,19 +40,19 @@ Loader.yaml_implicit_resolvers = {
 Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("^(?:true|false)$"), list("tf"))
 
 
-def read(name: str) -> Any:
+def read_yaml(name: str) -> Any:
     return yaml.load((ROOT / name).read_text("utf-8"), Loader)
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_file_follows_the_schema_of_its_reader(name: str) -> None:
     schema = get_builtin_schema(SCHEMAS[name])
-    errors = [error.message for error in Draft7Validator(schema).iter_errors(read(name))]
+    errors = [error.message for error in Draft7Validator(schema).iter_errors(read_yaml(name))]
     assert not errors
 
 
 def test_a_wrong_workflow_does_not_follow_the_schema() -> None:
-    document = read(".github/workflows/tests.yml")
+    document = read_yaml(".github/workflows/tests.yml")
     document["jobs"]["portable"]["run-on"] = document["jobs"]["portable"].pop("runs-on")
     schema = get_builtin_schema("vendor.github-workflows")
     assert not Draft7Validator(schema).is_valid(document)
@@ -85,7 +85,7 @@ def steps() -> list[tuple[str, str]]:
     return [
         (f"{path.name}/{name}", step["run"])
         for path in WORKFLOWS
-        for name, job in read(path.relative_to(ROOT).as_posix())["jobs"].items()
+        for name, job in read_yaml(path.relative_to(ROOT).as_posix())["jobs"].items()
         for step in job["steps"]
         if "run" in step
     ]
@@ -106,7 +106,7 @@ def test_every_step_names_what_exists(where: str, line: str) -> None:
 
 @pytest.mark.parametrize(("name", "job"), [("tests", "portable"), ("wheel", "installs")])
 def test_the_matrix_has_every_system_and_python_that_is_claimed(name: str, job: str) -> None:
-    matrix = read(f".github/workflows/{name}.yml")["jobs"][job]["strategy"]["matrix"]
+    matrix = read_yaml(f".github/workflows/{name}.yml")["jobs"][job]["strategy"]["matrix"]
     claimed_versions = PROJECT["project"]["classifiers"]
     minor = re.compile(r"Programming Language :: Python :: (3\.\d+)")
     assert matrix["python"] == [
@@ -123,7 +123,7 @@ def test_the_matrix_has_every_system_and_python_that_is_claimed(name: str, job: 
 
 def run_step(name: str, inputs: dict[str, str], folder: Path) -> "subprocess.CompletedProcess[str]":
     """Run the shell step of the action as GitHub does, with the action's defaults."""
-    action = read("action.yml")
+    action = read_yaml("action.yml")
     step = next(step for step in action["runs"]["steps"] if step["name"] == name)
     values = {key: entry.get("default", "") for key, entry in action["inputs"].items()} | inputs
     environment = {}
@@ -218,7 +218,7 @@ class TestAction:
 # --- The pre-commit hooks
 
 
-@pytest.mark.parametrize("hook", read(".pre-commit-hooks.yaml"), ids=lambda hook: hook["id"])
+@pytest.mark.parametrize("hook", read_yaml(".pre-commit-hooks.yaml"), ids=lambda hook: hook["id"])
 def test_a_hook_refuses_broken_models_alone(hook: dict[str, Any], models: Path) -> None:
     program, *words = hook["entry"].split()
     assert program in PROJECT["project"]["scripts"]

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 ACME = Path(__file__).parent / "acme"
 _DOTTED = re.compile(r"\bgsgen(?:\.\w+)+")
-_FROM = re.compile(r"from (gsgen[.\w]*) import (?:(\w[^\n(]*)|\(([^)]*)\))")
+_IMPORT_PATTERN = re.compile(r"from (gsgen[.\w]*) import (?:(\w[^\n(]*)|\(([^)]*)\))")
 Acme = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -108,7 +108,7 @@ def test_each_module_of_the_wheel_is_reached(wheel: Path) -> None:
     reached_modules = set(_DOTTED.findall(documentation))
     for name, text in texts.items():
         reached_modules |= set(_DOTTED.findall(text)) - {name.removesuffix(".py").replace("/", ".")}
-        for room, single, several in _FROM.findall(text):
+        for room, single, several in _IMPORT_PATTERN.findall(text):
             reached_modules |= {f"{room}.{stem}" for stem in re.findall(r"\w+", single or several)}
     names = {name.removesuffix(".py").replace("/", ".") for name in texts if name.endswith(".py")}
     names = {name for name in names if not name.endswith(("__init__", "__main__", "pytest_gsgen"))}

@@ -16,7 +16,7 @@ from gsgen.contract.spec.fields.roles import ROLES
 EXPECTED_NAMES = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}
 
 
-def listed(*words: str) -> list[dict]:
+def list_plugins(*words: str) -> list[dict]:
     completed = CliRunner().invoke(build(), ["plugins", "--json", *words])
     assert completed.exit_code == 0, completed.output
     facts: list[dict] = json.loads(completed.output)
@@ -24,7 +24,7 @@ def listed(*words: str) -> list[dict]:
 
 
 def test_every_plugin_says_what_it_reads_and_what_its_models_take() -> None:
-    plugins = {facts["name"]: facts for facts in listed()}
+    plugins = {facts["name"]: facts for facts in list_plugins()}
     assert set(plugins) >= EXPECTED_NAMES
     for plugin in plugins.values():
         assert plugin["usable"]
@@ -36,7 +36,10 @@ def test_every_plugin_says_what_it_reads_and_what_its_models_take() -> None:
 
 
 def test_command_lists_the_named_plugins() -> None:
-    assert [plugin["name"] for plugin in listed("static", "octree-gs")] == ["octree-gs", "static"]
+    assert [plugin["name"] for plugin in list_plugins("static", "octree-gs")] == [
+        "octree-gs",
+        "static",
+    ]
     with pytest.raises(UnknownName, match="unknown plugin 'octree'"):
         command.plugins(["octree"])
 

@@ -58,7 +58,7 @@ def project_reference(
         depth, slope, jacobian = (
             _unrolled(position, linear)
             if frame["period"]
-            else _straight(position, linear, frame, flat=flat)
+            else _perspective_covariance(position, linear, frame, flat=flat)
         )
         jacobian = frame["focal"][:, None] * jacobian
         covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
@@ -115,7 +115,7 @@ def depth_reference(
     return high.view(np.uint32), np.where(low == 0, np.uint32(0x80000000), ordered)
 
 
-def _straight(
+def _perspective_covariance(
     position: np.ndarray, linear: np.ndarray, frame: Shaped[np.ndarray, ""], *, flat: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Project points to a plane (pinhole, orthographic): depths, slopes and Jacobians."""

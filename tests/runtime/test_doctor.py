@@ -17,17 +17,17 @@ def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     monkeypatch.setattr(doctor, "check_package", package)
 
 
-def told(monkeypatch: pytest.MonkeyPatch, expected_message: object) -> None:
+def fake_screen_error(monkeypatch: pytest.MonkeyPatch, expected_message: object) -> None:
     monkeypatch.setattr(doctor, "_child_result", lambda *_: expected_message)
 
 
-def named(name: str) -> Check:
+def check_named(name: str) -> Check:
     (check,) = (check for check in doctor.checks() if check.name == name)
     return check
 
 
 def test_doctor_reports_the_kernels_and_the_reason() -> None:
-    check = named("renderer")
+    check = check_named("renderer")
     assert check.state == "ok"
     assert "kernels for CPUs, which is where the driver runs; tiles of 16 pixels" in check.detail
     assert "rasteriser tiles: software drivers always use them" in check.detail
@@ -36,16 +36,16 @@ def test_doctor_reports_the_kernels_and_the_reason() -> None:
 def test_missing_screen_check_suggests_render(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    check = named("screen")
+    check = check_named("screen")
     assert check.state == "missing"
     assert "no window can be opened" in check.detail
     assert "gsgen render" in check.remedy
 
 
 def test_available_screen_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
-    told(monkeypatch, None)
+    fake_screen_error(monkeypatch, None)
     installed(monkeypatch, "glfw", "rendercanvas")
-    assert named("screen").state == "ok"
+    assert check_named("screen").state == "ok"
 
 
 @pytest.mark.parametrize("installed_packages", [(), ("glfw",), ("rendercanvas",)])
@@ -54,7 +54,7 @@ def test_windows_need_two_packages(
 ) -> None:
     installed(monkeypatch, *installed_packages)
     for name in ("glfw", "rendercanvas"):
-        check = named(name)
+        check = check_named(name)
         assert check.state == ("ok" if name in installed_packages else "missing")
         assert check.state == "ok" or check.remedy == "pip install 'gsgen[runtime]'"
     assert not [check for check in doctor.checks() if check.name == "screen"]
@@ -63,12 +63,12 @@ def test_windows_need_two_packages(
 @pytest.mark.parametrize("package_name", ["anywidget", "jupyter_rfb"])
 def test_one_widget_is_enough(monkeypatch: pytest.MonkeyPatch, package_name: str) -> None:
     installed(monkeypatch, package_name)
-    assert named(package_name).state == "ok"
+    assert check_named(package_name).state == "ok"
 
 
 def test_no_widget_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     installed(monkeypatch)
-    check = named("anywidget")
+    check = check_named("anywidget")
     assert (check.state, check.remedy) == ("missing", "pip install anywidget")
     assert "notebooks" in check.purpose
 
@@ -78,7 +78,7 @@ def test_every_adapter_has_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
         {"device": "llvmpipe", "adapter_type": "CPU", "backend_type": "Vulkan"},
         {"device": "Arc", "adapter_type": "IntegratedGPU", "description": "driver 25"},
     ]
-    told(monkeypatch, adapters)
+    fake_screen_error(monkeypatch, adapters)
     installed(monkeypatch, "wgpu")
     details = [check.detail for check in doctor.checks() if check.name == "adapter"]
     assert details == ["llvmpipe (CPU, Vulkan)", "Arc (IntegratedGPU, ?) driver 25"]

@@ -24,7 +24,7 @@ FAKES = {
         "onnxruntime.OrtValue.ortvalue_from_shape_and_type",
     ],
 }
-_REPLACING = {"setattr", "delattr", "object", "patch", "multiple"}
+_PATCHING_CALLS = {"setattr", "delattr", "object", "patch", "multiple"}
 
 
 def _foreign_names(tree: ast.AST) -> set[str]:
@@ -54,7 +54,7 @@ def replaced(code: str) -> Iterator[str]:
         if isinstance(node, ast.Call) and isinstance(node.func, (ast.Attribute, ast.Name)):
             called = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
             words = [ast.unparse(word) for word in node.args[:2]]
-            if called not in _REPLACING or not words:
+            if called not in _PATCHING_CALLS or not words:
                 continue
             if isinstance(node.args[0], ast.Constant):
                 path = str(node.args[0].value)

@@ -10,7 +10,7 @@ from support.commands import ROOT
 sys.path.insert(0, str(ROOT / "scripts"))
 import install
 
-LISTED = """\
+PIP_CONFIG_LIST = """\
 :env:.find-links='/wheels file:///more wheels'
 global.cert='/certificates.pem'
 global.extra-index-url='https://one.example/simple\\nhttps://two.example/simple'
@@ -21,7 +21,7 @@ install.index-url='https://install.example/simple'
 
 
 def test_uv_searches_where_pip_is_told_to() -> None:
-    assert install.uv_settings(LISTED) == {
+    assert install.uv_settings(PIP_CONFIG_LIST) == {
         "UV_DEFAULT_INDEX": "https://install.example/simple",
         "UV_INDEX": "https://one.example/simple https://two.example/simple",
         "UV_FIND_LINKS": "/wheels,file:///more,wheels",

@@ -50,7 +50,7 @@ class MeasuredRun(Ran):
 # A process starts with its parent's largest resident size as its own (`exec` in Linux carries
 # it over), so the command's parent must be small: not the test process, but this program.
 # It writes (exit code, processor time in s, peak in the system's unit) to the file argv[1].
-_MEASURE = """
+_MEASURE_SCRIPT = """
 import os, sys
 process = os.posix_spawn(sys.executable, [sys.executable, *sys.argv[2:]], os.environ)
 _, status, used = os.wait4(process, 0)
@@ -71,7 +71,7 @@ def measured_gsgen(*words: str | Path) -> MeasuredRun:
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "used"
         command = ["-m", "gsgen.cli", *map(str, words)]
-        done = _run_python("-I", "-S", "-c", _MEASURE, str(record), *command)
+        done = _run_python("-I", "-S", "-c", _MEASURE_SCRIPT, str(record), *command)
         assert done.returncode == 0, done.stderr
         code, seconds, peak = record.read_text().split()
     unit = 1 if sys.platform == "darwin" else 1024

@@ -20,7 +20,7 @@ _RULES = page_rules()
 _MOST_BYTES = 1 << 20
 # Browsers read JSON: their words on its syntax are their own, and they keep the last of two keys.
 _SYNTAX = "a JSON document ("
-_NOT_SEEN = "is repeated within an object"
+_UNDETECTED_MESSAGE = "is repeated within an object"
 # A page knows the sizes of weights, not of what a runtime computes from them.
 _INFERRED = ", computed from weights"
 
@@ -64,7 +64,7 @@ def expected_findings(path: Path, target_name: str) -> list[dict[str, str]]:
             }
             for violation in violations
             if violation.where.subject not in unknown
-            and _NOT_SEEN not in violation.expected
+            and _UNDETECTED_MESSAGE not in violation.expected
             and not violation.where.subject.endswith(_INFERRED)
         ]
     return findings

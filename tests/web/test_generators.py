@@ -10,7 +10,7 @@ from support.web.pages import WebSite
 from web.generators import assert_same_pictures, described_frames, drawn_frames
 
 _TOLERANCE = 1e-4  # SwiftShader's trigonometry; sums alone are good to 5e-6
-_NOT_SHOWN = {"external-data": "refuses the model"}
+_UNSUPPORTED_MODELS = {"external-data": "refuses the model"}
 """Cases that pages do not draw yet, with a part of their error."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
@@ -21,8 +21,8 @@ def test_a_page_draws_the_viewer_kit(case: KitCase, site: WebSite, tmp_path: Pat
     path = tmp_path / f"{case.name}.onnx"
     case.spec().write(path)
     result = drawn_frames(site, path, case.frames)
-    if case.name in _NOT_SHOWN:
-        assert _NOT_SHOWN[case.name] in result["error"]
+    if case.name in _UNSUPPORTED_MODELS:
+        assert _UNSUPPORTED_MODELS[case.name] in result["error"]
         return
     assert_same_pictures(result, path, case.frames, _TOLERANCE)
     has_inputs = any(frame.values for frame in case.frames) or "camera" in case.name

@@ -23,8 +23,8 @@ import numpy as np
 
 ROOT = Path(__file__).parents[3]
 EYE, TARGET, FOV = (-2.5, -0.5, -3.0), (1.0, 0.3, 1.0), 50.0
-WARM = 3  # frames: kernels are compiled, and rows are arranged
-FURTHER = 3  # frames of splat-transform after its first, whose process also reads and compiles
+WARM_UP_FRAMES = 3  # frames: kernels are compiled, and rows are arranged
+MORE_ROUNDS = 3  # frames of splat-transform after its first, whose process also reads and compiles
 SOURCES = ("contract", "runtime", "sdk")
 
 
@@ -67,10 +67,10 @@ def frame_seconds(parts_path: str, size: str, frames: int, picture: str) -> None
     renderer = Renderer(rasteriser="tiles")
     scene = Scene([SplatData(rows, parts["color"], "sh")])
     seconds = []
-    for number in range(WARM + frames):
+    for number in range(WARM_UP_FRAMES + frames):
         start_time = time.process_time()
         frame = renderer.render(scene, camera, background=(0, 0, 0, 1))
-        if number >= WARM:
+        if number >= WARM_UP_FRAMES:
             seconds.append(time.process_time() - start_time)
     if picture != "-":
         np.save(picture, frame.srgb[..., :3])
@@ -109,7 +109,7 @@ def transform_seconds(
     eye, target = ((-x, -y, z) for x, y, z in (EYE, TARGET))
     frame = {"position": eye, "target": target, "fov": FOV, "up": [0, 1, 0]}
     durations = {}
-    for frames in (1, 1, FURTHER + 1):  # the first process compiles shaders, which Mesa stores
+    for frames in (1, 1, MORE_ROUNDS + 1):  # the first process compiles shaders, which Mesa stores
         track = folder / f"track_{frames}.json"
         track.write_text(json.dumps({"frameRate": 1, "frames": [frame] * frames}), "utf-8")
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -123,7 +123,7 @@ def transform_seconds(
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         durations[frames] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     picture = Image.open(next(iter(sorted(folder.glob("st1.*webp"))))).convert("RGB")
-    return (durations[FURTHER + 1] - durations[1]) / FURTHER, np.asarray(picture) / 255
+    return (durations[MORE_ROUNDS + 1] - durations[1]) / MORE_ROUNDS, np.asarray(picture) / 255
 
 
 def compare(words: argparse.Namespace, folder: Path) -> None:

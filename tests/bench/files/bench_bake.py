@@ -21,7 +21,7 @@ from gsgen.sdk.binding import FrameSession
 from support.measures import print_figure
 
 COUNT, FRAMES, BAR = 100_000, 300, 1.5
-GROWTH = 32e6  # bytes between the tenth and the last frame
+MAX_MEMORY_GROWTH = 32e6  # bytes between the tenth and the last frame
 
 
 class Moving(GaussianGenerator):
@@ -129,5 +129,5 @@ def bench_bake(kind: type[GaussianGenerator], tmp_path: Path) -> None:
         f"peak {max(resident) / 1e6:.0f} MB, {growth / 1e6:+.0f} MB from frame 10 to {FRAMES}"
     )
     sys.stdout.flush()
-    assert growth <= GROWTH
+    assert growth <= MAX_MEMORY_GROWTH
     assert wall <= BAR

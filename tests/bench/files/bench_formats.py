@@ -27,8 +27,8 @@ from support.measures import print_figure
 from support.splat_files import ksplat, scene, sog_files, zipped
 
 COUNT = int(os.environ.get("GSGEN_BENCH_SPLATS", 1_000_000))
-SMALL = 100_000
-BAR = 1.2
+SMALL_COUNT = 100_000
+MAX_RATIO = 1.2
 _ROUNDS = 5
 _IN_MEMORY = 236  # bytes of a splat of degree 3
 
@@ -44,7 +44,7 @@ def seconds(run: Callable[[], object], rounds: int = _ROUNDS) -> float:
     return statistics.median(times)
 
 
-def many(count: int) -> Splats:
+def random_splats(count: int) -> Splats:
     rng = np.random.default_rng(0)
 
     def draw(*shape: int) -> np.ndarray:
@@ -62,7 +62,7 @@ def many(count: int) -> Splats:
 def bench_ply_beside_reading_its_bytes(tmp_path: Path) -> None:
     """A PLY file of a million splats loads in 1.2 times what reading and one copy takes."""
     file = tmp_path / "many.ply"
-    write_ply(file, many(COUNT))
+    write_ply(file, random_splats(COUNT))
 
     def baseline() -> object:
         return np.frombuffer(file.read_bytes(), np.uint8).copy()
@@ -71,15 +71,15 @@ def bench_ply_beside_reading_its_bytes(tmp_path: Path) -> None:
     size = file.stat().st_size / 1e6
     print_figure(
         f"read_ply of {COUNT:,} splats, {size:.0f} MB: {loading:.3f} s, "
-        f"{loading / bare:.2f} × of reading its bytes and one copy ({bare:.3f} s; bar {BAR})"
+        f"{loading / bare:.2f} × of reading its bytes and one copy ({bare:.3f} s; bar {MAX_RATIO})"
     )
-    assert loading <= BAR * bare
+    assert loading <= MAX_RATIO * bare
 
 
 def bench_all_codecs(tmp_path: Path) -> None:
     """Megabytes a second, of splats as they are in memory and not of the packed file."""
-    splats = many(SMALL)
-    whole = _IN_MEMORY * SMALL / 1e6
+    splats = random_splats(SMALL_COUNT)
+    whole = _IN_MEMORY * SMALL_COUNT / 1e6
     writers: dict[str, Callable[[Path], object]] = {
         "PLY": lambda file: write_ply(file, splats),
         "compressed PLY": lambda file: write_compressed_ply(file, splats),
@@ -90,7 +90,7 @@ def bench_all_codecs(tmp_path: Path) -> None:
         "GLB": lambda file: write_glb(file, splats),
         "SOG": lambda file: write_sog(file, splats),
     }
-    print_figure(f"{SMALL:,} splats of degree 3, {whole:.0f} MB in memory")
+    print_figure(f"{SMALL_COUNT:,} splats of degree 3, {whole:.0f} MB in memory")
     for name, write in writers.items():
         file = tmp_path / "bench"
         writing = seconds(lambda: write(file), 2)  # noqa: B023 -- called at once
@@ -102,7 +102,7 @@ def bench_all_codecs(tmp_path: Path) -> None:
         )
     for name, content, count in (
         ("KSPLAT level 1", ksplat(scene(5000, 2), 1, bucket_size=256), 5000),
-        ("SOG", zipped(sog_files(SMALL, bands=3, width=320)), SMALL),
+        ("SOG", zipped(sog_files(SMALL_COUNT, bands=3, width=320)), SMALL_COUNT),
     ):
         file = tmp_path / "read"
         file.write_bytes(content)

@@ -100,11 +100,11 @@ def bench_bytes_and_errors(tmp_path: Path) -> None:
         for entry in differences(here, reference):
             assert entry.largest <= (0.1 if entry.name == "rotation" else 1e-3), (name, entry)
         print_figure(
-            f"  splat-transform reads gsgen's file alike, to {_worst(here, reference):.1e}"
+            f"  splat-transform reads gsgen's file alike, to {_max_errors(here, reference):.1e}"
         )
 
 
-def _worst(here: Splats, decoded: Splats) -> float:
+def _max_errors(here: Splats, decoded: Splats) -> float:
     pairs = (
         (getattr(here, name), getattr(decoded, name)) for name in ("position", "log_scale", "sh")
     )

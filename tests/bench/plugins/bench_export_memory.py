@@ -22,7 +22,7 @@ from gsgen.reference_plugins.synthetic import (
 )
 from support.measures import print_figure
 
-BAR = 4.0e9  # bytes
+MAX_MEMORY = 4.0e9  # bytes
 _PAUSE = 0.02  # seconds between two looks at the processes
 
 
@@ -58,10 +58,10 @@ def bench_export_memory(write, dtype: str, tmp_path: Path) -> None:  # type: ign
     size = (tmp_path / "out.onnx").stat().st_size
     print_figure(
         f"{words[1]} {dtype}: peak {total_memory / 1e9:.2f} GB with child processes (bar "
-        f"{BAR / 1e9:g}; the export alone {own / 1e9:.2f}), {seconds:.0f} s, "
+        f"{MAX_MEMORY / 1e9:g}; the export alone {own / 1e9:.2f}), {seconds:.0f} s, "
         f"{used:.0f} CPU-s, {size / 1e6:.0f} MB"
     )
-    assert total_memory <= BAR
+    assert total_memory <= MAX_MEMORY
 
 
 def watch_memory(process: subprocess.Popen[bytes]) -> tuple[int, int]:

@@ -213,7 +213,7 @@ def write_control_nodes(folder: Path, count: int) -> Path:
     return write_sc_gs(folder, count=count, nodes=512, width=256, options={"hyper_dim": 8})
 
 
-def newer(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
+def newer_plugins(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
     """Yield generators of four further families, at sizes where weights outweigh the graph."""
     rotor = read_rotor(write_rotor(folder / "rotor", count=5_000)).splats
     yield "rotor-4dgs", Rotor4DGS(rotor, (0.0, 1.0)), needed_tensors.of_splats(rotor)
@@ -227,7 +227,7 @@ def newer(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
 
 def bench_sizes(tmp_path: Path) -> None:
     """Print bytes of files over bytes of the tensors that models need; nothing is timed."""
-    for name, generator, minimum_bytes in chain(sized(tmp_path), newer(tmp_path)):
+    for name, generator, minimum_bytes in chain(sized(tmp_path), newer_plugins(tmp_path)):
         sizes = []
         for dtype in ("float32", "float16"):
             path = tmp_path / f"{dtype}.onnx"

@@ -22,7 +22,7 @@ from gsgen.runtime.sources.opening import open_source
 from support.commands import gsgen_here
 
 STAGES = ["project", "sort", "bin", "group", "blend"]
-SMALL = ("--width", "48", "--height", "32", "--frames", "3")
+SMALL_SIZE_ARGS = ("--width", "48", "--height", "32", "--frames", "3")
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,9 @@ def test_rasterised_passes_are_reported_as_stages(scenes: list[Path], renderer: 
 
 
 def test_table_lists_stages_percentiles_and_bytes(scenes: list[Path], tmp_path: Path) -> None:
-    finished = gsgen_here("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
+    finished = gsgen_here(
+        "bench-render", *scenes, *SMALL_SIZE_ARGS, "-o", tmp_path / "new" / "cost.json"
+    )
     assert finished.code == 0, finished.err
     for words in ("wall", "CPU, all threads", "inference, drift.onnx", "blend, ", "p95 ms",
                   "3 frames of 48×32", "205 Gaussians", "56 bytes each",
@@ -115,7 +117,7 @@ def test_table_lists_stages_percentiles_and_bytes(scenes: list[Path], tmp_path: 
 def test_json_report_and_exit_codes_of_invalid_input(scenes: list[Path]) -> None:
     app = typer.Typer()
     app.command()(bench_render)
-    words = [str(scenes[0]), *SMALL, "--json", "--compact"]
+    words = [str(scenes[0]), *SMALL_SIZE_ARGS, "--json", "--compact"]
     read = json.loads(CliRunner().invoke(app, words).stdout)
     assert read["inference"] == {}
     assert read["rows_bytes"] == 200 * (32 + 8)  # packed, and three colours in float16

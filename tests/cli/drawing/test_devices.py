@@ -11,14 +11,22 @@ from gsgen.conformance.fixtures import find
 from support.commands import gsgen_here
 from support.rendering.failing_devices import bindings_of, lost_at, memory_of
 
-SMALL = ("--width", "64", "--height", "48")
+SMALL_SIZE_ARGS = ("--width", "64", "--height", "48")
 TILES = ("--rasteriser", "tiles")
 DRAWING = {
-    "render": ("render", "cloud.npz", "-o", "out.gif", "--frames", "3", *SMALL, *TILES),
-    "bench-render": ("bench-render", "cloud.npz", "-o", "out.json", "--frames", "3", *SMALL),
+    "render": ("render", "cloud.npz", "-o", "out.gif", "--frames", "3", *SMALL_SIZE_ARGS, *TILES),
+    "bench-render": (
+        "bench-render",
+        "cloud.npz",
+        "-o",
+        "out.json",
+        "--frames",
+        "3",
+        *SMALL_SIZE_ARGS,
+    ),
 }
 ROWS = 3000
-ENOUGH = 960_000  # bytes for the picture and compact rows, and not for others
+COMPACT_MEMORY = 960_000  # bytes for the picture and compact rows, and not for others
 
 
 @pytest.fixture(autouse=True)
@@ -60,9 +68,9 @@ def test_out_of_memory_error_names_the_request_and_its_size(command: str) -> Non
 
 
 def test_suggested_options_take_less_memory() -> None:
-    with memory_of(ENOUGH):
+    with memory_of(COMPACT_MEMORY):
         assert gsgen_here(*DRAWING["render"]).code == 2
-    with memory_of(ENOUGH):
+    with memory_of(COMPACT_MEMORY):
         completed = gsgen_here(*DRAWING["render"], "--compact")
     assert completed.code == 0, completed.err
     assert Path("out.gif").exists()

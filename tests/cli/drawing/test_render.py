@@ -29,8 +29,8 @@ from gsgen.runtime.sources.placed_source import PlacedSource
 from gsgen.runtime.sources.source import Source
 from support.commands import gsgen, gsgen_here
 
-FRONT = "look-at:0,0,-4,0,0,0"
-SMALL = ("--width", "48", "--height", "32")
+FRONT_CAMERA = "look-at:0,0,-4,0,0,0"
+SMALL_SIZE_ARGS = ("--width", "48", "--height", "32")
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def film(renderer: Renderer, path: Path, **options: object) -> tuple[FrameSequen
 
 def test_splat_file_is_rendered_to_png(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out.png"
-    finished = gsgen("render", str(file), "-o", str(out), *SMALL)
+    finished = gsgen("render", str(file), "-o", str(out), *SMALL_SIZE_ARGS)
     assert finished.code == 0, finished.err
     assert "48×32" in finished.out
     assert "of 200 Gaussians drawn" in finished.out
@@ -89,14 +89,14 @@ def test_splat_file_is_rendered_to_png(file: Path, tmp_path: Path) -> None:
 
 def test_a_generator_without_a_live_row_is_noted(tmp_path: Path) -> None:
     model = find("count_stays_zero").write(tmp_path)
-    code, printed, notes = ran(str(model), "-o", str(tmp_path / "out.png"), *SMALL)
+    code, printed, notes = run_render(str(model), "-o", str(tmp_path / "out.png"), *SMALL_SIZE_ARGS)
     assert (code, "0 of 0 Gaussians" in printed) == (0, True)
     assert "no Gaussians with these inputs: --time" in notes
 
 
 def test_json_summary_and_npy_output(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.npy"
-    _, printed, _ = ran(str(file), "-o", str(out), *SMALL, "--json")
+    _, printed, _ = run_render(str(file), "-o", str(out), *SMALL_SIZE_ARGS, "--json")
     message = json.loads(printed)
     assert (message["width"], message["height"], message["gaussians"]) == (48, 32, 200)
     result = np.load(out)
@@ -104,7 +104,7 @@ def test_json_summary_and_npy_output(file: Path, tmp_path: Path) -> None:
     assert result[..., 3].min() < 0.01  # nothing is behind
 
 
-def ran(*words: str) -> tuple[int, str, str]:
+def run_render(*words: str) -> tuple[int, str, str]:
     """Run the command in this process; return its exit code, and what it says where."""
     app = typer.Typer()
     app.command()(render)
@@ -187,7 +187,7 @@ def test_invalid_render_options_are_reported(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     inputs = [places.get(word, word) for word in words]
-    output_path, _, err = ran(*inputs, *(() if "-o" in words else ("-o", "a.png")))
+    output_path, _, err = run_render(*inputs, *(() if "-o" in words else ("-o", "a.png")))
     assert message in err
     assert output_path == code
     assert not list(tmp_path.iterdir())
@@ -214,8 +214,8 @@ def test_a_generator_is_run_for_every_frame(
 
 
 def test_time_advances_by_itself_or_sweeps_its_range(renderer: Renderer, moving: Path) -> None:
-    still_sequence, source = film(renderer, moving, time=1.0, camera=FRONT)
-    whole, second = film(renderer, moving, frames=2, camera=FRONT)
+    still_sequence, source = film(renderer, moving, time=1.0, camera=FRONT_CAMERA)
+    whole, second = film(renderer, moving, frames=2, camera=FRONT_CAMERA)
     declared = source.time
     assert declared is not None
     loops = bool(declared.loop)
@@ -278,18 +278,22 @@ def test_several_sources_render_as_one_scene(renderer: Renderer, file: Path, mov
 def test_inputs_are_fed_frame_by_frame(renderer: Renderer, places: dict[str, str]) -> None:
     poses = np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3))
     result, source = film(
-        renderer, Path(places["BODY"]), tracks=[Track("pose", poses, "x")], camera=FRONT
+        renderer, Path(places["BODY"]), tracks=[Track("pose", poses, "x")], camera=FRONT_CAMERA
     )
     assert result.frames == 3
     visible = [result.draw(number).rgba for number in range(3)]
     second_run, second = film(
-        renderer, Path(places["BODY"]), tracks=[Track("pose", poses[2], "x")], camera=FRONT
+        renderer, Path(places["BODY"]), tracks=[Track("pose", poses[2], "x")], camera=FRONT_CAMERA
     )
     assert second_run.frames == 1
     assert np.array_equal(second_run.draw(0).rgba, visible[2])
     assert not np.array_equal(visible[0], visible[2])
     longer, third = film(
-        renderer, Path(places["BODY"]), tracks=[Track("pose", poses, "x")], frames=4, camera=FRONT
+        renderer,
+        Path(places["BODY"]),
+        tracks=[Track("pose", poses, "x")],
+        frames=4,
+        camera=FRONT_CAMERA,
     )
     assert np.array_equal(longer.draw(3).rgba, visible[0])  # poses begin anew
     for entry in (source, second, third):
@@ -326,7 +330,9 @@ def test_an_orbit_turns_where_the_time_stands_still(renderer: Renderer, moving: 
 
 
 def test_frame_numbers_count_where_there_is_no_time(renderer: Renderer, tmp_path: Path) -> None:
-    result, source = film(renderer, find("frame_table").write(tmp_path), frames=9, camera=FRONT)
+    result, source = film(
+        renderer, find("frame_table").write(tmp_path), frames=9, camera=FRONT_CAMERA
+    )
     visible = [result.draw(number).rgba for number in range(9)]
     assert not np.array_equal(visible[0], visible[1])
     assert np.array_equal(visible[0], visible[8])  # there are eight
@@ -335,7 +341,7 @@ def test_frame_numbers_count_where_there_is_no_time(renderer: Renderer, tmp_path
 
 def test_all_render_options_combine(places: dict[str, str], tmp_path: Path) -> None:
     np.save(tmp_path / "walk.npy", np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3)))
-    words = ("--pose", "walk.npy", "--input", "root_translation=0.1,0,0", *SMALL)
+    words = ("--pose", "walk.npy", "--input", "root_translation=0.1,0,0", *SMALL_SIZE_ARGS)
     out = Path("new", "folder")
     finished = gsgen(
         "render", places["BODY"], places["FILE"], "-o", out, *words, "--post", places["POST"],
@@ -414,12 +420,21 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
     source, background_color = open_source(model), (0.9, 0.6, 0.3, 1.0)
     scene = Scene([source.splats(None, None)])
     source.close()
-    visited_cameras = viewpoint(FRONT, width=48, height=32).camera(source, 0, 0.0)
+    visited_cameras = viewpoint(FRONT_CAMERA, width=48, height=32).camera(source, 0, 0.0)
     result = {}
     for form in ("contract", "published"):
         result[form] = tmp_path / f"{form}.npy"
-        words = (str(model), "-o", str(result[form]), "--wsr", form, "--camera", FRONT, *SMALL)
-        assert ran(*words, "--background", "0.9,0.6,0.3")[0] == 0
+        words = (
+            str(model),
+            "-o",
+            str(result[form]),
+            "--wsr",
+            form,
+            "--camera",
+            FRONT_CAMERA,
+            *SMALL_SIZE_ARGS,
+        )
+        assert run_render(*words, "--background", "0.9,0.6,0.3")[0] == 0
         expected = oracle.render(
             scene, visited_cameras, background=background_color, published=form == "published"
         )
@@ -461,11 +476,11 @@ def _not_called(*_: object, **__: object) -> Never:
 
 
 def test_a_film_of_one_frame_is_noted(file: Path, moving: Path, tmp_path: Path) -> None:
-    film = ("-o", tmp_path / "film.gif", *SMALL)
+    film = ("-o", tmp_path / "film.gif", *SMALL_SIZE_ARGS)
     note = "note: one frame; --frames 100 "
     assert f"{note}makes a turntable\n" in gsgen_here("render", file, *film).err
     assert f"{note}goes through the range" in gsgen_here("render", moving, *film).err
-    fixed_camera_run = gsgen_here("render", file, *film, "--camera", FRONT, "--json")
+    fixed_camera_run = gsgen_here("render", file, *film, "--camera", FRONT_CAMERA, "--json")
     assert f"{note}makes a turntable with `--camera orbit`" in fixed_camera_run.err
     assert json.loads(fixed_camera_run.out)["frames"] == 1
     assert note not in gsgen_here("render", file, *film, "--frames", "2").err

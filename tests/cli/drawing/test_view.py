@@ -30,11 +30,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Viewer, str, tuple[int
     """What windows would have been opened with."""
     result: list[tuple[Viewer, str, tuple[int, int]]] = []
     monkeypatch.setattr(window, "require_display", lambda: None)
-    monkeypatch.setattr(window, "open_window", lambda *words, draw_callbacks: result.append(words))
+    monkeypatch.setattr(window, "open_window", lambda *words, after_draw: result.append(words))
     return result
 
 
-def ran(*words: str) -> Any:
+def run_view(*words: str) -> Any:
     app = typer.Typer()
     app.command()(view)
     return CliRunner().invoke(app, list(words))
@@ -64,7 +64,7 @@ def test_options_reach_the_viewer(
         "SurfaceRenderer",
         lambda **words: painted.update(words) or SurfaceRenderer(),
     )
-    finished = ran(
+    finished = run_view(
         str(drift), "--width", "300", "--height", "200", "--mode", "depth",
         "--frames", "7", "--fps", "5", "--camera", "look-at:0,0,-4,0,0,0",
         "--pictures", str(tmp_path), "--sh-degree", "1", "--rasteriser", "quads", "--compact",
@@ -81,7 +81,7 @@ def test_options_reach_the_viewer(
 def test_fixed_time_stays_constant(
     drift: Path, opened: list[tuple[Viewer, str, tuple[int, int]]]
 ) -> None:
-    assert ran(str(drift), "--time", "0.5").exit_code == 0
+    assert run_view(str(drift), "--time", "0.5").exit_code == 0
     assert opened[0][0].playback.frames == 1
     assert not opened[0][0].playback.playing
 
@@ -103,7 +103,7 @@ def test_invalid_view_options_are_named(
     code: int,
     message: str,
 ) -> None:
-    finished = ran(*(str(drift) if word == "DRIFT" else word for word in words))
+    finished = run_view(*(str(drift) if word == "DRIFT" else word for word in words))
     if isinstance(finished.exception, GsgenError):
         assert (code, message in str(finished.exception)) == (2, True)
     else:
@@ -120,7 +120,7 @@ def test_the_guide_has_the_keys_that_the_window_shows() -> None:
 
 def test_exported_page_is_refused_as_a_scene(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("<title>A page</title>", "utf-8")
-    finished = ran(str(tmp_path / "page.html"), "--web")
+    finished = run_view(str(tmp_path / "page.html"), "--web")
     assert isinstance(finished.exception, GsgenError)
     assert "page.html: is a page, expected a scene" in str(finished.exception)
     assert "gsgen export html SCENE -o page.html" in str(finished.exception.hint)

@@ -11,7 +11,7 @@ from gsgen.cli.root_help import missing_note
 from gsgen.contract import _entry_points
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 
-OURS = [command for commands in PANELS.values() for command in commands]
+BUILT_IN_COMMANDS = [command for commands in PANELS.values() for command in commands]
 
 
 def command(name: str, value: str) -> Command:
@@ -64,7 +64,7 @@ def test_commands_without_their_extra_are_listed_by_what_installs_them(
     assert missing_note(unavailable_commands[:1]) == ""
 
 
-@pytest.mark.parametrize("entry", OURS, ids=lambda entry: entry.name)
+@pytest.mark.parametrize("entry", BUILT_IN_COMMANDS, ids=lambda entry: entry.name)
 def test_a_summary_is_the_first_paragraph_of_the_help_of_its_command(entry: Command) -> None:
     loaded = entry.code.point.load()
     text = loaded.info.help if isinstance(loaded, typer.Typer) else loaded.__doc__
@@ -79,4 +79,4 @@ def test_commands_of_other_packages_come_last_and_replace_none_of_ours(
     *ours, other = panels()
     assert (ours, other) == (list(PANELS), "Other commands")
     assert [entry.name for entry in panels()[other]] == ["acme"]
-    assert command_table.find_command("validate") in OURS
+    assert command_table.find_command("validate") in BUILT_IN_COMMANDS

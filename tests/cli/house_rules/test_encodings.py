@@ -85,7 +85,7 @@ RUNS = {
     "cp1252, terminal": ("cp1252", "terminal", NARROW),
     "ascii, terminal": ("ascii", "terminal", WIDE | C_LOCALE),
 }
-COMPLETE = ("utf-8, pipe", "cp1252, pipe", "ascii, file")
+FULL_CHARSETS = ("utf-8, pipe", "cp1252, pipe", "ascii, file")
 
 
 def command_paths() -> Iterator[list[str]]:
@@ -216,7 +216,7 @@ def test_every_command_prints_in_each_encoding(
     name: str, folder: Path, expected: list[tuple[int, str]]
 ) -> None:
     encoding, sink, surroundings = RUNS[name]
-    calls = every_call(slow=name in COMPLETE)
+    calls = every_call(slow=name in FULL_CHARSETS)
     outputs = printed(folder, calls, encoding, sink, surroundings)
     for call, (code, text), (expected_code, expected_text) in zip(
         calls, outputs, expected, strict=False

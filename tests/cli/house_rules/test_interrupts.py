@@ -15,8 +15,8 @@ from support.commands import gsgen_here
 from support.models.endless import endless
 
 TASKS = Path("/proc/self/task")
-LONG = 100  # seconds that a test waits for what must happen within a few
-BUSY = 0.3  # processor seconds of a thread that is not the first: a frame is being computed
+LONG_SECONDS = 100  # seconds that a test waits for what must happen within a few
+BUSY_SECONDS = 0.3  # processor seconds of a thread that is not the first: a frame is being computed
 
 
 @pytest.fixture(autouse=True)
@@ -33,13 +33,13 @@ def interrupted(*words: str | Path) -> tuple[int, str]:
         [sys.executable, "-m", "gsgen.cli", *map(str, words)], stderr=subprocess.PIPE, text=True
     ) as running:
         try:
-            end = time.monotonic() + LONG
-            while _of_a_thread(running.pid) < BUSY:
+            end = time.monotonic() + LONG_SECONDS
+            while _of_a_thread(running.pid) < BUSY_SECONDS:
                 assert running.poll() is None, running.communicate()
                 assert time.monotonic() < end, "it never computed"
                 time.sleep(0.05)
             running.send_signal(signal.SIGINT)
-            message = running.communicate(timeout=LONG)[1]
+            message = running.communicate(timeout=LONG_SECONDS)[1]
         finally:
             running.kill()
     return running.returncode, message
@@ -84,7 +84,7 @@ def test_a_thread_that_never_ends_does_not_keep_the_process() -> None:
             assert running.stdout is not None
             running.stdout.readline()
             running.send_signal(signal.SIGINT)
-            assert running.wait(LONG) == 130
+            assert running.wait(LONG_SECONDS) == 130
         finally:
             running.kill()
 

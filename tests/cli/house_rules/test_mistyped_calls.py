@@ -93,7 +93,7 @@ CALLS = """
 """
 LINES = [line.strip() for line in CALLS.strip().splitlines()]
 # Words that offer a way on: a near name, the list of known ones, or what to type.
-WAY_ON = re.compile(
+SUGGESTION_PATTERN = re.compile(
     r"Did you mean|Known:|are known, such as|[Ee]xpected|Name |Give |Type |`gsgen |is not one of|"
     r"Possible options|[Mm]issing (option|argument)|is not in the range|Write it as|such as|"
     r"Change the suffix|For example|gsgen render"
@@ -135,7 +135,7 @@ def test_nine_of_ten_messages_suggest_a_fix(answers: dict[str, Ran]) -> None:
     unhelpful_lines = [
         line
         for line, completed in answers.items()
-        if not WAY_ON.search(completed.err + completed.out)
+        if not SUGGESTION_PATTERN.search(completed.err + completed.out)
     ]
     assert len(answers) >= 60
     assert len(unhelpful_lines) <= len(answers) // 10, unhelpful_lines

@@ -17,16 +17,16 @@ from gsgen.formats import FileUnwritable, write_ply
 from support.commands import gsgen_here
 from support.splat_files import scene
 
-SMALL = ("--width", "32", "--height", "24", "--rasteriser", "tiles")
+SMALL_SIZE_ARGS = ("--width", "32", "--height", "24", "--rasteriser", "tiles")
 # What is typed before and after the output, how it ends, and the code where it cannot be.
-WRITING: dict[str, tuple[tuple[str, ...], str, tuple[str, ...], int]] = {
+WRITING_COMMANDS: dict[str, tuple[tuple[str, ...], str, tuple[str, ...], int]] = {
     "validate": (("validate", "MODEL", "--level", "static", "-o"), ".txt", (), 2),
     "export": (("export", "static", "cloud.npz", "--level", "static", "-o"), ".onnx", (), 2),
-    "render a picture": (("render", "cloud.npz", *SMALL, "-o"), ".png", (), 2),
-    "render floats": (("render", "cloud.npz", *SMALL, "-o"), ".npy", (), 2),
-    "render a GIF": (("render", "cloud.npz", *SMALL, "-o"), ".gif", (), 2),
-    "render a film": (("render", "cloud.npz", *SMALL, "-o"), ".mp4", (), 2),
-    "render pictures": (("render", "cloud.npz", *SMALL, "--frames", "2", "-o"), "", (), 2),
+    "render a picture": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "-o"), ".png", (), 2),
+    "render floats": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "-o"), ".npy", (), 2),
+    "render a GIF": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "-o"), ".gif", (), 2),
+    "render a film": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "-o"), ".mp4", (), 2),
+    "render pictures": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "--frames", "2", "-o"), "", (), 2),
     "convert": (("convert", "cloud.npz"), ".ply", (), 1),
     "references": (("references", "MODEL", "--width", "16", "--count", "1", "-o"), ".onnx", (), 2),
 }  # fmt: skip
@@ -53,18 +53,18 @@ class FullDisk(tempfile.TemporaryDirectory[str]):
         (Path(self.name) / prefix[1:-1]).symlink_to("/dev/full")
 
 
-def trouble(name: str, output: str) -> tuple[int, list[str]]:
-    before, suffix, after, _ = WRITING[name]
+def run_writing_command(name: str, output: str) -> tuple[int, list[str]]:
+    before, suffix, after, _ = WRITING_COMMANDS[name]
     completed = gsgen_here(*before, f"{output}{suffix}", *after)
     return completed.code, [
         line for line in completed.err.splitlines() if line.startswith("gsgen: ")
     ] if "Traceback" not in completed.err else [completed.err]
 
 
-@pytest.mark.parametrize("name", WRITING)
+@pytest.mark.parametrize("name", WRITING_COMMANDS)
 def test_unwritable_output_is_reported_in_one_line(name: str) -> None:
-    code, (message,) = trouble(name, "file/out")
-    assert code == WRITING[name][3]
+    code, (message,) = run_writing_command(name, "file/out")
+    assert code == WRITING_COMMANDS[name][3]
     assert message.startswith("gsgen: file/out")
     assert "cannot be written" in message
 
@@ -73,20 +73,22 @@ def test_unwritable_output_is_reported_in_one_line(name: str) -> None:
     "name", ["validate", "export", "render a picture", "render floats", "convert"]
 )
 def test_folder_as_output_file_is_refused(name: str) -> None:
-    Path(f"out{WRITING[name][1]}").mkdir()
-    code, (message,) = trouble(name, "out")
-    assert code == WRITING[name][3]
-    assert message.startswith(f"gsgen: out{WRITING[name][1]}: ")
-    assert not list(Path(f"out{WRITING[name][1]}").iterdir())
+    Path(f"out{WRITING_COMMANDS[name][1]}").mkdir()
+    code, (message,) = run_writing_command(name, "out")
+    assert code == WRITING_COMMANDS[name][3]
+    assert message.startswith(f"gsgen: out{WRITING_COMMANDS[name][1]}: ")
+    assert not list(Path(f"out{WRITING_COMMANDS[name][1]}").iterdir())
 
 
-@pytest.mark.parametrize("name", [entry for entry in WRITING if entry.startswith(("ren", "exp"))])
+@pytest.mark.parametrize(
+    "name", [entry for entry in WRITING_COMMANDS if entry.startswith(("ren", "exp"))]
+)
 def test_a_full_disk_is_one_line_and_leaves_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = SimpleNamespace(TemporaryDirectory=FullDisk)
     monkeypatch.setattr("gsgen.contract.process.atomic_files.tempfile", full)
-    code, (message,) = trouble(name, "out")
+    code, (message,) = run_writing_command(name, "out")
     assert code == 2
     assert message.startswith("gsgen: out")
     assert "cannot be written: " in message
@@ -96,7 +98,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
 @pytest.mark.parametrize("name", ["validate", "convert"])
 def test_file_size_limit_is_reported(name: str) -> None:
     """The limit of a process says the same as a full disk, but drivers do not survive it."""
-    before, suffix, after, code = WRITING[name]
+    before, suffix, after, code = WRITING_COMMANDS[name]
     limited = (
         "import resource; from gsgen.cli import main; "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (60, 60)); main()"
@@ -116,9 +118,9 @@ def _left() -> list[str]:
 
 @pytest.mark.parametrize("name", ["export", "render pictures", "convert"])
 def test_missing_parent_folders_are_created(name: str) -> None:
-    code, message = trouble(name, "new/and/deep")
+    code, message = run_writing_command(name, "new/and/deep")
     assert (code, message) == (0, [])
-    assert Path(f"new/and/deep{WRITING[name][1]}").exists()
+    assert Path(f"new/and/deep{WRITING_COMMANDS[name][1]}").exists()
 
 
 @pytest.mark.parametrize("words", [("rules",), ("--help",)])

@@ -21,7 +21,7 @@ def text(body: str) -> bytes:
     return onnx.parser.parse_model(HEAD + body).SerializeToString()
 
 
-def whole() -> bytes:
+def valid_model_bytes() -> bytes:
     rng = np.random.default_rng(0)
     model = onnx.parser.parse_model(
         HEAD + "g () => (float[64, 10] gaussians) { gaussians = Neg(w) }"
@@ -32,7 +32,7 @@ def whole() -> bytes:
 
 
 def external(location: str) -> bytes:
-    model = ModelProto.FromString(whole())
+    model = ModelProto.FromString(valid_model_bytes())
     weight = model.graph.initializer[0]
     weight.ClearField("raw_data")
     weight.data_location = TensorProto.EXTERNAL
@@ -93,10 +93,10 @@ FILES: dict[str, Callable[[], bytes]] = {
     "zeros": lambda: bytes(100_000),
     "ones": lambda: b"\xff" * 100_000,
     "random": lambda: np.random.default_rng(1).bytes(200_000),
-    "half": lambda: whole()[: len(whole()) // 2],
-    "all but a byte": lambda: whole()[:-1],
-    "header only": lambda: whole()[:10],
-    "random tail": lambda: whole()[:400] + np.random.default_rng(2).bytes(3000),
+    "half": lambda: valid_model_bytes()[: len(valid_model_bytes()) // 2],
+    "all but a byte": lambda: valid_model_bytes()[:-1],
+    "header only": lambda: valid_model_bytes()[:10],
+    "random tail": lambda: valid_model_bytes()[:400] + np.random.default_rng(2).bytes(3000),
     "many fields": lambda: b"\x08\x01" * 6_000_000,
     "no graph": lambda: ModelProto(ir_version=8).SerializeToString(),
     "empty graph": lambda: text("g () => () { }"),

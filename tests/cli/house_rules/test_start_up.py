@@ -8,7 +8,7 @@ import pytest
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.samples import garden
 
-HEAVY = {"torch", "onnxscript", "onnx_ir", "wgpu", "scipy"}
+HEAVY_MODULES = {"torch", "onnxscript", "onnx_ir", "wgpu", "scipy"}
 
 
 def imported(*words: str, whole: bool = False, code: int = 0) -> set[str]:
@@ -26,20 +26,23 @@ def imported(*words: str, whole: bool = False, code: int = 0) -> set[str]:
 
 @pytest.mark.parametrize("words", [("--help",), ("--version",), ("rules",), ("export", "--help")])
 def test_light_commands_import_nothing_heavy(words: tuple[str, ...]) -> None:
-    assert imported(*words) & (HEAVY | {"onnxruntime"}) == set()
+    assert imported(*words) & (HEAVY_MODULES | {"onnxruntime"}) == set()
 
 
 def test_static_validation_imports_nothing_heavy(good: Path) -> None:
     names = imported("validate", "--level", "static", str(good))
     assert "onnx" in names  # the measure works
-    assert names & (HEAVY | {"onnxruntime", "jsonschema", "jaxtyping", "multiprocessing"}) == set()
+    assert (
+        names & (HEAVY_MODULES | {"onnxruntime", "jsonschema", "jaxtyping", "multiprocessing"})
+        == set()
+    )
     whole = imported("validate", "--level", "static", str(good), whole=True)
     assert not [name for name in whole if name.startswith(("gsgen.tiles", "gsgen.formats"))]
 
 
 def test_running_a_model_keeps_onnx_runtime_out_of_the_parent(good: Path) -> None:
     names = imported("validate", "--level", "behaviour", str(good))
-    assert names & (HEAVY | {"onnxruntime"}) == set()
+    assert names & (HEAVY_MODULES | {"onnxruntime"}) == set()
 
 
 def test_a_repair_needs_no_torch(good: Path) -> None:

@@ -60,7 +60,7 @@ def declared(path: Path) -> GeneratorManifest:
     return manifest
 
 
-def judged(path: Path) -> tuple[str, list[str]]:
+def rule_outcome(path: Path) -> tuple[str, list[str]]:
     """Return what became of the rule, and what it found."""
     report = validate(path, RENDER)
     result = [entry.message for entry in report.findings if entry.rule == "GB021"]
@@ -83,7 +83,7 @@ def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None
         with Image.open(copy.parent / entry.path) as picture:
             assert (picture.width, picture.mode) == (WIDTH, "RGB")
             assert np.asarray(picture).max() > 40
-    assert judged(copy) == ("pass", [])
+    assert rule_outcome(copy) == ("pass", [])
 
     model = onnx.load(copy)
     (weight,) = (entry for entry in model.graph.initializer if entry.name == "center")
@@ -115,7 +115,7 @@ def test_models_of_all_kinds_keep_their_promise(
     result = record_references(source, copy, count=1, width=WIDTH, renderer=renderer)
     assert result.images == declared(copy).reference_images
     assert bool(result.empty) is (name == "nothing_live")
-    assert judged(copy) == ("pass", [])
+    assert rule_outcome(copy) == ("pass", [])
 
 
 def test_recording_in_a_manifest_of_1_2_writes_contract_1_0(

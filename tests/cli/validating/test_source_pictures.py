@@ -67,7 +67,7 @@ def recorded(folder: Path, *options: object):
     return gsgen_here("references", source, "-o", folder / "copy.onnx", *words, *options)
 
 
-def judged(path: Path) -> tuple[str, int]:
+def validate_pictures(path: Path) -> tuple[str, int]:
     report = validate(path, Settings(level=Level.RENDER))
     actual = sum(finding.rule == "GB021" for finding in report.findings)
     return report.outcome("GB021").status, actual
@@ -82,7 +82,7 @@ def test_pictures_of_the_training_code_are_declared_and_compared(trained: Path) 
     assert [entry["from"] for entry in document["reference_images"]] == ["source"] * 3
     assert {image.psnr for image in images} == {35.0}
     assert min(document["decibels"]) > 50
-    assert judged(trained / "copy.onnx") == ("pass", 0)
+    assert validate_pictures(trained / "copy.onnx") == ("pass", 0)
 
 
 def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> None:
@@ -92,13 +92,13 @@ def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> Non
     completed = recorded(trained)
     assert completed.code == 0, completed.err
     assert "less than the declared 35" in completed.out
-    status, count = judged(trained / "copy.onnx")
+    status, count = validate_pictures(trained / "copy.onnx")
     assert (status, count > 0) == ("fail", True)
     own = gsgen_here(
         "references", trained / "still_sh1.onnx", "-o", trained / "own.onnx", "--width", "96"
     )
     assert "drawn by the model itself: a fault that it has now is part of the pictures" in own.err
-    assert judged(trained / "own.onnx")[0] == "pass"  # the fault is frozen
+    assert validate_pictures(trained / "own.onnx")[0] == "pass"  # the fault is frozen
 
 
 def test_pictures_are_laid_over_black_and_scale_their_cameras(trained: Path) -> None:

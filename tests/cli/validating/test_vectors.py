@@ -26,7 +26,7 @@ from gsgen.contract.validator import validate
 from support.commands import gsgen, gsgen_here
 
 
-def written(folder: Path, name: str, **declared: object) -> Path:
+def write_fixture(folder: Path, name: str, **declared: object) -> Path:
     """Write a fixture; ``declared`` replaces fields of its manifest."""
     spec: ModelSpec = find(name).draw()
     path = folder / f"{name}.onnx"
@@ -41,7 +41,7 @@ def told_of_vectors(path: Path, **settings: object) -> list[str]:
 
 
 def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -> None:
-    source = written(tmp_path, "drift")
+    source = write_fixture(tmp_path, "drift")
     completed = gsgen("vectors", "drift.onnx", "--count", "4", cwd=tmp_path)
     assert completed.code == 0, completed.err
     result = tmp_path / "drift-vectors"
@@ -50,7 +50,7 @@ def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -
         "model.onnx",
         *(f"test_data_set_{index}" for index in range(4)),
     ]
-    assert source.read_bytes() == written(tmp_path, "drift").read_bytes()
+    assert source.read_bytes() == write_fixture(tmp_path, "drift").read_bytes()
 
     good = gsgen_here("validate", result / "model.onnx", "--format", "json")
     assert good.code == 0
@@ -103,7 +103,7 @@ class _Runner(onnx_runner.Runner):
 
 @pytest.mark.parametrize("name", ["drift_half", "avatar", "still_sh0", "one_step_enhancer"])
 def test_onnx_s_own_runner_reads_and_reproduces_them(name: str, tmp_path: Path) -> None:
-    result = record_vectors(written(tmp_path, name), tmp_path / "out", count=1)
+    result = record_vectors(write_fixture(tmp_path, name), tmp_path / "out", count=1)
     assert len(result.vectors) == 1
     runner, folder = _Runner(), str(tmp_path / "out")
     case = SimpleNamespace(name="test_it", model_name="it", model_dir=folder, url=None)
@@ -121,7 +121,7 @@ def test_onnx_s_own_runner_reads_and_reproduces_them(name: str, tmp_path: Path) 
 
 def test_another_seed_is_kept_and_probed(tmp_path: Path) -> None:
     model = tmp_path / "copy.onnx"
-    result = record_vectors(written(tmp_path, "avatar"), tmp_path / "out", model, seed=9)
+    result = record_vectors(write_fixture(tmp_path, "avatar"), tmp_path / "out", model, seed=9)
     assert result.model == model
     assert {entry.seed for entry in result.vectors} == {9}
     assert not (tmp_path / "out" / "model.onnx").exists()
@@ -129,7 +129,7 @@ def test_another_seed_is_kept_and_probed(tmp_path: Path) -> None:
     assert told_of_vectors(model, seed=9) == []
     manifest = loads(open_model(model).manifest_text or "")
     first = replace(manifest.test_vectors[1], seed=8)
-    wrong = written(tmp_path, "avatar", test_vectors=(first,))
+    wrong = write_fixture(tmp_path, "avatar", test_vectors=(first,))
     (message,) = told_of_vectors(wrong)
     assert f"the declared {first.expected_sha256}" in message
 
@@ -138,12 +138,14 @@ def test_vectors_that_cannot_be_run_are_named(tmp_path: Path) -> None:
     many_vectors = tuple(
         Vector(inputs="no inputs", expected_sha256="0" * 64, seed=seed) for seed in range(1, 7)
     )
-    messages = " ".join(told_of_vectors(written(tmp_path, "still_sh0", test_vectors=many_vectors)))
+    messages = " ".join(
+        told_of_vectors(write_fixture(tmp_path, "still_sh0", test_vectors=many_vectors))
+    )
     assert (
         f"seed {MAX_VECTOR_SEEDS + 1}; expected {MAX_VECTOR_SEEDS} other seeds at most" in messages
     )
     unknown_vector = (Vector(inputs="noon", expected_sha256="0" * 64, seed=3),)
-    document = told_of_vectors(written(tmp_path, "drift", test_vectors=unknown_vector))
+    document = told_of_vectors(write_fixture(tmp_path, "drift", test_vectors=unknown_vector))
     assert "no probe 'noon' with seed 3" in document[0]
 
 
@@ -193,11 +195,11 @@ def test_unreproducible_vectors_are_refused_without_output(tmp_path: Path) -> No
         assert f"{name}.onnx" in caught.value.where
         assert not out.exists()
     with pytest.raises(ConfigInvalid, match="10 test vectors, but the model has only 9 probes"):
-        record_vectors(written(tmp_path, "drift"), out, count=10)
+        record_vectors(write_fixture(tmp_path, "drift"), out, count=10)
 
 
 def test_stale_vector_folders_are_removed_and_link_targets_stay(tmp_path: Path) -> None:
-    source, out, retained = written(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
+    source, out, retained = write_fixture(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
     retained.mkdir()
     out.mkdir()
     (retained / "mine").touch()
@@ -212,7 +214,7 @@ def test_stale_vector_folders_are_removed_and_link_targets_stay(tmp_path: Path) 
 
 
 def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
-    source = written(tmp_path, "drift")
+    source = write_fixture(tmp_path, "drift")
     record_vectors(source, tmp_path / "out", count=3)
     second_run = gsgen_here("vectors", source, "--into", tmp_path / "out")
     assert second_run.code == 2
@@ -228,7 +230,7 @@ def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
 
 
 def test_the_manifest_is_the_only_thing_that_changes(tmp_path: Path) -> None:
-    source = written(tmp_path, "drift")
+    source = write_fixture(tmp_path, "drift")
     record_vectors(source, tmp_path, tmp_path / "new.onnx", count=1)
     before, after = onnx.load(source), onnx.load(tmp_path / "new.onnx")
     for model in (before, after):

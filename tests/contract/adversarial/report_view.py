@@ -9,7 +9,7 @@ from pathlib import Path
 from gsgen.contract import Finding, GsgenError, Level, Settings, load_target, validate
 
 # Which row and which probe is no cause: "first row 0 (camera 3, time=0.429): 1.2".
-_PLACES = re.compile(r"(first|worst) row \d+( \([^)]*\))?")
+_LOCATION_PATTERN = re.compile(r"(first|worst) row \d+( \([^)]*\))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,5 +47,5 @@ def _view(entry: Finding) -> FindingView:
         entry.rule,
         entry.severity.name.lower(),
         entry.certainty,
-        _PLACES.sub("row", " | ".join(shown)),
+        _LOCATION_PATTERN.sub("row", " | ".join(shown)),
     )

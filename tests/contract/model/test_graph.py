@@ -14,7 +14,7 @@ from gsgen.contract.model.graph import Conflict, Tensor, names_read, read_graph
 from gsgen.contract.model.model_file import open_model
 from support.models.small_models import model, save, weight
 
-LARGE = np.zeros(1000, np.float32)  # large enough that its values are not read
+LARGE_WEIGHT = np.zeros(1000, np.float32)  # large enough that its values are not read
 
 
 @pytest.fixture
@@ -193,7 +193,7 @@ SOUND = ("", "", ())
 
 def test_weights_that_were_not_read_are_no_fault(graph_of):
     text = "m (float[1] x) => (float[N] y) { y = Add (x, w) }"
-    graph = graph_of(model(text, weight("w", LARGE)))
+    graph = graph_of(model(text, weight("w", LARGE_WEIGHT)))
     assert faults(graph) == SOUND
     assert graph.outputs == (Tensor("y", "float32", (1000,)),)
 
@@ -201,7 +201,7 @@ def test_weights_that_were_not_read_are_no_fault(graph_of):
 @pytest.mark.parametrize("name", ["w", ""])
 def test_a_constant_that_was_not_read_is_no_fault(graph_of, name):
     proto = model("m (float[1] x) => (float[N] y) { y = Add (x, w) }")
-    proto.graph.node.insert(0, constant("w", LARGE, name=name))
+    proto.graph.node.insert(0, constant("w", LARGE_WEIGHT, name=name))
     graph = graph_of(proto)
     assert faults(graph) == SOUND
     assert graph.outputs == (Tensor("y", "float32", (1000,)),)
@@ -210,14 +210,15 @@ def test_a_constant_that_was_not_read_is_no_fault(graph_of, name):
 
 def test_a_constant_may_be_an_output_of_the_graph(graph_of):
     proto = model("m (float[1] x) => (float[N] y) { unused = Neg (x) }")
-    proto.graph.node.append(constant("y", LARGE))
+    proto.graph.node.append(constant("y", LARGE_WEIGHT))
     graph = graph_of(proto)
     assert faults(graph) == SOUND
     assert graph.outputs == (Tensor("y", "float32", (1000,)),)
 
 
 @pytest.mark.parametrize(
-    ("array", "dims"), [(np.float32(0), ()), (np.zeros(0, np.float32), (0,)), (LARGE, (1000,))]
+    ("array", "dims"),
+    [(np.float32(0), ()), (np.zeros(0, np.float32), (0,)), (LARGE_WEIGHT, (1000,))],
 )
 def test_a_constant_that_was_not_read_keeps_its_rank(graph_of, array, dims):
     proto = model("m () => (float y) { y = Identity (w) }")
@@ -234,7 +235,7 @@ def test_a_constant_that_was_not_read_keeps_its_rank(graph_of, array, dims):
 def test_branches_may_use_one_name_for_different_weights(graph_of, form):
     proto = model(BRANCHES.replace("THEN", "w").replace("ELSE", "w"))
     proto.graph.input[1].type.tensor_type.shape.dim[0].dim_value = 1
-    for index, array in enumerate((LARGE, np.zeros(2000, np.float32))):
+    for index, array in enumerate((LARGE_WEIGHT, np.zeros(2000, np.float32))):
         graph = branch(proto, index)
         if form == "initialiser":
             graph.initializer.append(weight("w", array))
@@ -248,7 +249,7 @@ def test_a_branch_may_return_a_constant(graph_of):
     proto = model(BRANCHES.replace("THEN", "x").replace("ELSE", "x"))
     graph = branch(proto, 1)
     del graph.node[:]
-    graph.node.append(constant("p", LARGE))
+    graph.node.append(constant("p", LARGE_WEIGHT))
     assert faults(graph_of(proto)) == SOUND
 
 
@@ -258,7 +259,7 @@ def test_a_function_may_hold_constants_that_were_not_read(graph_of):
         "m (float[1] x) => (float[N] y) { y = l.f (x) }\n"
         '<domain: "l", opset_import: ["" : 18]> f (x) => (y) { y = Add (w, x) }'
     )
-    proto.functions[0].node.insert(0, constant("w", LARGE))
+    proto.functions[0].node.insert(0, constant("w", LARGE_WEIGHT))
     graph = graph_of(proto)
     assert faults(graph) == SOUND
     assert graph.outputs == (Tensor("y", "float32", (1000,)),)
@@ -271,7 +272,7 @@ def test_tensors_in_other_attributes_may_be_left_out(graph_of):
         '<domain: "l", opset_import: ["" : 18]> f <table> (x) => (y) { y = Neg (x) }'
     )
     table = proto.graph.node[0].attribute.add(name="table", type=AttributeProto.TENSOR)
-    table.t.CopyFrom(weight("t", LARGE))
+    table.t.CopyFrom(weight("t", LARGE_WEIGHT))
     assert faults(graph_of(proto)) == SOUND
 
 

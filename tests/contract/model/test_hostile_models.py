@@ -73,7 +73,7 @@ def test_a_vector_of_two_thousand_million_is_looked_at_in_a_moment(tmp_path):
     assert time.monotonic() - start_time < 10  # it used to take hours, and all memory
 
 
-COMPUTED = """
+COMPUTED_SHAPES_TEXT = """
 g (float[SIZE] t, float[5,3] x) => (float[N,M] y, float[K] z) {
     all = Shape (x)
     first = Constant <value_ints = [0]> ()
@@ -88,13 +88,13 @@ g (float[SIZE] t, float[5,3] x) => (float[N,M] y, float[K] z) {
 
 @pytest.mark.parametrize("size", [8, 100_000])
 def test_shapes_that_a_graph_computes_are_known_beside_long_vectors_too(tmp_path, size):
-    path = save(tmp_path / "a.onnx", model(COMPUTED.replace("SIZE", str(size))))
+    path = save(tmp_path / "a.onnx", model(COMPUTED_SHAPES_TEXT.replace("SIZE", str(size))))
     graph = read_graph(open_model(path))
     assert [tensor.dims for tensor in graph.outputs] == [(5, 3), (size,)]
     assert graph.inference_fault == ""
 
 
-def doubling(depth):
+def nested_functions_model(depth):
     """A model of a kilobyte that is 2 to the power of ``depth`` nodes."""
     head = '<ir_version: 10, opset_import: ["" : 18, "acme" : 1]>'
     text = f"{head} g (float[2] x) => (float[2] y) {{ y = acme.f0 (x) }}"
@@ -106,18 +106,18 @@ def doubling(depth):
 
 
 def test_functions_that_double_and_double_are_not_expanded(tmp_path):
-    _, fault = infer(doubling(8))
+    _, fault = infer(nested_functions_model(8))
     assert fault == ""
     start_time = time.monotonic()
-    _, fault = infer(doubling(40))
+    _, fault = infer(nested_functions_model(40))
     assert fault == "its functions expand to more than 20000 nodes"
-    report = validate(save(tmp_path / "a.onnx", doubling(40)), STATIC)
+    report = validate(save(tmp_path / "a.onnx", nested_functions_model(40)), STATIC)
     assert report.verdict == "invalid"
     assert time.monotonic() - start_time < 20  # it used to take days
 
 
 def test_a_function_that_calls_itself_is_a_fault():
-    looping = doubling(2)
+    looping = nested_functions_model(2)
     looping.functions[1].node[0].op_type = "f0"
     looping.functions[1].node[0].domain = "acme"
     inferred, fault = infer(looping)

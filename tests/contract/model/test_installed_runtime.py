@@ -14,7 +14,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
-OLD = replace(load_target("core"), opset=(13, 13), ir=8)
+OLD_TARGET = replace(load_target("core"), opset=(13, 13), ir=8)
 
 
 def high_model(opset: int, ir_version: int) -> ModelProto:
@@ -24,7 +24,7 @@ def high_model(opset: int, ir_version: int) -> ModelProto:
 
 
 def test_the_bounds_are_those_that_onnx_runtime_loads() -> None:
-    raised = raised_to_installed(OLD, high_model(99, 99))
+    raised = raised_to_installed(OLD_TARGET, high_model(99, 99))
     model = still().build()
     model.opset_import[0].version, model.ir_version = raised.opset[1], raised.ir
     onnxruntime.InferenceSession(model.SerializeToString())
@@ -36,9 +36,9 @@ def test_the_bounds_are_those_that_onnx_runtime_loads() -> None:
 def test_a_newer_operator_set_than_the_data_file_names_is_supported(tmp_path: Path) -> None:
     path = tmp_path / "model.onnx"
     path.write_bytes(still().build().SerializeToString())  # operator set 18
-    settings = Settings(target=OLD, level=Level.STATIC)
+    settings = Settings(target=OLD_TARGET, level=Level.STATIC)
     assert validate(path, settings).outcome("GG001").status == "pass"
-    followed_settings = replace(settings, target=replace(OLD, follows_runtime=False))
+    followed_settings = replace(settings, target=replace(OLD_TARGET, follows_runtime=False))
     assert validate(path, followed_settings).outcome("GG001").status == "fail"
 
 

@@ -21,8 +21,10 @@ from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 from gsgen.contract.spec.manifest_io import dumps, loads
 from support.models.small_models import good_rows, manifest_of, model, moving, save, weight
 
-SMALL = model("tiny (float[2] x) => (float[2] y) <float[2] w = {1, 2}> { y = Add (x, w) }")
-AGAIN = "\n  Write the file again; a partial download or an interrupted export looks like this."
+SMALL_MODEL = model("tiny (float[2] x) => (float[2] y) <float[2] w = {1, 2}> { y = Add (x, w) }")
+REWRITE_HINT = (
+    "\n  Write the file again; a partial download or an interrupted export looks like this."
+)
 
 
 def refusal(path):
@@ -47,7 +49,7 @@ def test_a_model_is_opened_without_its_weights(tmp_path):
 
 def test_the_manifest_and_other_metadata_are_read(tmp_path):
     proto = ModelProto()
-    proto.CopyFrom(SMALL)
+    proto.CopyFrom(SMALL_MODEL)
     for key, value in {"author": "me", "a": "1"}.items():
         proto.metadata_props.add(key=key, value=value)
     path = save(tmp_path / "a.onnx", proto)
@@ -59,7 +61,7 @@ def test_the_manifest_and_other_metadata_are_read(tmp_path):
 
 def test_last_value_of_a_repeated_metadata_key_wins(tmp_path):
     proto = ModelProto()
-    proto.CopyFrom(SMALL)
+    proto.CopyFrom(SMALL_MODEL)
     for value in ("first", "second"):
         proto.metadata_props.add(key="key", value=value)
     assert open_model(save(tmp_path / "a.onnx", proto)).metadata == {"key": "second"}
@@ -84,11 +86,12 @@ def test_last_value_of_a_repeated_metadata_key_wins(tmp_path):
         (b"Hello, world!\n", "is not an ONNX model but text"),
         (
             bytes(100),
-            "is damaged or cut off at byte 0: protobuf field number 0, expected 1 or more" + AGAIN,
+            "is damaged or cut off at byte 0: protobuf field number 0, expected 1 or more"
+            + REWRITE_HINT,
         ),
         (b"\x3a\x03\x0a\x7f\x0a", "does not parse as ONNX ("),
-        (b"\x08\x0a", "holds no ONNX graph" + AGAIN),
-        (b"\x3a\x00", "holds no ONNX graph" + AGAIN),
+        (b"\x08\x0a", "holds no ONNX graph" + REWRITE_HINT),
+        (b"\x3a\x00", "holds no ONNX graph" + REWRITE_HINT),
     ],
 )
 def test_a_file_of_another_kind_is_named_as_such(tmp_path, content, text):
@@ -137,8 +140,8 @@ def opens(path: Path, content: bytes) -> bool:
 
 
 def test_every_point_of_truncation_gives_a_model_or_an_error(tmp_path):
-    content = save(tmp_path / "a.onnx", SMALL, manifest_of(1)).read_bytes()
-    body = len(SMALL.SerializeToString())
+    content = save(tmp_path / "a.onnx", SMALL_MODEL, manifest_of(1)).read_bytes()
+    body = len(SMALL_MODEL.SerializeToString())
     for size in range(len(content)):
         whole = opens(tmp_path / "part.onnx", content[:size])
         assert not whole or size >= body - 10  # the opset and the manifest are not missed
@@ -149,17 +152,17 @@ def test_every_point_of_truncation_gives_a_model_or_an_error(tmp_path):
     edits=st.lists(st.tuples(st.integers(0, 2**16), st.integers(0, 255)), min_size=1, max_size=4)
 )
 def test_flipped_bytes_give_a_model_or_an_error(tmp_path_factory, edits):
-    content = bytearray(SMALL.SerializeToString())
+    content = bytearray(SMALL_MODEL.SerializeToString())
     for offset, value in edits:
         content[offset % len(content)] = value
     opens(tmp_path_factory.getbasetemp() / "flipped.onnx", bytes(content))
 
 
 def test_a_name_that_is_no_text_is_refused(tmp_path):
-    content = SMALL.SerializeToString()
+    content = SMALL_MODEL.SerializeToString()
     path = tmp_path / "a.onnx"
     path.write_bytes(content.replace(b"\x0a\x01x", b"\x0a\x01\xff"))
-    assert refusal(path) == f"has a name that is not valid UTF-8 (b'\\xff'){AGAIN}"
+    assert refusal(path) == f"has a name that is not valid UTF-8 (b'\\xff'){REWRITE_HINT}"
 
 
 def external(name, location="weights.bin", **entries):
@@ -175,7 +178,7 @@ def attribute(**value):
     return AttributeProto(name="value", **value)
 
 
-def hidden(name):
+def model_with_external_data(name):
     """A model with external data in one of the places that a file has for tensors."""
     text = "m (float[3] x) => (float[3] y) { y = Add (x, x) }"
     proto = model(text)
@@ -225,7 +228,7 @@ def hidden(name):
     ],
 )
 def test_external_data_is_found_in_every_kind_of_attribute(tmp_path, owner):
-    opened = open_model(save(tmp_path / "a.onnx", hidden(owner)))
+    opened = open_model(save(tmp_path / "a.onnx", model_with_external_data(owner)))
     assert opened.external == (ExternalRef("w", "weights.bin", 0, None),)
     assert b"weights.bin" not in opened.proto.SerializeToString()
 
@@ -240,7 +243,7 @@ def test_external_data_is_found_in_every_kind_of_attribute(tmp_path, owner):
     ],
 )
 def test_the_place_of_external_data_is_read_as_whole_numbers(tmp_path, entries, offset, length):
-    proto = hidden("initializer")
+    proto = model_with_external_data("initializer")
     proto.graph.initializer[0].CopyFrom(external("w", **entries))
     opened = open_model(save(tmp_path / "a.onnx", proto))
     assert opened.external == (ExternalRef("w", "weights.bin", offset, length),)
@@ -274,14 +277,16 @@ def test_only_the_manifest_changes_when_one_is_written(tmp_path):
 def test_bytes_that_no_reader_knows_are_kept(tmp_path):
     source = tmp_path / "a.onnx"
     unknown_field = b"\xba\x3e\x03abc"  # field 999, of no version of ONNX
-    source.write_bytes(unknown_field + SMALL.SerializeToString() + unknown_field)
+    source.write_bytes(unknown_field + SMALL_MODEL.SerializeToString() + unknown_field)
     write_manifest(source, manifest_of(1), source)
-    assert source.read_bytes().startswith(unknown_field + SMALL.SerializeToString() + unknown_field)
+    assert source.read_bytes().startswith(
+        unknown_field + SMALL_MODEL.SerializeToString() + unknown_field
+    )
     assert open_model(source).manifest_text
 
 
 def test_every_earlier_manifest_is_replaced(tmp_path):
-    proto = with_metadata(SMALL, gsgen_manifest="one", b="2")
+    proto = with_metadata(SMALL_MODEL, gsgen_manifest="one", b="2")
     proto.metadata_props.add(key=MANIFEST_KEY, value="two")
     path = save(tmp_path / "a.onnx", proto)
     for capacity in (1, 2):
@@ -293,14 +298,14 @@ def test_every_earlier_manifest_is_replaced(tmp_path):
 
 
 def test_permissions_are_those_of_the_source(tmp_path):
-    source = save(tmp_path / "a.onnx", SMALL)
+    source = save(tmp_path / "a.onnx", SMALL_MODEL)
     source.chmod(0o640)
     write_manifest(source, manifest_of(1), tmp_path / "b.onnx")
     assert stat.S_IMODE((tmp_path / "b.onnx").stat().st_mode) == 0o640
 
 
 def test_a_failure_leaves_the_target_as_it_was(tmp_path, monkeypatch):
-    path = save(tmp_path / "a.onnx", SMALL, manifest_of(1))
+    path = save(tmp_path / "a.onnx", SMALL_MODEL, manifest_of(1))
     before = path.read_bytes()
 
     def full(source, out, count):
@@ -315,7 +320,7 @@ def test_a_failure_leaves_the_target_as_it_was(tmp_path, monkeypatch):
 
 
 def test_a_source_that_shrinks_while_it_is_copied_is_an_error(tmp_path, monkeypatch):
-    path = save(tmp_path / "a.onnx", SMALL)
+    path = save(tmp_path / "a.onnx", SMALL_MODEL)
     monkeypatch.setattr(module, "_without_manifest", lambda _: [(0, 10**9)])
     with pytest.raises(OSError, match="became shorter while it was copied"):
         write_manifest(path, manifest_of(1), tmp_path / "b.onnx")
@@ -323,7 +328,7 @@ def test_a_source_that_shrinks_while_it_is_copied_is_an_error(tmp_path, monkeypa
 
 
 def test_a_wrong_manifest_is_not_written(tmp_path):
-    path = save(tmp_path / "a.onnx", SMALL)
+    path = save(tmp_path / "a.onnx", SMALL_MODEL)
     before = path.read_bytes()
     with pytest.raises(ManifestInvalid):
         write_manifest(path, GeneratorManifest(name="", outputs=GeneratorOutputs()), path)
@@ -339,7 +344,7 @@ def test_a_file_that_is_no_model_gets_no_manifest(tmp_path):
 
 
 def test_a_folder_that_does_not_exist_is_not_made(tmp_path):
-    path = save(tmp_path / "a.onnx", SMALL)
+    path = save(tmp_path / "a.onnx", SMALL_MODEL)
     with pytest.raises(FileNotFoundError):
         write_manifest(path, manifest_of(1), tmp_path / "absent" / "b.onnx")
 

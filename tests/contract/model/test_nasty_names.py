@@ -40,7 +40,7 @@ PATHS = st.lists(PIECES | BYTES | st.text(max_size=4), min_size=1, max_size=6).m
 @settings(max_examples=60)
 @given(name=NAMES, path=PATHS)
 def test_every_format_survives(reports, name, path):
-    report = named(reports["broken"], name, path)
+    report = report_named(reports["broken"], name, path)
     encoded = [
         form([report]).encode() for form in (to_json, to_sarif, to_junit, to_markdown, to_github)
     ]
@@ -61,7 +61,7 @@ def test_every_format_survives(reports, name, path):
     assert all(line.text.isprintable() for line in render_all([report, report]))
 
 
-def named(report, name, path):
+def report_named(report, name, path):
     findings = tuple(
         replace(finding, where=Location(name), message=name, waiver=name and finding.waiver)
         for finding in report.findings

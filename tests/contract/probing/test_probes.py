@@ -42,7 +42,7 @@ RANGES = {
 }
 
 
-def asking(*roles, **changes):
+def manifest_with_roles(*roles, **changes):
     """A manifest with one input for each role, of the role's name."""
     inputs = tuple(Input(name=role, role=role, range=RANGES.get(role)) for role in roles)
     return replace(manifest_of(4), inputs=inputs, **changes)
@@ -56,17 +56,17 @@ def sampled(manifest, **changes):
 
 
 def values(role, manifest=None, **changes):
-    probes = sampled(manifest or asking(role), **changes)
+    probes = sampled(manifest or manifest_with_roles(role), **changes)
     return np.stack([probe.inputs[role] for probe in probes])
 
 
 def test_a_model_without_inputs_has_one_probe():
-    (probe,) = default_probes(asking(), {}, {})
+    (probe,) = default_probes(manifest_with_roles(), {}, {})
     assert (probe.inputs, probe.zeros) == ({}, False)
 
 
 def test_the_first_probe_is_all_zeros():
-    first, *others = default_probes(asking(*SHAPES), SHAPES, DTYPES)
+    first, *others = default_probes(manifest_with_roles(*SHAPES), SHAPES, DTYPES)
     assert first.zeros
     assert first.label == "all inputs zero"
     assert all(not array.any() for array in first.inputs.values())
@@ -75,7 +75,7 @@ def test_the_first_probe_is_all_zeros():
 
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_every_probe_feeds_every_input_in_its_shape_and_dtype(count):
-    probes = default_probes(asking(*SHAPES), SHAPES, DTYPES, count=count)
+    probes = default_probes(manifest_with_roles(*SHAPES), SHAPES, DTYPES, count=count)
     assert len(probes) == 1 + count
     for probe in probes:
         assert {name: array.shape for name, array in probe.inputs.items()} == SHAPES
@@ -84,7 +84,9 @@ def test_every_probe_feeds_every_input_in_its_shape_and_dtype(count):
 
 
 def test_the_same_seed_gives_the_same_probes_and_another_gives_others():
-    first_probes, again, other = (sampled(asking(*SHAPES), seed=seed) for seed in (0, 0, 1))
+    first_probes, again, other = (
+        sampled(manifest_with_roles(*SHAPES), seed=seed) for seed in (0, 0, 1)
+    )
     for a, b, c in zip(first_probes, again, other, strict=True):
         assert a.label == b.label
         for name in SHAPES:
@@ -128,7 +130,7 @@ CENTER = np.array([3.0, 4.0, 5.0])
 
 @pytest.mark.parametrize("up", ["-y", "+y", "+z", "-z", "+x", "-x"])
 def test_cameras_look_at_the_bounds_from_outside_with_up_on_top(up):
-    manifest = asking("view", bounds=BOUNDS, space=Space(up=up))
+    manifest = manifest_with_roles("view", bounds=BOUNDS, space=Space(up=up))
     axis = np.zeros(3)
     axis["xyz".index(up[1])] = 1 if up[0] == "+" else -1
     eyes = []
@@ -144,7 +146,7 @@ def test_cameras_look_at_the_bounds_from_outside_with_up_on_top(up):
 
 
 def test_the_camera_position_is_the_eye_of_the_view():
-    manifest = asking("view", "camera_position", bounds=BOUNDS)
+    manifest = manifest_with_roles("view", "camera_position", bounds=BOUNDS)
     for probe in sampled(manifest):
         view = probe.inputs["view"].T
         eye = -view[:3, :3].T @ view[:3, 3]
@@ -152,7 +154,9 @@ def test_the_camera_position_is_the_eye_of_the_view():
 
 
 def test_matrices_are_laid_out_in_the_declared_order():
-    column, row = (asking("view", space=Space(matrix_order=order)) for order in ("column", "row"))
+    column, row = (
+        manifest_with_roles("view", space=Space(matrix_order=order)) for order in ("column", "row")
+    )
     np.testing.assert_array_equal(values("view", column), values("view", row).transpose(0, 2, 1))
 
 
@@ -167,7 +171,7 @@ def test_column_order_holds_the_transpose(order, last_row):
 
 
 def test_images_and_lenses_differ_between_probes_and_fit_each_other():
-    probes = sampled(asking("projection", "viewport"))
+    probes = sampled(manifest_with_roles("projection", "viewport"))
     for probe in probes:
         width, height = probe.inputs["viewport"]
         lens = probe.inputs["projection"].T
@@ -178,7 +182,7 @@ def test_images_and_lenses_differ_between_probes_and_fit_each_other():
 @pytest.mark.parametrize("extent", [1e30, 1e300, 1.7e308])
 def test_bounds_without_measure_give_finite_cameras(extent):
     bounds = Bounds((-extent,) * 3, (extent,) * 3)
-    manifest = asking("view", "camera_position", bounds=bounds)
+    manifest = manifest_with_roles("view", "camera_position", bounds=bounds)
     assert all(np.isfinite(a).all() for probe in sampled(manifest) for a in probe.inputs.values())
 
 
@@ -194,7 +198,9 @@ def test_ranges_without_measure_give_finite_inputs(role, extent):
 
 
 def test_bounds_that_are_a_point_give_a_camera():
-    assert np.isfinite(values("view", asking("view", bounds=Bounds((1.0,) * 3, (1.0,) * 3)))).all()
+    assert np.isfinite(
+        values("view", manifest_with_roles("view", bounds=Bounds((1.0,) * 3, (1.0,) * 3)))
+    ).all()
 
 
 def test_a_manifest_of_another_kind_has_probes_too():
@@ -211,7 +217,9 @@ def test_a_manifest_of_another_kind_has_probes_too():
 
 
 def test_a_label_says_which_camera_and_the_value_of_every_number():
-    labels = [probe.label for probe in sampled(asking("view", "time", "shape"), count=3)]
+    labels = [
+        probe.label for probe in sampled(manifest_with_roles("view", "time", "shape"), count=3)
+    ]
     assert labels == ["camera 0, time=2", "camera 1, time=2.5", "camera 2, time=3"]
 
 

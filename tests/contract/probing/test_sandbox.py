@@ -27,7 +27,7 @@ endless (int64 turns) => (float[1] y) <float[1] one = {1}, bool yes = {1}> {
     }>
 }
 """)
-GREEDY = model(
+MEMORY_HUNGRY_MODEL = model(
     "greedy (int64[1] size) => (float[1] y) <int64[1] zero = {0}> "
     "{ all = ConstantOfShape (size) y = ReduceSum (all, zero) }"
 )
@@ -168,14 +168,14 @@ def test_a_model_that_never_ends_is_stopped_and_what_it_did_is_kept(folder, chil
 
 @pytest.mark.usefixtures("children")
 def test_a_model_that_takes_too_much_memory_is_a_fault_of_memory(folder):
-    path = save(folder / "a.onnx", GREEDY)
+    path = save(folder / "a.onnx", MEMORY_HUNGRY_MODEL)
     probes = [probe(size=np.array([4])), probe(size=np.array([1 << 28]))]
     fault, execution = fault_of(path, ["y"], probes, Limits(memory=512 << 20))
     assert (fault.stage, fault.probe) == ("memory", 1)
     assert len(execution.runs) == 1
 
 
-def acting(monkeypatch, action):
+def act_on_first_wait(monkeypatch, action):
     """Let ``act(child, folder)`` stand for the first wait; the child itself is the real one."""
 
     class Acting(subprocess.Popen):
@@ -203,7 +203,7 @@ def test_crash_names_its_signal_and_probe(folder, monkeypatch):
         until_it_runs(where)
         child.send_signal(signal.SIGSEGV)
 
-    acting(monkeypatch, crash)
+    act_on_first_wait(monkeypatch, crash)
     path = save(folder / "a.onnx", ENDLESS)
     fault, _ = fault_of(path, ["y"], [probe(turns=np.int64(2**62))])
     assert fault == Fault("crash", "ended by signal SIGSEGV", 0)
@@ -224,7 +224,7 @@ def test_a_half_written_event_is_the_end_and_no_error(folder, monkeypatch):
         events = where / "events.jsonl"
         events.write_text(events.read_text() + '{"event": "ru')
 
-    acting(monkeypatch, cut)
+    act_on_first_wait(monkeypatch, cut)
     fault, execution = fault_of(save(folder / "a.onnx", DOUBLE), ["y"], [pair(1, 2)])
     assert fault is None
     assert len(execution.runs) == 1
@@ -238,7 +238,7 @@ def test_an_interrupt_leaves_no_child_and_no_files(folder, monkeypatch):
         recorded.append(child)
         raise KeyboardInterrupt
 
-    acting(monkeypatch, interrupt)
+    act_on_first_wait(monkeypatch, interrupt)
     path = save(folder / "a.onnx", ENDLESS)
     with pytest.raises(KeyboardInterrupt):
         fault_of(path, ["y"], [probe(turns=np.int64(2**62))])

@@ -10,7 +10,7 @@ from support.reports.goldens import assert_is_golden
 from support.reports.judged import MODELS
 
 
-def read(line):
+def read_command(line):
     """Read a workflow command as the runner does: command, properties, message."""
     assert line.startswith("::")
     head, _, message = line[2:].partition("::")
@@ -30,7 +30,7 @@ def test_annotations_match_the_golden_file(reports, name):
 
 def test_an_annotation_names_its_file_and_says_how_to_mend(reports):
     first, *_ = reports["broken"].findings
-    command, properties, message = read(to_github([reports["broken"]]).splitlines()[0])
+    command, properties, message = read_command(to_github([reports["broken"]]).splitlines()[0])
     assert command == "error"
     assert properties == {"file": "broken.onnx", "title": f"{first.rule} {first.slug}"}
     assert message == f"{first.where}: {first.message}\nhint: {first.hint}"
@@ -60,8 +60,8 @@ def test_unreadable_models_and_crashed_rules_are_annotated(reports):
     report = replace(reports["good"], outcomes=(crashed, *remaining))
     error = ModelUnreadable("is empty", where="a.onnx", hint="Write it again.")
     lines = to_github([report, Unreadable("a.onnx", error)]).splitlines()
-    assert read(lines[0])[1]["title"] == f"{outcome.rule.id} crashed"
-    assert read(lines[2])[2] == "a.onnx: is empty\n  Write it again."
+    assert read_command(lines[0])[1]["title"] == f"{outcome.rule.id} crashed"
+    assert read_command(lines[2])[2] == "a.onnx: is empty\n  Write it again."
     assert lines[-1] == "2 models: 1 without verdict, 1 unreadable"
 
 
@@ -70,6 +70,6 @@ def test_names_cannot_inject_workflow_commands(reports, name):
     first, *_ = reports["broken"].findings
     report = replace(reports["broken"], path=name, findings=(replace(first, where=Location(name)),))
     first_line, last_line = to_github([report]).splitlines()
-    assert read(first_line)[0] == "error"
+    assert read_command(first_line)[0] == "error"
     assert last_line.startswith("gsgen: ")
     assert "##[" not in last_line

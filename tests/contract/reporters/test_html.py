@@ -18,7 +18,7 @@ from gsgen.contract.validator import validate
 from gsgen.runtime.checks import probe_picture
 
 PNG = b"\x89PNG\r\n\x1a\n"
-VOID = {"meta", "img", "rect", "br"}
+VOID_ELEMENTS = {"meta", "img", "rect", "br"}
 
 
 class Page(HTMLParser):
@@ -32,7 +32,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.elements.append((tag, dict(attributes)))
-        if tag not in VOID:
+        if tag not in VOID_ELEMENTS:
             self.open.append(tag)
 
     def handle_startendtag(self, tag, attributes):

@@ -11,9 +11,11 @@ from gsgen.tiles.validation.rules import all_rules
 from support.reports.rules import made_up
 
 FIRST = made_up("GV901")
-SECOND = made_up("GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows")
-THIRD = made_up("acme/AC001", target="webgpu")
-REGISTRY = Registry.from_rules([FIRST, SECOND, THIRD])
+SECOND_RULE = made_up(
+    "GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows"
+)
+THIRD_RULE = made_up("acme/AC001", target="webgpu")
+REGISTRY = Registry.from_rules([FIRST, SECOND_RULE, THIRD_RULE])
 
 PAGE = """\
 # GV902 made-up-gv902
@@ -58,24 +60,24 @@ INDEX = """\
 
 
 def test_a_page_says_all_that_the_rule_declares():
-    assert page(SECOND, REGISTRY, "none") == PAGE
+    assert page(SECOND_RULE, REGISTRY, "none") == PAGE
 
 
 def test_a_page_leaves_out_what_the_rule_does_not_declare():
     text = page(FIRST, REGISTRY, "")
     assert "- target: all\n" in text
     assert "needs" not in text
-    assert "- target: webgpu\n" in page(THIRD, REGISTRY, "")
+    assert "- target: webgpu\n" in page(THIRD_RULE, REGISTRY, "")
 
 
 def test_page_shows_the_observed_failure_of_the_rule():
-    with_evidence = replace(SECOND, evidence="In a viewer.")
+    with_evidence = replace(SECOND_RULE, evidence="In a viewer.")
     assert page(with_evidence, REGISTRY, "none") == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
 
 
 def test_only_our_own_rules_have_a_page_of_ours():
     assert help_path(FIRST) == "rules/GV901.md"
-    assert help_path(THIRD) == ""
+    assert help_path(THIRD_RULE) == ""
 
 
 def test_the_index_lists_rules_by_family():
@@ -94,7 +96,7 @@ def test_every_rule_has_a_page(rule):
 
 
 def test_rule_converts_to_json_types():
-    data = json.loads(json.dumps(to_dict(SECOND, "none")))
+    data = json.loads(json.dumps(to_dict(SECOND_RULE, "none")))
     assert data == {
         "id": "GV902",
         "slug": "made-up-gv902",

@@ -18,7 +18,7 @@ NAMES = SimpleNamespace(
     declared_gaussians=GaussiansOutput("gaussians", FEW * PER_CELL),
     declared_cells=CellsOutput("cells", PER_CELL),
 )
-ODD = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -0.5, 1.5, 65504.0, 1e-6)
+SPECIAL_VALUES = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -0.5, 1.5, 65504.0, 1e-6)
 DTYPES = pytest.mark.parametrize("dtype", [np.float32, np.float16])
 SEEDS = pytest.mark.parametrize("seed", range(6))
 
@@ -41,7 +41,7 @@ def emission(seed: int, dtype: type) -> ModelOutputs:
     rows[:, :3], rows[:, 3] = near.reshape(-1, 3), rng.uniform(-0.2, 1, FEW * PER_CELL)
     for table, share in ((cell_rows, 0.2), (rows, 0.1)):
         for row in np.flatnonzero(rng.random(len(table)) < share):
-            table[row, rng.integers(0, 10)] = rng.choice(ODD)
+            table[row, rng.integers(0, 10)] = rng.choice(SPECIAL_VALUES)
     count = int(rng.integers(0, FEW * PER_CELL + 1))
     with np.errstate(over="ignore"):
         packed, cells = rows.astype(dtype), cell_rows.astype(dtype)
@@ -59,7 +59,7 @@ def emission(seed: int, dtype: type) -> ModelOutputs:
     )
 
 
-def broken(rule: Rule, outputs: ModelOutputs) -> set[int]:
+def violating_rows(rule: Rule, outputs: ModelOutputs) -> set[int]:
     with np.errstate(all="ignore"):  # as the engine does
         (breach,) = rule.check(outputs)
     assert breach.invalid_rows is not None
@@ -95,10 +95,10 @@ def test_cells_are_judged_one_by_one(seed: int, dtype: type) -> None:
                 expected["28"].add(cell)
         if cell * PER_CELL >= outputs.count and math.isfinite(row[3]) and row[3] != 0:
             expected["30"].add(cell)
-    assert broken(rules.cells_finite, outputs) == expected["26"]
-    assert broken(rules.visibility_range, outputs) == expected["27"]
-    assert broken(rules.cell_covariance_psd, outputs) == expected["28"]
-    assert broken(rules.empty_cells_inert, outputs) == expected["30"]
+    assert violating_rows(rules.cells_finite, outputs) == expected["26"]
+    assert violating_rows(rules.visibility_range, outputs) == expected["27"]
+    assert violating_rows(rules.cell_covariance_psd, outputs) == expected["28"]
+    assert violating_rows(rules.empty_cells_inert, outputs) == expected["30"]
 
 
 @SEEDS
@@ -122,8 +122,8 @@ def test_rows_are_judged_by_the_cell_that_they_belong_to(seed: int, dtype: type)
                 reach += 2.0**-10 * sum(map(abs, cell[:3]))
             if math.dist(row[:3], cell[:3]) > reach:
                 far.add(number)
-    assert broken(rules.hidden_cells_inert, outputs) == hidden
-    assert broken(rules.rows_near_their_cell, outputs) == far
+    assert violating_rows(rules.hidden_cells_inert, outputs) == hidden
+    assert violating_rows(rules.rows_near_their_cell, outputs) == far
 
 
 def test_the_made_up_cells_break_every_rule() -> None:
@@ -136,4 +136,4 @@ def test_the_made_up_cells_break_every_rule() -> None:
         rules.empty_cells_inert,
         rules.rows_near_their_cell,
     ):
-        assert any(broken(rule, outputs_of_seed) for outputs_of_seed in outputs), rule.id
+        assert any(violating_rows(rule, outputs_of_seed) for outputs_of_seed in outputs), rule.id

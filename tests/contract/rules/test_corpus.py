@@ -17,7 +17,7 @@ from gsgen.contract.validator import validate
 from gsgen.tiles.validation.rules import all_rules
 
 CORPUS = fixtures()
-GOOD = [fixture for fixture in CORPUS if not fixture.rule]
+VALID_FIXTURES = [fixture for fixture in CORPUS if not fixture.rule]
 BROKEN = [fixture for fixture in CORPUS if fixture.rule]
 
 Judge = Callable[[Fixture], Report]
@@ -36,7 +36,7 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
 
 each_rule = pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
 each_fixture = pytest.mark.parametrize("fixture", CORPUS, ids=lambda fixture: fixture.name)
-each_good = pytest.mark.parametrize("fixture", GOOD, ids=lambda fixture: fixture.name)
+each_good = pytest.mark.parametrize("fixture", VALID_FIXTURES, ids=lambda fixture: fixture.name)
 each_broken = pytest.mark.parametrize(
     "fixture", BROKEN, ids=lambda fixture: f"{fixture.rule}-{fixture.name}"
 )
@@ -54,12 +54,14 @@ def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, judge):
 
 
 # Rules that compare one number with limits; other statistical rules weigh several.
-PLOTTED = {"GB030", "GB031", "GB034", "GB035", "GV040", "GV041", "GV042", "GV043", "GV044", "GV047",
+PLOTTED_RULES = {"GB030", "GB031", "GB034", "GB035", "GV040", "GV041", "GV042", "GV043", "GV044", "GV047",
            "GV048", "GV049"}  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    "fixture", [fixture for fixture in BROKEN if fixture.rule in PLOTTED], ids=lambda f: f.name
+    "fixture",
+    [fixture for fixture in BROKEN if fixture.rule in PLOTTED_RULES],
+    ids=lambda f: f.name,
 )
 def test_a_statistical_finding_has_its_number_beyond_the_limits(fixture: Fixture, judge):
     for finding in judge(fixture).findings:
@@ -88,12 +90,12 @@ def test_no_rule_crashes_or_stays_silent(fixture: Fixture, judge):
 
 @each_rule
 def test_a_rule_passes_on_some_good_model(rule: Rule, judge):
-    outcomes = (judge(fixture).outcome(rule.id) for fixture in GOOD)
+    outcomes = (judge(fixture).outcome(rule.id) for fixture in VALID_FIXTURES)
     assert any(outcome.status == "pass" and outcome.items for outcome in outcomes)
 
 
 def test_there_are_enough_fixtures():
-    assert len(GOOD) >= 25
+    assert len(VALID_FIXTURES) >= 25
     assert len(CORPUS) >= 110
 
 

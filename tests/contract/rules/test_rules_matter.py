@@ -12,7 +12,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validator import validate
 
 
-def silent(_: object) -> Iterator[Violation]:
+def silent_check(_: object) -> Iterator[Violation]:
     """Find nothing, whatever there is."""
     yield from ()
 
@@ -20,7 +20,9 @@ def silent(_: object) -> Iterator[Violation]:
 @pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
 def test_corpus_fails_when_a_rule_is_silent(rule: Rule, tmp_path):
     fixture = find(example_of(rule.id))
-    rules = [replace(entry, check=silent) if entry is rule else entry for entry in builtin_rules()]
+    rules = [
+        replace(entry, check=silent_check) if entry is rule else entry for entry in builtin_rules()
+    ]
     settings = replace(fixture.settings, level=rule.level)
     report = validate(fixture.write(tmp_path), settings, registry=Registry.from_rules(rules))
     assert {finding.rule for finding in report.findings} != {rule.id}

@@ -194,7 +194,7 @@ def case(request: pytest.FixtureRequest) -> Case:
     return request.param
 
 
-def judged(spec: ModelSpec, folder: Path) -> Report:
+def validate_spec(spec: ModelSpec, folder: Path) -> Report:
     path = folder / "model.onnx"
     spec.write(path)
     return validate(path, Settings(target=load_target("visionary")))
@@ -212,7 +212,7 @@ def test_faulty_model_passes_checker_and_runtime(case: Case) -> None:
 
 
 def test_validator_reports_exactly_the_built_in_faults(case: Case, tmp_path: Path) -> None:
-    report = judged(case.draw(), tmp_path)
+    report = validate_spec(case.draw(), tmp_path)
     assert report.verdict == "invalid"
     assert {finding.rule for finding in report.findings} == set(case.findings)
     assert len(report.findings) == len(case.findings)
@@ -226,5 +226,5 @@ def test_validator_reports_exactly_the_built_in_faults(case: Case, tmp_path: Pat
 
 
 def test_base_model_of_the_faults_is_valid(tmp_path: Path) -> None:
-    report = judged(good(), tmp_path)
+    report = validate_spec(good(), tmp_path)
     assert (report.verdict, report.findings) == ("conforms", ())

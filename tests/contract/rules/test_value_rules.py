@@ -112,7 +112,7 @@ ORACLES: dict[str, tuple[Rule, Oracle]] = {
 }
 
 EDGES = (0.0, -0.0, 1.0, 0.5, -0.5, 0.0039, 0.004, -2e-3, 1.002, 2.0, 65504.0, 1e-6)
-WILD = (math.nan, math.inf, -math.inf)
+NONFINITE_VALUES = (math.nan, math.inf, -math.inf)
 
 
 @st.composite
@@ -126,7 +126,7 @@ def emissions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, int]:
     if number:
         spots = st.tuples(st.integers(0, number - 1), st.integers(0, 13))
         for element_index, value in draw(
-            st.lists(st.tuples(spots, st.sampled_from(WILD)), max_size=2)
+            st.lists(st.tuples(spots, st.sampled_from(NONFINITE_VALUES)), max_size=2)
         ):
             table[element_index] = value
         for row in draw(st.sets(st.integers(0, number - 1), max_size=2)):

@@ -107,7 +107,7 @@ def test_the_smallest_eigenvalue_of_nan_is_nan():
 EYE, TARGET, UP = np.array([1.0, 2, 3]), np.array([4.0, -1, 5]), np.array([0.0, 0, 2])
 
 
-def seen(view, point):
+def to_view_space(view, point):
     return (view @ [*point, 1])[:3]
 
 
@@ -115,15 +115,17 @@ def test_the_view_is_a_rigid_motion_that_puts_the_eye_at_the_origin():
     view = look_at(EYE, TARGET, UP)
     np.testing.assert_allclose(view[:3, :3] @ view[:3, :3].T, np.eye(3), atol=1e-15)
     assert np.linalg.det(view[:3, :3]) == pytest.approx(1)
-    np.testing.assert_allclose(seen(view, EYE), 0, atol=1e-15)
+    np.testing.assert_allclose(to_view_space(view, EYE), 0, atol=1e-15)
     np.testing.assert_array_equal(view[3], [0, 0, 0, 1])
 
 
 def test_the_camera_looks_along_plus_z_with_y_down_and_x_right():
     view = look_at(np.zeros(3), np.array([0.0, 5, 0]), np.array([0.0, 0, 1]))
-    np.testing.assert_allclose(seen(view, [0, 5, 0]), [0, 0, 5], atol=1e-15)
-    np.testing.assert_allclose(seen(view, [0, 5, 1]), [0, -1, 5], atol=1e-15)  # above
-    np.testing.assert_allclose(seen(view, [1, 5, 0]), [1, 0, 5], atol=1e-15)  # to the right
+    np.testing.assert_allclose(to_view_space(view, [0, 5, 0]), [0, 0, 5], atol=1e-15)
+    np.testing.assert_allclose(to_view_space(view, [0, 5, 1]), [0, -1, 5], atol=1e-15)  # above
+    np.testing.assert_allclose(
+        to_view_space(view, [1, 5, 0]), [1, 0, 5], atol=1e-15
+    )  # to the right
 
 
 @pytest.mark.parametrize("up", [*np.eye(3), np.ones(3), -np.ones(3), 1e-12 * np.ones(3)])
@@ -149,7 +151,7 @@ def clip(point, fov=1.0, aspect=2.0):
 
 
 def test_the_target_projects_to_the_image_centre():
-    camera = seen(look_at(EYE, TARGET, UP), TARGET)
+    camera = to_view_space(look_at(EYE, TARGET, UP), TARGET)
     np.testing.assert_allclose(clip(camera)[:2], 0, atol=1e-15)
 
 
@@ -160,7 +162,7 @@ def test_depth_goes_from_zero_at_near_to_one_at_far(distance, depth):
 
 def test_clip_space_has_y_up_and_x_right():
     view = look_at(EYE, TARGET, UP)
-    above = clip(seen(view, TARGET + UP))
+    above = clip(to_view_space(view, TARGET + UP))
     assert above[1] > 0
     assert clip([1, 0, 5])[0] > 0
 

@@ -17,16 +17,16 @@ from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from support.models.manifests import JSON, manifests
 
 ROOT = Path(__file__).parents[3]
-PUBLISHED = ROOT / "contract/gsgen/contract/schemas"
+SCHEMA_FOLDER = ROOT / "contract/gsgen/contract/schemas"
 WRITER = "scripts/write_docs.py"
 
 
 def test_the_published_schemas_are_those_of_the_dataclasses():
     documents = {**schemas(), REPORT_SCHEMA_FILE: report_schema()}
-    assert {file.name for file in PUBLISHED.iterdir()} == documents.keys()
+    assert {file.name for file in SCHEMA_FOLDER.iterdir()} == documents.keys()
     for name, document in documents.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
-        same = (PUBLISHED / name).read_bytes() == text.encode()
+        same = (SCHEMA_FOLDER / name).read_bytes() == text.encode()
         assert same, f"{name} is out of date: run {sys.executable} {WRITER}"
 
 

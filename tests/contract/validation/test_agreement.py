@@ -62,7 +62,7 @@ def oracle(
             appearance = max(abs(x - y) for x, y in zip(c[:3], d[:3], strict=True))
             magnitude = max(abs(x) for x in c[:3])
         else:
-            appearance, magnitude = seen(c, d)
+            appearance, magnitude = color_error(c, d)
         reach = max(abs(x) for x in a[:3])
         pairs["position"].append((position * drawn, (r * reach + 2 * s) / sigma))
         pairs["covariance"].append((covariance * drawn, r + 2 * s / trace))
@@ -84,7 +84,7 @@ def directions() -> list[tuple[float, float, float]]:
 WEIGHTS = [basis(np.array(direction)).tolist() for direction in directions()]
 
 
-def seen(c: list[float], d: list[float]) -> tuple[float, float]:
+def color_error(c: list[float], d: list[float]) -> tuple[float, float]:
     """The largest difference of colours from 64 directions, and the largest sum of sizes."""
     difference = magnitude = 0.0
     for weights in WEIGHTS:

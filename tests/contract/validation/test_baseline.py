@@ -11,7 +11,7 @@ from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import ResolvedFinding
 
 
-def gone(name):
+def resolved_finding(name):
     return ResolvedFinding(
         rule="GV003", slug="opacity-range", fingerprint=name, where=Location("output g"), message=""
     )
@@ -80,7 +80,7 @@ def test_baseline_of_one_model_applies_after_renaming(reports, saved):
 
 
 def test_a_model_that_the_baseline_does_not_list_has_no_known_findings():
-    finding, second_model = ({name: gone(name)} for name in "xy")
+    finding, second_model = ({name: resolved_finding(name)} for name in "xy")
     baseline = Baseline("b.json", {"a.onnx": finding, "b.onnx": second_model})
     assert baseline.known_findings("c.onnx") == {}
     assert baseline.known_findings("folder/a.onnx") == finding

@@ -4,7 +4,7 @@ import pytest
 from gsgen.contract.validation.finding import Example, Location, Violation
 from gsgen.contract.validation.finding_counter import FindingCounter
 
-WHERE = Location("output g", "opacity")
+LOCATION = Location("output g", "opacity")
 
 
 def rows(invalid_rows, values=None, **options):
@@ -12,12 +12,14 @@ def rows(invalid_rows, values=None, **options):
     values = (
         np.arange(len(invalid_rows), dtype=np.float64) if values is None else np.asarray(values)
     )
-    return Violation.rows(WHERE, invalid_rows, values, "less", checked=len(invalid_rows), **options)
+    return Violation.rows(
+        LOCATION, invalid_rows, values, "less", checked=len(invalid_rows), **options
+    )
 
 
 def tally(*breaches, probe="", starts=None):
     counter = FindingCounter(
-        where=WHERE, expected="less", actual=breaches[0].actual if breaches else ""
+        where=LOCATION, expected="less", actual=breaches[0].actual if breaches else ""
     )
     for breach, start in zip(breaches, starts or [0] * len(breaches), strict=True):
         counter.add(breach, probe, start)

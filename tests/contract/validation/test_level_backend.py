@@ -25,11 +25,11 @@ def good(tmp_path_factory):
     return save_moving(tmp_path_factory.mktemp("good") / "good.onnx", good_rows(4))
 
 
-def told(context):
+def report_context(context):
     yield Violation.at("output g", str(context), "something else")
 
 
-def judged(path, prepare, *rules, level=Level.LIVE) -> Report:
+def validate_live(path, prepare, *rules, level=Level.LIVE) -> Report:
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(prepare))
     registry = Registry.from_rules([*builtin_rules(), *rules], [runner])
     return validate(path, Settings(level=level), registry=registry)
@@ -48,7 +48,9 @@ def test_rules_of_the_level_receive_the_prepared_context(good):
         arguments.append("closed")
 
     dependent_rule = made_up("acme/AC001", over="live", needs=("acme/AC002",))
-    report = judged(good, prepare, dependent_rule, made_up("acme/AC002", told, over="live"))
+    report = validate_live(
+        good, prepare, dependent_rule, made_up("acme/AC002", report_context, over="live")
+    )
     assert (arguments[0] > 8, arguments[1:]) == (True, ["closed"])
     assert of_level(report).ran
     assert report.outcome("acme/AC001").reason == "because acme/AC002 does not hold"
@@ -62,8 +64,8 @@ def test_a_rule_that_cannot_be_judged_here_is_skipped_with_its_reason(good):
     def prepare(trial):
         yield LevelContext(context=CONTEXT, skipped={"acme/AC001": "no such unit"})
 
-    rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
-    report = judged(good, prepare, *rules)
+    rules = [made_up(f"acme/AC00{k}", report_context, over="live", needs=()) for k in (1, 2)]
+    report = validate_live(good, prepare, *rules)
     outcome = report.outcome("acme/AC001")
     assert (outcome.status, outcome.reason) == ("skipped", "no such unit")
     assert report.outcome("acme/AC002").status == "fail"
@@ -74,8 +76,8 @@ def test_a_level_that_cannot_run_is_skipped_with_its_reason(good):
         raise LevelUnavailable("no such device", hint="buy one")
         yield
 
-    rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
-    report = judged(good, prepare, *rules)
+    rules = [made_up(f"acme/AC00{k}", report_context, over="live", needs=()) for k in (1, 2)]
+    report = validate_live(good, prepare, *rules)
     assert (of_level(report).ran, of_level(report).reason) == (False, "no such device: buy one")
     for rule in rules:
         outcome = report.outcome(rule.id)
@@ -88,7 +90,7 @@ def test_crashed_backend_leaves_no_verdict_but_keeps_the_report(good):
         raise ZeroDivisionError("no luck")
         yield
 
-    report = judged(good, prepare, made_up("acme/AC001", over="live"))
+    report = validate_live(good, prepare, made_up("acme/AC001", over="live"))
     assert report.outcome("acme/AC001").status == "crashed"
     assert report.outcome("acme/AC001").reason.endswith("ZeroDivisionError: no luck")
     assert report.verdict == "internal-error"
@@ -100,7 +102,7 @@ def test_a_level_that_was_not_asked_for_is_not_prepared(good):
         raise AssertionError
         yield
 
-    report = judged(good, prepare, made_up("acme/AC001", over="live"), level=Level.BEHAVIOUR)
+    report = validate_live(good, prepare, made_up("acme/AC001", over="live"), level=Level.BEHAVIOUR)
     assert report.outcome("acme/AC001").reason == "level live was not requested"
 
 
@@ -113,7 +115,7 @@ def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
         raise AssertionError
         yield
 
-    report = judged(path, prepare, made_up("acme/AC001", over="live", needs=("GV025",)))
+    report = validate_live(path, prepare, made_up("acme/AC001", over="live", needs=("GV025",)))
     reason = "the model did not run to the end on the CPU"
     assert (of_level(report).ran, of_level(report).reason) == (False, reason)
     assert report.outcome("acme/AC001").status == "not-applicable"
@@ -131,7 +133,7 @@ def test_level_has_one_backend():
         (None, "core", "not-applicable"),
         (None, "webgpu", "not-applicable"),
         (None, "visionary", "fail"),  # its release of ONNX Runtime is not the one that ran
-        (told, "webgpu", "fail"),
+        (report_context, "webgpu", "fail"),
     ],
 )
 def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
@@ -140,7 +142,9 @@ def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
     def prepare(trial):
         yield LevelContext(context=CONTEXT)
 
-    prediction = replace(made_up("acme/AC001", told, over="model"), settled_by=("acme/AC002",))
+    prediction = replace(
+        made_up("acme/AC001", report_context, over="model"), settled_by=("acme/AC002",)
+    )
     measurement = (
         made_up("acme/AC002", measured, over="live")
         if measured
@@ -156,7 +160,9 @@ def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
 
 
 def test_a_prediction_stands_where_the_level_live_did_not_run(good):
-    prediction = replace(made_up("acme/AC001", told, over="model"), settled_by=("acme/AC002",))
+    prediction = replace(
+        made_up("acme/AC001", report_context, over="model"), settled_by=("acme/AC002",)
+    )
     rules = [*builtin_rules(), prediction, made_up("acme/AC002", over="live")]
     report = validate(good, Settings(level=Level.LIVE), registry=Registry.from_rules(rules))
     assert report.outcome("acme/AC001").status == "fail"

@@ -30,7 +30,7 @@ def board(*rules, kind="gaussian-generator", **settings):
     )
 
 
-def judge(results, *rules):
+def check_rules(results, *rules):
     for rule in rules:
         if results.is_ready(rule):
             results.check(rule, None)
@@ -40,14 +40,14 @@ def judge(results, *rules):
 
 def test_a_rule_that_finds_nothing_passes():
     rule = made_up("GV901")
-    outcome = judge(board(rule), rule).outcomes["GV901"]
+    outcome = check_rules(board(rule), rule).outcomes["GV901"]
     assert (outcome.status, outcome.reason, outcome.items) == ("pass", "", 3)
     assert 0 <= outcome.milliseconds < 1000
 
 
 def test_a_rule_that_finds_something_fails_with_a_finding():
     rule = made_up("GV901", breaking, severity=Severity.WARNING)
-    results = judge(board(rule), rule)
+    results = check_rules(board(rule), rule)
     assert results.outcomes["GV901"].status == "fail"
     (finding,) = results.findings()
     assert (finding.rule, finding.slug) == ("GV901", "made-up-gv901")
@@ -61,7 +61,7 @@ def test_a_rule_that_finds_something_fails_with_a_finding():
 
 def test_a_rule_that_raises_is_crashed_and_says_where():
     rule, other_rule = made_up("GV901", crashing), made_up("GV902")
-    results = judge(board(rule, other_rule), rule, other_rule)
+    results = check_rules(board(rule, other_rule), rule, other_rule)
     crashed = results.outcomes["GV901"]
     assert crashed.status == "crashed"
     assert crashed.reason.endswith("ZeroDivisionError: no luck")
@@ -75,7 +75,7 @@ def test_violations_before_a_crash_are_kept():
         yield from crashing(subject)
 
     rule = made_up("GV901", both)
-    results = judge(board(rule), rule)
+    results = check_rules(board(rule), rule)
     assert results.outcomes["GV901"].status == "crashed"
     assert len(results.findings()) == 1
 
@@ -83,7 +83,7 @@ def test_violations_before_a_crash_are_kept():
 def test_rules_that_need_a_failed_rule_are_blocked_and_name_it():
     first = made_up("GV901", breaking)
     second, third = made_up("GV902", needs=("GV901",)), made_up("GV903", needs=("GV902",))
-    results = judge(board(first, second, third), first, second, third)
+    results = check_rules(board(first, second, third), first, second, third)
     text = "because GV901 does not hold"
     for rule in (second, third):
         outcome = Outcome(rule=rule, status="not-applicable", reason=text, blocked_by="GV901")
@@ -97,7 +97,7 @@ def test_crashed_or_skipped_rule_blocks_dependents(status):
     if status == "skipped":
         results.skip([first], "no time")
     else:
-        judge(results, first)
+        check_rules(results, first)
     assert not results.is_ready(second)
     assert results.outcomes["GV902"].blocked_by == "GV901"
 
@@ -112,7 +112,7 @@ def test_blocked_rule_blocks_dependents():
 def test_inapplicable_rule_blocks_nothing():
     first = made_up("GV901", breaking, target="another")
     second = made_up("GV902", needs=("GV901",))
-    results = judge(board(first, second), first, second)
+    results = check_rules(board(first, second), first, second)
     assert results.outcomes["GV901"].status == "not-applicable"
     assert results.outcomes["GV902"].status == "pass"
 
@@ -140,7 +140,7 @@ def test_a_rule_applies_to_its_target_limit_and_kind(options, kind, reason):
 
 def test_a_rule_is_judged_once():
     rule = made_up("GV901")
-    results = judge(board(rule), rule)
+    results = check_rules(board(rule), rule)
     assert not results.is_ready(rule)
     results.skip([rule], "too late")
     results.settle([rule], items=99)
@@ -154,7 +154,7 @@ def test_violations_at_one_location_are_one_finding():
         yield Violation.at("output a", "x", "y")
 
     rule = made_up("GV901", many)
-    findings = judge(board(rule), rule).findings()
+    findings = check_rules(board(rule), rule).findings()
     assert [(finding.where.subject, finding.count) for finding in findings] == [
         ("output a", 2),
         ("output b", 1),
@@ -168,7 +168,7 @@ def test_more_than_twenty_places_are_counted_with_the_first():
                 yield Violation.at(f"output {index}", "x", "y")
 
     rule = made_up("GV901", many)
-    findings = judge(board(rule), rule).findings()
+    findings = check_rules(board(rule), rule).findings()
     assert len(findings) == 20
     assert [finding.count for finding in findings] == [12] + [2] * 19
     assert [finding.truncated for finding in findings] == [True] + [False] * 19
@@ -180,26 +180,26 @@ def test_findings_come_worst_first_then_in_order_of_the_catalogue():
         made_up(f"GV90{index}", breaking, severity=severity)
         for index, severity in enumerate(severities)
     ]
-    findings = judge(board(*rules), *rules).findings()
+    findings = check_rules(board(*rules), *rules).findings()
     assert [finding.rule for finding in findings] == ["GV901", "GV903", "GV902", "GV900"]
 
 
 def test_an_ignored_rule_is_found_but_waived():
     rule = made_up("GV901", breaking)
-    (finding,) = judge(board(rule, ignore=frozenset({"GV901"})), rule).findings()
+    (finding,) = check_rules(board(rule, ignore=frozenset({"GV901"})), rule).findings()
     assert finding.waived
 
 
 def test_severities_from_the_settings_hold():
     rule = made_up("GV901", breaking)
-    results = judge(board(rule, severities={"GV901": Severity.INFO}), rule)
+    results = check_rules(board(rule, severities={"GV901": Severity.INFO}), rule)
     assert results.findings()[0].severity == Severity.INFO
 
 
 @pytest.mark.parametrize("options", [{"target": "acme"}, {"limit": "rows"}])
 def test_target_only_finding_names_the_target_as_source(options):
     rule = made_up("GV901", breaking, **options)
-    assert judge(board(rule, target=TARGET), rule).findings()[0].source == "acme@2"
+    assert check_rules(board(rule, target=TARGET), rule).findings()[0].source == "acme@2"
 
 
 def test_a_severity_that_a_target_sets_comes_from_it():
@@ -215,7 +215,7 @@ def test_a_severity_that_a_target_sets_comes_from_it():
         severities=severities,
     )
     rule = made_up("GV901", breaking)
-    (finding,) = judge(board(rule, target=target), rule).findings()
+    (finding,) = check_rules(board(rule, target=target), rule).findings()
     assert (finding.source, finding.severity) == ("acme@2", Severity.WARNING)
 
 
@@ -253,14 +253,14 @@ def test_arithmetic_on_a_models_numbers_does_not_warn():
     rule = made_up("GV901", overflow)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert judge(board(rule), rule).outcomes["GV901"].status == "fail"
+        assert check_rules(board(rule), rule).outcomes["GV901"].status == "fail"
 
 
 @pytest.mark.parametrize(("is_cause", "status"), [(True, "not-applicable"), (False, "fail")])
 def test_a_consequence_is_withdrawn_where_its_cause_fails(is_cause, status):
     consequence = replace(made_up("GV901", breaking), explained_by=("GB902",))
     cause = made_up("GB902", breaking) if is_cause else made_up("GB902")
-    results = judge(board(consequence, cause), consequence, cause)
+    results = check_rules(board(consequence, cause), consequence, cause)
     results.withdraw_consequences()
     assert results.outcomes["GV901"].status == status
     assert {finding.rule for finding in results.findings()} == {"GB902" if is_cause else "GV901"}

@@ -70,7 +70,7 @@ def test_waiver_applies_to_all_models_or_the_named_ones(model, is_applicable):
 
 
 @pytest.fixture
-def judge(tmp_path):
+def validate_with_waivers(tmp_path):
     """Judge a model whose opacities are 2, with waivers."""
     rows = good_rows(4)
     rows[:, 3] = 2
@@ -87,36 +87,36 @@ def rules_of(report):
     return [(finding.rule, finding.waived) for finding in report.findings]
 
 
-def test_a_waived_finding_does_not_fail(judge):
-    assert judge().verdict == "invalid"
-    report = judge(Waiver(rule="GV003", reason="Known."))
+def test_a_waived_finding_does_not_fail(validate_with_waivers):
+    assert validate_with_waivers().verdict == "invalid"
+    report = validate_with_waivers(Waiver(rule="GV003", reason="Known."))
     assert report.verdict == "conforms"
     assert rules_of(report) == [("GV003", True)]
 
 
-def test_a_waiver_that_waives_nothing_is_a_finding(judge):
-    report = judge(Waiver(rule="GV003", reason="Known.", where="output gaussian"))
+def test_a_waiver_that_waives_nothing_is_a_finding(validate_with_waivers):
+    report = validate_with_waivers(Waiver(rule="GV003", reason="Known.", where="output gaussian"))
     assert rules_of(report) == [("GV003", False), ("GW001", False)]
     assert report.findings[1].where == Location("waiver of GV003 at output gaussian")
     assert report.findings[1].message.startswith("no matching finding; expected ")
 
 
-def test_a_waiver_that_has_ended_is_a_finding_and_waives_nothing(judge):
-    report = judge(Waiver(rule="GV003", reason="Known.", until=date(2026, 5, 31)))
+def test_a_waiver_that_has_ended_is_a_finding_and_waives_nothing(validate_with_waivers):
+    report = validate_with_waivers(Waiver(rule="GV003", reason="Known.", until=date(2026, 5, 31)))
     assert rules_of(report) == [("GV003", False), ("GW001", False)]
     assert report.findings[1].message.startswith("expired on 2026-05-31; expected ")
 
 
-def test_waiver_of_an_unchecked_rule_is_not_reported(judge):
-    report = judge(Waiver(rule="GV003", reason="Known."), level=Level.STATIC)
+def test_waiver_of_an_unchecked_rule_is_not_reported(validate_with_waivers):
+    report = validate_with_waivers(Waiver(rule="GV003", reason="Known."), level=Level.STATIC)
     assert report.outcome("GV003").status == "skipped"
     assert rules_of(report) == []
     assert report.outcome("GW001").status == "pass"
 
 
-def test_waiver_rules_can_be_waived(judge):
+def test_waiver_rules_can_be_waived(validate_with_waivers):
     unneeded_waiver = Waiver(rule="GV004", reason="For later.")
-    report = judge(
+    report = validate_with_waivers(
         Waiver(rule="GV003", reason="Known."),
         unneeded_waiver,
         Waiver(rule="GW001", reason="I know."),

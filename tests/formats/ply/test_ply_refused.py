@@ -21,7 +21,7 @@ from gsgen.formats import (
 
 CORE = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
 CLOUD = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"]
-AGAIN = "copy or download the file again"
+RETRY_HINT = "copy or download the file again"
 
 
 def ply(vertex: list[str], count: int = 1, encoding: str = "binary_little_endian") -> bytes:
@@ -113,7 +113,7 @@ def test_the_format_line_has_to_be_known(tmp_path, line):
 def test_a_header_without_end_is_truncated(tmp_path):
     assert refusal(tmp_path, b"ply\nformat ascii 1.0\n", FileTruncated) == (
         "header: the PLY header has no end_header in its first 21 bytes, the whole file\n"
-        f"expected a line `end_header`\n{AGAIN}"
+        f"expected a line `end_header`\n{RETRY_HINT}"
     )
 
 
@@ -242,7 +242,7 @@ def test_more_points_than_the_file_can_hold_are_refused_with_numbers(tmp_path):
     header = ply(CLOUD, count=10**17)
     assert refusal(tmp_path, header + bytes(100), FileTruncated) == (
         "element 'vertex': the 100000000000000000 rows of 15 bytes need 1500000000000000000 "
-        f"bytes, but 100 are left from byte {len(header)} on\n{AGAIN}"
+        f"bytes, but 100 are left from byte {len(header)} on\n{RETRY_HINT}"
     )
 
 
@@ -255,14 +255,14 @@ def test_more_lines_than_the_file_can_hold_are_refused_with_numbers(tmp_path):
     content = ply(CLOUD, count=10**17, encoding="ascii") + b"1 2 3 4 5 6\n"
     assert refusal(tmp_path, content, FileTruncated) == (
         "element 'vertex': the 100000000000000000 rows need 1199999999999999999 bytes or more, but "
-        f"12 are left\n{AGAIN}"
+        f"12 are left\n{RETRY_HINT}"
     )
 
 
 def test_text_that_ends_early_says_after_which_row(tmp_path):
     content = ply(CLOUD, count=3, encoding="ascii") + b"1.5 2.5 3.5 0 0 255\n" * 2
     assert refusal(tmp_path, content, FileTruncated) == (
-        f"element 'vertex': the file ends after 2 of 3 rows\n{AGAIN}"
+        f"element 'vertex': the file ends after 2 of 3 rows\n{RETRY_HINT}"
     )
 
 
@@ -312,14 +312,14 @@ def test_a_list_of_negative_length_is_refused(tmp_path):
 def test_a_list_that_runs_over_the_end_is_refused(tmp_path, length):
     rows = 0 if length[0] == 255 else 1
     assert refusal(tmp_path, with_faces("uint", length), FileTruncated) == (
-        f"element 'face': the file ends after {rows} of 2 rows\n{AGAIN}"
+        f"element 'face': the file ends after {rows} of 2 rows\n{RETRY_HINT}"
     )
 
 
 def test_text_that_ends_in_an_earlier_element_says_so(tmp_path):
     content = with_faces("uchar", b"5 1 2 3 4 5                \n", "ascii")
     text = refusal(tmp_path, content, FileTruncated)
-    assert text == f"element 'face': the file ends after 1 of 2 rows\n{AGAIN}"
+    assert text == f"element 'face': the file ends after 1 of 2 rows\n{RETRY_HINT}"
 
 
 VALID = {
@@ -370,12 +370,12 @@ def test_a_mutated_file_is_read_or_refused_but_never_crashes(tmp_path_factory, e
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.ply", content or b"-")
 
 
-WORDS = ["element", "vertex", "property", "list", "uchar", "float", "x", "0", "3", "-1"]
-WORDS += ["format", "ascii", "1.0", "comment", "\x1c", "\x00", "opacity"]
+HEADER_WORDS = ["element", "vertex", "property", "list", "uchar", "float", "x", "0", "3", "-1"]
+HEADER_WORDS += ["format", "ascii", "1.0", "comment", "\x1c", "\x00", "opacity"]
 
 
 @settings(max_examples=150, deadline=None)
-@given(lines=st.lists(st.lists(st.sampled_from(WORDS), max_size=5), max_size=8))
+@given(lines=st.lists(st.lists(st.sampled_from(HEADER_WORDS), max_size=5), max_size=8))
 def test_a_header_of_known_words_never_crashes(tmp_path_factory, lines):
     text = "\n".join(itertools.chain(["ply"], map(" ".join, lines), ["end_header", "1 2 3"]))
     read_or_refuse(tmp_path_factory.getbasetemp() / "words.ply", text.encode())

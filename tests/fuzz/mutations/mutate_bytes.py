@@ -10,7 +10,7 @@ from gsgen.contract.model.protobuf_scan import BYTES, Field, WireFault, scan
 Mutation = Callable[[bytes, random.Random], bytes]
 
 # Numbers of ten bytes and more, groups, a field number of zero, a length beyond any file.
-_ODD = (
+_HOSTILE_BYTES = (
     *(b"\xff" * 10, b"\xff" * 9 + b"\x01", b"\x0b\x0c", b"\x00\x00", b"\x3a\xff\xff\xff\xff\x0f"),
     *(b"\x3a\x00", b"\x80\x80\x80\x00", b"\xf8\xff\xff\xff\x0f\x01", b"\x72\x02\x0a\x00"),
 )
@@ -84,7 +84,7 @@ def insert(data: bytes, rng: random.Random) -> bytes:
     """Put odd bytes before a field."""
     fields = _fields(data, rng)
     offset = rng.choice(fields).start if fields else rng.randrange(len(data))
-    return data[:offset] + rng.choice(_ODD) + data[offset:]
+    return data[:offset] + rng.choice(_HOSTILE_BYTES) + data[offset:]
 
 
 def retag(data: bytes, rng: random.Random) -> bytes:
@@ -96,7 +96,7 @@ def retag(data: bytes, rng: random.Random) -> bytes:
     return data[:offset] + bytes([rng.randrange(256)]) + data[offset + 1 :]
 
 
-def bury(data: bytes, rng: random.Random) -> bytes:
+def nest_graph(data: bytes, rng: random.Random) -> bytes:
     """Wrap a graph that is nested deeper than anybody nests graphs."""
     body = b""
     for _ in range(rng.choice((20, 90, 110, 400))):
@@ -121,5 +121,5 @@ MUTATIONS: tuple[Mutation, ...] = (
     repeat_a_field,
     insert,
     retag,
-    bury,
+    nest_graph,
 )

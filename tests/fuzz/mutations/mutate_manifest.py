@@ -13,7 +13,7 @@ from gsgen.contract.spec.fields.roles import KINDS, ROLES
 Mutation = Callable[[str, random.Random], str]
 Place = tuple[Any, Any]  # a list or an object, and the index or key in it
 
-_ODD: tuple[Any, ...] = (
+_HOSTILE_VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 0.5, 1e308, -1e308, 5e-324, float("nan"), float("inf")),
     *(10**400, -(10**30), [], {}, [[]], [None], {"a": {}}, "\ud800", "\0", "1.0", "2.0"),
     *("0.9", "1.99", "1", "01.0", "1.0.0", "99.0", "float16", "sh", "rgb", "row", "+q", "-y"),
@@ -50,7 +50,7 @@ def replace_a_value(text: str, rng: random.Random) -> str:
 
     def edit(_: Any, places: list[Place]) -> None:
         container, key = rng.choice(places)
-        pool = rng.choice((_ODD, NUMBERS, TEXTS, tuple(ROLES), KINDS))
+        pool = rng.choice((_HOSTILE_VALUES, NUMBERS, TEXTS, tuple(ROLES), KINDS))
         container[key] = rng.choice(pool)
 
     return _edited(text, edit)
@@ -72,7 +72,7 @@ def add_a_key(text: str, rng: random.Random) -> str:
     def edit(document: Any, places: list[Place]) -> None:
         objects = [document, *(h[k] for h, k in places if isinstance(h[k], dict))]
         container = rng.choice([entry for entry in objects if isinstance(entry, dict)] or [{}])
-        container[rng.choice((*_KEYS, *TEXTS))] = rng.choice((*_ODD, *TEXTS))
+        container[rng.choice((*_KEYS, *TEXTS))] = rng.choice((*_HOSTILE_VALUES, *TEXTS))
 
     return _edited(text, edit)
 
@@ -99,7 +99,7 @@ def repeat_an_entry(text: str, rng: random.Random) -> str:
     return _edited(text, edit)
 
 
-def bury(text: str, rng: random.Random) -> str:
+def nest_value(text: str, rng: random.Random) -> str:
     """Nest a value deeper than a reader's stack goes."""
     depth = rng.choice((10, 300, 900, 3000, 200_000))
     opening, closing_bracket = rng.choice((("[", "]"), ('{"a":', "}")))
@@ -130,5 +130,5 @@ def damage(text: str, rng: random.Random) -> str:
 
 MUTATIONS: tuple[Mutation, ...] = (
     *(replace_a_value,) * 4,
-    *(drop_a_key, add_a_key, move_a_value, repeat_an_entry, bury, damage),
+    *(drop_a_key, add_a_key, move_a_value, repeat_an_entry, nest_value, damage),
 )

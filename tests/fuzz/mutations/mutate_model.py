@@ -72,7 +72,7 @@ def _messages(message: Message) -> Iterator[Message]:
                 queue.extend(value if field.is_repeated else [value])
 
 
-def _some(model: ModelProto, rng: random.Random) -> Message:
+def _random_message(model: ModelProto, rng: random.Random) -> Message:
     """Choose a kind of message first, so that rare kinds have their turn, too."""
     kinds: dict[str, list[Message]] = {}
     for message in _messages(model):
@@ -97,7 +97,7 @@ def _value(field: FieldDescriptor, rng: random.Random) -> Any:
 
 def set_a_field(model: ModelProto, rng: random.Random) -> None:
     """Give a field of any message any value of its type."""
-    message = _some(model, rng)
+    message = _random_message(model, rng)
     field = rng.choice(message.DESCRIPTOR.fields)
     if field.type == FieldDescriptor.TYPE_MESSAGE:
         if field.is_repeated:
@@ -116,7 +116,7 @@ def set_a_field(model: ModelProto, rng: random.Random) -> None:
 
 def clear_a_field(model: ModelProto, rng: random.Random) -> None:
     """Take a field away that is set."""
-    message = _some(model, rng)
+    message = _random_message(model, rng)
     fields = message.ListFields()
     if fields:
         message.ClearField(rng.choice(fields)[0].name)
@@ -124,7 +124,7 @@ def clear_a_field(model: ModelProto, rng: random.Random) -> None:
 
 def shuffle_a_list(model: ModelProto, rng: random.Random) -> None:
     """Drop, repeat or move an entry of a repeated field."""
-    message = _some(model, rng)
+    message = _random_message(model, rng)
     lists = [value for field, value in message.ListFields() if field.is_repeated]
     if not lists:
         return
@@ -152,7 +152,7 @@ def _copied(entry: Any) -> Any:
 
 def graft(model: ModelProto, rng: random.Random) -> None:
     """Put a copy of one message in the place of another of its kind."""
-    first = _some(model, rng)
+    first = _random_message(model, rng)
     same = [message for message in _messages(model) if message.DESCRIPTOR is first.DESCRIPTOR]
     second = _copied(rng.choice(same))
     first.CopyFrom(second)

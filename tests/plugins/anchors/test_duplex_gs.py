@@ -50,7 +50,7 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(-x))
 
 
-def ask(net: Mlp, inputs: np.ndarray) -> np.ndarray:
+def evaluate_mlp(net: Mlp, inputs: np.ndarray) -> np.ndarray:
     weights = (net.hidden, net.hidden_bias, net.out, net.out_bias)
     a, b, c, d = (weight.double().numpy() for weight in weights)
     return np.maximum(inputs @ a.T + b, 0) @ c.T + d
@@ -86,7 +86,7 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
         parts = [cloud.feature.double().numpy(), v]
         parts += [d] if net.distance else []
         parts += [level[:, None]] if nets.level else []
-        return ask(net, np.concatenate(parts, axis=1))
+        return evaluate_mlp(net, np.concatenate(parts, axis=1))
 
     size = np.exp(cloud.log_scale[:, :3].double().numpy())[:, None]
     position = anchor[:, None] + offset * size
@@ -181,7 +181,7 @@ def cell_oracle(read: CellCheckpoint, view: np.ndarray) -> np.ndarray:
         parts = [cloud.feature.double().numpy(), v / d]
         parts += [d] if net.distance else []
         parts += [cloud.level.double().numpy()[:, None]] if nets.level else []
-        return ask(net, np.concatenate(parts, axis=1))
+        return evaluate_mlp(net, np.concatenate(parts, axis=1))
 
     weight = np.maximum(np.tanh(head(nets.opacity)), 0) * visibility[:, None]
     quaternion = head(nets.covariance).reshape(n, k, 7)[:, :, 3:]

@@ -29,12 +29,12 @@ from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured
 
 # One level: what is traced twice need not be large.
-SMALL = {
+SMALL_UNET = {
     "block_out_channels": [8],
     "down_block_types": ["DownBlock2D"],
     "up_block_types": ["UpBlock2D"],
 }
-ALLOWED = 2e-5 / 3  # of the largest number, for one network
+MAX_ERROR = 2e-5 / 3  # of the largest number, for one network
 ONE_STEP = 5e-5 / 3  # for an encoder, a U-Net and a decoder after one another
 CONDITIONAL = {
     "_class_name": "UNet2DConditionModel",
@@ -45,7 +45,7 @@ CONDITIONAL = {
 }
 
 
-def off(actual: torch.Tensor, expected: np.ndarray | torch.Tensor) -> float:
+def relative_error(actual: torch.Tensor, expected: np.ndarray | torch.Tensor) -> float:
     target = np.asarray(expected, np.float64)
     return float(np.abs(actual.double().numpy() - target).max() / np.abs(target).max())
 
@@ -66,12 +66,15 @@ def test_networks_agree_with_diffusers() -> None:
     for t in saved["in_timestep"]:
         moment = torch.tensor([float(t)])
         for key, name in (("x", "uncond"), ("x2", "uncond2")):
-            assert off(run_folder.unet(inputs[key], moment), saved[f"out_{name}_t{t}"]) <= ALLOWED
+            assert (
+                relative_error(run_folder.unet(inputs[key], moment), saved[f"out_{name}_t{t}"])
+                <= MAX_ERROR
+            )
         actual = latent.unet(inputs["z"], moment, context)
-        assert off(actual, saved[f"out_cond_t{t}"]) <= ALLOWED
+        assert relative_error(actual, saved[f"out_cond_t{t}"]) <= MAX_ERROR
     for t in (199, 999):
         step = Denoiser(latent, Step(timestep=float(t), size=(32, 32)), context)
-        assert off(step(inputs["img"]), saved[f"out_onestep_t{t}"]) <= ONE_STEP
+        assert relative_error(step(inputs["img"]), saved[f"out_onestep_t{t}"]) <= ONE_STEP
         assert float(latent.noise.signal[t]) == pytest.approx(saved[f"aux_alphabar_t{t}"])
 
 
@@ -118,7 +121,7 @@ def test_networks_of_any_shape_agree_with_those_that_diffusers_reads(
     context = torch.randn(1, 3, 12) if conditional else None
     t = float(rng.integers(0, 1000))
     expected = predicted_by_diffusers(folder, image, t, encoder_hidden_states=context)
-    assert off(read.unet(image, torch.tensor([t]), context), expected) <= 1e-6
+    assert relative_error(read.unet(image, torch.tensor([t]), context), expected) <= 1e-6
 
 
 # SDXL in small: a vector of the prompt and six numbers about the image, of 4 features each.
@@ -170,8 +173,8 @@ def test_network_receives_pooled_prompt_and_image_conditioning(
             added_cond_kwargs={"text_embeds": pooled, "time_ids": time_ids},
         )  # fmt: skip
 
-    assert off(actual(image), expected(features)) <= 1e-6
-    assert off(actual(image), expected([n + 1 for n in features])) > 1e-3
+    assert relative_error(actual(image), expected(features)) <= 1e-6
+    assert relative_error(actual(image), expected([n + 1 for n in features])) > 1e-3
 
 
 def test_mismatched_conditioning_is_refused(tmp_path: Path) -> None:
@@ -388,7 +391,7 @@ def test_denoiser_runs_in_webgpu_without_stale_replays(
 
 @pytest.mark.slow
 def test_half_precision_export_prints_size_and_agreement(tmp_path: Path) -> None:
-    folder = write_denoiser(tmp_path / "run", SMALL)
+    folder = write_denoiser(tmp_path / "run", SMALL_UNET)
     out = tmp_path / "clean.onnx"
     words = ("--level", "static", "--size", "8x12", "--dtype", "float16")
     completed = gsgen_here("export", "denoiser", "--checkpoint", folder, "-o", out, *words)
@@ -408,7 +411,7 @@ def test_half_precision_export_prints_size_and_agreement(tmp_path: Path) -> None
 
 def test_gaussian_options_are_refused_for_images(tmp_path: Path) -> None:
     out = tmp_path / "clean.onnx"
-    model = command.build(write_denoiser(tmp_path, SMALL))
+    model = command.build(write_denoiser(tmp_path, SMALL_UNET))
     with pytest.raises(ConfigInvalid, match="no Gaussians"):
         run_export(lambda: model, ExportRequest(output=out, capacity=3), "denoiser")
     assert not out.exists()

@@ -66,11 +66,11 @@ def change(base: Path) -> dict[str, Any]:
     for name in LAYERS:
         weight = coder.get_submodule(name).weight
         assert isinstance(weight, torch.Tensor)
-        vae |= _thin(name, weight.shape)
+        vae |= _random_lora_weights(name, weight.shape)
     for index, (inputs, outputs) in enumerate(SKIPS):
         name = f"decoder.skip_conv_{index + 1}"
         vae[f"{name}.base_layer.weight"] = 0.3 * torch.randn(outputs, inputs, 1, 1)
-        vae |= _thin(name, torch.Size([outputs, inputs, 1, 1]))
+        vae |= _random_lora_weights(name, torch.Size([outputs, inputs, 1, 1]))
     unet = read_safetensors(base / "unet" / WEIGHTS)
     return {
         "vae_lora_target_modules": list(LAYERS),
@@ -81,7 +81,7 @@ def change(base: Path) -> dict[str, Any]:
     }
 
 
-def _thin(name: str, shape: torch.Size) -> dict[str, torch.Tensor]:
+def _random_lora_weights(name: str, shape: torch.Size) -> dict[str, torch.Tensor]:
     kernel = (1, 1) if len(shape) == 4 else ()
     return {
         f"{name}.lora_A.vae_skip.weight": 0.3 * torch.randn(RANK, *shape[1:]),
@@ -89,7 +89,7 @@ def _thin(name: str, shape: torch.Size) -> dict[str, torch.Tensor]:
     }
 
 
-def spelled_out(base: Path, change: dict[str, Any], gamma: float = 1.0) -> torch.Tensor:
+def reference_output(base: Path, change: dict[str, Any], gamma: float = 1.0) -> torch.Tensor:
     """One step with the networks of ``base``, every branch of Difix beside them."""
     read = read_diffusion(base)
     unet, coder = read.unet, read.autoencoder
@@ -164,7 +164,7 @@ def test_the_file_that_training_wrote_is_the_network_with_its_branches(
     base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
     path = saved(change, tmp_path)
-    actual, expected = stepped(base, difix=path), spelled_out(base, change)
+    actual, expected = stepped(base, difix=path), reference_output(base, change)
     torch.testing.assert_close(actual, expected, atol=2e-5, rtol=0)
     assert (actual - stepped(base)).abs().max() > 0.1
     read = read_diffusion(base, difix=path)
@@ -200,14 +200,14 @@ def test_the_published_folder_gives_the_same(
     gamma: float, base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
     actual = stepped(published(base, change, tmp_path, gamma=gamma))
-    torch.testing.assert_close(actual, spelled_out(base, change, gamma), atol=2e-5, rtol=0)
+    torch.testing.assert_close(actual, reference_output(base, change, gamma), atol=2e-5, rtol=0)
 
 
 def test_a_unet_may_be_given_in_part(base: Path, change: dict[str, Any], tmp_path: Path) -> None:
     """As img2img-turbo does: one layer as it is, and a LoRA for others."""
     whole = read_safetensors(base / "unet" / WEIGHTS)
     name = "mid_block.resnets.0.conv1"
-    thinned = _thin(name, whole[f"{name}.weight"].shape)
+    thinned = _random_lora_weights(name, whole[f"{name}.weight"].shape)
     down, up = thinned.values()
     part = {"conv_in.weight": whole["conv_in.weight"] * 2} | {
         key.replace("vae_skip", "default"): value for key, value in thinned.items()
@@ -215,7 +215,7 @@ def test_a_unet_may_be_given_in_part(base: Path, change: dict[str, Any], tmp_pat
     merged = whole[f"{name}.weight"] + SHARE * torch.einsum("orxy,rihw->oihw", up, down)
     names = {"conv_in.weight": part["conv_in.weight"], f"{name}.weight": merged}
     actual = stepped(base, difix=saved(change | {"state_dict_unet": part}, tmp_path))
-    expected = spelled_out(base, change | {"state_dict_unet": names})
+    expected = reference_output(base, change | {"state_dict_unet": names})
     torch.testing.assert_close(actual, expected, atol=2e-5, rtol=0)
 
 
@@ -232,7 +232,9 @@ def test_a_unet_may_be_given_in_part(base: Path, change: dict[str, Any], tmp_pat
             r"missing: decoder\.skip_conv_2\.weight",
         ),
         (
-            lambda c: c["state_dict_vae"].update(_thin("decoder.no", torch.Size([1, 1]))),
+            lambda c: c["state_dict_vae"].update(
+                _random_lora_weights("decoder.no", torch.Size([1, 1]))
+            ),
             r"decoder\.no is not a layer",
         ),
         (

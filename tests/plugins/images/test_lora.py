@@ -70,7 +70,7 @@ def thin(unet: UNet, names: tuple[str, ...] = LAYERS, rank: int = RANK) -> Thin:
     return tensors
 
 
-def branched(unet: UNet, lora: Thin, shares: Mapping[str, float]) -> torch.Tensor:
+def run_with_branches(unet: UNet, lora: Thin, shares: Mapping[str, float]) -> torch.Tensor:
     """What the network gives if each layer has a branch through A and B beside it."""
     hooks = [
         unet.get_submodule(name).register_forward_hook(_branch(*pair, shares[name]))
@@ -146,7 +146,7 @@ STYLES: dict[str, tuple[Callable[[str], tuple[str, str]], tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-def named(lora: Thin, style: str) -> dict[str, torch.Tensor]:
+def lora_tensors(lora: Thin, style: str) -> dict[str, torch.Tensor]:
     names = STYLES[style][0]
     return {
         key: value
@@ -162,10 +162,10 @@ def test_merged_weights_are_the_network_with_its_branches(
     base = read_diffusion(run).unet
     lora = thin(base, STYLES[style][1])
     path = tmp_path / "style.safetensors"
-    write_safetensors(path, named(lora, style))
+    write_safetensors(path, lora_tensors(lora, style))
     read = read_diffusion(run, loras=[(path, 0.7)])
     shares = dict.fromkeys(lora, 0.7)  # without an α, α is the rank
-    expected = branched(base, lora, shares)
+    expected = run_with_branches(base, lora, shares)
     torch.testing.assert_close(given_by(read.unet), expected, atol=2e-5, rtol=2e-5)
     assert (expected - given_by(base)).abs().max() > 0.05
     assert read.added == (f"style.safetensors × 0.7 in {len(lora)} layers, α/r 1",)
@@ -202,12 +202,12 @@ def test_alpha_is_taken_from_where_the_tool_writes_it(
     lora = thin(base)
     tensors, metadata, config = extras(lora)
     path = tmp_path / "adapter_model.safetensors"
-    write_safetensors(path, named(lora, style) | tensors, metadata)
+    write_safetensors(path, lora_tensors(lora, style) | tensors, metadata)
     if config:
         (tmp_path / "adapter_config.json").write_text(json.dumps(config))
     assert read_metadata(path).items() >= metadata.items()
     read = read_diffusion(run, loras=[(tmp_path, 1.0)])  # the folder will do
-    expected = branched(base, lora, {name: share(name) for name in lora})
+    expected = run_with_branches(base, lora, {name: share(name) for name in lora})
     torch.testing.assert_close(given_by(read.unet), expected, atol=5e-5, rtol=2e-5)
 
 
@@ -216,13 +216,13 @@ def test_several_are_added_and_pickled_half_precision_ones_are_read(
 ) -> None:
     base = read_diffusion(run).unet
     lora = {n: (a.half(), b.half()) for n, (a, b) in thin(base).items()}
-    torch.save(named(lora, "kohya"), tmp_path / "a.pt")
-    write_safetensors(tmp_path / "b.safetensors", named(lora, "peft"))
+    torch.save(lora_tensors(lora, "kohya"), tmp_path / "a.pt")
+    write_safetensors(tmp_path / "b.safetensors", lora_tensors(lora, "peft"))
     read = read_diffusion(
         run, loras=[(tmp_path / "a.pt", 0.25), (tmp_path / "b.safetensors", -1.0)]
     )
     whole = {n: (a.float(), b.float()) for n, (a, b) in lora.items()}
-    expected = branched(base, whole, dict.fromkeys(whole, -0.75))
+    expected = run_with_branches(base, whole, dict.fromkeys(whole, -0.75))
     torch.testing.assert_close(given_by(read.unet), expected, atol=2e-5, rtol=2e-5)
 
 
@@ -419,13 +419,13 @@ def test_the_option_says_file_and_scale(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "l.safetensors"
-    write_safetensors(path, named(thin(read_diffusion(run).unet), "peft"))
+    write_safetensors(path, lora_tensors(thin(read_diffusion(run).unet), "peft"))
     clone = write_denoiser(tmp_path / "run", OPTIONS | {"in_channels": 3, "out_channels": 3})
     size = {"size": "8x8", "result": "network"}
     with pytest.raises(CheckpointInvalid, match=r"1 of 11 LoRA layers do not fit.*conv_in has"):
         command.build(clone, lora=[str(path)], **size)
     small = thin(read_diffusion(clone).unet)
-    write_safetensors(path, named(small, "peft"))
+    write_safetensors(path, lora_tensors(small, "peft"))
     image = torch.rand(1, 3, 8, 8)
     results = []
     for words in ([], [f"{path}:0.5", f"{path}:0.5"], [str(path)], [f"{path}:0"]):

@@ -17,7 +17,7 @@ from gsgen.reference_plugins.loading.options import report_checkpoint
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_scaffold
 
 
-def read(folder: Path, text: str) -> CfgArgs:
+def read_cfg(folder: Path, text: str) -> CfgArgs:
     (folder / "cfg_args").write_text(text, "utf-8")
     return read_cfg_args(folder)
 
@@ -37,7 +37,7 @@ class Odd:
 
 def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     text = "Namespace(a=1, b=-2.5, c='x', d=True, e=None, f=[1, 2], g={'k': [3]})"
-    cfg = read(tmp_path, text)
+    cfg = read_cfg(tmp_path, text)
     assert cfg.values == {
         "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
     }  # fmt: skip
@@ -48,9 +48,9 @@ def test_non_literal_reprs_are_read(tmp_path: Path) -> None:
     """As argparse prints infinities, and options whose names are not identifiers."""
     printed = Namespace(far=float("inf"), near=[-float("inf")], **{"some-key": 3})
     assert repr(printed) == "Namespace(far=inf, near=[-inf], **{'some-key': 3})"
-    cfg = read(tmp_path, repr(printed))
+    cfg = read_cfg(tmp_path, repr(printed))
     assert cfg.values == {"far": np.inf, "near": [-np.inf], "some-key": 3}
-    assert np.isnan(read(tmp_path, "Namespace(a=nan)").number("a", 0))
+    assert np.isnan(read_cfg(tmp_path, "Namespace(a=nan)").number("a", 0))
 
 
 def test_paths_are_their_text_wherever_they_stand(tmp_path: Path) -> None:
@@ -60,12 +60,12 @@ def test_paths_are_their_text_wherever_they_stand(tmp_path: Path) -> None:
         **{"out-dir": Path("o")},
     )
     assert repr(printed).count("Path(") == 5
-    cfg = read(tmp_path, repr(printed))
+    cfg = read_cfg(tmp_path, repr(printed))
     assert cfg.word("source_path", "") == "/data/my scene's"
     assert cfg.values["test"] == ["C:/x", ("a", {"k": "b"})]
     assert cfg.values["out-dir"] == "o"
     assert not cfg.printed()
-    assert read(tmp_path, "Namespace(a=WindowsPath('x'), b=Path('y'))").values == {
+    assert read_cfg(tmp_path, "Namespace(a=WindowsPath('x'), b=Path('y'))").values == {
         "a": "x",
         "b": "y",
     }
@@ -111,7 +111,7 @@ def in_order(options: dict[str, Any]) -> str:
 def test_printed_namespace_round_trips(
     tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any]
 ) -> None:
-    cfg = read(tmp_path_factory.getbasetemp(), repr(Namespace(**options)))
+    cfg = read_cfg(tmp_path_factory.getbasetemp(), repr(Namespace(**options)))
     assert in_order(cfg.values) == in_order(plain(options))
 
 
@@ -124,7 +124,7 @@ def test_objects_within_others_are_their_option_s_text(
     tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any], printed_text: str
 ) -> None:
     printed = Namespace(**options, odd=Odd(printed_text), listed=[1, Odd(printed_text)])
-    cfg = read(tmp_path_factory.getbasetemp(), repr(printed))
+    cfg = read_cfg(tmp_path_factory.getbasetemp(), repr(printed))
     assert cfg.printed() == {
         "odd": Printed(f"<{printed_text}>"),
         "listed": Printed(f"[1, <{printed_text}>]"),
@@ -157,7 +157,7 @@ def test_required_option_without_a_literal_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     try:
-        cfg = read(tmp_path, f"Namespace(a={value}, b=2, **{{'c-d': {value}}})")
+        cfg = read_cfg(tmp_path, f"Namespace(a={value}, b=2, **{{'c-d': {value}}})")
     except CheckpointInvalid:  # Python's own limits of depth
         if value[0] != "-":
             raise
@@ -199,7 +199,7 @@ def test_text_other_than_a_namespace_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(CheckpointInvalid, match=words):
-        read(tmp_path, text)
+        read_cfg(tmp_path, text)
     assert not (tmp_path / "ran").exists()
 
 
@@ -215,7 +215,7 @@ def test_text_other_than_a_namespace_is_refused(
 def test_an_option_of_another_kind_is_refused(
     original_frame: Callable, words: str, tmp_path: Path
 ) -> None:
-    cfg = read(tmp_path, "Namespace(a=1, b='x', d=True)")
+    cfg = read_cfg(tmp_path, "Namespace(a=1, b='x', d=True)")
     with pytest.raises(CheckpointInvalid, match=words):
         original_frame(cfg)
 
@@ -223,7 +223,7 @@ def test_an_option_of_another_kind_is_refused(
 def test_unused_options_are_warned_about_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cfg = read(tmp_path, "Namespace(a=1, b=PosixPath('/x'), device=device('cpu'))")
+    cfg = read_cfg(tmp_path, "Namespace(a=1, b=PosixPath('/x'), device=device('cpu'))")
     report_checkpoint("a run", cfg)
     lines = capsys.readouterr().err.splitlines()
     assert lines == [

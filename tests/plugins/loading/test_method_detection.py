@@ -13,13 +13,13 @@ from gsgen.sdk.plugins.plugin import installed_plugins
 from plugins.loading.method_runs import METHODS
 
 # The files of these are like those of no other method.
-ALIKE = {name: both for name, both in METHODS.items() if name not in ("lhm", "rotor-4dgs")}
+SHARED_METHODS = {name: both for name, both in METHODS.items() if name not in ("lhm", "rotor-4dgs")}
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     runs_folder = tmp_path_factory.mktemp("runs")
-    folders = {name: write(runs_folder / name) for name, (write, _) in ALIKE.items()}
+    folders = {name: write(runs_folder / name) for name, (write, _) in SHARED_METHODS.items()}
     # Training of R3-Avatar writes the files of GauHuman, too; they are not enough for it.
     for subfolder in ("point_cloud", "mlp_ckpt"):
         target = folders["r3-avatar"] / subfolder
@@ -27,9 +27,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return folders
 
 
-@pytest.mark.parametrize("plugin", ALIKE)
+@pytest.mark.parametrize("plugin", SHARED_METHODS)
 def test_checkpoint_names_the_matching_plugin(plugin: str, runs: dict[str, Path]) -> None:
-    read = ALIKE[plugin][1]
+    read = SHARED_METHODS[plugin][1]
     read(runs[plugin])
     for name, run in runs.items():
         if name == plugin or (name == "r3-avatar" and plugin != "gauhuman"):
@@ -39,7 +39,7 @@ def test_checkpoint_names_the_matching_plugin(plugin: str, runs: dict[str, Path]
         assert caught.value.hint == f"Export it with `gsgen export {name}`."
 
 
-@pytest.mark.parametrize("name", ALIKE)
+@pytest.mark.parametrize("name", SHARED_METHODS)
 def test_one_plugin_recognises_a_run(name: str, runs: dict[str, Path]) -> None:
     iterations = runs[name].glob("point_cloud/iteration_*")
     recognising_plugins = {

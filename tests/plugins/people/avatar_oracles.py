@@ -64,7 +64,7 @@ def skinned(transforms: np.ndarray, weights: np.ndarray, points: np.ndarray) -> 
     return np.einsum("nab,nb->na", blend, homogeneous)[:, :3]
 
 
-def spread(body: Body) -> np.ndarray:
+def big_pose(body: Body) -> np.ndarray:
     """Return the big pose."""
     pose = np.zeros((body.joints, 3))
     for joint, degrees in ((1, 45.0), (2, -45.0)):
@@ -137,7 +137,7 @@ def followed(
     covariance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move Gaussians from the big pose: steps 1 to 7 of GauHuman."""
-    big_pose_rotations = turns_of(spread(body))
+    big_pose_rotations = turns_of(big_pose(body))
     none = np.zeros(0)
     big_pose_transforms = chain(body, big_pose_rotations, none)
     vertices = skinned(
@@ -270,8 +270,8 @@ def r3_novel(read: R3Checkpoint, pose_inputs: PoseInputs, pose_ids: list[int]) -
     """Yifever20002/R3Avatars: `render_nops`, with a training pose for each part of the body."""
     decoded_looks = [decoded(read, pose_id) for pose_id in pose_ids]
     canonical = read.canonical.position.double().numpy()
-    transforms = chain(read.body, turns_of(spread(read.body)), np.zeros(0))
-    template = read.body.template + blendshapes(read.body, turns_of(spread(read.body)))
+    transforms = chain(read.body, turns_of(big_pose(read.body)), np.zeros(0))
+    template = read.body.template + blendshapes(read.body, turns_of(big_pose(read.body)))
     vertices = skinned(transforms, read.body.weights, template)
     vid = nearest(canonical + decoded_looks[-1]["warp"], vertices)
     weights = corrected(read.nets, read.body.weights[vid], canonical)

@@ -22,7 +22,7 @@ from support.checkpoints.plugin_checks import assert_like, eager
 from support.checkpoints.plugin_oracles import ExpectedGaussians
 
 
-def told(rng: np.random.Generator, joints: int, shapes: int) -> PoseInputs:
+def random_pose_inputs(rng: np.random.Generator, joints: int, shapes: int) -> PoseInputs:
     """Return a pose whose joints turn by any angle, up to a whole half turn."""
     axis = rng.normal(size=(joints, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
@@ -83,7 +83,7 @@ def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     baked, matrix = bool(rng.integers(0, 2)), bool(rng.integers(0, 2))
     shapes = read.body.shape_dirs.shape[2]
     assert shapes == min(options.shapes, 10 if options.kind == "smpl" else 20)
-    people = [told(rng, options.joints, shapes) for _ in range(bodies)]
+    people = [random_pose_inputs(rng, options.joints, shapes) for _ in range(bodies)]
     for person in people:
         person.shape = people[0].shape
     generator = GauHuman(
@@ -102,7 +102,7 @@ def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
 def test_raw_hands_are_added_to_their_mean(tmp_path: Path) -> None:
     options = PersonOptions(kind="smplx", hands=True, nets=True)
     read = read_gauhuman(write_gauhuman(tmp_path, options))
-    person = told(np.random.default_rng(0), 55, 10)
+    person = random_pose_inputs(np.random.default_rng(0), 55, 10)
     generator = GauHuman(read.canonical, read.body, read.nets, add_hands=True)
     outputs = eager(generator, *fed(generator.actors, [person]))
     assert read.body.hand_mean is not None
@@ -118,7 +118,7 @@ def test_lhm_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     bodies, expression = int(rng.integers(1, 4)), bool(seed % 4)
     vertices = rng.permutation(options.vertices)[:20]
     face = Face(vertices, rng.normal(0, 0.01, (20, 3, 100))) if seed % 2 else None
-    people = [told(rng, 55, 10) for _ in range(bodies)]
+    people = [random_pose_inputs(rng, 55, 10) for _ in range(bodies)]
     for person in people:
         person.expression = rng.normal(size=100).astype(np.float32) if expression else None
     generator = LHM(read, face, expression=expression, bodies=bodies)
@@ -142,7 +142,7 @@ def test_r3_avatar_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     read = read_r3(write_r3(tmp_path, options))
     poses = [int(person) for person in rng.permutation(320)[:5]]  # time is clamped beyond 300
     bodies, baked = int(rng.integers(1, 3)), bool(rng.integers(0, 2))
-    people = [told(rng, options.joints, options.shapes) for _ in range(bodies)]
+    people = [random_pose_inputs(rng, options.joints, options.shapes) for _ in range(bodies)]
     for person in people:
         person.shape, person.pose_id = people[0].shape, int(rng.choice(poses))
     shape = people[0].shape.tolist() if baked else None
@@ -157,7 +157,7 @@ def test_novel_poses_of_r3_avatar_mix_the_looks_of_five_parts(kind: str, tmp_pat
     read = read_r3(write_r3(tmp_path, options))
     generator = R3Avatar(read, [3, 20, 150, 299], novel=True)
     frames = [2, 0, 3, 1, 2]
-    person = told(np.random.default_rng(1), options.joints, options.shapes)
+    person = random_pose_inputs(np.random.default_rng(1), options.joints, options.shapes)
     numbers = iter(frames)
     feeds = [
         np.array([next(numbers)], np.int32) if entry.role == "frame_index" else value
@@ -178,7 +178,7 @@ def test_novel_poses_of_r3_avatar_mix_the_looks_of_five_parts(kind: str, tmp_pat
 def test_zero_matrix_means_identity_rotation(tmp_path: Path) -> None:
     read = read_gauhuman(write_gauhuman(tmp_path))
     generator = GauHuman(read.canonical, read.body, read.nets)
-    person = told(np.random.default_rng(0), 24, 10)
+    person = random_pose_inputs(np.random.default_rng(0), 24, 10)
     person.turn = np.zeros((3, 3))
     rows, color = eager(generator, *fed(generator.actors, [person]))
     person.turn = np.eye(3)

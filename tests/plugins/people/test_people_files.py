@@ -110,7 +110,7 @@ def test_numbers_of_numpy_beside_the_tensors_do_no_harm(module: str, tmp_path: P
 
 
 # As Python 2 wrote them: protocol 0 and the module names of that time.
-OLD = (
+PYTHON2_PICKLE = (
     b"(dp0\nS'x'\np1\nccopy_reg\n_reconstructor\np2\n(cchumpy.ch\nCh\np3\nc__builtin__\nobject\n"
     b"p4\nNtp5\nRp6\n(dp7\nS'x'\np8\ncnumpy.core.multiarray\n_reconstruct\np9\n(cnumpy\nndarray\n"
     b"p10\n(I0\ntp11\nS'b'\np12\ntp13\nRp14\n(I1\n(I2\ntp15\ncnumpy\ndtype\np16\n(S'f8'\np17\nI0\n"
@@ -122,7 +122,7 @@ OLD = (
 
 def test_arrays_that_chumpy_wraps_are_taken_out(tmp_path: Path) -> None:
     path = tmp_path / "old.pkl"
-    path.write_bytes(OLD)
+    path.write_bytes(PYTHON2_PICKLE)
     np.testing.assert_array_equal(read_array_pickle(path, ["x"])["x"], [1.0, 2.0])
 
 

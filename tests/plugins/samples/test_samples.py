@@ -91,8 +91,8 @@ def test_the_head_follows_the_chain_of_joints(folder: Path, seed: int) -> None:
     local = (rest_rows[head, :3] - shift_rest) @ matrix_rest
     np.testing.assert_allclose(moved[head, :3], local @ matrix.T + shift, atol=2e-5)
     turn = matrix @ matrix_rest.T
-    expected = turn @ full(rest_rows[head, 4:]) @ turn.T
-    np.testing.assert_allclose(full(moved[head, 4:]), expected, atol=2e-7)
+    expected = turn @ full_matrices(rest_rows[head, 4:]) @ turn.T
+    np.testing.assert_allclose(full_matrices(moved[head, 4:]), expected, atol=2e-7)
 
 
 def chain(time: float, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +106,7 @@ def chain(time: float, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return matrix, joint_position - matrix @ bones[2]
 
 
-def full(upper: np.ndarray) -> np.ndarray:
+def full_matrices(upper: np.ndarray) -> np.ndarray:
     return upper[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]].astype(np.float64)
 
 

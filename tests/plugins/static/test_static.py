@@ -18,7 +18,7 @@ from support.commands import gsgen_here, shared
 from support.models.static_scenes import write_scene
 
 
-def emitted(path: Path) -> dict[str, np.ndarray]:
+def run_model(path: Path) -> dict[str, np.ndarray]:
     session = onnxruntime.InferenceSession(path)
     names = [output.name for output in session.get_outputs()]
     return dict(zip(names, session.run(names, {}), strict=True))
@@ -89,7 +89,7 @@ def test_harmonics_are_of_a_degree_that_is_taken(degree: int, words: str, tmp_pa
 
 def test_padding_rows_are_zero(tmp_path: Path) -> None:
     write_scene(from_content(torus_knot(10)), tmp_path / "m.onnx", capacity=16)
-    outputs = emitted(tmp_path / "m.onnx")
+    outputs = run_model(tmp_path / "m.onnx")
     assert outputs["num_points"].tolist() == [10]
     assert not outputs["gaussians"][10:].any()
     assert outputs["color_sh"].shape == (16, 48)
@@ -121,7 +121,7 @@ def test_packed_rows_pass_through_bit_for_bit(tmp_path: Path, channels: int) -> 
     color[4, 1] = -0.0
     scene = from_content(PackedRows(rows, color))
     write_scene(scene, tmp_path / "m.onnx")
-    outputs = emitted(tmp_path / "m.onnx")
+    outputs = run_model(tmp_path / "m.onnx")
     np.testing.assert_array_equal(outputs["gaussians"].view(np.uint16), rows.view(np.uint16))
     output = outputs["color_rgb" if channels < 5 else "color_sh"]
     np.testing.assert_array_equal(output.view(np.uint32), color.view(np.uint32))
@@ -148,7 +148,7 @@ def test_the_real_garden_exports_and_conforms(tmp_path: Path) -> None:
     report = validate(tmp_path / "garden.onnx")
     assert report.verdict == "conforms"
     assert report.capacity == 138766
-    outputs = emitted(tmp_path / "garden.onnx")
+    outputs = run_model(tmp_path / "garden.onnx")
     with np.load(garden) as data:
         np.testing.assert_allclose(
             outputs["gaussians"][:, :3], data["means3d"], rtol=1e-3, atol=1e-3

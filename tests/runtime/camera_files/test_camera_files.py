@@ -192,20 +192,20 @@ def transforms(folder: Path, frame: dict[str, object] | None = None, **shared: o
     return path
 
 
-def only(path: Path) -> Camera:
+def only_camera(path: Path) -> Camera:
     (camera,) = open_cameras(path).cameras
     return camera.camera
 
 
 def test_an_opengl_camera_looks_along_minus_z(tmp_path: Path) -> None:
-    camera = only(transforms(tmp_path, camera_angle_x=np.pi / 2, w=80, h=60))
+    camera = only_camera(transforms(tmp_path, camera_angle_x=np.pi / 2, w=80, h=60))
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((40, 40, 40, 30))
     above = camera.view @ [0, 1, -5, 1]
     np.testing.assert_allclose(above, [0, -1, 5, 1], atol=1e-12)  # up in the world: up, ahead
-    both = only(transforms(tmp_path, camera_angle_x=1.0, camera_angle_y=0.5, w=80, h=60))
+    both = only_camera(transforms(tmp_path, camera_angle_x=1.0, camera_angle_y=0.5, w=80, h=60))
     assert both.fy == pytest.approx(30 / np.tan(0.25))
     three_rows = {"transform_matrix": np.eye(4)[:3].tolist()}
-    assert only(transforms(tmp_path, three_rows, fl_y=10, w=8, h=6)).fx == 10
+    assert only_camera(transforms(tmp_path, three_rows, fl_y=10, w=8, h=6)).fx == 10
 
 
 def test_sizes_come_from_the_picture_where_the_file_has_none(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_sizes_come_from_the_picture_where_the_file_has_none(tmp_path: Path) -> 
         open_cameras(path)
     (tmp_path / "train").mkdir()
     Image.new("RGB", (33, 21)).save(tmp_path / "train" / "r_0.png")
-    assert (only(path).width, only(path).height) == (33, 21)
+    assert (only_camera(path).width, only_camera(path).height) == (33, 21)
 
 
 def test_distortion_is_noted_and_a_fisheye_refused(tmp_path: Path) -> None:
@@ -230,7 +230,7 @@ def test_distortion_is_noted_and_a_fisheye_refused(tmp_path: Path) -> None:
 def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
     """Nerfstudio's has fl_x = height and fl_y = height for a full one."""
     path = transforms(tmp_path, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32)
-    camera = only(path)
+    camera = only_camera(path)
     assert camera.kind == "panorama"
     assert camera.period == pytest.approx(64)
     assert camera.fy * np.pi == pytest.approx(32)
@@ -250,7 +250,7 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
     to_world = np.linalg.inv(some_cameras(1, 9)[0].view)
     frame: dict[str, object] = {"transform_matrix": to_world.tolist()}
     path = transforms(tmp_path, frame, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32)
-    camera = only(path)
+    camera = only_camera(path)
     for u, v in rng.uniform((0, 0), (64, 32), (50, 2)):
         theta, polar = -np.pi * (u - 32) / 32, np.pi / 2 + np.pi * (v - 16) / 32
         ray = np.array(
@@ -287,7 +287,7 @@ def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> N
         open_cameras(tmp_path)
 
 
-def named(*names: str) -> CameraFile:
+def camera_file_named(*names: str) -> CameraFile:
     from gsgen.runtime.camera_files import NamedCamera
 
     camera = some_cameras(1)[0]
@@ -295,7 +295,7 @@ def named(*names: str) -> CameraFile:
 
 
 def test_picking_by_name_number_and_slice() -> None:
-    file = named("a/one.png", "a/two.png", "b/one.png", "3")
+    file = camera_file_named("a/one.png", "a/two.png", "b/one.png", "3")
     for index, expected in {
         "a/one.png": [0],
         "two.png": [1],
@@ -321,7 +321,7 @@ def test_picking_by_name_number_and_slice() -> None:
         with pytest.raises(ConfigInvalid, match=words):
             file.pick(index)
     with pytest.raises(ConfigInvalid, match="and 12 more; a number"):
-        named(*(f"image_{n}" for n in range(20))).pick("none")
+        camera_file_named(*(f"image_{n}" for n in range(20))).pick("none")
 
 
 def test_camera_option_selects_from_files(tmp_path: Path) -> None:
@@ -387,7 +387,7 @@ def test_paths_without_cameras_are_refused(tmp_path: Path) -> None:
         open_cameras(tmp_path / "empty.json")
 
 
-def trouble(path: Path) -> str | None:
+def error_text(path: Path) -> str | None:
     """What our error says, or None where there are cameras."""
     try:
         open_cameras(path)
@@ -418,7 +418,7 @@ def test_damaged_files_are_refused_or_read_without_crash(name: str, tmp_path: Pa
                     [b"\xff" * 8, b"-1", b"1e999", b"nan", b"\0", b"[["]
                 )
             file.write_bytes(result)
-            expected_message = trouble(path)
+            expected_message = error_text(path)
             assert expected_message is None or str(tmp_path) in expected_message
             refused += expected_message is not None
         file.write_bytes(whole)

@@ -56,10 +56,10 @@ def _drawn_by(renderer: Renderer) -> Render:
 def _failed(kit: Path, viewer: Viewer, render: Render, folder: Path) -> dict[str, set[str]]:
     for case in kit_cases():
         viewer.draw(kit / "models" / f"{case.name}.onnx", case, render, folder)
-    return _judged(kit, folder)
+    return _failed_and_suspected(kit, folder)
 
 
-def _judged(kit: Path, folder: Path) -> dict[str, set[str]]:
+def _failed_and_suspected(kit: Path, folder: Path) -> dict[str, set[str]]:
     result = check_viewer(kit, folder)
     return {
         "cases": {case["name"] for case in result["cases"] if case["verdict"] == "failed"},
@@ -84,7 +84,7 @@ def test_a_wrong_viewer_fails_the_right_cases_and_its_fault_is_named_also_with_8
         rounded_down = np.floor(np.load(path).astype(np.float64) * 255) / 255
         path.with_suffix(".png").write_bytes(encode_png(rounded_down))
         path.unlink()
-    for failed in (floats, _judged(kit, tmp_path)):
+    for failed in (floats, _failed_and_suspected(kit, tmp_path)):
         # A case that a fault spoils slightly is near the tolerance, on whichever side.
         assert failed["cases"] - set(entry.get("slight", [])) == set(entry["cases"])
         assert fault in failed["faults"]

@@ -14,7 +14,7 @@ from references.projection import unpack_rows
 from support.rendering.splat_scenes import camera, cloud, turned
 
 ALL = ("color", "depth", "normal")
-LEAST = 1 / 65_534  # half a step of 16 bits in [-1, 1]
+MIN_STEP = 1 / 65_534  # half a step of 16 bits in [-1, 1]
 
 
 def rows_of(scale: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -35,7 +35,7 @@ def test_a_covariance_keeps_its_shape(unit: float) -> None:
     np.testing.assert_array_equal(actual[:, :4], rows[:, :4])
     before, after = symmetric(rows[:, 4:].astype(np.float64)), symmetric(actual[:, 4:])
     largest = np.abs(before).max(axis=(1, 2))
-    assert (np.abs(after - before).max(axis=(1, 2)) <= 6.1 * LEAST * largest).all()
+    assert (np.abs(after - before).max(axis=(1, 2)) <= 6.1 * MIN_STEP * largest).all()
     assert (np.linalg.eigvalsh(after)[:, 0] >= -1e-6 * largest).all()
     thickness, expected_thickness = (
         np.sqrt(np.maximum(np.linalg.eigvalsh(c)[:, 0], 0)) for c in (before, after)

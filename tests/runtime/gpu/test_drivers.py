@@ -8,7 +8,7 @@ import pytest
 from support.commands import shared
 from support.rendering.drivers import DRIVERS, on_driver
 
-BAR = 2e-6
+MAX_ERROR = 2e-6
 
 
 @pytest.mark.parametrize("driver", DRIVERS)
@@ -19,7 +19,7 @@ def test_driver_renders_golden_meshes_and_sorts(driver: str) -> None:
     assert driver in message["driver"]
     assert message["software"]
     assert set(message["pictures"]) == {"tiles", "tiles, cut as for a GPU", "quads"}
-    assert max(message["pictures"].values()) <= BAR, message["pictures"]
+    assert max(message["pictures"].values()) <= MAX_ERROR, message["pictures"]
     assert message["disordered"] == []
     assert message["unmet"] == []
     assert message["miscounted"] == []

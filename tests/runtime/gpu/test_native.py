@@ -20,7 +20,7 @@ from support.commands import ROOT
 
 wgpu = pytest.importorskip("wgpu")
 
-SUM = """
+SUM_SHADER = """
 @group(0) @binding(0) var<storage, read_write> numbers: array<u32>;
 @compute @workgroup_size(1)
 fn add() {
@@ -111,12 +111,12 @@ def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> D
 
 
 def test_shader_compiles_and_runs(device: Device) -> None:
-    assert result(device, SUM) == 4950
+    assert result(device, SUM_SHADER) == 4950
 
 
 def test_wgsl_error_is_raised_where_the_shader_is_compiled(device: Device) -> None:
     with pytest.raises(wgpu.GPUValidationError, match="no definition in scope"):
-        create_shader_module(device.raw, "wrong", SUM.replace("sum += i", "sum += j"))
+        create_shader_module(device.raw, "wrong", SUM_SHADER.replace("sum += i", "sum += j"))
 
 
 def test_shader_keeps_all_checks_but_that_of_loops(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +129,7 @@ def test_shader_keeps_all_checks_but_that_of_loops(monkeypatch: pytest.MonkeyPat
         return function(raw, descriptor, chosen)
 
     monkeypatch.setattr(native, "_function", lambda name: create)
-    assert result(device, SUM) == 4950
+    assert result(device, SUM_SHADER) == 4950
     from wgpu.backends.wgpu_native import lib
 
     loops = lib.WGPUShaderRuntimeChecks_ForceLoopBounding
@@ -140,7 +140,7 @@ def test_shader_keeps_all_checks_but_that_of_loops(monkeypatch: pytest.MonkeyPat
 
 def test_device_that_records_compiles_by_itself() -> None:
     recorded = SimpleNamespace(create_shader_module=lambda **given: given)
-    assert create_shader_module(recorded, "sum", SUM) == {"label": "sum", "code": SUM}
+    assert create_shader_module(recorded, "sum", SUM_SHADER) == {"label": "sum", "code": SUM_SHADER}
 
 
 def test_timestamp_period_is_positive_and_one_without_wgpus_function(device: Device) -> None:

@@ -29,7 +29,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
 
 
-def same(value: object, two: object) -> bool:
+def frames_equal(value: object, two: object) -> bool:
     fields = ("rgba", "depth", "median_depth", "ids", "normal", "visible", "pairs")
     return all(np.array_equal(getattr(value, f), getattr(two, f)) for f in fields)
 
@@ -71,11 +71,11 @@ def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> 
     assert all(page.rows_of is None for _, page in own_renderer.placed(Scene([cloud(5)])))
     after = own_renderer.render(scene, camera(), outputs=ALL)
     assert all(page.rows_of is not None for _, page in own_renderer.placed(scene))
-    assert same(before, after)
+    assert frames_equal(before, after)
     assert (before.ids >= 0).any()
 
 
-def anew(data: SplatData) -> Scene:
+def copied_scene(data: SplatData) -> Scene:
     """The same values, which no renderer has seen."""
     return Scene([SplatData(data.rows, data.appearance, data.space, count=data.count)])
 
@@ -98,7 +98,7 @@ def test_changing_rows_keep_an_order_that_costs_nothing(
 
     def arranged() -> bool:
         frame = own_renderer.render(scene, camera(), outputs=ALL)
-        assert same(frame, renderer.render(anew(data), camera(), outputs=ALL))
+        assert frames_equal(frame, renderer.render(copied_scene(data), camera(), outputs=ALL))
         return own_renderer._residency.pages(data)[0].rows_of is not None
 
     assert [arranged(), arranged(), arranged()] == [False, True, True]
@@ -163,9 +163,9 @@ def test_values_may_change_once_rows_are_arranged(
         own_renderer.render(scene, camera())
     retained = {"count": 60} if change != "count" else {"count": 80}
     data.update(**retained, **({} if change == "count" else {change: getattr(other, change)}))
-    assert same(
+    assert frames_equal(
         own_renderer.render(scene, camera(), outputs=ALL),
-        renderer.render(anew(data), camera(), outputs=ALL),
+        renderer.render(copied_scene(data), camera(), outputs=ALL),
     )
 
 
@@ -180,9 +180,9 @@ def test_a_frame_without_memory_forgets_no_count(
     with memory_of(100), pytest.raises(MemoryFull):
         own_renderer.render(scene, camera())
     shapes = ("depth", "normal")
-    assert same(
+    assert frames_equal(
         own_renderer.render(scene, camera(), outputs=shapes),
-        renderer.render(anew(data), camera(), outputs=shapes),
+        renderer.render(copied_scene(data), camera(), outputs=shapes),
     )
 
 
@@ -193,7 +193,7 @@ def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -
     own_renderer, scene = Renderer(device, rasteriser="tiles"), Scene([data])
     before = own_renderer.render(scene, camera(), outputs=ALL)
     for _ in range(2):
-        assert same(own_renderer.render(scene, camera(), outputs=ALL), before)
+        assert frames_equal(own_renderer.render(scene, camera(), outputs=ALL), before)
     assert own_renderer.placed(scene)[0][1].rows_of is None
 
 

@@ -7,7 +7,7 @@ from gsgen.runtime.errors import DeviceLost
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.upload import Target, upload
 
-ROOM = 80_000  # rows: more than are made at a time, and enough to be mapped
+ROW_CAPACITY = 80_000  # rows: more than are made at a time, and enough to be mapped
 
 
 @pytest.mark.parametrize("maps", [True, False])
@@ -21,8 +21,8 @@ def test_uploaded_rows_are_at_their_offsets(
     monkeypatch.setattr(device, "maps", maps)
     rng = np.random.default_rng(0)
     array = rng.normal(size=(15_000, 4)).astype(np.float16 if result else np.float32)
-    buffer = device.dynamic_storage("rows", 16 * ROOM)
-    before = np.full((ROOM, 4), 7, np.float32)
+    buffer = device.dynamic_storage("rows", 16 * ROW_CAPACITY)
+    before = np.full((ROW_CAPACITY, 4), 7, np.float32)
     upload(device, Target(buffer, 0, 16), before)
     order = rng.permutation(15_000)[:12_345].astype(np.uint32) if ordered else None
     assert device.can_map(buffer) is maps
@@ -30,20 +30,20 @@ def test_uploaded_rows_are_at_their_offsets(
     upload(device, target, array, order)
     ordered_rows = array if order is None else array[order]
     before[1234 : 1234 + len(ordered_rows)] = ordered_rows
-    read = device.read(buffer, np.float32, 4 * ROOM).reshape(-1, 4)
+    read = device.read(buffer, np.float32, 4 * ROW_CAPACITY).reshape(-1, 4)
     np.testing.assert_array_equal(read, before)
 
 
 def test_lost_device_is_reported() -> None:
     device = Device.open()
-    buffer = device.dynamic_storage("rows", 16 * ROOM)
+    buffer = device.dynamic_storage("rows", 16 * ROW_CAPACITY)
     device.raw.destroy()
     with pytest.raises(DeviceLost, match="was lost"), device.translate_errors():
         upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
 
 
 def test_failed_upload_leaves_the_buffer_usable(device: Device) -> None:
-    buffer = device.dynamic_storage("rows", 16 * ROOM)
+    buffer = device.dynamic_storage("rows", 16 * ROW_CAPACITY)
 
     def fail(rows: np.ndarray) -> np.ndarray:
         raise ValueError(rows.shape)

@@ -28,12 +28,12 @@ def run(renderer: Renderer, scene: Scene, camera: Camera, *stages: str) -> Plan:
     return plan
 
 
-def words(renderer: Renderer, plan: Plan, name: str, count: int) -> np.ndarray:
+def read_words(renderer: Renderer, plan: Plan, name: str, count: int) -> np.ndarray:
     return renderer.device.read(plan.buffers[name], np.uint32, count)
 
 
 def floats(renderer: Renderer, plan: Plan, name: str, count: int) -> np.ndarray:
-    return words(renderer, plan, name, 4 * count).view(np.float32).reshape(count, 4)
+    return read_words(renderer, plan, name, 4 * count).view(np.float32).reshape(count, 4)
 
 
 def reference(splat_set: SplatSet, camera: Camera) -> Projected:
@@ -69,7 +69,7 @@ def test_projected_splats_agree_with_the_reference(renderer: Renderer, name: str
     scene = Scene(scene.sets[:1])
     n = len(scene)
     plan = run(renderer, scene, view_camera, "project")
-    keys = words(renderer, plan, "keys of Gaussians a", n)
+    keys = read_words(renderer, plan, "keys of Gaussians a", n)
     shapes, weights, colors = (
         floats(renderer, plan, part, n) for part in ("shapes", "weights", "colors")
     )
@@ -112,15 +112,15 @@ def test_tiles_list_every_splat_that_reaches_them(device: Device, name: str, lis
     run(renderer, scene, view_camera)  # the plan may have to be made
     plan = run(renderer, scene, view_camera, "project", "sort", "bin", "group")
     n, tiles = len(scene), 10 * 6
-    counts = words(renderer, plan, "counts", 4)
+    counts = read_words(renderer, plan, "counts", 4)
     pairs, visible = int(counts[Counts.PAIRS]), int(counts[Counts.VISIBLE])
     assert pairs == counts[Counts.WANTED_PAIRS] > 0
-    ranges = words(renderer, plan, "ranges", 2 * tiles).reshape(tiles, 2)
+    ranges = read_words(renderer, plan, "ranges", 2 * tiles).reshape(tiles, 2)
     tile_of = np.repeat(np.arange(tiles), ranges[:, 1] - ranges[:, 0])
     assert len(tile_of) == pairs
     # 60 tiles are six bits, which one pass sorts: its result is on the other side.
     name_of_lists = "splats of tiles" if lists else "values of pairs b"
-    members = words(renderer, plan, name_of_lists, pairs)
+    members = read_words(renderer, plan, name_of_lists, pairs)
     np.testing.assert_array_equal(ranges, ranges_reference(tile_of.astype(np.uint32), tiles))
     shapes, weights = (floats(renderer, plan, part, n) for part in ("shapes", "weights"))
     for first, end in ranges:  # nearest first
@@ -131,7 +131,7 @@ def test_tiles_list_every_splat_that_reaches_them(device: Device, name: str, lis
     # As many were listed as were counted.
     drawn = listed.any(axis=1)
     if lists:
-        both = words(renderer, plan, "lows", plan.buffers["lows"].size // 4)
+        both = read_words(renderer, plan, "lows", plan.buffers["lows"].size // 4)
         windows = both[len(both) // 2 :]  # remainders of depths are before them
         for i in np.flatnonzero(drawn):
             rows, columns = np.divmod(np.flatnonzero(listed[i]), 10)
@@ -197,7 +197,7 @@ def test_projected_normals_agree_with_the_reference(renderer: Renderer) -> None:
     plan.submit(placed, view_camera, NOTHING_BEHIND, only=["project"])
     plan.collect()
     actual = floats(renderer, plan, "normals", n)[:, :3]
-    drawn = words(renderer, plan, "keys of Gaussians a", n) != ABSENT
+    drawn = read_words(renderer, plan, "keys of Gaussians a", n) != ABSENT
     turn = view_camera.view[:3, :3]
     upper = data.rows[:, 4:].astype(np.float64)
     sigma = turn @ upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) @ turn.T
@@ -230,7 +230,7 @@ def test_shader_harmonics_agree_with_the_contract(renderer: Renderer) -> None:
     basis_index = np.arange(len(data)) % 16
     data.appearance[np.arange(len(data)), 3 * basis_index + 1] = 0.25
     plan = run(renderer, Scene([data]), camera(), "project")
-    drawn = words(renderer, plan, "keys of Gaussians a", len(data)) != ABSENT
+    drawn = read_words(renderer, plan, "keys of Gaussians a", len(data)) != ABSENT
     colors = floats(renderer, plan, "colors", len(data))
     toward = data.rows[:, :3] / np.linalg.norm(data.rows[:, :3], axis=1, keepdims=True)
     expected = 0.5 + 0.25 * basis(toward)[np.arange(len(data)), basis_index]

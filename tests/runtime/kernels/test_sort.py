@@ -15,8 +15,8 @@ from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for
 from references.sorting import scan_reference, sort_reference
 from support.rendering.sorting import GPU, KEYS, Bench, keys_of
 
-ROOM = 1 << 16
-MANY = 300_000
+KEY_CAPACITY = 1 << 16
+MANY_KEYS = 300_000
 SMALL = SortConfig(threads=256, run=4, digit_bits=4, walk=4, tile=32)
 
 
@@ -28,14 +28,16 @@ def cut(request: pytest.FixtureRequest, device: Device) -> SortConfig:
 @pytest.fixture(scope="module", params=["this device", "many invocations", "counted before"])
 def compacting(request: pytest.FixtureRequest, device: Device) -> Bench:
     cut = cut_for(device) if request.param == "this device" else GPU
-    return Bench(device, cut, 32, ROOM, compact=True, counted=request.param == "counted before")
+    return Bench(
+        device, cut, 32, KEY_CAPACITY, compact=True, counted=request.param == "counted before"
+    )
 
 
 @pytest.mark.parametrize("kind", KEYS)
 @pytest.mark.parametrize("n", [0, 1, 7, 4096, 4097, 65_536])
 def test_compacting_sort_agrees_with_numpy(compacting: Bench, n: int, kind: str) -> None:
     # Keys behind the n are absent: the first pass looks at all there is room for.
-    keys = np.full(ROOM, ABSENT, np.uint32)
+    keys = np.full(KEY_CAPACITY, ABSENT, np.uint32)
     keys[:n] = keys_of(n, kind)
     keys_out, places = compacting(keys)
     expected = sort_reference(keys, 32)
@@ -46,14 +48,14 @@ def test_compacting_sort_agrees_with_numpy(compacting: Bench, n: int, kind: str)
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.sampled_from([0, 1, 2, 255, 256, 1 << 31, ABSENT - 1, ABSENT])))
 def test_arbitrary_keys_are_sorted(compacting_here: Bench, keys: list[int]) -> None:
-    padded_keys = np.full(ROOM, ABSENT, np.uint32)
+    padded_keys = np.full(KEY_CAPACITY, ABSENT, np.uint32)
     padded_keys[: len(keys)] = keys
     np.testing.assert_array_equal(compacting_here(padded_keys)[1], sort_reference(padded_keys, 32))
 
 
 @pytest.fixture(scope="module")
 def compacting_here(device: Device) -> Bench:
-    return Bench(device, cut_for(device), 32, ROOM, compact=True)
+    return Bench(device, cut_for(device), 32, KEY_CAPACITY, compact=True)
 
 
 @pytest.mark.parametrize("bits", [1, 2, 8, 11, 13, 24])
@@ -91,7 +93,7 @@ def test_few_keys_take_few_workgroups(device: Device) -> None:
 @pytest.mark.parametrize("kind", KEYS)
 def test_many_keys_are_sorted(many: Bench, kind: str) -> None:
     """As many as let the scan of a GPU go by blocks; `make fuzz-sort` has four million."""
-    keys = keys_of(MANY, kind, seed=4)
+    keys = keys_of(MANY_KEYS, kind, seed=4)
     keys_out, places = many(keys)
     expected = sort_reference(keys, 32)
     np.testing.assert_array_equal(places, expected)
@@ -101,7 +103,7 @@ def test_many_keys_are_sorted(many: Bench, kind: str) -> None:
 @pytest.fixture(scope="module", params=["this device", "small blocks"])
 def many(request: pytest.FixtureRequest, device: Device) -> Bench:
     cut = cut_for(device) if request.param == "this device" else SMALL
-    return Bench(device, cut, 32, MANY, compact=True)
+    return Bench(device, cut, 32, MANY_KEYS, compact=True)
 
 
 @pytest.fixture(scope="module", params=["in one workgroup", "by blocks"])

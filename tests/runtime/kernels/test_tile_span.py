@@ -6,7 +6,7 @@ import pytest
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE, TILE, source
 
-EACH = """
+TILE_SHADER = """
 @group(0) @binding(1) var<storage, read_write> pixels: array<f32>;
 @compute @workgroup_size(1)
 fn each(@builtin(global_invocation_id) invocation: vec3u) {
@@ -31,7 +31,7 @@ def test_tile_of_a_pixel_agrees_with_float_rounding(tile: int, limit: int) -> No
     )
     device = Device.open()
     raw = device.raw
-    code = source("tile_span", TILE=tile, LIMIT=limit) + EACH
+    code = source("tile_span", TILE=tile, LIMIT=limit) + TILE_SHADER
     module = raw.create_shader_module(label="each", code=code)
     pipeline = raw.create_compute_pipeline(
         layout="auto", compute={"module": module, "entry_point": "each"}

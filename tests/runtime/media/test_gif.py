@@ -9,7 +9,7 @@ from PIL import Image, ImageSequence
 from gsgen.runtime.media.pictures import save_gif
 
 
-def read(path: Path) -> list[np.ndarray]:
+def read_frames(path: Path) -> list[np.ndarray]:
     with Image.open(path) as film:
         return [np.array(entry.convert("RGBA")) for entry in ImageSequence.Iterator(film)]
 
@@ -30,7 +30,7 @@ def pictures(count: int, colors: int = 200) -> list[np.ndarray]:
 def test_alpha_of_half_is_opaque_and_less_is_transparent(tmp_path: Path, count: int) -> None:
     expected = pictures(count)
     save_gif(tmp_path / "a.gif", expected, 10)
-    decoded_frames = read(tmp_path / "a.gif")
+    decoded_frames = read_frames(tmp_path / "a.gif")
     assert len(decoded_frames) == count
     for decoded, picture in zip(decoded_frames, expected, strict=True):
         opaque = picture[..., 3] >= 128
@@ -42,7 +42,7 @@ def test_a_frame_does_not_show_through_the_next(tmp_path: Path) -> None:
     left, right = np.zeros((2, 8, 8, 4), np.uint8)
     left[:, :4], right[:, 4:] = (255, 0, 0, 255), (0, 0, 255, 255)
     save_gif(tmp_path / "a.gif", [left, right, left], 10)
-    for decoded, picture in zip(read(tmp_path / "a.gif"), (left, right, left), strict=True):
+    for decoded, picture in zip(read_frames(tmp_path / "a.gif"), (left, right, left), strict=True):
         np.testing.assert_array_equal(decoded[..., 3], picture[..., 3])
 
 
@@ -52,7 +52,7 @@ def test_colours_beyond_the_palette_are_approximated(tmp_path: Path) -> None:
     picture = picture.astype(np.uint8)
     picture[:8, :8, 3] = 0
     save_gif(tmp_path / "a.gif", [picture], 10)
-    (decoded,) = read(tmp_path / "a.gif")
+    (decoded,) = read_frames(tmp_path / "a.gif")
     opaque = picture[..., 3] > 0
     np.testing.assert_array_equal(decoded[..., 3] > 0, opaque)
     off = decoded[opaque][:, :3].astype(int) - picture[opaque][:, :3]
@@ -66,7 +66,7 @@ def test_opaque_pictures_stay_opaque(tmp_path: Path, shape: tuple[int, ...]) -> 
     if len(shape) == 3:
         picture[..., 3:] = 255
     save_gif(tmp_path / "a.gif", [picture], 10)
-    (decoded,) = read(tmp_path / "a.gif")
+    (decoded,) = read_frames(tmp_path / "a.gif")
     assert (decoded[..., 3] == 255).all()
     np.testing.assert_array_equal(
         decoded[..., 0], picture if picture.ndim == 2 else picture[..., 0]

@@ -12,7 +12,7 @@ from support.checkpoints.golden_case import golden_case
 from support.commands import shared
 from support.rendering.splat_scenes import SCENES
 
-BEHIND = (0.1, 0.4, 0.7, 0.5)
+BACKGROUND = (0.1, 0.4, 0.7, 0.5)
 
 
 def decibels(a: np.ndarray, b: np.ndarray) -> float:
@@ -22,8 +22,8 @@ def decibels(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("name", SCENES)
 def test_colours_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
-    frame = renderer.render(scene, camera, background=BEHIND)
-    expected = oracle.render(scene, camera, background=BEHIND)
+    frame = renderer.render(scene, camera, background=BACKGROUND)
+    expected = oracle.render(scene, camera, background=BACKGROUND)
     assert frame.rgba is not None
     assert frame.rgba.shape == (camera.height, camera.width, 4)
     assert np.isfinite(frame.rgba).all()
@@ -33,7 +33,7 @@ def test_colours_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     assert expected.fragile.mean() < 0.1  # or little was compared
     assert frame.visible >= expected.visible
     if name != "nothing":  # else backgrounds would be compared
-        assert expected.rgba[..., 3].max() > BEHIND[3] + 0.02
+        assert expected.rgba[..., 3].max() > BACKGROUND[3] + 0.02
 
 
 def test_golden_image_of_gsplat_is_reproduced(renderer: Renderer) -> None:

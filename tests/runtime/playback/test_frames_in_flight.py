@@ -86,13 +86,13 @@ def requests(count: int, view_camera: Camera | None = None) -> list[FrameRequest
     return [FrameRequest(view_camera or camera(), number=number) for number in range(count)]
 
 
-def sudden() -> list[SplatData]:
+def frames_of_sudden_growth() -> list[SplatData]:
     """Films of specks of which most touch a tile, until all of them touch nearly every tile."""
     sizes = (0.01, 0.01, 0.01, 0.7, 0.7, 0.01, 0.9, 2.0, 0.01, 0.01)
     return [cloud(400, seed, size=size, thin=0.1) for seed, size in enumerate(sizes)]
 
 
-def appearing() -> list[SplatData]:
+def frames_of_growing_count() -> list[SplatData]:
     """The same large Gaussians, of which few are live at first; then other colours alone."""
     data, other = cloud(400, 3, size=0.5), cloud(400, 4)
     counts = (1, 1, 2, 400, 400, 3, 400)
@@ -114,8 +114,8 @@ def ties_of_arranged_rows() -> list[SplatData]:
 
 
 FILMS: dict[str, Callable[[], Steps]] = {
-    "sudden": lambda: Steps(sudden()),
-    "appearing": lambda: Steps(appearing()),
+    "sudden": lambda: Steps(frames_of_sudden_growth()),
+    "appearing": lambda: Steps(frames_of_growing_count()),
     "deep": lambda: Steps(suddenly_at_one_depth(), turned(1e-7, (1, 2, 0))),
     "tied": lambda: Steps(ties_of_arranged_rows()),
 }
@@ -166,9 +166,11 @@ def test_sizes_and_bands_may_change_in_flight(
     cameras = [camera(61, 47), camera(61, 47), camera(80, 64), camera(80, 64), camera(40, 300)]
     cameras += [camera(40, 300), camera(61, 47), camera(61, 47)]
     shots = [FrameRequest(view_camera, number=number) for number, view_camera in enumerate(cameras)]
-    player = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    player = Player(
+        [Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles")
+    )
     expected = [player.render(shot) for shot in shots]
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     banded: list[int] = []
 
     def rows(_renderer: Renderer, _scene: object, view_camera: Camera, _images: int) -> int:
@@ -184,7 +186,7 @@ def test_sizes_and_bands_may_change_in_flight(
 def test_a_frame_is_submitted_before_the_one_before_it_is_read(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     list(film.play(requests(10)))  # buffers have room for all
     events: list[str] = []
     for owner, name in ((Plan, "submit"), (FrameReadback, "collect")):
@@ -231,7 +233,7 @@ def test_a_read_waits_for_its_own_frame_alone(device: Device) -> None:
 def test_no_buffer_is_made_once_frames_are_in_flight(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     frames = film.play(requests(9) + requests(9))
     for _ in range(9):
         next(frames)
@@ -241,7 +243,7 @@ def test_no_buffer_is_made_once_frames_are_in_flight(
 
 
 def test_a_source_that_cannot_hold_its_arrays_is_waited_for(device: Device) -> None:
-    source = Steps(sudden())
+    source = Steps(frames_of_sudden_growth())
     source.holds = False
     film = Player([source], renderer=Renderer(device, rasteriser="tiles"))
     list(film.play(requests(4)))
@@ -254,7 +256,7 @@ def failing(shots: Sequence[FrameRequest]) -> Iterator[FrameRequest]:
 
 
 def test_frames_before_an_error_come_first(device: Device) -> None:
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     expected = [film.render(shot) for shot in requests(10)]
     frames = film.play(requests(11))
     for rendered in expected:
@@ -273,7 +275,7 @@ def test_frames_before_an_error_come_first(device: Device) -> None:
 def test_frames_before_one_that_cannot_be_drawn_come_first(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     expected = [film.render(shot) for shot in requests(2)]
     submit = Renderer.submit
 
@@ -293,7 +295,7 @@ def test_frames_before_one_that_cannot_be_drawn_come_first(
 def test_without_memory_a_frame_waits_for_those_in_flight(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     expected = [film.render(shot).rgba for shot in requests(6)]
     submit, calls = Renderer.submit, list[int]()
 
@@ -310,7 +312,7 @@ def test_without_memory_a_frame_waits_for_those_in_flight(
 
 
 def test_film_can_be_closed_with_frames_in_flight(device: Device) -> None:
-    source = Steps(sudden())
+    source = Steps(frames_of_sudden_growth())
     film = Player([source], renderer=Renderer(device, rasteriser="tiles"))
     expected = [film.render(shot).rgba for shot in requests(10)]
     for close_frames in (
@@ -335,7 +337,7 @@ def test_film_can_be_closed_with_frames_in_flight(device: Device) -> None:
 def test_statistics_report_waiting_and_growth(
     device: Device, little_room: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    film = Player([Steps(sudden())], renderer=Renderer(device, rasteriser="tiles"))
+    film = Player([Steps(frames_of_sudden_growth())], renderer=Renderer(device, rasteriser="tiles"))
     list(film.play(requests(10)))
     statistics = film.statistics
     assert (statistics.frames, statistics.in_flight) == (10, 2)
@@ -346,4 +348,4 @@ def test_statistics_report_waiting_and_growth(
     assert film.statistics is not statistics
     assert (film.statistics.growths, film.statistics.redrawn) == (0, 0)
     with pytest.raises(ConfigInvalid, match="is 0, expected at least 1"):
-        Player([Steps(sudden())], renderer=film.renderer, frames_in_flight=0)
+        Player([Steps(frames_of_sudden_growth())], renderer=film.renderer, frames_in_flight=0)

@@ -26,7 +26,7 @@ from support.rendering.watched_device import watched
 
 CAMERA = Camera.orbit((0, 0, 0), 4, width=48, height=32)
 TIMES = (0.0, 0.5, 1.0, 0.25)
-LONG = 30  # seconds that a test waits for what must happen at once
+LONG_FRAMES = 30  # seconds that a test waits for what must happen at once
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
         frame = began("run")
         inferring[frame].set()
         if frame > 0:
-            assert drawing[frame - 1].wait(LONG), "nobody draws the frame before"
+            assert drawing[frame - 1].wait(LONG_FRAMES), "nobody draws the frame before"
         return run(self, *args, **kwargs)
 
     def watched_submit(self: Plan, *args: object, **kwargs: object) -> None:
@@ -91,7 +91,9 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
         if frame + 1 < len(TIMES):
             assert drawing[frame + 1].is_set(), "the next frame is not in flight"
         if frame + 2 < len(TIMES):
-            assert inferring[frame + 2].wait(LONG), "nobody computes the frame after the next"
+            assert inferring[frame + 2].wait(LONG_FRAMES), (
+                "nobody computes the frame after the next"
+            )
         return collect(self, *args, **kwargs)
 
     list(drift.play(CAMERA, times=[0.75]))  # so that no frame below is as the one before

@@ -40,7 +40,7 @@ class Body(Source):
     def close(self) -> None: ...
 
 
-def read(path: Path, body: Body | None = None) -> dict[str, np.ndarray]:
+def read_tracks(path: Path, body: Body | None = None) -> dict[str, np.ndarray]:
     tracks, _ = pose_tracks(str(path), body or Body())
     return {track.input_name: track.values for track in tracks}
 
@@ -72,7 +72,7 @@ def plain(path: Path) -> Path:
 def test_every_kind_of_file_gives_the_same_poses(
     tmp_path: Path, make: Callable[[Path], Path]
 ) -> None:
-    actual = read(make(tmp_path))
+    actual = read_tracks(make(tmp_path))
     assert list(actual) == ["pose"]
     np.testing.assert_array_equal(actual["pose"], POSE)
 
@@ -80,10 +80,10 @@ def test_every_kind_of_file_gives_the_same_poses(
 def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path: Path) -> None:
     for number in (10, 9, 2):
         np.save(tmp_path / f"frame_{number}.npy", np.full((24, 3), number / 100))
-    assert read(tmp_path)["pose"][:, 0, 0].tolist() == [0.02, 0.09, 0.1]
+    assert read_tracks(tmp_path)["pose"][:, 0, 0].tolist() == [0.02, 0.09, 0.1]
     (tmp_path / "frame_11.npy").write_bytes(b"\x93NUMPY damaged")
     with pytest.raises(ConfigInvalid, match=r"frame_11\.npy: cannot be read"):
-        read(tmp_path)
+        read_tracks(tmp_path)
 
 
 def test_one_pose_is_for_all_frames(tmp_path: Path) -> None:
@@ -97,13 +97,15 @@ def test_root_rotation_and_shift_are_read(tmp_path: Path) -> None:
     turns = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(5, 3)))
     shift = np.random.default_rng(2).normal(size=(5, 3))
     path = write(tmp_path / "a.npz", poses=POSE, Th=shift, R=turns.as_matrix())
-    actual = read(path)
+    actual = read_tracks(path)
     np.testing.assert_array_equal(actual["shift"], shift)
     np.testing.assert_array_equal(actual["turn"].reshape(5, 3, 3), turns.as_matrix())
-    as_vectors = read(path, Body(turn=(3,)))["turn"]
+    as_vectors = read_tracks(path, Body(turn=(3,)))["turn"]
     np.testing.assert_allclose(as_vectors, turns.as_rotvec(), atol=1e-12)
     path = write(tmp_path / "b.npz", poses=POSE, trans=shift, Rh=turns.as_rotvec())
-    np.testing.assert_allclose(read(path)["turn"].reshape(5, 3, 3), turns.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        read_tracks(path)["turn"].reshape(5, 3, 3), turns.as_matrix(), atol=1e-12
+    )
 
 
 def test_frame_rate_is_read_from_the_file(tmp_path: Path) -> None:
@@ -121,14 +123,14 @@ def test_poses_of_one_body_move_another(
 ) -> None:
     poses = np.random.default_rng(0).normal(size=(3, axis_count, 3))
     path = write(tmp_path / "a.npz", poses=poses.reshape(3, -1))
-    result = read(path, Body(joints))["pose"]
+    result = read_tracks(path, Body(joints))["pose"]
     array = np.zeros((3, joints, 3))
     array[:, list(shared)] = poses[:, list(shared)]
     np.testing.assert_array_equal(result, array)
     with pytest.raises(
         ConfigInvalid, match=rf"holds poses of \[{3 * axis_count}\], expected \[{joints}, 3\]"
     ):
-        read(path, Body(joints, convention="axis-angle"))
+        read_tracks(path, Body(joints, convention="axis-angle"))
 
 
 def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
@@ -143,7 +145,7 @@ def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
     combined_path.parent.mkdir()
     combined_path.write_text(json.dumps(frames))
     for path in (tmp_path, combined_path):
-        actual = read(path, Body(55))
+        actual = read_tracks(path, Body(55))
         assert actual["pose"].shape == (2, 55, 3)
         flat = np.concatenate([frames[1][name] for name in sizes])
         np.testing.assert_array_equal(actual["pose"][1].ravel(), flat)
@@ -152,7 +154,7 @@ def test_lhm_frames_become_tracks(tmp_path: Path) -> None:
     frames[0]["body_pose"] = [0.0]
     combined_path.write_text(json.dumps(frames))
     with pytest.raises(ConfigInvalid, match="frame 0, body_pose: has 1 numbers, expected 63"):
-        read(combined_path, Body(55))
+        read_tracks(combined_path, Body(55))
 
 
 @pytest.mark.parametrize(
@@ -179,15 +181,15 @@ def test_files_without_poses_are_refused(
     path = tmp_path / "motion.json"
     path.write_text(content)
     with pytest.raises(ConfigInvalid, match=expected_message):
-        read(path)
+        read_tracks(path)
 
 
 def test_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigInvalid, match=r"is a folder without \.npy, \.npz or \.json files"):
-        read(tmp_path)
+        read_tracks(tmp_path)
 
 
 def test_objects_are_not_unpickled(tmp_path: Path) -> None:
     path = write(tmp_path / "a.npz", poses=np.asarray([{}], object))
     with pytest.raises(ConfigInvalid, match="allow_pickle"):
-        read(path)
+        read_tracks(path)

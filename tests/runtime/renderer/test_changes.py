@@ -160,7 +160,7 @@ class Changing:
             self.meshes.append(Mesh(ball(), moved(0, 0, int(self.rng.integers(3, 7)))))
 
 
-def anew(changing: Changing, renderer: Renderer, kind: dict[str, object]) -> Frame:
+def render_from_scratch(changing: Changing, renderer: Renderer, kind: dict[str, object]) -> Frame:
     """Draw copies of what ``renderer`` drew, by a new one of its kind."""
     fresh = Renderer(renderer.device, **kind)  # type: ignore[arg-type]
     copies = {}
@@ -183,7 +183,7 @@ def anew(changing: Changing, renderer: Renderer, kind: dict[str, object]) -> Fra
     return fresh.render(scene, changing.camera, outputs=changing.outputs)
 
 
-def differing(frame: Frame, two: Frame) -> list[str]:
+def differing_fields(frame: Frame, two: Frame) -> list[str]:
     """Return what of two frames is not the same, bit for bit."""
     fields = ("rgba", "alpha", "depth", "median_depth", "ids", "normal", "visible", "pairs")
     pairs = {name: (getattr(frame, name), getattr(two, name)) for name in fields}
@@ -210,6 +210,9 @@ def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
         frame = entry.render(changing.scene, changing.camera, outputs=changing.outputs)
         deep += entry._deep
         arranged += any(page.rows_of is not None for _, page in entry._pages(changing.scene))
-        assert differing(frame, anew(changing, entry, kind)) == [], (step, kind)
+        assert differing_fields(frame, render_from_scratch(changing, entry, kind)) == [], (
+            step,
+            kind,
+        )
     assert arranged > 0
     assert deep > 0 or seed == 5

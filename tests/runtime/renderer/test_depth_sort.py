@@ -118,7 +118,7 @@ def submit(device: Device, steps: list[Step]) -> None:
     device.raw.queue.submit([encoder.finish()])
 
 
-def filled(device: Device, words: np.ndarray) -> object:
+def filled_buffer(device: Device, words: np.ndarray) -> object:
     buffer = device.storage("words", 4 * len(words) + 16, extra="INDIRECT")
     device.write(buffer, words.astype(np.uint32))
     return buffer
@@ -135,7 +135,7 @@ def ordered(
     """Order ties; return whether any was announced as UNSORTED and as TIED, and the order."""
     counts = counting.initial(len(keys), 0)
     counts[Counts.VISIBLE] = len(keys)
-    buffers = [filled(device, words) for words in (counts, keys, lows, order, *origins)]
+    buffers = [filled_buffer(device, words) for words in (counts, keys, lows, order, *origins)]
     ties = OrderTies(device, walk, arranged=bool(origins))
     submit(device, [ties.step(len(keys), *buffers)])
     message = device.read(buffers[0], np.uint32, 8)
@@ -209,12 +209,12 @@ def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
     lows[rng.random(n) < 0.3] = keys[rng.random(n) < 0.3] = ABSENT
     is_absent = (keys == ABSENT) | (lows == ABSENT)
     keys[is_absent] = lows[is_absent] = ABSENT
-    counts = filled(device, counting.initial(n, 0))
-    columns = tuple(Columns(*(filled(device, np.zeros(n)) for _ in "kv")) for _ in "ab")
+    counts = filled_buffer(device, counting.initial(n, 0))
+    columns = tuple(Columns(*(filled_buffer(device, np.zeros(n)) for _ in "kv")) for _ in "ab")
     device.write(columns[0].keys, keys)
-    spare_keys = filled(device, np.zeros(n)) if deep else None
+    spare_keys = filled_buffer(device, np.zeros(n)) if deep else None
     steps, offset = DepthOrder(device, chosen, sort).steps(
-        n, counts, columns, filled(device, lows), None, spare_keys
+        n, counts, columns, filled_buffer(device, lows), None, spare_keys
     )
     submit(device, steps)
     message = device.read(counts, np.uint32, 8)
@@ -233,8 +233,8 @@ def test_keys_are_gathered(device: Device) -> None:
     )
     counts = counting.initial(900, 0)
     counts[Counts.VISIBLE], counts[Counts.SORT_VISIBLE_GROUPS] = 700, 6
-    out = filled(device, np.zeros(900))
-    words = [filled(device, array) for array in (counts, keys, order)]
+    out = filled_buffer(device, np.zeros(900))
+    words = [filled_buffer(device, array) for array in (counts, keys, order)]
     submit(device, [GatherKeys(device, 128).step(*words, out)])
     result = device.read(out, np.uint32, 900)
     np.testing.assert_array_equal(result[:700], gather_reference(keys, order))
@@ -301,7 +301,7 @@ def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
     assert own_renderer._deep == (name in DEEP)
 
 
-def same(frame: Frame, two: Frame) -> bool:
+def frames_equal(frame: Frame, two: Frame) -> bool:
     return np.array_equal(frame.rgba, two.rgba) and np.array_equal(frame.depth, two.depth)
 
 
@@ -313,7 +313,7 @@ def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
     other = SplatData(first.data.rows[order], first.data.appearance[order], "rgb")
     mixed = Scene([SplatSet(other, first.transform)])
     frames = [renderer.render(entry, view_camera, outputs=ALL) for entry in (scene, mixed)]
-    assert same(*frames)
+    assert frames_equal(*frames)
     known = frames[1].ids >= 0
     np.testing.assert_array_equal(order[frames[1].ids[known]], frames[0].ids[known])
 
@@ -329,7 +329,7 @@ def test_split_models_sort_as_one(renderer: Renderer, name: str) -> None:
         for part in (slice(0, 110), slice(110, None))
     ]
     apart = renderer.render(Scene(parts), view_camera, outputs=ALL)
-    assert same(renderer.render(scene, view_camera, outputs=ALL), apart)
+    assert frames_equal(renderer.render(scene, view_camera, outputs=ALL), apart)
 
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
@@ -342,7 +342,7 @@ def test_arranged_rows_are_in_order(
     before = own_renderer.render(scene, view_camera, outputs=ALL)
     after = own_renderer.render(scene, view_camera, outputs=ALL)
     assert own_renderer.placed(scene)[0][1].rows_of is not None
-    assert same(before, after)
+    assert frames_equal(before, after)
 
 
 def test_thousands_at_one_depth_are_sorted(renderer: Renderer) -> None:

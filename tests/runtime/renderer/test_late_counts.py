@@ -20,7 +20,7 @@ STEP = 0.02
 
 
 @pytest.fixture
-def own(device: Device) -> Renderer:
+def own_renderer(device: Device) -> Renderer:
     return Renderer(device, rasteriser="tiles")
 
 
@@ -29,7 +29,7 @@ def scene() -> Scene:
     return Scene([cloud(300)])
 
 
-def moved(number: int) -> Camera:
+def moved_camera(number: int) -> Camera:
     view = np.eye(4)
     view[0, 3] = STEP * number
     base = camera()
@@ -43,9 +43,9 @@ def pixels(renderer: Renderer, drawn: Drawn) -> np.ndarray:
 
 
 def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
-    own: Renderer, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    own_renderer: Renderer, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own.draw(scene, moved(0), wait=False)  # the first one is waited for
+    own_renderer.draw(scene, moved_camera(0), wait=False)  # the first one is waited for
     started: list[Staging] = []
     read: list[int] = []
     original_begin, read_words = Staging.begin, Staging.read_words
@@ -62,19 +62,19 @@ def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
     monkeypatch.setattr(Staging, "read_words", noted_read)
     monkeypatch.delattr(Plan, "collect")  # would wait for the frame
     for number in range(8):
-        own.draw(scene, moved(number), wait=False)
+        own_renderer.draw(scene, moved_camera(number), wait=False)
         assert read == list(range(max(0, number + 1 - FRAMES_LATE)))
     assert len(set(map(id, started))) == FRAMES_LATE  # staging buffers are used again
 
 
-def test_pictures_are_those_of_frames_that_wait(own: Renderer, scene: Scene) -> None:
+def test_pictures_are_those_of_frames_that_wait(own_renderer: Renderer, scene: Scene) -> None:
     for number in range(5):
-        drawn = own.draw(scene, moved(number), wait=False)
-        actual = pixels(own, drawn)
-        frame = own.render(scene, moved(number))
+        drawn = own_renderer.draw(scene, moved_camera(number), wait=False)
+        actual = pixels(own_renderer, drawn)
+        frame = own_renderer.render(scene, moved_camera(number))
         np.testing.assert_array_equal(actual, frame.rgba)
-    assert not own.settle()
-    assert not own.late
+    assert not own_renderer.settle()
+    assert not own_renderer.late
 
 
 def test_room_for_pairs_grows_without_waiting(
@@ -88,9 +88,9 @@ def test_room_for_pairs_grows_without_waiting(
     own.draw(scene, away, wait=False)
     collect = Plan.collect
     monkeypatch.delattr(Plan, "collect")
-    drawn = [own.draw(scene, moved(0), wait=False) for _ in range(2 + FRAMES_LATE)]
+    drawn = [own.draw(scene, moved_camera(0), wait=False) for _ in range(2 + FRAMES_LATE)]
     monkeypatch.setattr(Plan, "collect", collect, raising=False)
-    complete = own.render(scene, moved(0))
+    complete = own.render(scene, moved_camera(0))
     assert drawn[-1].pairs < complete.pairs  # the counts are those of a frame without room
     np.testing.assert_array_equal(pixels(own, drawn[-1]), complete.rgba)
 
@@ -124,8 +124,8 @@ def test_incomplete_last_frame_is_reported(
     nothing = np.eye(4)
     nothing[0, 3] = 1e4
     own.draw(scene, Camera(nothing, fx=50, fy=50, cx=30, cy=23, width=61, height=47), wait=False)
-    own.draw(scene, moved(0), wait=False)
+    own.draw(scene, moved_camera(0), wait=False)
     assert own.settle()
-    drawn = own.draw(scene, moved(0), wait=False)  # is waited for
+    drawn = own.draw(scene, moved_camera(0), wait=False)  # is waited for
     assert not own.settle()
-    np.testing.assert_array_equal(pixels(own, drawn), own.render(scene, moved(0)).rgba)
+    np.testing.assert_array_equal(pixels(own, drawn), own.render(scene, moved_camera(0)).rgba)

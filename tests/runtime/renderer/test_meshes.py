@@ -29,7 +29,7 @@ from support.rendering.mesh_scenes import MESH_SCENES, ball, moved, quad, wall
 from support.rendering.splat_scenes import camera, cloud, single, turned
 from support.rendering.watched_device import watched
 
-BEHIND = (0.1, 0.4, 0.7, 0.5)
+BACKGROUND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")
 
 
@@ -38,8 +38,8 @@ def decibels(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def compare(scene: Scene, view_camera: Camera, renderer: Renderer) -> None:
-    frame = renderer.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, view_camera, background=BEHIND)
+    frame = renderer.render(scene, view_camera, background=BACKGROUND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BACKGROUND)
     firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert firm.mean() > 0.7
     assert decibels(frame.rgba[firm], expected.rgba[firm]) >= 100
@@ -49,7 +49,7 @@ def compare(scene: Scene, view_camera: Camera, renderer: Renderer) -> None:
     np.testing.assert_allclose(
         frame.median_depth[firm_median], expected.median_depth[firm_median], rtol=1e-4
     )
-    covered = firm & (expected.rgba[..., 3] > BEHIND[3])
+    covered = firm & (expected.rgba[..., 3] > BACKGROUND[3])
     cosine = (frame.normal * expected.normal).sum(axis=-1)[covered]
     assert np.median(cosine) > 0.999999
     assert np.quantile(cosine, 0.05) > 0.9999
@@ -79,8 +79,8 @@ def quads(device: Device) -> Renderer:
 )
 def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
     scene, view_camera = MESH_SCENES[name]()
-    frame = quads.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, view_camera, background=BEHIND)
+    frame = quads.render(scene, view_camera, background=BACKGROUND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BACKGROUND)
     error = np.where(expected.fragile, 0, np.abs(frame.rgba - expected.rgba).max(axis=-1))
     assert np.quantile(error, 0.9) <= 2e-5
     assert error.max() <= 1e-2  # what finished pixels leave out

@@ -191,7 +191,7 @@ def test_near_and_depth_are_distances(renderer: Renderer) -> None:
     assert renderer.render(scene, far).visible == 0
 
 
-def looked_up(image: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def sample_panorama(image: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """What a full panorama has in the directions of rays, between pixels linearly."""
     height, width = image.shape[:2]
     horizontal = np.arctan2(rays[..., 0], rays[..., 2]) / (2 * np.pi) + 0.5
@@ -224,7 +224,7 @@ def test_small_gaussians_are_where_perspective_cameras_see_them(renderer: Render
         side = Camera.look_at((0, 0, 0), axis, up=up, width=128, height=128, fov_y=90)
         actual = renderer.render(Scene([data]), side).rgba
         rays = plane @ side.view[:3, :3]
-        error = np.abs(looked_up(around, rays) - actual)
+        error = np.abs(sample_panorama(around, rays) - actual)
         # Within a few sizes of a Gaussian from a pole the two approximations part.
         level = np.hypot(rays[..., 0], rays[..., 2]) / np.linalg.norm(rays, axis=-1)
         assert np.median(error[level > 0.2]) < 0.01, axis

@@ -34,7 +34,7 @@ def tiles_of(data: SplatData, count: int) -> dict[int, tuple[np.ndarray, np.ndar
     return {key: (rows[part], appearance[part]) for key, part in enumerate(parts)}
 
 
-def filled(data: SplatData, count: int = 4, spare_slots: int = 3) -> SplatPool:
+def filled_pool(data: SplatData, count: int = 4, spare_slots: int = 3) -> SplatPool:
     tiles = tiles_of(data, count)
     slots = sum(-(-len(rows) // SLOT) for rows, _ in tiles.values()) + spare_slots
     pool = SplatPool(slots * SLOT, data.appearance.shape[1], slot_rows=SLOT)
@@ -60,7 +60,7 @@ TURNED = turned(0.4, (1, 2, 3), 1.3)
 
 def assert_draws_as_one_set(renderer: Renderer, view: Camera) -> None:
     data = cloud(900, seed=3, degree=1)
-    pool = filled(data)
+    pool = filled_pool(data)
     pooled = renderer.render(Scene([], pools=[PooledSet(pool, TURNED)]), view, outputs=OUTPUTS)
     single = renderer.render(Scene([SplatSet(data, TURNED)]), view, outputs=OUTPUTS)
     assert single.visible > 100
@@ -90,7 +90,7 @@ def test_a_pool_of_many_pages_draws_its_tiles_as_one_set(device: Device) -> None
 def test_compact_pools_and_quads_are_close(device: Device) -> None:
     data = cloud(400, seed=5, degree=2)
     compact = Renderer(device, rasteriser="quads", compact=True)
-    pooled = compact.render(Scene([], pools=[filled(data)]), camera()).rgba
+    pooled = compact.render(Scene([], pools=[filled_pool(data)]), camera()).rgba
     single = compact.render(Scene([data]), camera()).rgba
     np.testing.assert_allclose(pooled, single, atol=4e-3)
 
@@ -98,9 +98,11 @@ def test_compact_pools_and_quads_are_close(device: Device) -> None:
 def test_a_pool_blends_with_sets_around_it(renderer: Renderer) -> None:
     front_set, back = cloud(200, 7, degree=0), cloud(300, 8, degree=0)
     both = renderer.render(Scene([front_set, back]), camera(), outputs=OUTPUTS)
-    mixed = renderer.render(Scene([front_set], pools=[filled(back)]), camera(), outputs=OUTPUTS)
+    mixed = renderer.render(
+        Scene([front_set], pools=[filled_pool(back)]), camera(), outputs=OUTPUTS
+    )
     assert_equal(mixed, both)
-    scene = Scene([front_set], pools=[filled(back)])
+    scene = Scene([front_set], pools=[filled_pool(back)])
     assert scene.locate(199) == (0, 199)
     assert scene.locate(205) == (1, 5)
     with pytest.raises(IndexError):
@@ -119,7 +121,7 @@ def test_dilated_splats_beside_the_image_are_those_of_a_set(
         rows = single(depth=4.0, opacity=1.0, variance=1e-8).rows.copy()
         rows[:, 0] = 4 * (width + offset - view.cx) / view.fx
         data = SplatData(rows, np.ones((1, 3), np.float32), "sh")
-        pooled = renderer.render(Scene([], pools=[filled(data, count=1)]), view).rgba
+        pooled = renderer.render(Scene([], pools=[filled_pool(data, count=1)]), view).rgba
         expected = renderer.render(Scene([data]), view).rgba
         np.testing.assert_array_equal(pooled, expected)
         actual += bool(expected.any())
@@ -129,7 +131,7 @@ def test_dilated_splats_beside_the_image_are_those_of_a_set(
 @pytest.mark.parametrize("fade", [0.0, 0.3, 1.0])
 def test_fades_multiply_the_opacity_of_their_tile_alone(renderer: Renderer, fade: float) -> None:
     data = cloud(400, 9, degree=0)
-    pool = filled(data, count=2)
+    pool = filled_pool(data, count=2)
     pool.draw({0: fade, 1: 1.0} if fade else {1: 1.0})
     faded = data.rows.copy()
     cut = len(tiles_of(data, 2)[0][0])
@@ -281,7 +283,7 @@ def test_a_flight_through_a_pool_draws_no_frame_twice(
     drawer, plans = Renderer(renderer.device, rasteriser="tiles"), []
     plan = renderers.Plan
     monkeypatch.setattr(renderers, "Plan", lambda *a, **k: plans.append(1) or plan(*a, **k))
-    pool = filled(cloud(700, seed=6, degree=0))
+    pool = filled_pool(cloud(700, seed=6, degree=0))
     for tiles in ([], [0], [0, 1], [0, 1, 2, 3]):
         pool.draw(dict.fromkeys(tiles, 1.0))
         frame = drawer.render(Scene([], pools=[pool]), camera())
@@ -366,7 +368,7 @@ def test_a_culled_slot_has_no_splat_in_the_image(renderer: Renderer) -> None:
         data = cloud(1500, 40 + seed, depth=(-6, 6), size=0.3, degree=0)
         order = np.lexsort((data.rows[:, 2] > 0, data.rows[:, 0] > 0, data.rows[:, 1] > 0))
         sorted_data = SplatData(data.rows[order], data.appearance[order], "sh")
-        pooled = renderer.render(Scene([], pools=[filled(sorted_data, count=9)]), camera())
+        pooled = renderer.render(Scene([], pools=[filled_pool(sorted_data, count=9)]), camera())
         single = renderer.render(Scene([sorted_data]), camera())
         np.testing.assert_array_equal(pooled.rgba, single.rgba)
 

@@ -9,7 +9,7 @@ from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from support.rendering.splat_scenes import SCENES
 
-BEHIND = (0.1, 0.4, 0.7, 0.5)
+BACKGROUND = (0.1, 0.4, 0.7, 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +37,8 @@ def quads(device: Device) -> Renderer:
 )
 def test_quads_agree_with_the_oracle(quads: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
-    frame = quads.render(scene, camera, background=BEHIND)
-    expected = oracle.render(scene, camera, background=BEHIND)
+    frame = quads.render(scene, camera, background=BACKGROUND)
+    expected = oracle.render(scene, camera, background=BACKGROUND)
     error = np.abs(frame.rgba - expected.rgba).max(axis=-1)
     # Where the oracle's pixels are finished, up to a hundredth of the light is still on its way.
     open_still = ~expected.fragile & (expected.rgba[..., 3] < 0.5 + 0.5 * 0.98)

@@ -13,7 +13,7 @@ from support.checkpoints.golden_duplex import BACKDROP, golden_scene, golden_vie
 from support.rendering.splat_scenes import camera, turned
 from support.rendering.weighted_scenes import WEIGHTED, celled, summed
 
-BEHIND = (0.1, 0.4, 0.7, 0.5)
+BACKGROUND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")
 
 
@@ -29,8 +29,8 @@ def published(device: Device) -> Renderer:
 @pytest.mark.parametrize("name", WEIGHTED)
 def test_weighted_sums_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, view_camera = WEIGHTED[name]()
-    frame = renderer.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, view_camera, background=BEHIND)
+    frame = renderer.render(scene, view_camera, background=BACKGROUND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BACKGROUND)
     assert np.isfinite(frame.rgba).all()
     firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert decibels(frame.rgba[firm], expected.rgba[firm]) >= 110
@@ -55,8 +55,8 @@ def test_weighted_sums_agree_with_the_oracle(renderer: Renderer, name: str) -> N
 @pytest.mark.parametrize("name", ["many_cells", "placed_cells", "finished_early"])
 def test_published_backgrounds_agree_with_the_oracle(published: Renderer, name: str) -> None:
     scene, view_camera = WEIGHTED[name]()
-    frame = published.render(scene, view_camera, background=BEHIND)
-    expected = oracle.render(scene, view_camera, background=BEHIND, published=True)
+    frame = published.render(scene, view_camera, background=BACKGROUND)
+    expected = oracle.render(scene, view_camera, background=BACKGROUND, published=True)
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
 
 

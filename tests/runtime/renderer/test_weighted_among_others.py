@@ -13,14 +13,14 @@ from support.rendering.mesh_scenes import wall
 from support.rendering.splat_scenes import camera, cloud, single
 from support.rendering.weighted_scenes import MIXED, WEIGHTED, celled, summed
 
-BEHIND = (0.1, 0.4, 0.7, 0.5)
+BACKGROUND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")
 
 
 def compare(name: str, renderer: Renderer) -> None:
     scene, view_camera = MIXED[name]()
-    frame = renderer.render(scene, view_camera, background=BEHIND, outputs=EVERYTHING)
-    expected = oracle.render(scene, view_camera, background=BEHIND)
+    frame = renderer.render(scene, view_camera, background=BACKGROUND, outputs=EVERYTHING)
+    expected = oracle.render(scene, view_camera, background=BACKGROUND)
     firm, firm_median = ~expected.fragile, ~expected.fragile_median
     assert firm.mean() > 0.6
     error = np.square(frame.rgba - expected.rgba)[firm].mean()
@@ -64,7 +64,7 @@ def test_something_behind_the_camera_changes_nothing(renderer: Renderer) -> None
     sums = summed(celled(80, seed=60))
     unseen = single(depth=-3.0)
     alone, with_sets = (
-        renderer.render(Scene(sets), camera(), background=BEHIND, outputs=EVERYTHING)
+        renderer.render(Scene(sets), camera(), background=BACKGROUND, outputs=EVERYTHING)
         for sets in ([sums], [sums, unseen])
     )
     np.testing.assert_allclose(alone.rgba, with_sets.rgba, atol=1e-6)

@@ -68,10 +68,18 @@ def test_a_flat_camera_shows_the_same_at_its_distance() -> None:
     assert Camera.from_json(flat.to_json()).kind == "orthographic"
     assert flat.flattened(9).fx == flat.fx
     with pytest.raises(SceneInvalid, match=r"camera\.kind: is 'fisheye'"):
-        Camera.from_dict(GOOD | {"kind": "fisheye"})
+        Camera.from_dict(VALID_CAMERA | {"kind": "fisheye"})
 
 
-GOOD = {"view": np.eye(4).tolist(), "fx": 10, "fy": 10, "cx": 5, "cy": 5, "width": 10, "height": 10}
+VALID_CAMERA = {
+    "view": np.eye(4).tolist(),
+    "fx": 10,
+    "fy": 10,
+    "cx": 5,
+    "cy": 5,
+    "width": 10,
+    "height": 10,
+}
 
 
 @pytest.mark.parametrize(
@@ -91,12 +99,14 @@ GOOD = {"view": np.eye(4).tolist(), "fx": 10, "fy": 10, "cx": 5, "cy": 5, "width
 )
 def test_invalid_camera_is_explained(change: dict[str, object], words: str) -> None:
     with pytest.raises(SceneInvalid, match=words):
-        Camera.from_dict(GOOD | change)
+        Camera.from_dict(VALID_CAMERA | change)
 
 
 def test_missing_fields_and_other_json_are_named() -> None:
     with pytest.raises(SceneInvalid, match="lacks fx, cy"):
-        Camera.from_dict({key: GOOD[key] for key in GOOD if key not in ("fx", "cy")})
+        Camera.from_dict(
+            {key: VALID_CAMERA[key] for key in VALID_CAMERA if key not in ("fx", "cy")}
+        )
     with pytest.raises(SceneInvalid, match="is a list, expected an object"):
         Camera.from_json("[1]")
     with pytest.raises(SceneInvalid, match="is not valid JSON"):
@@ -128,7 +138,7 @@ def test_camera_options_create_cameras(tmp_path: Path) -> None:
     look_at_view = viewpoint("look-at:0,0,0,0,0,9", fov=30).camera(source, 0, 0)
     np.testing.assert_allclose(look_at_view.view[2], [0, 0, 1, 0], atol=1e-12)
     file = tmp_path / "cameras.json"
-    file.write_text(json.dumps([GOOD, GOOD | {"width": 20}]))
+    file.write_text(json.dumps([VALID_CAMERA, VALID_CAMERA | {"width": 20}]))
     several = viewpoint(str(file))
     assert [several.camera(source, n, 0).width for n in range(3)] == [10, 20, 10]
     assert viewpoint(str(file), width=40).camera(source, 0, 0).fx == 40

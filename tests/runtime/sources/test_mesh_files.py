@@ -25,7 +25,7 @@ PICTURE = np.random.default_rng(1).integers(0, 255, (4, 6, 3), np.uint8)
 
 
 @pytest.fixture(autouse=True)
-def _quiet() -> None:
+def _silence_trimesh_log() -> None:
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 
@@ -45,7 +45,7 @@ def textured(**material: object) -> trimesh.Trimesh:
     return painted(uv=uv, material=PBRMaterial(baseColorTexture=image, **material))
 
 
-def written(path: Path, mesh: trimesh.Trimesh | trimesh.Scene, **options: object) -> Path:
+def write_mesh(path: Path, mesh: trimesh.Trimesh | trimesh.Scene, **options: object) -> Path:
     content = mesh.export(file_type=path.suffix[1:], **options)
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
@@ -53,7 +53,7 @@ def written(path: Path, mesh: trimesh.Trimesh | trimesh.Scene, **options: object
 
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb"])
 def test_mesh_shapes_round_trip(tmp_path: Path, name: str) -> None:
-    path = written(tmp_path / name, painted())
+    path = write_mesh(tmp_path / name, painted())
     assert is_mesh(path)
     (mesh,) = read_mesh(path)
     corners = mesh.data.vertices[mesh.data.faces] @ mesh.transform[:3, :3].T
@@ -63,7 +63,7 @@ def test_mesh_shapes_round_trip(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.glb"])
 def test_vertex_colors_are_read(tmp_path: Path, name: str) -> None:
-    (mesh,) = read_mesh(written(tmp_path / name, painted(vertex_colors=COLORS)))
+    (mesh,) = read_mesh(write_mesh(tmp_path / name, painted(vertex_colors=COLORS)))
     np.testing.assert_allclose(mesh.data.colors, COLORS[:, :3] / 255, atol=1e-6)
     assert mesh.shading == "unlit"
     assert mesh.data.color_space == ("linear" if name == "a.glb" else "srgb")
@@ -71,20 +71,20 @@ def test_vertex_colors_are_read(tmp_path: Path, name: str) -> None:
 
 def test_face_colors_are_read(tmp_path: Path) -> None:
     colors = np.random.default_rng(3).integers(0, 255, (80, 4), np.uint8)
-    (mesh,) = read_mesh(written(tmp_path / "a.ply", painted(face_colors=colors)))
+    (mesh,) = read_mesh(write_mesh(tmp_path / "a.ply", painted(face_colors=colors)))
     np.testing.assert_allclose(
         mesh.data.colors[mesh.data.faces], np.repeat(colors[:, None, :3], 3, 1) / 255, atol=1e-6
     )
 
 
 def test_uncoloured_mesh_is_grey_and_lit(tmp_path: Path) -> None:
-    (mesh,) = read_mesh(written(tmp_path / "a.stl", painted()))
+    (mesh,) = read_mesh(write_mesh(tmp_path / "a.stl", painted()))
     assert mesh.shading == "headlight"
     assert len(np.unique(mesh.data.colors)) == 1
 
 
 def test_texture_is_multiplied_by_its_factor(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.glb", textured(baseColorFactor=[255, 128, 64, 255]))
+    path = write_mesh(tmp_path / "a.glb", textured(baseColorFactor=[255, 128, 64, 255]))
     (mesh,) = read_mesh(path)
     assert np.array_equal(mesh.data.texture[..., :3], PICTURE)
     assert mesh.data.color_space == "srgb"
@@ -95,7 +95,7 @@ def test_texture_is_multiplied_by_its_factor(tmp_path: Path) -> None:
 
 def test_a_factor_alone_is_linear(tmp_path: Path) -> None:
     original = painted(material=PBRMaterial(baseColorFactor=[255, 128, 64, 255]))
-    (mesh,) = read_mesh(written(tmp_path / "a.glb", original))
+    (mesh,) = read_mesh(write_mesh(tmp_path / "a.glb", original))
     assert mesh.data.color_space == "linear"
     np.testing.assert_allclose(mesh.data.colors[0], np.array([255, 128, 64]) / 255)
 
@@ -126,7 +126,7 @@ def test_nodes_stand_where_they_say_and_share_what_they_show(tmp_path: Path) -> 
     scene.add_geometry(painted(), geom_name="ball", node_name="here")
     scene.graph.update(frame_to="there", matrix=away, geometry="ball")
     scene.add_geometry(textured())
-    actual = read_mesh(written(tmp_path / "a.glb", scene))
+    actual = read_mesh(write_mesh(tmp_path / "a.glb", scene))
     assert len(actual) == 3
     moved = next(entry for entry in actual if entry.transform[0, 3] != 0)
     np.testing.assert_allclose(moved.transform[:3, 3], [-3, -2, 1])
@@ -212,7 +212,7 @@ def test_mutants_end_in_an_error_or_a_mesh(tmp_path: Path) -> None:
         ("stl", painted()),
         ("obj", painted()),
     ):
-        whole = written(tmp_path / f"a.{suffix}", mesh).read_bytes()
+        whole = write_mesh(tmp_path / f"a.{suffix}", mesh).read_bytes()
         for number in range(40):
             mutant = bytearray(whole[: rng.integers(len(whole))] if number % 4 == 0 else whole)
             for _ in range(number % 4):
@@ -229,14 +229,14 @@ def test_mutants_end_in_an_error_or_a_mesh(tmp_path: Path) -> None:
 def test_texture_beyond_the_memory_limit_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = written(tmp_path / "a.glb", textured())
+    path = write_mesh(tmp_path / "a.glb", textured())
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
     with pytest.raises(SceneUnreadable, match="textures: cannot be read for 1 of 1 parts"):
         read_mesh(path)
 
 
 def test_missing_trimesh_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    path = written(tmp_path / "a.ply", painted())
+    path = write_mesh(tmp_path / "a.ply", painted())
     monkeypatch.setitem(sys.modules, "trimesh", None)
     assert is_mesh(path)
     with pytest.raises(SceneInvalid, match=r"trimesh, which is not installed\n.*runtime"):

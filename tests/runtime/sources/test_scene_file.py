@@ -25,7 +25,7 @@ from gsgen.runtime.sources.scene_file import is_scene_file, open_scene, read_sce
 from support.commands import gsgen_here
 from support.rendering.splat_scenes import camera, cloud, turned
 
-SMALL = ("--width", "48", "--height", "32")
+SMALL_SIZE_ARGS = ("--width", "48", "--height", "32")
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_render_command_draws_a_scene_file(folder: Path, tmp_path: Path) -> None
         background="#102030",
     )
     out = tmp_path / "out.png"
-    completed = gsgen_here("render", str(path), "-o", str(out), *SMALL, "--json")
+    completed = gsgen_here("render", str(path), "-o", str(out), *SMALL_SIZE_ARGS, "--json")
     assert completed.code == 0, completed.err
     expected_message = json.loads(completed.out)
     assert (expected_message["gaussians"], expected_message["triangles"]) == (60, 80)

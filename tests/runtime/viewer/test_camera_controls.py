@@ -19,7 +19,7 @@ def controls(camera: Camera | None = None) -> Controls:
     return Controls(camera or orbit(azimuth=20, elevation=10), UP, CENTER, 1.0)
 
 
-def seen(camera: Camera, point: np.ndarray) -> np.ndarray:
+def project_point(camera: Camera, point: np.ndarray) -> np.ndarray:
     x, y, z = camera.view[:3, :3] @ point + camera.view[:3, 3]
     return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
 
@@ -54,9 +54,11 @@ def test_near_points_follow_the_pointer(drag: tuple[int, int]) -> None:
     near, eye = toward(before, 0.4), before.eye
     controller.orbit(*drag)
     after = controller.camera(*SIZE)
-    moved = seen(after, near) - seen(before, near)
+    moved = project_point(after, near) - project_point(before, near)
     assert moved @ drag > 0
-    np.testing.assert_allclose(seen(after, CENTER), seen(before, CENTER), atol=1e-9)
+    np.testing.assert_allclose(
+        project_point(after, CENTER), project_point(before, CENTER), atol=1e-9
+    )
     assert np.linalg.norm(after.eye - CENTER) == pytest.approx(np.linalg.norm(eye - CENTER))
 
 
@@ -67,7 +69,7 @@ def test_looking_around_keeps_the_eye_position(drag: tuple[int, int]) -> None:
     controller.look(*drag)
     after = controller.camera(*SIZE)
     np.testing.assert_allclose(after.eye, before.eye, atol=1e-9)
-    assert (seen(after, CENTER) - seen(before, CENTER)) @ drag > 0
+    assert (project_point(after, CENTER) - project_point(before, CENTER)) @ drag > 0
 
 
 def test_panning_keeps_the_grasped_point_under_the_pointer() -> None:
@@ -75,7 +77,9 @@ def test_panning_keeps_the_grasped_point_under_the_pointer() -> None:
     before = controller.camera(*SIZE)
     controller.pan(17, -9, *SIZE)
     after = controller.camera(*SIZE)
-    np.testing.assert_allclose(seen(after, CENTER) - seen(before, CENTER), [17, -9], atol=1e-9)
+    np.testing.assert_allclose(
+        project_point(after, CENTER) - project_point(before, CENTER), [17, -9], atol=1e-9
+    )
 
 
 def test_no_drag_goes_over_the_pole_or_wears_the_rotation_out() -> None:
@@ -152,7 +156,9 @@ def test_focus_turns_to_a_point_and_then_around_it() -> None:
     controller.focus(point)
     np.testing.assert_allclose(controller.eye, eye, atol=1e-9)
     for _ in range(2):
-        np.testing.assert_allclose(seen(controller.camera(*SIZE), point), [160, 90], atol=1e-6)
+        np.testing.assert_allclose(
+            project_point(controller.camera(*SIZE), point), [160, 90], atol=1e-6
+        )
         controller.orbit(40, 25)
 
 
@@ -165,7 +171,7 @@ def test_framing_centres_the_scene_and_reset_restores_the_camera() -> None:
     controller.frame()
     camera = controller.camera(*SIZE)
     np.testing.assert_allclose(camera.view[:3, :3], turn)
-    np.testing.assert_allclose(seen(camera, CENTER), [160, 90], atol=1e-9)
+    np.testing.assert_allclose(project_point(camera, CENTER), [160, 90], atol=1e-9)
     distance = np.linalg.norm(camera.eye - CENTER)
     assert 90 / camera.fy == pytest.approx(np.tan(np.arcsin(1 / distance)))
     controller.reset()

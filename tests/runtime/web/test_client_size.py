@@ -4,11 +4,11 @@ import gzip
 from importlib.resources import files
 
 _CLIENT = files("gsgen.runtime.web").joinpath("client")
-_WRITTEN = {"contract_rules.js", "element_markup.js"}  # by `make web`
+_GENERATED_FILES = {"contract_rules.js", "element_markup.js"}  # by `make web`
 _TEXTS = [
     file.read_text("utf-8")
     for file in _CLIENT.iterdir()
-    if file.name.endswith(".js") and file.name not in _WRITTEN
+    if file.name.endswith(".js") and file.name not in _GENERATED_FILES
 ]
 _MARKUP = _CLIENT.joinpath("element_markup.js").read_text("utf-8")
 

@@ -152,7 +152,7 @@ class Reading:
         return buffer, self.rounded(offset, page), buffer[1] if size is None else size
 
 
-OF_SLOTS = ("table", "seen", "dispatch")
+SLOT_ARGUMENTS = ("table", "seen", "dispatch")
 
 
 def buffer_of(buffer: Any) -> tuple[Any, ...]:
@@ -166,7 +166,7 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
         slots |= {page.rows: ("rows", slot), page.appearance: ("appearance", slot)}
         slots |= {page.cells: ("cells", slot)}
         if page.slots is not None:
-            slots |= {getattr(page.slots, name): (name, slot) for name in OF_SLOTS}
+            slots |= {getattr(page.slots, name): (name, slot) for name in SLOT_ARGUMENTS}
 
     def groups_of(groups: Any) -> Any:
         if len(groups) != 2:
@@ -282,7 +282,7 @@ def test_formulas_of_pools_give_the_buffers_and_dispatches_of_python(
     for (kind, count), page in zip(pools, pages[len(kinds) :], strict=True):
         assert page.slots is not None
         buffers = {"rows": page.rows, "appearance": page.appearance}
-        buffers |= {name: getattr(page.slots, name) for name in OF_SLOTS}
+        buffers |= {name: getattr(page.slots, name) for name in SLOT_ARGUMENTS}
         assert buffers.keys() == document["pools"][pool_kind(kind)].keys()
         for name, buffer in buffers.items():
             described_buffer = reading.page_buffer(pool_kind(kind), name, {"slots": count})

@@ -31,7 +31,7 @@ class Plain(torch.nn.Module):
 
 
 INPUTS = [inputs.time(), inputs.control("bright", range=(0, 1), default=0.5)]
-NAMED = {
+OUTPUT_MAPPING = {
     "position": "xyz",
     "opacity": lambda made: torch.sigmoid(made["logits"]),
     "scale": lambda made: made["log_scales"].exp(),
@@ -59,7 +59,7 @@ def check(result: Gaussians, module: Plain) -> None:
 
 def test_a_module_that_returns_a_dict_is_wrapped_and_exported(tmp_path: Path) -> None:
     module = Plain()
-    generator = wrap(module, inputs=INPUTS, outputs=NAMED, family="4d")
+    generator = wrap(module, inputs=INPUTS, outputs=OUTPUT_MAPPING, family="4d")
     check(first(generator), module)
     exported = export(generator, tmp_path / "m.onnx")
     assert exported.parity.holds
@@ -68,7 +68,7 @@ def test_a_module_that_returns_a_dict_is_wrapped_and_exported(tmp_path: Path) ->
 
 
 def test_attributes_and_positions_are_found() -> None:
-    by_attribute = NAMED | {
+    by_attribute = OUTPUT_MAPPING | {
         "opacity": lambda result: torch.sigmoid(result.logits),
         "scale": lambda result: result.log_scales.exp(),
     }
@@ -87,15 +87,15 @@ def test_attributes_and_positions_are_found() -> None:
 
 def test_inputs_are_passed_by_name_where_asked() -> None:
     module = Plain()
-    swapped = wrap(module, inputs=INPUTS[::-1], outputs=NAMED, by_name=True)
+    swapped = wrap(module, inputs=INPUTS[::-1], outputs=OUTPUT_MAPPING, by_name=True)
     with torch.no_grad():
         result = swapped(torch.full((1,), 0.25), torch.full((1,), 0.5))
     check(result, module)
 
 
 def test_wrapped_modules_do_not_share_declarations() -> None:
-    a = wrap(Plain(), inputs=INPUTS, outputs=NAMED, depends_on={"time": True})
-    b = wrap(Plain(), inputs=INPUTS[:1], outputs=NAMED)
+    a = wrap(Plain(), inputs=INPUTS, outputs=OUTPUT_MAPPING, depends_on={"time": True})
+    b = wrap(Plain(), inputs=INPUTS[:1], outputs=OUTPUT_MAPPING)
     assert (len(a.inputs), len(b.inputs)) == (2, 1)
     assert (a.depends_on, b.depends_on) == ({"time": True}, {})
 
@@ -106,13 +106,13 @@ def test_wrapped_modules_do_not_share_declarations() -> None:
         ({"positions": "xyz", "opacity": "a"}, UnknownName, "Did you mean 'position'?"),
         ({"opacity": "a"}, GeneratorInvalid, "'position' is missing"),
         (
-            NAMED | {"position": "means"},
+            OUTPUT_MAPPING | {"position": "means"},
             GeneratorInvalid,
             "Plain returns a dict of 'xyz', 'logits', 'log_scales', 'quats', 'colors', "
             "which has no 'means'",
         ),
-        (NAMED | {"position": 0}, GeneratorInvalid, "outputs['position'] = 0"),
-        (NAMED | {"rgb": lambda result: 3}, GeneratorInvalid, "is int, expected a tensor"),
+        (OUTPUT_MAPPING | {"position": 0}, GeneratorInvalid, "outputs['position'] = 0"),
+        (OUTPUT_MAPPING | {"rgb": lambda result: 3}, GeneratorInvalid, "is int, expected a tensor"),
     ],
 )
 def test_a_field_that_is_not_there_is_named(
@@ -126,4 +126,4 @@ def test_a_field_that_is_not_there_is_named(
 def test_a_position_beyond_a_tuple_is_named() -> None:
     module = Plain(lambda **parts: tuple(parts.values()))
     with pytest.raises(GeneratorInvalid, match="returns 5 values, which has no 7"):
-        first(wrap(module, inputs=INPUTS, outputs=NAMED | {"position": 7}))
+        first(wrap(module, inputs=INPUTS, outputs=OUTPUT_MAPPING | {"position": 7}))

@@ -8,13 +8,13 @@ import pytest
 from gsgen.sdk.binding import FrameSession, RunFailed, Stop
 from support.models.endless import endless
 
-SOON = 0.2
+MAX_SECONDS = 0.2
 
 
 def test_a_run_is_ended_and_the_session_goes_on(tmp_path: Path) -> None:
     stop = Stop()
     with FrameSession(endless(tmp_path, after=0.5), provider="cpu", stop=stop) as session:
-        threading.Timer(SOON, stop.now).start()
+        threading.Timer(MAX_SECONDS, stop.now).start()
         with pytest.raises(RunFailed, match="terminate flag"):
             session.run({"time": 1.0})
         with pytest.raises(RunFailed, match="terminate flag"):
@@ -25,6 +25,6 @@ def test_a_run_is_ended_and_the_session_goes_on(tmp_path: Path) -> None:
 
 def test_a_session_that_never_opens_is_ended(tmp_path: Path) -> None:
     stop = Stop()
-    threading.Timer(SOON, stop.now).start()
+    threading.Timer(MAX_SECONDS, stop.now).start()
     with pytest.raises(RunFailed, match="terminate flag"):
         FrameSession(endless(tmp_path, after=-1.0), provider="cpu", stop=stop)

@@ -19,7 +19,7 @@ from gsgen.sdk.binding.buffers import DeviceBuffer
 from support.models.small_models import good_rows, moving, save, save_moving
 from support.passes import parsed
 
-BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
+BOTH_PROVIDERS = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
 DTYPES = pytest.mark.parametrize("dtype", ["float32", "float16"])
 TOLERANCE = {"float32": 1e-6, "float16": 1e-3}
 
@@ -46,7 +46,7 @@ def test_a_prompt_shows_the_names_of_a_frame_s_outputs(models):
     assert "gaussians" in repr(frame)
 
 
-@BOTH
+@BOTH_PROVIDERS
 @DTYPES
 def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):
     weights = {
@@ -65,7 +65,7 @@ def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):
             assert actual.sh.shape == (5, 1, 3)
 
 
-@BOTH
+@BOTH_PROVIDERS
 @pytest.mark.parametrize("model", ["look-float32", "look-float16", "look-row"])
 def test_a_camera_is_laid_out_as_the_manifest_declares(provider, model, models):
     order = "row" if model == "look-row" else "column"
@@ -83,7 +83,7 @@ def test_a_camera_is_laid_out_as_the_manifest_declares(provider, model, models):
                 np.testing.assert_allclose(frame.gaussians().opacity, expected, atol=2e-3)
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_rows_behind_the_count_are_left_out(provider, tmp_path):
     path = save_moving(tmp_path / "a.onnx", good_rows(20), live=7)
     with FrameSession(path, provider=provider) as session:
@@ -96,7 +96,7 @@ def test_rows_behind_the_count_are_left_out(provider, tmp_path):
         assert list(frame) == ["gaussians", "color", "num_points"]
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_inputs_keep_their_value_until_they_are_updated(provider, models):
     with FrameSession(models["drift-float32"], provider=provider) as session:
         initial = session.run(copy=True)["gaussians"]  # the default is 0
@@ -108,7 +108,7 @@ def test_inputs_keep_their_value_until_they_are_updated(provider, models):
         np.testing.assert_array_equal(session.run()["gaussians"], initial)
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_frame_expires_after_the_next_unless_copied(provider, models):
     with FrameSession(models["drift-float32"], provider=provider) as session:
         lent_frame, retained = session.run({"time": 0}), session.run({"time": 1}, copy=True)
@@ -126,7 +126,7 @@ def test_frame_expires_after_the_next_unless_copied(provider, models):
         assert set(retained) == {"gaussians", "color", "num_points"}
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_outputs_keep_their_addresses(provider, models):
     """Nothing is allocated a frame: arrays are the same memory, and so are handles."""
     with FrameSession(models["drift-float32"], provider=provider) as session:
@@ -205,7 +205,7 @@ def test_a_session_that_nobody_closes_ends_well(models):
     assert (completed.returncode, completed.stdout) == (0, "5\n"), completed.stderr
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_models_of_other_kinds_run_too(provider, tmp_path):
     darken().write(tmp_path / "a.onnx")
     image = np.random.default_rng(1).random((1, 3, 8, 12), np.float32)
@@ -231,7 +231,7 @@ def test_a_run_that_fails_says_so_and_spoils_the_frame_before(models, monkeypatc
         assert session.run().count == 5
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_an_output_that_is_an_input_holds_what_was_fed(provider, tmp_path):
     text = "g (float[2] x) => (float[2] y, float[2] x) <float two = {2}> { y = Mul (x, two) }"
     ir.save(parsed(text), tmp_path / "m.onnx")
@@ -242,7 +242,7 @@ def test_an_output_that_is_an_input_holds_what_was_fed(provider, tmp_path):
             np.testing.assert_array_equal(frame["y"], np.multiply(fed, 2))
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_an_output_whose_size_depends_on_values_says_so(provider, tmp_path):
     """Its buffer was made for the first frame; ONNX Runtime's own words would name no output."""
     text = (
@@ -261,7 +261,7 @@ def test_an_output_whose_size_depends_on_values_says_so(provider, tmp_path):
         assert session.run({"t": 0})["y"].shape == (0, 2)
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_an_update_says_which_inputs_changed(provider, models):
     with FrameSession(models["drift-float32"], provider=provider, capture=False) as session:
         assert session.update({"time": 0.5}) == {"time"}

@@ -17,7 +17,7 @@ from gsgen.sdk.binding.camera_inputs import camera_values, pinhole_projection
 from gsgen.sdk.binding.input_binding import InputBinding, default_tensor
 from support.models.small_models import HEAD, good_rows, moving, save
 
-WAYS = (
+DECLARED_INPUTS = (
     Input(name="a", role="control", shape=(1,), range=(0, 1), default=0.25),
     Input(name="b", role="control", shape=(1,), range=(0, 1), default=0.5),
     Input(name="index", role="frame_index", shape=(1,), range=(0, 9)),
@@ -33,7 +33,9 @@ def session(tmp_path_factory):
         "shift = Add (row, sum)"
     )
     text = "float[1] a, float[1] b, int32[1] index, float[1,3] pose"
-    input_driven_model(text, WAYS, shift).with_weights(zero=np.zeros(1, np.int64)).write(path)
+    input_driven_model(text, DECLARED_INPUTS, shift).with_weights(zero=np.zeros(1, np.int64)).write(
+        path
+    )
     with FrameSession(path, provider="cpu") as frame_session:
         yield frame_session
 

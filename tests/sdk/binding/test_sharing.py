@@ -9,10 +9,10 @@ import pytest
 
 from gsgen.sdk.binding import FrameSession, SessionClosed
 
-BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
+BOTH_PROVIDERS = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_threads_get_the_frame_that_they_asked_for(provider, models):
     """Two sessions with three threads each: every frame fits the time that was asked for."""
     path, wrong, done = models["drift-float32"], [], []
@@ -43,7 +43,7 @@ def test_threads_get_the_frame_that_they_asked_for(provider, models):
     assert (len(done), wrong) == (120, [])
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_a_closed_session_says_so(provider, models):
     session = FrameSession(models["drift-float32"], provider=provider)
     frame, retained = session.run({"time": 0}), session.run({"time": 0}, copy=True)
@@ -72,7 +72,7 @@ def test_a_closed_session_says_so(provider, models):
     assert len(retained.gaussians()) == 5  # what was copied outlives the session
 
 
-@BOTH
+@BOTH_PROVIDERS
 def test_closing_releases_the_session_of_onnx_runtime(provider, models):
     session = FrameSession(models["drift-float32"], provider=provider)
     bound = session._ready.bound

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 
 EVERY_RELEASE = RewriteTarget.of(load_target("core"))
-NEWEST = replace(
+NEWEST_RELEASE = replace(
     EVERY_RELEASE, tables=tuple(t for t in EVERY_RELEASE.tables if "ep-webgpu" in t.runtime)
 )
 NOTES = {"LowPrecision": "autocast"}
@@ -37,11 +37,11 @@ def test_there_are_forty_modules_of_which_at_most_four_are_refused() -> None:
 def test_a_module_is_exported_with_parity_and_has_kernels_that_are_captured(
     module: type[Cloud], tmp_path: Path
 ) -> None:
-    assert len(NEWEST.tables) == 1
+    assert len(NEWEST_RELEASE.tables) == 1
     result = export(module(), tmp_path / "m.onnx", settings=STATIC, verify="quick")
     assert result.parity.holds
     assert result.parity.probes >= 2
-    assert graph_stats(result.path, NEWEST).uncaptured == ()
+    assert graph_stats(result.path, NEWEST_RELEASE).uncaptured == ()
     note = NOTES.get(module.__name__)
     assert (len(result.notes) == 1 and note in result.notes[0]) if note else result.notes == ()
 

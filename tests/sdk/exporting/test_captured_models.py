@@ -28,7 +28,7 @@ from support.models.traced import traced
 pytestmark = pytest.mark.slow
 
 
-LIVE = Settings(level=Level.LIVE, target=load_target("webgpu"))
+LIVE_SETTINGS = Settings(level=Level.LIVE, target=load_target("webgpu"))
 
 # Each with its number of Gaussians, and the degree of its SH.
 GENERATORS = {
@@ -109,7 +109,7 @@ def test_every_node_of_a_rewritten_model_has_a_kernel_in_every_release(
 def test_a_rewritten_model_is_captured_and_replayed_live(
     name: str, rewritten: dict[str, Case]
 ) -> None:
-    report = validate(rewritten[name].path, LIVE)
+    report = validate(rewritten[name].path, LIVE_SETTINGS)
     assert_captured(report)
     assert report.environment["capture"].startswith("accepted, ")
 

@@ -17,7 +17,7 @@ from gsgen.sdk.exporting.repair import RepairRequest, repair
 from support.commands import gsgen_here
 
 
-def emitted(path: Path, **inputs: np.ndarray) -> dict[str, np.ndarray]:
+def run_model(path: Path, **inputs: np.ndarray) -> dict[str, np.ndarray]:
     session = onnxruntime.InferenceSession(path)
     names = [output.name for output in session.get_outputs()]
     return dict(zip(names, session.run(names, inputs), strict=True))
@@ -45,7 +45,7 @@ def test_unambiguous_faults_are_repaired_and_listed(tmp_path: Path, name: str, r
 def test_live_rows_keep_their_bits(tmp_path: Path) -> None:
     source = find("opaque_padding").write(tmp_path)
     repair(source, tmp_path / "fixed.onnx")
-    old, new = emitted(source), emitted(tmp_path / "fixed.onnx")
+    old, new = run_model(source), run_model(tmp_path / "fixed.onnx")
     (count,) = next(value for value in old.values() if value.ndim == 1)
     for name, value in old.items():
         if value.ndim == 2:
@@ -56,8 +56,8 @@ def test_live_rows_keep_their_bits(tmp_path: Path) -> None:
 def test_padding_a_colour_adds_a_channel_of_ones(tmp_path: Path) -> None:
     source = find("rgb3_float16").write(tmp_path)
     repair(source, tmp_path / "fixed.onnx")
-    name = next(n for n, v in emitted(source).items() if v.ndim == 2 and v.shape[1] == 3)
-    old, new = emitted(source)[name], emitted(tmp_path / "fixed.onnx")[name]
+    name = next(n for n, v in run_model(source).items() if v.ndim == 2 and v.shape[1] == 3)
+    old, new = run_model(source)[name], run_model(tmp_path / "fixed.onnx")[name]
     assert new.dtype == np.float16
     np.testing.assert_array_equal(new[:, :3], old)
     assert (new[:, 3] == 1).all()
@@ -70,9 +70,9 @@ def test_the_order_of_sh_is_changed_on_request_only(tmp_path: Path) -> None:
     assert not (tmp_path / "fixed.onnx").exists()
     done = repair(source, tmp_path / "fixed.onnx", RepairRequest(channel_major=True))
     assert done.after.findings == ()
-    (old,) = (v for v in emitted(source).values() if v.ndim == 2 and v.shape[1] == 48)
+    (old,) = (v for v in run_model(source).values() if v.ndim == 2 and v.shape[1] == 48)
     (new,) = (
-        v for v in emitted(tmp_path / "fixed.onnx").values() if v.ndim == 2 and v.shape[1] == 48
+        v for v in run_model(tmp_path / "fixed.onnx").values() if v.ndim == 2 and v.shape[1] == 48
     )
     np.testing.assert_array_equal(new.reshape(-1, 16, 3).transpose(0, 2, 1).reshape(-1, 48), old)
 
@@ -96,7 +96,7 @@ def test_a_symbol_gets_the_size_that_is_given(tmp_path: Path) -> None:
         if dim.dim_param
     }
     assert symbols
-    sizes = dict.fromkeys(symbols, emitted(source)["gaussians"].shape[0])
+    sizes = dict.fromkeys(symbols, run_model(source)["gaussians"].shape[0])
     done = repair(source, tmp_path / "fixed.onnx", RepairRequest(sizes=sizes))
     assert done.after.findings == ()
 

@@ -11,7 +11,7 @@ from gsgen.sdk import Cells, Gaussians, GeneratorInvalid, export, math
 from gsgen.sdk.exporting.source_checks import check_gaussians
 from support.models.generators import Drift
 
-_NONE = torch.zeros(8, 4)
+_ZERO_QUATERNIONS = torch.zeros(8, 4)
 
 
 def scene(**changes: Tensor | Cells) -> Gaussians:
@@ -66,7 +66,7 @@ def test_cells_are_checked_as_gaussians_are() -> None:
 
 def test_quaternions_of_zeros_are_refused() -> None:
     with pytest.raises(GeneratorInvalid) as caught:
-        check_gaussians(scene(rotation=_NONE), 8, "time=0")
+        check_gaussians(scene(rotation=_ZERO_QUATERNIONS), 8, "time=0")
     assert caught.value.where == "Gaussians.rotation"
     assert "norm 0 in 8 of 8 visible rows at 'time=0'; expected unit quaternions (w, x, y, z)" in (
         str(caught.value)

@@ -19,14 +19,14 @@ from support.models.generators import Drift, Growing, Lit, Skinned
 LINES = Path(hazards.__file__).read_text("utf-8").splitlines()
 
 
-def guilty_line(kind: type[Drift]) -> str:
+def hazard_line(kind: type[Drift]) -> str:
     start = LINES.index(f"class {kind.__name__}(Drift):")
     number = next(n for n in range(start, len(LINES)) if "# guilty" in LINES[n])
     return f"hazards.py:{number + 1} ({LINES[number].strip()})"
 
 
 # What is seen while the module runs, and what comes of its export.
-SEEN = {
+EXPECTED_HAZARDS = {
     hazards.Branches: "branch",
     hazards.BranchesOnItem: "number",
     hazards.GoesThroughNumpy: "numpy",
@@ -37,7 +37,7 @@ SEEN = {
     hazards.DrawsNumbers: "random",
     hazards.RebuiltFromFloats: "number",
 }
-REFUSED = {
+REFUSED_HAZARDS = {
     hazards.Branches: (ExportFailed, "torch.where(condition, a, b)"),
     hazards.GoesThroughNumpy: (ExportFailed, "torch function of the same name"),
     hazards.IndexesByMask: (ExportFailed, "gsgen.sdk.math.keep_rows"),
@@ -47,14 +47,14 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("kind", SEEN, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", EXPECTED_HAZARDS, ids=lambda kind: kind.__name__)
 def test_a_hazard_is_seen_with_its_line_while_the_module_runs(kind: type[Drift]) -> None:
     module, time = kind().eval(), torch.full((1,), 0.2)
     with torch.no_grad(), Watch(module, [time]) as watch:
         module(time)
-    line = guilty_line(kind)
+    line = hazard_line(kind)
     actual = [hazard for hazard in watch.hazards if hazard.where.endswith(line)]
-    assert [entry.kind for entry in actual] == [SEEN[kind]]
+    assert [entry.kind for entry in actual] == [EXPECTED_HAZARDS[kind]]
 
 
 @pytest.mark.parametrize("kind", [Drift, Lit, Growing, Skinned])
@@ -89,14 +89,14 @@ def test_module_state_is_restored_after_a_run(kind: type[Drift]) -> None:
         assert not torch.equal(module(time * 0.5).position, first)
 
 
-@pytest.mark.parametrize("kind", REFUSED, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", REFUSED_HAZARDS, ids=lambda kind: kind.__name__)
 def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
     tmp_path: Path, kind: type[Drift], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    error_type, hint = REFUSED[kind]
+    error_type, hint = REFUSED_HAZARDS[kind]
     with pytest.raises(error_type) as caught:
         export(kind(), tmp_path / "m.onnx")
-    assert guilty_line(kind) in str(caught.value)
+    assert hazard_line(kind) in str(caught.value)
     assert hint in caught.value.hint
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")  # torch prints graphs of what it gives up
@@ -115,7 +115,7 @@ MANIFEST = GeneratorManifest(name="m", outputs=GeneratorOutputs(), inputs=tuple(
 PROBES = [Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.4, 1.0)]
 
 
-def explained(module: Drift, *, frozen: bool = False, rewritten: bool = True) -> tuple[str, str]:
+def export_error(module: Drift, *, frozen: bool = False, rewritten: bool = True) -> tuple[str, str]:
     """Explain a model that always emits its first frame, or one that follows."""
 
     def run(probes: list[Probe]) -> list[ModelOutput]:
@@ -129,18 +129,18 @@ def explained(module: Drift, *, frozen: bool = False, rewritten: bool = True) ->
 
 
 def test_an_input_that_lost_its_effect_is_named() -> None:
-    reason, hint = explained(Drift(), frozen=True)
+    reason, hint = export_error(Drift(), frozen=True)
     assert reason == "; time has no effect in the model"
     assert "outside of torch" in hint
-    assert explained(Drift()) == ("", hint)
+    assert export_error(Drift()) == ("", hint)
 
 
 def test_a_result_that_changes_by_itself_is_named() -> None:
-    assert "another result for the same inputs" in explained(hazards.ReadsAClock())[1]
+    assert "another result for the same inputs" in export_error(hazards.ReadsAClock())[1]
 
 
 def test_a_graph_that_was_not_rewritten_is_named() -> None:
-    assert "export with rewrites" in explained(Drift(), rewritten=False)[1]
+    assert "export with rewrites" in export_error(Drift(), rewritten=False)[1]
 
 
 class Raising(Drift):

@@ -34,7 +34,7 @@ from support.models.small_models import (
     weight,
 )
 
-LIVE = Settings(level=Level.LIVE)
+LIVE_SETTINGS = Settings(level=Level.LIVE)
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +57,13 @@ def reason_to_skip(report: Report) -> str:
 
 def test_without_the_package_the_level_is_skipped(good, monkeypatch):
     monkeypatch.setattr(live, "find_spec", lambda name: None)
-    reason = reason_to_skip(validate(good, LIVE))
+    reason = reason_to_skip(validate(good, LIVE_SETTINGS))
     assert reason == "onnxruntime-ep-webgpu is not installed: pip install 'gsgen[live]'"
 
 
 def test_without_an_adapter_the_level_is_skipped(good, monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
-    assert reason_to_skip(validate(good, LIVE)) == (
+    assert reason_to_skip(validate(good, LIVE_SETTINGS)) == (
         "there is no usable WebGPU adapter (Failed to get a WebGPU adapter: No supported adapters)"
         ": install a Vulkan driver, such as mesa-vulkan-drivers 25"
     )
@@ -125,7 +125,7 @@ def test_an_adapter_without_float16_refuses_only_models_that_need_it(half, tmp_p
 
 
 @pytest.fixture
-def behaving(monkeypatch):
+def misbehaving_child(monkeypatch):
     """Let the child be one that misbehaves in a given way."""
 
     def behave(how):
@@ -136,16 +136,16 @@ def behaving(monkeypatch):
     return behave
 
 
-def test_a_provider_that_dies_before_the_model_is_loaded_skips_the_level(good, behaving):
-    behaving("crash at once")
-    assert reason_to_skip(validate(good, LIVE)) == (
+def test_a_provider_that_dies_before_the_model_is_loaded_skips_the_level(good, misbehaving_child):
+    misbehaving_child("crash at once")
+    assert reason_to_skip(validate(good, LIVE_SETTINGS)) == (
         "the WebGPU provider does not start (ended by signal SIGSEGV): run `gsgen doctor`"
     )
 
 
-def test_a_session_that_fell_back_to_the_cpu_is_a_crash_never_a_pass(good, behaving):
-    behaving("fall back")
-    report = validate(good, LIVE)
+def test_a_session_that_fell_back_to_the_cpu_is_a_crash_never_a_pass(good, misbehaving_child):
+    misbehaving_child("fall back")
+    report = validate(good, LIVE_SETTINGS)
     assert report.verdict == "internal-error"
     for rule in CAPTURED:
         assert report.outcome(rule).status == "crashed"
@@ -154,9 +154,9 @@ def test_a_session_that_fell_back_to_the_cpu_is_a_crash_never_a_pass(good, behav
         )
 
 
-def test_a_model_that_kills_the_process_breaks_a_rule(good, behaving):
-    behaving("crash in a replay")
-    report = validate(good, LIVE)
+def test_a_model_that_kills_the_process_breaks_a_rule(good, misbehaving_child):
+    misbehaving_child("crash in a replay")
+    report = validate(good, LIVE_SETTINGS)
     (finding,) = report.findings
     assert (finding.rule, report.verdict) == ("GB017", "invalid")
     assert finding.message.startswith(
@@ -179,7 +179,7 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
     proto.graph.node[1].input[0] = "y"
     proto.graph.initializer.extend(loop.graph.initializer)
     path = save(tmp_path / "a.onnx", proto, manifest_of(5))
-    report = validate(path, replace(LIVE, limits=Limits(seconds=5)))
+    report = validate(path, replace(LIVE_SETTINGS, limits=Limits(seconds=5)))
     assert report.outcome("GV025").status == "pass"
     (finding,) = (finding for finding in report.findings if finding.rule == "GB017")
     assert "(plain session): still running after 5 s" in finding.message
@@ -188,8 +188,8 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 # ---- How outputs are compared ----------------------------------------------------------------
 
 
-def lived(path, *frames, **changes) -> Live:
-    subject = inspect_model(open_model(path), LIVE.target, Limits())
+def live_run(path, *frames, **changes) -> Live:
+    subject = inspect_model(open_model(path), LIVE_SETTINGS.target, Limits())
     result = [Frame(Probe(label=f"probe {k}", inputs={}), *three) for k, three in enumerate(frames)]
     facts = {"nodes": (), "accepted": True, "stop": None} | changes
     return Live(subject=subject, adapter="made up", frames=tuple(result), **facts)
@@ -219,7 +219,7 @@ def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, factor, fiel
     changed = rows.copy()
     changed[row, column] += factor
     same = outputs(rows)
-    actual = list(disagreements(lived(good, (same, same, None), (same, outputs(changed), None))))
+    actual = list(disagreements(live_run(good, (same, same, None), (same, outputs(changed), None))))
     assert [location for location, _, _ in actual] == ([f"field {field}"] if field else [])
     if field:
         assert f"row {row}, " in actual[0][1]
@@ -228,7 +228,7 @@ def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, factor, fiel
 
 def test_another_count_is_a_disagreement(good):
     rows = good_rows(8)
-    actual = list(disagreements(lived(good, (outputs(rows), outputs(rows, 7), None))))
+    actual = list(disagreements(live_run(good, (outputs(rows), outputs(rows, 7), None))))
     assert [location for location, _, _ in actual] == ["field count"]
 
 
@@ -236,7 +236,7 @@ def test_rows_behind_the_count_are_not_compared(good):
     rows = good_rows(8)
     other = rows.copy()
     other[6:] = 0
-    assert not list(disagreements(lived(good, (outputs(rows, 6), outputs(other, 6), None))))
+    assert not list(disagreements(live_run(good, (outputs(rows, 6), outputs(other, 6), None))))
 
 
 def test_one_unit_in_the_last_place_of_float16_is_no_disagreement(good):
@@ -246,7 +246,7 @@ def test_one_unit_in_the_last_place_of_float16_is_no_disagreement(good):
     other[:, :3] = np.nextafter(other[:, :3], np.float16(2))
     color = np.full((8, 4), 0.5, np.float16)
     pair = [outputs(array) | {"color": color} for array in (rows, other)]
-    assert not list(disagreements(lived(good, (*pair, None))))
+    assert not list(disagreements(live_run(good, (*pair, None))))
 
 
 def test_output_undefined_on_the_cpu_is_not_a_stale_replay(good):
@@ -254,7 +254,7 @@ def test_output_undefined_on_the_cpu_is_not_a_stale_replay(good):
     rows[2, 0] = np.nan
     other = rows.copy()
     other[2, 0] = 3
-    assert not list(wrong_replays(lived(good, (outputs(rows), outputs(rows), outputs(other)))))
+    assert not list(wrong_replays(live_run(good, (outputs(rows), outputs(rows), outputs(other)))))
 
 
 def frames_of(original, replayed):
@@ -278,7 +278,7 @@ def frames_of(original, replayed):
     ],
 )
 def test_replays_are_compared_with_plain_runs(good, replayed, how):
-    actual = list(wrong_replays(lived(good, *frames_of((1, 2, 3), replayed))))
+    actual = list(wrong_replays(live_run(good, *frames_of((1, 2, 3), replayed))))
     assert [entry.actual for entry in actual] == ([how] if how else [])
 
 
@@ -309,16 +309,16 @@ def test_offending_operator_is_named(text, expected_message, tmp_path):
         weight(k, v) for k, v in inputs.items() if f"{k}," in text or f" {k})" in text
     )
     path = save(tmp_path / "a.onnx", proto)
-    (wrong_replay,) = wrong_replays(lived(path, *frames_of((1, 2, 3), (1, 1, 1))))
+    (wrong_replay,) = wrong_replays(live_run(path, *frames_of((1, 2, 3), (1, 1, 1))))
     assert wrong_replay.actual == f"repeats frame 0 in all 2 replays; {expected_message}"
 
 
 def test_a_still_output_has_nothing_to_go_stale(good):
-    assert not list(wrong_replays(lived(good, *frames_of((1, 1, 1), (1, 1, 1)))))
+    assert not list(wrong_replays(live_run(good, *frames_of((1, 1, 1), (1, 1, 1)))))
 
 
 def test_node_placement_is_reported_by_name(good):
     nodes = (Node(WEBGPU, "Add", "a"), Node("CPUExecutionProvider", "Round", "r"))
-    assert lived(good, nodes=nodes).nodes[1].name == "r"
-    assert lived(good).state == "accepted, 0 replays"
-    assert lived(good, accepted=False).state == "not tried"
+    assert live_run(good, nodes=nodes).nodes[1].name == "r"
+    assert live_run(good).state == "accepted, 0 replays"
+    assert live_run(good, accepted=False).state == "not tried"

@@ -21,7 +21,7 @@ from gsgen.sdk.live.fixtures import live_fixtures
 from support.models.generators import Drift, Growing, Lit, Skinned
 from support.models.static_scenes import write_scene
 
-LIVE = Settings(level=Level.LIVE)
+LIVE_SETTINGS = Settings(level=Level.LIVE)
 RULES = [rule for rule in installed_rules().rules.values() if rule.level is Level.LIVE]
 DTYPES = ("float32", "float16")
 END = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
@@ -32,13 +32,14 @@ def broken(tmp_path_factory) -> dict[str, Report]:
     """The reports of all examples, by the rule that each breaks."""
     folder = tmp_path_factory.mktemp("broken")
     return {
-        live_fixture.rule: judged(live_fixture.write(folder)) for live_fixture in live_fixtures()
+        live_fixture.rule: validate_live(live_fixture.write(folder))
+        for live_fixture in live_fixtures()
     }
 
 
-def judged(path) -> Report:
+def validate_live(path) -> Report:
     """Judge a model; that it cannot run live here is a fault of this machine, not a reason."""
-    return ran_live(validate(path, LIVE))
+    return ran_live(validate(path, LIVE_SETTINGS))
 
 
 def ran_live(report: Report) -> Report:
@@ -116,7 +117,7 @@ def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end
     weights = {"shape": i64(5, 10), "first": i64(0), "unit": np.ones(1, dtype)}
     used = {name: array for name, array in weights.items() if name in end}
     spec.with_weights(**used).write(tmp_path / "a.onnx")
-    report = judged(tmp_path / "a.onnx")
+    report = validate_live(tmp_path / "a.onnx")
     assert report.outcome("GB016").status == ("fail" if operator else "pass")
     if operator:
         assert f"made by {operator} (node {operator})" in message(report, "GB016")
@@ -126,7 +127,7 @@ def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
     path = tmp_path / "a.onnx"
     spec = drifting_model().replace_text(END, f"{END} clock = Identity (time)")
     replace(spec, outputs=f"{spec.outputs}, float[1] clock").write(path)
-    assert message(judged(path), "GB016").startswith(
+    assert message(validate_live(path), "GB016").startswith(
         "output clock: repeats frame 0 in all 6 replays; made by Identity"
     )
 
@@ -135,12 +136,12 @@ def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
 @pytest.mark.parametrize("draw", [drifting_model, camera_dependent_model])
 def test_moving_models_pass(draw, dtype, tmp_path):
     draw(degree=3, dtype=dtype).write(tmp_path / "a.onnx")
-    passes(judged(tmp_path / "a.onnx"))
+    passes(validate_live(tmp_path / "a.onnx"))
 
 
 def test_a_model_of_images_passes(tmp_path):
     darken().write(tmp_path / "a.onnx")
-    passes(judged(tmp_path / "a.onnx"))
+    passes(validate_live(tmp_path / "a.onnx"))
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -148,7 +149,7 @@ def test_a_static_scene_passes(dtype, tmp_path):
     write_ply(tmp_path / "knot.ply", torus_knot(512))
     scene = from_content(open_splats(tmp_path / "knot.ply"), dtype=dtype)
     write_scene(scene, tmp_path / "a.onnx")
-    report = judged(tmp_path / "a.onnx")
+    report = validate_live(tmp_path / "a.onnx")
     passes(report)
     assert report.environment["capture"] == "accepted, 3 replays"
 
@@ -156,4 +157,4 @@ def test_a_static_scene_passes(dtype, tmp_path):
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("made", [Drift, Lit, Growing, Skinned])
 def test_exported_models_pass(made, dtype, exported):
-    passes(ran_live(validate(exported(made, dtype), LIVE)))
+    passes(ran_live(validate(exported(made, dtype), LIVE_SETTINGS)))

@@ -31,7 +31,7 @@ CORE, WEBGPU = load_target("core"), load_target("webgpu")
 ROUNDED = "g (float[2,3] x) => (float[2,3] y) { r = Round (x) y = Identity (r) }"
 
 
-def written(path: Path, text: str, head: str = HEAD) -> Path:
+def write_model(path: Path, text: str, head: str = HEAD) -> Path:
     path.write_bytes(onnx.parser.parse_model(head + text).SerializeToString())
     return path
 
@@ -71,7 +71,7 @@ def scaling(monkeypatch):
 
 
 def test_a_model_without_a_manifest_is_rewritten_and_compared(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", ROUNDED)
+    source = write_model(tmp_path / "in.onnx", ROUNDED)
     done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
     assert {change.rewrite for change in done.changes} >= {"round-by-floor", "drop-idle"}
     assert [len(array.uncaptured) for array in (done.before, done.after)] == [1, 0]
@@ -94,14 +94,14 @@ def test_a_manifest_stays_and_its_probes_are_run(tmp_path: Path) -> None:
 
 
 def test_nothing_to_do_gives_a_copy_that_computes_the_same(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    source = write_model(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
     done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
     assert done.changes == ()
     assert onnx.load(tmp_path / "out.onnx").graph.node[0].op_type == "Neg"
 
 
 def test_a_dry_run_compares_and_writes_nothing(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", ROUNDED)
+    source = write_model(tmp_path / "in.onnx", ROUNDED)
     done = rewrite_file(source, None, WEBGPU)
     assert done.path is None
     assert done.changes
@@ -109,7 +109,7 @@ def test_a_dry_run_compares_and_writes_nothing(tmp_path: Path) -> None:
 
 
 def test_passes_may_be_chosen_and_skipped(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", ROUNDED)
+    source = write_model(tmp_path / "in.onnx", ROUNDED)
     single_pass = rewrite_file(source, None, WEBGPU, only=["round-by-floor"])
     assert [change.rewrite for change in single_pass.changes] == ["round-by-floor"]
     without_pass = rewrite_file(source, None, WEBGPU, skip=["round-by-floor"])
@@ -124,7 +124,7 @@ def test_functions_and_branches_are_reached(tmp_path: Path) -> None:
         "else_branch = e () => (float[3] b) { b = Neg (x) }> } "
         '<domain: "own", opset_import: ["" : 18]> half (v) => (w) { r = Round (v) w = Abs (r) }'
     )
-    source = written(tmp_path / "in.onnx", text, head)
+    source = write_model(tmp_path / "in.onnx", text, head)
     done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
     loaded = ir.load(tmp_path / "out.onnx")
     assert not loaded.functions
@@ -168,7 +168,7 @@ def test_weights_that_the_source_reads_are_not_replaced(tmp_path: Path) -> None:
 
 def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
     text = "g (float[N,2] x) => (float[N,2] y) { r = Round (x) y = Neg (r) }"
-    source = written(tmp_path / "in.onnx", text)
+    source = write_model(tmp_path / "in.onnx", text)
     assert rewrite_file(source, None, WEBGPU).changes
     rewrite_file(source, tmp_path / "out.onnx", WEBGPU, sizes={"N": 7})
     (x,) = onnx.load(tmp_path / "out.onnx").graph.input
@@ -193,7 +193,7 @@ def test_a_pass_that_changes_more_than_it_declares_writes_nothing(
     factor: float, exactness: ErrorBudget, is_failing: bool, scaling, tmp_path: Path
 ) -> None:
     scaling(factor, exactness)
-    source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    source = write_model(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
     (tmp_path / "out.onnx").write_bytes(b"old")
     if is_failing:
         with pytest.raises(
@@ -223,7 +223,7 @@ def test_a_pass_that_leaves_no_valid_graph_is_found_out(monkeypatch, tmp_path: P
     monkeypatch.setattr(Scale, "matches", lambda _, node: "no_such" not in node.attributes)
     monkeypatch.setattr(Scale, "replace", spoil)
     monkeypatch.setattr(pipeline, "find_rewrites", lambda *_: [Scale()])
-    source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    source = write_model(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
     with pytest.raises(RewriteFailed, match="not well formed"):
         rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
     assert not (tmp_path / "out.onnx").exists()
@@ -231,7 +231,7 @@ def test_a_pass_that_leaves_no_valid_graph_is_found_out(monkeypatch, tmp_path: P
 
 def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
     text = "g (float[3] x, int64[1] s) => (float[N] y) { r = Round (x) y = Reshape (r, s) }"
-    source = written(tmp_path / "in.onnx", text)
+    source = write_model(tmp_path / "in.onnx", text)
     with pytest.raises(
         RewriteFailed, match="before the rewrite does not run in ONNX Runtime at probe"
     ):
@@ -291,7 +291,7 @@ def test_graph_shapes_override_a_mismatched_manifest(tmp_path: Path) -> None:
 
 
 def test_invalid_rewrite_arguments_are_refused(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", ROUNDED)
+    source = write_model(tmp_path / "in.onnx", ROUNDED)
     with pytest.raises(UnknownName, match="unknown pass 'round-by-flor'") as caught:
         rewrite_file(source, None, WEBGPU, only=["round-by-flor"])
     assert "Did you mean 'round-by-floor'?" in str(caught.value)
@@ -326,7 +326,7 @@ def gsgen(*words: str):
 
 
 def test_the_command_reports_what_changed(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", ROUNDED)
+    source = write_model(tmp_path / "in.onnx", ROUNDED)
     completed = gsgen(str(source), "-o", str(tmp_path / "out.onnx"), "--target", "webgpu")
     assert completed.exit_code == 0, completed.output
     assert "round-by-floor: 1× r (Round)" in completed.output
@@ -340,7 +340,7 @@ def test_nan_outputs_are_not_compared(tmp_path: Path) -> None:
         "g (float[2,3] x) => (float[2,3] y) <float zero = {0}> "
         "{ q = Mul (x, zero) n = Div (q, zero) r = Round (n) y = Identity (r) }"
     )
-    words = str(written(tmp_path / "in.onnx", text)), "--dry-run", "--target", "webgpu"
+    words = str(write_model(tmp_path / "in.onnx", text)), "--dry-run", "--target", "webgpu"
     completed = gsgen(*words)
     assert completed.exit_code == 0, completed.output
     assert "nothing differs; y could not be compared" in completed.stdout
@@ -352,7 +352,7 @@ def test_nan_outputs_are_not_compared(tmp_path: Path) -> None:
 
 
 def test_the_command_prints_json(tmp_path: Path) -> None:
-    source = written(tmp_path / "in.onnx", ROUNDED)
+    source = write_model(tmp_path / "in.onnx", ROUNDED)
     completed = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")
     document = json.loads(completed.stdout)
     assert document["path"] is None
@@ -394,7 +394,7 @@ def test_mistaken_command_is_explained(
     words: list[str], code: int, message: str, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    written(tmp_path / "in.onnx", ROUNDED)
+    write_model(tmp_path / "in.onnx", ROUNDED)
     completed = gsgen(*words)
     text = completed.output + str(completed.exception or "")
     assert message in text

@@ -19,7 +19,7 @@ from gsgen.contract.spec.manifest import (
 )
 
 HEAD = '<ir_version: 10, opset_import: ["" : 18]>\n'
-_MOVING = """
+_MOVING_MODEL_TEXT = """
 moving (float[1] time) => (float[ROWS,10] gaussians, float[ROWS,3] color, int32[1] num_points)
 <float[1,10] step = {0.001, 0, 0, 0, 0, 0, 0, 0, 0, 0}, float still = {0}> {
     offset = Mul (time, step)
@@ -55,7 +55,7 @@ def moving(rows: np.ndarray, live: int | None = None) -> ModelProto:
     """A generator whose first column is ``rows[:, 0] + time / 1000``."""
     count = np.array([len(rows) if live is None else live], np.int32)
     colors = np.full((len(rows), 3), 0.5, np.float32)
-    text = _MOVING.replace("ROWS", str(len(rows)))
+    text = _MOVING_MODEL_TEXT.replace("ROWS", str(len(rows)))
     named = {"rows": rows, "colors": colors, "live": count}
     return model(text, *(weight(name, array) for name, array in named.items()))
 

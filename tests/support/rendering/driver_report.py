@@ -22,7 +22,7 @@ from support.rendering.near_ties import NEAR_TIES
 from support.rendering.sorting import GPU, KEYS, Bench, keys_of, scanned
 
 
-def ways(device: Device) -> dict[str, Renderer]:
+def renderers_by_way(device: Device) -> dict[str, Renderer]:
     """Return each way to draw."""
     gpu_like_device = Device(device.raw)
     gpu_like_device.software, gpu_like_device.subgroups = False, False
@@ -111,7 +111,7 @@ def main() -> None:
     golden, *sizes = sys.argv[1:]
     report: dict[str, object] = {"driver": device.name, "software": device.software}
     if golden != "-":
-        report["pictures"] = pictures(drawn := ways(device), Path(golden))
+        report["pictures"] = pictures(drawn := renderers_by_way(device), Path(golden))
         report["disordered"] = disordered(drawn)
         report["unmet"] = unmet(drawn["tiles"])
         report["miscounted"] = miscounted(device)

@@ -30,7 +30,7 @@ def like_gpu(device: Device) -> Device:
     return other
 
 
-def _usual(name: str) -> Callable[[], Case]:
+def _scene_case(name: str) -> Callable[[], Case]:
     return lambda: (*SCENES[name](), 1 << 16)
 
 
@@ -70,7 +70,7 @@ def _in_slots() -> Case:
 
 
 CASES: dict[str, Callable[[], Case]] = {
-    **{name: _usual(name) for name in (
+    **{name: _scene_case(name) for name in (
         "nothing", "one", "many", "crowd", "huge", "needles", "same_depths", "not_finite", "placed",
         "fewer_live_than_rows", "none_live_of_some", "panorama_seam", "panorama_huge",
     )},

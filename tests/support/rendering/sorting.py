@@ -21,7 +21,7 @@ def _depths(n: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(0.01, 1000, n).astype(np.float32).view(np.uint32)
 
 
-def _absent(n: int, rng: np.random.Generator) -> np.ndarray:
+def _mostly_absent_keys(n: int, rng: np.random.Generator) -> np.ndarray:
     keys = rng.integers(0, ABSENT, n, np.uint32)
     keys[rng.random(n) < 0.6] = ABSENT
     return keys
@@ -30,7 +30,7 @@ def _absent(n: int, rng: np.random.Generator) -> np.ndarray:
 KEYS: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {
     "random": lambda n, rng: rng.integers(0, ABSENT, n, np.uint32),
     "depths": _depths,
-    "absent": _absent,
+    "absent": _mostly_absent_keys,
     "few": lambda n, rng: rng.integers(0, 3, n, np.uint32) << np.uint32(20),
     "equal": lambda n, rng: np.full(n, 0x3F800000, np.uint32),
     "reversed": lambda n, rng: np.arange(n, dtype=np.uint32)[::-1] * np.uint32(977),

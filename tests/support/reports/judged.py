@@ -17,7 +17,7 @@ from gsgen.contract.validator import validate
 from support.models.small_models import good_rows, model, save, save_moving
 
 # What other rules say, or need, does not change what is said here.
-_CHOSEN = (
+_FIXTURE_RULES = (
     *("GM001", "GM002", "GM003", "GM004", "GM009", "GI001", "GI002", "GI003", "GI004"),
     *("GI005", "GO001", "GO002", "GO003", "GO005", "GO008", "GG001", "GG002", "GG010"),
     *("GG016", "GG019", "GV001", "GV003", "GV004", "GV005", "GV006", "GV018", "GV025"),
@@ -34,10 +34,11 @@ _WAIVERS = (
 @cache
 def part_of_the_catalogue() -> Registry:
     """The chosen rules, in order of the catalogue; what else they need is left out."""
-    rules = [rule for rule in installed_rules().rules.values() if rule.id in _CHOSEN]
+    rules = [rule for rule in installed_rules().rules.values() if rule.id in _FIXTURE_RULES]
     return Registry.from_rules(
         replace(
-            rule, needs=tuple(needed_rule for needed_rule in rule.needs if needed_rule in _CHOSEN)
+            rule,
+            needs=tuple(needed_rule for needed_rule in rule.needs if needed_rule in _FIXTURE_RULES),
         )
         for rule in rules
     )

@@ -164,7 +164,7 @@ def turned_up(positions: np.ndarray) -> np.ndarray:
     return np.stack([x, -z, y], axis=1)
 
 
-def moved(positions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def moved_positions(positions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     double_precision = np.asarray(matrix, np.longdouble)
     return (
         np.asarray(positions, np.longdouble) @ double_precision[:3, :3].T + double_precision[:3, 3]

@@ -31,7 +31,7 @@ def die_once(path: str) -> str:
     return path
 
 
-def die(number: int) -> int:
+def kill_worker(number: int) -> int:
     if number == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
@@ -67,7 +67,7 @@ def test_a_task_whose_worker_was_killed_is_run_again(engine, tmp_path):
 @pytest.mark.parametrize("engine", ENGINES[1:], indirect=True)
 def test_workers_that_die_again_and_again_end_the_build(engine):
     with open_engine(engine, 1) as running, pytest.raises(EngineFailed, match="died"):
-        list(running.run(die, range(3)))
+        list(running.run(kill_worker, range(3)))
 
 
 def test_unknown_or_missing_engine_is_named(monkeypatch):

@@ -17,7 +17,7 @@ from tiles.cesium.viewer import Viewer, opened_viewer
 pytestmark = pytest.mark.slow
 
 
-_EACH = 1500
+_SPLATS_PER_BLOCK = 1500
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +33,21 @@ def signpost(
     """Green ground, a red tower up (+z), and a blue arrow to the east (+x)."""
     rng = np.random.default_rng(seed)
     ground_points = np.column_stack(
-        [rng.uniform(-1.8, 1.8, (_EACH, 2)), rng.normal(-1.5, 0.02, _EACH)]
+        [rng.uniform(-1.8, 1.8, (_SPLATS_PER_BLOCK, 2)), rng.normal(-1.5, 0.02, _SPLATS_PER_BLOCK)]
     )
-    tower = np.column_stack([rng.normal(0, 0.15, (_EACH, 2)), rng.uniform(-1.4, 1.6, _EACH)])
-    arrow = np.column_stack([rng.uniform(0.2, 1.8, _EACH), rng.normal([0, -1.3], 0.06, (_EACH, 2))])
-    colors = np.repeat([[0.1, 0.8, 0.1], [0.9, 0.1, 0.1], [0.1, 0.2, 1.0]], _EACH, axis=0)
-    count = 3 * _EACH
+    tower = np.column_stack(
+        [rng.normal(0, 0.15, (_SPLATS_PER_BLOCK, 2)), rng.uniform(-1.4, 1.6, _SPLATS_PER_BLOCK)]
+    )
+    arrow = np.column_stack(
+        [
+            rng.uniform(0.2, 1.8, _SPLATS_PER_BLOCK),
+            rng.normal([0, -1.3], 0.06, (_SPLATS_PER_BLOCK, 2)),
+        ]
+    )
+    colors = np.repeat(
+        [[0.1, 0.8, 0.1], [0.9, 0.1, 0.1], [0.1, 0.2, 1.0]], _SPLATS_PER_BLOCK, axis=0
+    )
+    count = 3 * _SPLATS_PER_BLOCK
     sh = np.zeros((count, (degree + 1) ** 2, 3))
     sh[:, 0] = (colors - 0.5) / 0.28209479
     return Splats(
@@ -69,7 +78,7 @@ def test_every_tile_loads_and_the_scene_stands_upright(
     files = {name for name in view_report.loaded if name.endswith(".glb")}
     assert files == {name for name in spec.files if name.endswith(".glb")}
     assert len(files) == tiles
-    assert view_report.splats == leaves * 3 * _EACH
+    assert view_report.splats == leaves * 3 * _SPLATS_PER_BLOCK
     Image.fromarray(view_report.picture).save(tmp_path / "seen.png")
     red, green, blue = np.moveaxis(view_report.picture.astype(int), 2, 0)
     towers = (red > 120) & (green < 90) & (blue < 90)

@@ -126,12 +126,12 @@ def no_content(spec: Any) -> None:
     child["geometricError"] = 0
 
 
-def wide() -> bytes:
+def model_with_wide_bounds() -> bytes:
     bounds = Bounds((-1.5, -1.5, -9.0), (1.5, 1.5, 1.5))
     return drifting_model().with_manifest(bounds=bounds).build().SerializeToString()
 
 
-def leaving() -> bytes:
+def model_leaving_its_bounds() -> bytes:
     """A model whose splats leave its own bounds."""
     bounds = Bounds((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))
     return drifting_model().with_manifest(bounds=bounds).build().SerializeToString()
@@ -144,8 +144,8 @@ def leaving() -> bytes:
         (few_splats, "splats_max"),
         (other_inputs, "time, view"),
         (other_model(b"no model"), "a Gaussian Generator"),
-        (other_model(wide()), "reach 7 out"),
-        (other_model(leaving()), "breaks"),
+        (other_model(model_with_wide_bounds()), "reach 7 out"),
+        (other_model(model_leaving_its_bounds()), "breaks"),
         (other_model(still().build().SerializeToString()), "inputs"),
     ],
     ids=["missing", "splats", "inputs", "bytes", "wide", "leaving", "still"],
@@ -184,7 +184,7 @@ def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path:
     assert report.verdict == "conforms", report.findings
     invalid_tile = _neural()
     on_the_globe(invalid_tile, margin=2.0)
-    other_model(wide())(invalid_tile)
+    other_model(model_with_wide_bounds())(invalid_tile)
     invalid_tile.write(tmp_path / "bad" / "tileset.json")
     (finding,) = validate(tmp_path / "bad" / "tileset.json").findings
     assert finding.rule == "GT020"

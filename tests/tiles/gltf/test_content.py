@@ -27,12 +27,12 @@ SPLAT_ARRAYS = ("position", "rotation", "log_scale", "logit_opacity", "sh")
 CENTER = np.array([1200.5, -340.25, 55.0])
 
 
-def far(count: int = 400, degree: int = 3, seed: int = 0) -> Splats:
+def distant_splats(count: int = 400, degree: int = 3, seed: int = 0) -> Splats:
     splats = scene(count, degree, seed)
     return replace(splats, position=(splats.position + CENTER).astype(np.float32))
 
 
-def read(encoded: EncodedContent) -> PlacedSplats:
+def decode_tile(encoded: EncodedContent) -> PlacedSplats:
     ((splats, matrix),) = decode_content(open_content(encoded.data, "x"), "x")
     return place(splats, Z_UP_FROM_Y_UP @ matrix)
 
@@ -43,8 +43,8 @@ def sigma(splats: Splats) -> np.ndarray:
 
 
 def test_khr_content_returns_the_written_floats() -> None:
-    splats = far()
-    back = read(write_content(splats, CENTER, codec="khr"))
+    splats = distant_splats()
+    back = decode_tile(write_content(splats, CENTER, codec="khr"))
     assert np.abs(back.positions() - splats.position.astype(np.float64)).max() < 2e-4
     assert np.abs(sigma(back.splats) - sigma(splats)).max() < 1e-5 * sigma(splats).max()
     assert np.abs(back.splats.logit_opacity - splats.logit_opacity).max() < 1e-4
@@ -57,8 +57,8 @@ def test_khr_content_returns_the_written_floats() -> None:
 @pytest.mark.parametrize("quality", range(len(QUALITIES)))
 def test_the_box_is_that_of_what_is_stored(codec, quality: int) -> None:
     """Its corners are those of a reader's own 3σ boxes."""
-    encoded = write_content(far(), CENTER, codec=codec, quality=quality)
-    back = read(encoded)
+    encoded = write_content(distant_splats(), CENTER, codec=codec, quality=quality)
+    back = decode_tile(encoded)
     reach = 3 * np.sqrt(np.einsum("nii->ni", sigma(back.splats)))
     assert np.allclose((back.positions() - reach).min(axis=0), encoded.low, atol=2e-4)
     assert np.allclose((back.positions() + reach).max(axis=0), encoded.high, atol=2e-4)
@@ -67,12 +67,12 @@ def test_the_box_is_that_of_what_is_stored(codec, quality: int) -> None:
 
 
 def test_a_lower_quality_is_smaller_and_worse() -> None:
-    splats = far(4000)
+    splats = distant_splats(4000)
     sizes, errors = [], []
     for quality in range(len(QUALITIES)):
         encoded = write_content(splats, CENTER, quality=quality)
         sizes.append(len(encoded.data))
-        errors.append(np.abs(read(encoded).positions() - splats.position).max())
+        errors.append(np.abs(decode_tile(encoded).positions() - splats.position).max())
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] > 1.5 * sizes[-1]
     assert errors == sorted(errors)
@@ -84,7 +84,7 @@ def test_a_lower_quality_is_smaller_and_worse() -> None:
 @pytest.mark.parametrize("quality", range(len(QUALITIES)))
 def test_the_file_is_spz_version_2_as_the_format_says(quality: int) -> None:
     """Read by hand: header, sizes, and the accessors that viewers allocate by."""
-    encoded = write_content(far(degree=2), CENTER, quality=quality)
+    encoded = write_content(distant_splats(degree=2), CENTER, quality=quality)
     size = struct.unpack_from("<I", encoded.data, 12)[0]
     document = json.loads(encoded.data[20 : 20 + size])
     view = document["bufferViews"][0]
@@ -108,7 +108,7 @@ def test_the_file_is_spz_version_2_as_the_format_says(quality: int) -> None:
 
 
 def test_equal_splats_give_equal_bytes() -> None:
-    first, second = (write_content(far(seed=3), CENTER).data for _ in range(2))
+    first, second = (write_content(distant_splats(seed=3), CENTER).data for _ in range(2))
     assert first == second
     assert content_uri(2, (1, 2, 3), first) == content_uri(2, (1, 2, 3), second)
 
@@ -116,12 +116,12 @@ def test_equal_splats_give_equal_bytes() -> None:
 @pytest.mark.parametrize("degree", [0, 2])
 def test_every_row_stays_whole_when_rows_are_reordered(degree: int) -> None:
     """Any order of the input has the same rows; without harmonics, the same bytes."""
-    splats = far(300, degree)
+    splats = distant_splats(300, degree)
     reverse = Splats(**{name: getattr(splats, name)[::-1].copy() for name in SPLAT_ARRAYS})
     first, second = (write_content(order, CENTER) for order in (splats, reverse))
     assert (first.data == second.data) is (degree == 0)
     for encoded in (first, second):
-        back = read(encoded)
+        back = decode_tile(encoded)
         distances = np.abs(back.positions()[:, None] - splats.position[None]).max(axis=2)
         source = distances.argmin(axis=1)
         assert sorted(source) == list(range(300))
@@ -138,7 +138,7 @@ def test_rows_without_harmonics_are_packed_in_fewer_bytes() -> None:
     rng = np.random.default_rng(5)
     wall = np.column_stack([rng.uniform(-9, 9, (4000, 2)), np.zeros(4000)]) + CENTER
     splats = replace(
-        far(4000, 0),
+        distant_splats(4000, 0),
         position=wall.astype(np.float32),
         log_scale=np.full((4000, 3), -2.0, np.float32),
     )
@@ -156,23 +156,23 @@ def test_rows_without_harmonics_are_packed_in_fewer_bytes() -> None:
 
 def test_content_that_cannot_be_encoded_is_refused() -> None:
     with pytest.raises(ValueInvalid):
-        write_content(far(1), np.array([1e9, 0, 0]))
+        write_content(distant_splats(1), np.array([1e9, 0, 0]))
     with pytest.raises(ValueInvalid):
-        write_content(far(1), CENTER, quality=5)
+        write_content(distant_splats(1), CENTER, quality=5)
     empty = scene(0, 0)
     with pytest.raises(ValueInvalid):
         write_content(empty, CENTER)
 
 
 def test_degree_four_is_cut_to_three() -> None:
-    assert write_content(far(5, degree=4), CENTER).sh_degree == 3
+    assert write_content(distant_splats(5, degree=4), CENTER).sh_degree == 3
 
 
 def test_visible_splats_stay_visible() -> None:
     """No opacity above half a step of the finest becomes zero."""
-    splats = replace(far(300), logit_opacity=np.full(300, -5.3, np.float32))  # 0.005
+    splats = replace(distant_splats(300), logit_opacity=np.full(300, -5.3, np.float32))  # 0.005
     for quality in range(len(QUALITIES)):
-        back = read(write_content(splats, CENTER, quality=quality))
+        back = decode_tile(write_content(splats, CENTER, quality=quality))
         assert np.isfinite(back.splats.logit_opacity).all()
 
 

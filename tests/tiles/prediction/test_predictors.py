@@ -30,7 +30,7 @@ from support.tiles.journeys import (
 )
 
 
-def steady(rng: np.random.Generator, times: np.ndarray) -> list[Pose]:
+def steady_path(rng: np.random.Generator, times: np.ndarray) -> list[Pose]:
     """A path at constant velocity and rotation rate."""
     start, velocity, rate = rng.normal(size=(3, 3))
     first = rotation_quaternion(rng.normal(size=3))
@@ -62,11 +62,11 @@ def test_rotations_are_those_of_their_matrices() -> None:
 
 def test_poses_between_two_lie_on_the_steady_path() -> None:
     rng = np.random.default_rng(1)
-    path = steady(rng, np.linspace(0, 1, 5))
+    path = steady_path(rng, np.linspace(0, 1, 5))
     for time in (0.1, 0.3, 0.77):
         pose = interpolate(path[::2], time)
         rng_again = np.random.default_rng(1)
-        expected = steady(rng_again, np.array([time]))[0]
+        expected = steady_path(rng_again, np.array([time]))[0]
         np.testing.assert_allclose(pose.position, expected.position, atol=1e-12)
         assert_same_rotation(pose.quaternion, expected.quaternion)
     assert interpolate(path, -1.0).position.tolist() == path[0].position.tolist()
@@ -76,14 +76,14 @@ def test_poses_between_two_lie_on_the_steady_path() -> None:
 @pytest.mark.parametrize("flip", [False, True])
 def test_constant_velocity_continues_a_steady_path_exactly(flip: bool) -> None:
     times = np.arange(0, 1.2, 0.1)
-    path = steady(np.random.default_rng(2), times)
+    path = steady_path(np.random.default_rng(2), times)
     predictor = ConstantVelocity()
     for index, pose in enumerate(path):
         sign = -1 if flip and index % 2 else 1
         predictor.observe(replace(pose, quaternion=sign * pose.quaternion))
     ahead = [0.25, 1.0, 2.0]
     prediction = predictor.predict(ahead)
-    expected = steady(np.random.default_rng(2), times[-1] + np.array(ahead))
+    expected = steady_path(np.random.default_rng(2), times[-1] + np.array(ahead))
     for predicted, pose in zip(prediction, expected, strict=True):
         assert predicted.time == pytest.approx(pose.time)
         np.testing.assert_allclose(predicted.position, pose.position, atol=1e-9)
@@ -93,7 +93,7 @@ def test_constant_velocity_continues_a_steady_path_exactly(flip: bool) -> None:
 def test_constant_velocity_predicts_nothing_from_one_pose() -> None:
     predictor = ConstantVelocity()
     assert predictor.predict([1.0]) == []
-    predictor.observe(steady(np.random.default_rng(3), np.array([0.0]))[0])
+    predictor.observe(steady_path(np.random.default_rng(3), np.array([0.0]))[0])
     assert predictor.predict([1.0]) == []
 
 

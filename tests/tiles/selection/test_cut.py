@@ -26,7 +26,7 @@ def random_boxes(rng: np.random.Generator, count: int):
     return rng.normal(size=(count, 3)) * 6, half
 
 
-def inside(camera: Camera, points: np.ndarray) -> np.ndarray:
+def inside_frustum(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Whether points are in the image, by projecting them."""
     x, y, z = (points @ camera.view[:3, :3].T + camera.view[:3, 3]).T
     flat = camera.kind == "orthographic"
@@ -52,7 +52,7 @@ def test_no_box_with_a_visible_point_is_culled(kind: str) -> None:
         center, half = random_boxes(rng, 50)
         shares = rng.uniform(-1, 1, (50, 200, 3))
         points = center[:, None] + np.einsum("nki,nij->nkj", shares, half)
-        visible = inside(camera, points.reshape(-1, 3)).reshape(50, 200).any(axis=1)
+        visible = inside_frustum(camera, points.reshape(-1, 3)).reshape(50, 200).any(axis=1)
         is_met = Frustum.from_camera(camera).intersects(center, half)
         assert not (visible & ~is_met).any()
         kept_count += is_met.sum()

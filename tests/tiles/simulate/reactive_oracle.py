@@ -56,7 +56,9 @@ def rotate_back(q: list[float], v: list[float]) -> list[float]:
     ]
 
 
-def look(tiles: list[dict], row: list[float], view: dict) -> tuple[list[int], set[int], dict]:
+def select_tiles(
+    tiles: list[dict], row: list[float], view: dict
+) -> tuple[list[int], set[int], dict]:
     """Seen tiles, wanted tiles and screen-space errors of a frame."""
     eye, quaternion = row[1:4], row[4:8]
     slope_y = math.tan(math.radians(view["fov"]) / 2)
@@ -151,7 +153,7 @@ def reactive(tileset: Path, path: Path, network: Path, rtt: float, **view: float
                 if entry["tile"] == index and entry["delay"] is None:
                     entry["delay"] = time - entry["time"]
             link = ask(time)
-        recorded, expected, errors = look(tiles, row, view)
+        recorded, expected, errors = select_tiles(tiles, row, view)
         unseen -= set(recorded)
         for index in sorted(expected - before):
             is_hit = index in loaded

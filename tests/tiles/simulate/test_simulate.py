@@ -28,7 +28,7 @@ from tiles.simulate.reactive_oracle import reactive
 
 JOURNEYS = journeys()
 NETWORKS = networks()
-SMALL = ViewSettings(width=320, height=180)
+SMALL_VIEW = ViewSettings(width=320, height=180)
 SMOOTH = ("orbit", "street", "flight", "turning")
 
 
@@ -73,7 +73,7 @@ def run(
 ) -> Simulation:
     path = write_rows(tmp_path / "path.csv", PATH_HEADER, JOURNEYS[journey][:rows])
     trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, NETWORKS[network])
-    return simulate(tree, read_path(path), read_trace(trace), policy=policy, view=SMALL)
+    return simulate(tree, read_path(path), read_trace(trace), policy=policy, view=SMALL_VIEW)
 
 
 @pytest.mark.parametrize("network", ["20", "mobile"])
@@ -119,7 +119,7 @@ def test_random_predictor_wastes_less_than_a_quarter_and_delays_nothing(
     reactive_metrics = run(tmp_path, tree, "wander", "mobile", "reactive").metrics
     path, trace = read_path(tmp_path / "path.csv"), read_trace(tmp_path / "trace.csv")
     result = simulate(
-        tree, path, trace, policy="predictive", predictor=RandomPredictor, view=SMALL
+        tree, path, trace, policy="predictive", predictor=RandomPredictor, view=SMALL_VIEW
     ).metrics
     assert 0.02 < result.waste <= 0.25
     assert result.requests > reactive_metrics.requests

@@ -121,7 +121,7 @@ def test_the_pool_holds_its_capacity_and_the_ancestors_of_what_is_needed(tree: T
     assert sum(event in ("frame", "admit", "remove") for event in events) >= EVENTS
 
 
-def named(data: bytes) -> str:
+def content_name(data: bytes) -> str:
     return f"t/3/5-{hashlib.sha256(data).hexdigest()[:8]}.glb"
 
 
@@ -149,17 +149,17 @@ def cache_machine(events: list[str]) -> type[RuleBasedStateMachine]:
         def put(self, number: int) -> None:
             """A file arrives; the last one stays if it fits at all."""
             events.append("put")
-            self.cache.put("http://a", named(files[number]), files[number])
+            self.cache.put("http://a", content_name(files[number]), files[number])
             if len(files[number]) <= MAX_BYTES:
-                assert self.cache.get("http://a", named(files[number])) == files[number]
+                assert self.cache.get("http://a", content_name(files[number])) == files[number]
 
         @rule(number=numbers)
         def get(self, number: int) -> None:
             """A file comes back whole or not at all."""
-            data = self.cache.get("http://a", named(files[number]))
+            data = self.cache.get("http://a", content_name(files[number]))
             events.append("hit" if data is not None else "miss")
             assert data in (None, files[number])
-            assert self.cache.get("http://b", named(files[number])) is None
+            assert self.cache.get("http://b", content_name(files[number])) is None
 
         @precondition(lambda self: self.stored())
         @rule(data=st.data())

@@ -135,7 +135,7 @@ def test_a_generator_sees_the_camera_in_the_tile_s_frame(
     assert psnr(picture, expected) > 60
 
 
-def leaving() -> bytes:
+def model_leaving_its_bounds() -> bytes:
     spec = drifting_model(20, degree=1).with_manifest(bounds=BOUNDS)
     model: bytes = (
         spec.with_weights(speed=np.full((20, 3), 9, np.float32)).build().SerializeToString()
@@ -175,7 +175,7 @@ def other_model(model: bytes) -> Callable[[Path], None]:
         (no_file, "does not exist"),
         (other_digest, "expected"),
         (other_model(b"no model"), "a Gaussian Generator"),
-        (other_model(leaving()), "breaks the rules G"),
+        (other_model(model_leaving_its_bounds()), "breaks the rules G"),
         (declare(splats_max=3), "20 or more"),
         (declare(splats_max=1 << 23), "the budget"),
     ],
@@ -208,7 +208,7 @@ def test_a_run_that_breaks_a_promise_gives_the_splats_back(
 ) -> None:
     """What the probes of a validation did not see is found in the run itself."""
     monkeypatch.setattr(generator_opening, "check_neural_model", lambda *arguments, **_: iter(()))
-    model = leaving()
+    model = model_leaving_its_bounds()
     index = write_neural_tileset(tmp_path / "tiles", [model])
     camera = watching(1)
     (before, after), _ = draw(index, renderer, camera, [0.0, 1.0])

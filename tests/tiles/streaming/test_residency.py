@@ -156,7 +156,7 @@ def test_a_replacement_fades_and_a_tile_that_comes_into_view_does_not(tree: Tile
     assert still.values[0] == 0
 
 
-def named(data: bytes) -> str:
+def content_name(data: bytes) -> str:
     import hashlib
 
     return f"t/3/5-{hashlib.sha256(data).hexdigest()[:8]}.glb"
@@ -169,16 +169,16 @@ def test_the_disk_cache_holds_its_cap_and_gives_back_the_bytes(tmp_path: Path) -
     hit_count = 0
     for _ in range(2000):
         data = files[int(rng.integers(60))]
-        cached = cache.get("http://a", named(data))
+        cached = cache.get("http://a", content_name(data))
         assert cached in (None, data)
         hit_count += cached is not None
         if cached is None:
-            cache.put("http://a", named(data), data)
+            cache.put("http://a", content_name(data), data)
         total = sum(f.stat().st_size for f in (tmp_path / "cache").iterdir())
         assert total == cache.total_bytes <= 50_000
     assert 100 < hit_count < 1900
     assert DiskCache(tmp_path / "cache", 50_000).total_bytes == cache.total_bytes
-    assert cache.get("http://b", named(files[0])) is None
+    assert cache.get("http://b", content_name(files[0])) is None
 
 
 _WRITER = """
@@ -218,12 +218,12 @@ def test_a_file_that_changed_on_disk_or_has_no_digest_is_not_given(tmp_path: Pat
     cache.put("a", "tileset.json", b"{}")
     cache.put("a", "t/0/0-00000000.glb", b"not that digest")
     assert list(tmp_path.iterdir()) == []
-    cache.put("a", named(b"data"), b"data")
+    cache.put("a", content_name(b"data"), b"data")
     (file,) = tmp_path.iterdir()
     file.write_bytes(b"dat")
-    assert cache.get("a", named(b"data")) is None
+    assert cache.get("a", content_name(b"data")) is None
     assert list(tmp_path.iterdir()) == []
-    cache.put("a", named(b"x" * 2000), b"x" * 2000)
+    cache.put("a", content_name(b"x" * 2000), b"x" * 2000)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -109,7 +109,7 @@ def test_parents_unlike_their_children_break_gt022(
     assert report.verdict == "conforms"
 
 
-def written(spec: TilesetSketch, folder: Path) -> Path:
+def write_tileset(spec: TilesetSketch, folder: Path) -> Path:
     spec.write(folder / "tileset.json")
     return folder
 
@@ -121,7 +121,7 @@ def outcome(report: Report, rule: str) -> tuple[str, str]:
 def test_children_that_add_are_not_compared(tmp_path: Path) -> None:
     spec = explicit_sketch()
     spec.document["root"]["refine"] = "ADD"
-    result = drawn(written(spec, tmp_path))
+    result = drawn(write_tileset(spec, tmp_path))
     assert result.levels == ()
     assert len(result.tiles) == 2
 
@@ -132,7 +132,7 @@ def test_child_equal_to_its_parent_has_ssim_one(tmp_path: Path) -> None:
     root = spec.document["root"]
     copy = {name: root[name] for name in ("boundingVolume", "content", "metadata")}
     root["children"] = [{**copy, "geometricError": 0.0}]
-    (pair,) = drawn(written(spec, tmp_path)).levels
+    (pair,) = drawn(write_tileset(spec, tmp_path)).levels
     assert pair == ComparedLevels(
         location="tileset.json, root", children=1, pixels=pair.pixels, ssim=1.0
     )
@@ -142,7 +142,7 @@ def test_gt022_is_skipped_for_tiles_with_too_many_splats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drawing, "MAX_DRAWN", 30)  # the children have 48, each tile fewer
-    report = validate(written(explicit_sketch(), tmp_path), RENDER)
+    report = validate(write_tileset(explicit_sketch(), tmp_path), RENDER)
     status, reason = outcome(report, "GT022")
     assert status == "skipped"
     assert "48 splats, and 30" in reason
@@ -155,7 +155,7 @@ def test_a_machine_that_cannot_draw_skips_and_gives_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(validation, "find_spec", lambda name: None)
-    report = validate(written(explicit_sketch(), tmp_path), RENDER)
+    report = validate(write_tileset(explicit_sketch(), tmp_path), RENDER)
     status, reason = outcome(report, "GT021")
     assert status == "skipped"
     assert "wgpu" in reason
@@ -169,7 +169,7 @@ def test_nothing_is_drawn_where_contents_are_broken(tmp_path: Path) -> None:
     spec = explicit_sketch(record=False)
     uri = spec.document["root"]["content"]["uri"]
     spec.files[uri] = spec.files[uri][:-40]
-    report = validate(written(spec, tmp_path), RENDER)
+    report = validate(write_tileset(spec, tmp_path), RENDER)
     assert outcome(report, "GT021")[0] == "not-applicable"
     (level,) = (entry for entry in report.levels if entry.level is Level.RENDER)
     assert not level.ran

@@ -16,11 +16,11 @@ from gsgen.tiles.validation.rules import RULES, all_rules
 from gsgen.tiles.validation.validate import validate
 
 FIXTURES = tiles_fixtures()
-GOOD = [fixture for fixture in FIXTURES if not fixture.rule]
+VALID_FIXTURES = [fixture for fixture in FIXTURES if not fixture.rule]
 BROKEN = [fixture for fixture in FIXTURES if fixture.rule]
 
 
-def named(fixture: Fixture) -> str:
+def fixture_name(fixture: Fixture) -> str:
     return fixture.name
 
 
@@ -33,7 +33,7 @@ def judge(tmp_path_factory: pytest.TempPathFactory):
     return judged
 
 
-@pytest.mark.parametrize("fixture", BROKEN, ids=named)
+@pytest.mark.parametrize("fixture", BROKEN, ids=fixture_name)
 def test_a_broken_tileset_breaks_its_rule_and_no_other(fixture: Fixture, judge) -> None:
     report = judge(fixture)
     message = [(finding.rule, str(finding.where), finding.message) for finding in report.findings]
@@ -42,7 +42,7 @@ def test_a_broken_tileset_breaks_its_rule_and_no_other(fixture: Fixture, judge) 
     assert report.verdict == ("conforms" if warns else "invalid")
 
 
-@pytest.mark.parametrize("fixture", GOOD, ids=named)
+@pytest.mark.parametrize("fixture", VALID_FIXTURES, ids=fixture_name)
 def test_a_good_tileset_breaks_nothing(fixture: Fixture, judge) -> None:
     report = judge(replace(fixture, level=Level.RENDER))
     assert report.findings == ()
@@ -52,7 +52,7 @@ def test_a_good_tileset_breaks_nothing(fixture: Fixture, judge) -> None:
     assert len(statuses) == len(RULES) == 22
 
 
-@pytest.mark.parametrize("fixture", FIXTURES, ids=named)
+@pytest.mark.parametrize("fixture", FIXTURES, ids=fixture_name)
 def test_no_rule_crashes_or_stays_silent(fixture: Fixture, judge) -> None:
     for outcome in judge(fixture).outcomes:
         assert outcome.status != "crashed", outcome.reason
@@ -60,7 +60,7 @@ def test_no_rule_crashes_or_stays_silent(fixture: Fixture, judge) -> None:
         assert settled or outcome.reason
 
 
-def silent(_: object) -> Iterator[Violation]:
+def silent_check(_: object) -> Iterator[Violation]:
     yield from ()
 
 
@@ -68,7 +68,7 @@ def silent(_: object) -> Iterator[Violation]:
 def test_fixture_fails_when_its_rule_is_silent(rule: Rule, tmp_path: Path) -> None:
     fixture = next(entry for entry in BROKEN if entry.rule == rule.id)
     rules = [
-        replace(entry, check=silent) if entry.id == rule.id else entry
+        replace(entry, check=silent_check) if entry.id == rule.id else entry
         for entry in all_rules().rules.values()
     ]
     report = validate(
@@ -82,7 +82,7 @@ def test_ids_and_fixtures_are_complete() -> None:
     assert {rule.id for rule in RULES} == {fixture.rule for fixture in BROKEN}
 
 
-@pytest.mark.parametrize("fixture", FIXTURES, ids=named)
+@pytest.mark.parametrize("fixture", FIXTURES, ids=fixture_name)
 def test_a_fixture_is_always_the_same(fixture: Fixture, tmp_path: Path) -> None:
     first, second = (
         {

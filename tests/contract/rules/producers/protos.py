@@ -120,7 +120,7 @@ def _seen(up: str, order: str, unit: str, color_space: str) -> ModelProto:
 def _picture(
     channels: int, dtype: str, size: tuple[int | str, int | str], black_level: float
 ) -> ModelProto:
-    """Gamma, or its neighbour: an image between ``black`` and 1 stays between them."""
+    """Gamma, or its neighbour: an image between ``black_level`` and 1 stays between them."""
     graph = GraphProto(name="tone", node=[_node("Mul", "image amount", "out")])
     dims = (1, channels, *size)
     _value(graph.input, "image", dtype, dims)

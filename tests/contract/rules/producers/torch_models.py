@@ -113,7 +113,7 @@ def _by_sdk(kind: str) -> tuple[bytes, GeneratorManifest]:
         return path.read_bytes(), exported.manifest
 
 
-def _own(
+def _exported_model(
     kind: str, change: Callable[[ModelProto], ModelProto], **expected_message: Any
 ) -> ModelProto:
     content, manifest = _by_sdk(kind)
@@ -145,7 +145,7 @@ def _sharpened() -> ModelProto:
     return declared(ModelProto.FromString(_enhanced()), manifest)
 
 
-def _as_it_is(model: ModelProto) -> ModelProto:
+def _unchanged(model: ModelProto) -> ModelProto:
     return model
 
 
@@ -170,12 +170,14 @@ def _of_opset_20(model: ModelProto) -> ModelProto:
 def models() -> Iterator[Good]:
     """Yield what two generators, a plain module and an image network become."""
     for kind, target in (("drift", "visionary"), ("lit", "webgpu")):
-        for change in (_as_it_is, _with_all_shapes, _nameless):
+        for change in (_unchanged, _with_all_shapes, _nameless):
             name = f"{kind} {change.__name__.strip('_')}"
-            yield Good(name, _SDK, partial(_own, kind, change), target)
-    yield Good("cells of a weighted sum", _SDK, partial(_own, "bunches", _as_it_is), "webgpu")
-    yield Good("drift in opset 20", _SDK, partial(_own, "drift", _of_opset_20))
-    loose_case = partial(_own, "drift", _as_it_is, tolerances=Tolerances(position=0.01))
+            yield Good(name, _SDK, partial(_exported_model, kind, change), target)
+    yield Good(
+        "cells of a weighted sum", _SDK, partial(_exported_model, "bunches", _unchanged), "webgpu"
+    )
+    yield Good("drift in opset 20", _SDK, partial(_exported_model, "drift", _of_opset_20))
+    loose_case = partial(_exported_model, "drift", _unchanged, tolerances=Tolerances(position=0.01))
     yield Good("drift with its own tolerances", _SDK, loose_case)
     for index, up in enumerate(UP):
         order = _ORDERS[index % 2]

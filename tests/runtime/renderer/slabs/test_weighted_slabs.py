@@ -20,21 +20,21 @@ pytestmark = pytest.mark.slow
 
 
 OUTPUTS = ("color", "depth", "normal")
-BEHIND = (0.1, 0.4, 0.7, 0.5)
-MOST = SMALL // 16
-NARROW = camera(width=32, height=32)
+BACKGROUND = (0.1, 0.4, 0.7, 0.5)
+MAX_CELLS = SMALL // 16
+SMALL_CAMERA = camera(width=32, height=32)
 
 
 def compare(
     renderers: tuple[Renderer, Renderer],
     scene: Scene,
-    view: Camera = NARROW,
+    view: Camera = SMALL_CAMERA,
     outputs: tuple[str, ...] = OUTPUTS,
 ) -> Frame:
     """Draw a scene at once and in slabs, of which both are equal; return the frame in slabs."""
     whole, small = renderers
-    expected = whole.render(scene, view, outputs=outputs, background=BEHIND)
-    drawn = small.render(scene, view, outputs=outputs, background=BEHIND)
+    expected = whole.render(scene, view, outputs=outputs, background=BACKGROUND)
+    drawn = small.render(scene, view, outputs=outputs, background=BACKGROUND)
     assert whole._plan.weighted_slabs is None
     assert small._plan.weighted_slabs is not None
     assert_same_images(drawn, expected)
@@ -53,10 +53,10 @@ def test_ten_thousand_gaussians_are_those_of_the_oracle(
 ) -> None:
     scene = crowd()
     drawn = compare(renderers, scene)
-    whole = renderers[0].render(scene, NARROW, background=BEHIND)
-    assert drawn.visible == whole.visible > MOST
+    whole = renderers[0].render(scene, SMALL_CAMERA, background=BACKGROUND)
+    assert drawn.visible == whole.visible > MAX_CELLS
     assert drawn.pairs == whole.pairs
-    expected = oracle.render(scene, NARROW, background=BEHIND)
+    expected = oracle.render(scene, SMALL_CAMERA, background=BACKGROUND)
     firm = ~expected.fragile
     assert firm.mean() > 0.9
     assert np.abs(drawn.rgba - expected.rgba)[firm].max() <= 2e-5
@@ -71,15 +71,17 @@ def test_weighted_slabs_in_bands_are_unchanged(renderers: tuple[Renderer, Render
     assert renderers[1]._plan.image.size == (32, 75 % 32)  # of the last band
 
 
-@pytest.mark.parametrize(("cells", "per_cell"), [(MOST // 4, 4), (MOST // 4 + 1, 4)])
+@pytest.mark.parametrize(("cells", "per_cell"), [(MAX_CELLS // 4, 4), (MAX_CELLS // 4 + 1, 4)])
 def test_binding_capacity_plus_one_cell_is_drawn(
     renderers: tuple[Renderer, Renderer], cells: int, per_cell: int
 ) -> None:
     scene = Scene([summed(celled(cells, per_cell, 3, size=0.05))])
     whole, small = renderers
-    expected, drawn = (entry.render(scene, NARROW, outputs=OUTPUTS) for entry in (whole, small))
+    expected, drawn = (
+        entry.render(scene, SMALL_CAMERA, outputs=OUTPUTS) for entry in (whole, small)
+    )
     assert_same_images(drawn, expected)
-    assert (small._plan.weighted_slabs is None) == (cells * per_cell <= MOST)
+    assert (small._plan.weighted_slabs is None) == (cells * per_cell <= MAX_CELLS)
 
 
 def test_cells_that_exceed_a_binding_are_drawn(renderers: tuple[Renderer, Renderer]) -> None:
@@ -120,13 +122,13 @@ def test_cells_behind_the_camera_draw_the_background(renderers: tuple[Renderer, 
 
 def test_cell_larger_than_a_slab_is_drawn(renderers: tuple[Renderer, Renderer]) -> None:
     """Its Gaussians are all weighted by the light before it, from whatever slab they are."""
-    far_frame = celled(3, MOST + 700, 9, size=0.9, share=0.05, opacity=(0.02, 0.06))
+    far_frame = celled(3, MAX_CELLS + 700, 9, size=0.9, share=0.05, opacity=(0.02, 0.06))
     scene = Scene([summed(celled(40, 5, 10)), summed(far_frame), summed(celled(200, 3, 11))])
     drawn = compare(renderers, scene)
-    whole = renderers[0].render(scene, NARROW)
+    whole = renderers[0].render(scene, SMALL_CAMERA)
     assert drawn.visible == whole.visible > ROWS
     assert drawn.pairs == whole.pairs
-    alone = compare(renderers, Scene([summed(celled(1, 5 * MOST, 12, size=0.9, share=0.03))]))
+    alone = compare(renderers, Scene([summed(celled(1, 5 * MAX_CELLS, 12, size=0.9, share=0.03))]))
     assert alone.visible > ROWS
 
 
@@ -158,7 +160,7 @@ def test_sorted_sets_mix_with_weighted_slabs(
     scene = Scene([summed(celled(700, 5, 16, size=0.1)), cloud(sorted_splats, 17, size=0.03)])
     drawn = compare(renderers, scene, camera(width=16, height=20), ("color",))
     plan = renderers[1]._plan
-    assert (plan.slabs is not None) == (sorted_splats > MOST)
+    assert (plan.slabs is not None) == (sorted_splats > MAX_CELLS)
     whole = renderers[0].render(scene, camera(width=16, height=20))
     assert drawn.visible == whole.visible
     assert drawn.pairs == whole.pairs
@@ -208,9 +210,9 @@ def test_pairs_that_exceed_a_binding_halve_the_slabs(renderers: tuple[Renderer, 
 def test_frames_in_flight_are_waited_for(renderers: tuple[Renderer, Renderer]) -> None:
     scene = crowd()
     whole, small = renderers
-    expected = whole.render(scene, NARROW)
+    expected = whole.render(scene, SMALL_CAMERA)
     for _ in range(3):
-        drawn = small.draw(scene, NARROW, wait=False)
+        drawn = small.draw(scene, SMALL_CAMERA, wait=False)
         actual = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
         assert np.array_equal(actual, expected.rgba)
         assert drawn.visible == expected.visible

@@ -16,7 +16,7 @@ from support.models.small_models import manifest_of
 from support.passes import operators, parsed, run
 
 TIME = replace(manifest_of(1), inputs=(Input(name="x", role="time", range=(-3.0, 90.0)),))
-OLD = RewriteTarget.of(load_target("visionary"), TIME)
+OLD_TARGET = RewriteTarget.of(load_target("visionary"), TIME)
 X = np.array([-3, -0.5, 0, 1.7, 55.2, 90], np.float32)
 CODES = {"int32": 6, "int64": 7, "float": 1, "bool": 9}
 
@@ -28,7 +28,7 @@ def wide_values(model) -> list[str]:
     return [v.name for v in values if v.dtype is not None and v.dtype.name == "INT64"]
 
 
-WHOLE = {
+INTEGER_BODIES = {
     "sum": ("r = Add (i, three)", "int64"),
     "difference and product": ("d = Sub (i, three) r = Mul (d, i)", "int64"),
     "quotient": ("r = Div (i, three)", "int64"),
@@ -44,10 +44,10 @@ WHOLE = {
 }
 
 
-@pytest.mark.parametrize("goal", [None, OLD])
-@pytest.mark.parametrize("name", WHOLE)
+@pytest.mark.parametrize("goal", [None, OLD_TARGET])
+@pytest.mark.parametrize("name", INTEGER_BODIES)
 def test_integers_that_fit_are_narrowed(name: str, goal: RewriteTarget | None) -> None:
-    body, result = WHOLE[name]
+    body, result = INTEGER_BODIES[name]
     text = (
         f"g (float[6] x) => ({result}[N] y) <int64 three = {{3}}, int64 none = {{0}}, "
         "int64[1] axis = {0}, int64[2] list = {5, -6}> "
@@ -56,7 +56,7 @@ def test_integers_that_fit_are_narrowed(name: str, goal: RewriteTarget | None) -
     model = parsed(text)
     (before,) = run(model, x=X)
     rewrite = NarrowIntegers(
-        goal or RewriteTarget(target=load_target("core"), tables=OLD.tables, manifest=TIME)
+        goal or RewriteTarget(target=load_target("core"), tables=OLD_TARGET.tables, manifest=TIME)
     )
     assert rewrite(model).modified
     MergeCasts()(model)
@@ -81,7 +81,7 @@ def test_integers_that_may_not_fit_stay_and_the_pass_says_why(body: str, reason:
         "g (float[6] x, float[6] free) => (int64[6] y) <int64 three = {3}, int64 large = {100000000}, "
         f"int64 huge = {{8589934592}}> {{ {body} }}"
     )
-    model, rewrite = parsed(text), NarrowIntegers(OLD)
+    model, rewrite = parsed(text), NarrowIntegers(OLD_TARGET)
     before = run(model, x=X + 5, free=X * 1e12)
     rewrite(model)
     assert any(reason in refusal.reason for refusal in rewrite.refusals)
@@ -108,7 +108,7 @@ def test_a_count_of_a_mask_is_a_sum_of_floats_at_last() -> None:
     )
     model = parsed(text)
     for _ in range(4):
-        NarrowIntegers(OLD)(model)
+        NarrowIntegers(OLD_TARGET)(model)
         MergeCasts()(model)
     (total,) = (node for node in model.graph if node.op_type == "ReduceSum")
     assert total.inputs[0].dtype.name == "FLOAT"
@@ -125,7 +125,7 @@ def test_index_operators_take_int32() -> None:
     (before,) = run(model, x=X)
     for _ in range(3):
         ClipBeforeCast()(model)
-        NarrowIntegers(OLD)(model)
+        NarrowIntegers(OLD_TARGET)(model)
         MergeCasts()(model)
     (gather_node,) = (node for node in model.graph if node.op_type == "Gather")
     assert gather_node.inputs[1].dtype.name == "INT32"
@@ -234,7 +234,7 @@ def test_a_choice_between_masks_is_made_of_numbers_and_by_a_mask() -> None:
     np.testing.assert_array_equal(actual, np.where(X > 0, z < 0, True))
 
 
-@pytest.mark.parametrize("goal", [None, OLD])
+@pytest.mark.parametrize("goal", [None, OLD_TARGET])
 def test_a_choice_between_numbers_keeps_its_mask(goal: RewriteTarget | None) -> None:
     text = "g (bool[2] b, int64[2] x) => (int64[2] y) <int64 one = {1}> { y = Where (b, x, one) }"
     assert not ArithmeticMasks(goal)(parsed(text)).modified
@@ -258,4 +258,4 @@ def test_masks_that_a_release_captures_stay() -> None:
     text = "g (float[6] x) => (bool[6,1] y) <int64[1] axis = {1}> { b = Greater (x, x) y = Unsqueeze (b, axis) }"
     new = ArithmeticMasks.for_target(RewriteTarget.of(load_target("webgpu")))
     assert not new(parsed(text)).modified
-    assert ArithmeticMasks(OLD)(parsed(text)).modified
+    assert ArithmeticMasks(OLD_TARGET)(parsed(text)).modified

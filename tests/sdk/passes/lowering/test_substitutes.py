@@ -12,19 +12,19 @@ from gsgen.sdk.passes.lowering.write_out_signs import WriteOutSigns
 from support.passes import HEAD, operators, parsed, run
 
 NUMPY = {"float": "float32", "double": "float64"}
-ODD = [0.0, -0.0, np.inf, -np.inf, np.nan, 1e-30, -1e-30, 88.0, -200.0, 3.4e38]
+SPECIAL_VALUES = [0.0, -0.0, np.inf, -np.inf, np.nan, 1e-30, -1e-30, 88.0, -200.0, 3.4e38]
 
 
 def floats(dtype: str, seed: int = 0, odd: bool = True, rows: int = 40) -> np.ndarray:
     rng = np.random.default_rng(seed)
     result = rng.normal(0, 3, (rows, 4))
     if odd:
-        result.reshape(-1)[rng.permutation(result.size)[: len(ODD)]] = ODD
+        result.reshape(-1)[rng.permutation(result.size)[: len(SPECIAL_VALUES)]] = SPECIAL_VALUES
     with np.errstate(over="ignore"):
         return result.astype(NUMPY.get(dtype, dtype))
 
 
-def same(a: np.ndarray, b: np.ndarray) -> None:
+def assert_same_numbers(a: np.ndarray, b: np.ndarray) -> None:
     """The same numbers: NaN is NaN, and zero is zero."""
     assert a.dtype == b.dtype
     np.testing.assert_array_equal(a, b)
@@ -74,7 +74,7 @@ def test_minimum_and_maximum_become_selections(name: str, dtype: str) -> None:
     if not whole:  # a Clip with one bound takes the largest number for the other
         largest = np.finfo(after.dtype).max
         before, after = (np.clip(array, -largest, largest) for array in (before, after))
-    same(after, before)
+    assert_same_numbers(after, before)
 
 
 def test_only_releases_without_a_kernel_want_the_selection() -> None:
@@ -171,7 +171,7 @@ def test_a_sign_keeps_its_value(body: str, dtype: str, result: str) -> None:
     (before,) = run(model, x=x)
     assert WriteOutSigns()(model).modified
     assert body.split()[0] not in operators(model) | {"Abs", "Neg"} - {body.split()[0]}
-    same(run(model, x=x)[0], before)
+    assert_same_numbers(run(model, x=x)[0], before)
 
 
 @pytest.mark.parametrize("kind", ["Abs", "Neg", "Relu"])
@@ -195,7 +195,7 @@ def test_a_remainder_of_integers_is_exact(dtype: str, fmod: int) -> None:
     inputs = {"a": a.astype(dtype), "b": b.astype(dtype)}
     (before,) = run(model, **inputs)
     assert WriteOutModulo()(model).modified
-    same(run(model, **inputs)[0], before)
+    assert_same_numbers(run(model, **inputs)[0], before)
 
 
 @pytest.mark.parametrize("dtype", ["float", "double"])

@@ -125,7 +125,7 @@ def sizes_of(text: str) -> tuple[int, ...]:
     return tuple(int(size) for size in text.split(","))
 
 
-REFUSED = {
+UNSUPPORTED_LOOPS = {
     "its end depends on data that differ between frames": (
         "g (float[2] x, bool go) => (float[2] y) <int64 n = {3}> { y = Loop (n, , x)"
         " <body = b (int64 i, bool c, float[2] v) => (bool on, float[2] w)"
@@ -151,9 +151,9 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("reason", REFUSED)
+@pytest.mark.parametrize("reason", UNSUPPORTED_LOOPS)
 def test_unknown_or_long_loops_are_left_alone(reason: str) -> None:
-    model = parsed(REFUSED[reason])
+    model = parsed(UNSUPPORTED_LOOPS[reason])
     before = text_of(model)
     rewrite = UnrollControlFlow()
     assert not rewrite(model).modified

@@ -38,7 +38,7 @@ def bits(rng: np.random.Generator, shape: tuple[int, ...], dtype: type) -> np.nd
     return raw.view(dtype).reshape(shape)
 
 
-def same(a: np.ndarray, b: np.ndarray) -> bool:
+def arrays_equal(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes()
 
 
@@ -77,7 +77,7 @@ def judge_concat(width: int, dtype: str, rank: int, axis: int, limit: int) -> No
     concat_nodes = [node for node in model.graph if node.op_type == "Concat"]
     assert max(len(node.inputs) for node in concat_nodes) <= limit
     (actual,) = run(model, **inputs)
-    assert same(actual, np.concatenate(parts, axis))
+    assert arrays_equal(actual, np.concatenate(parts, axis))
     assert not ChunkConcat(limit)(model).modified
 
 
@@ -140,7 +140,7 @@ def judge_split(
     assert max(len(node.outputs) for node in cuts) <= limit
     expected = np.split(x, np.cumsum(sizes or [2] * width)[:-1], axis)
     outputs = run(model, x=x)
-    assert all(same(a, b) for a, b in zip(outputs, expected, strict=True))
+    assert all(arrays_equal(a, b) for a, b in zip(outputs, expected, strict=True))
     assert not ChunkSplit(limit)(model).modified
 
 

@@ -10,7 +10,7 @@ from support.passes import HEAD, operators, parsed, run, text_of
 
 HEADS = {opset: HEAD.replace("18", str(opset)) for opset in range(13, 25)}
 X = np.random.default_rng(2).normal(size=(2, 4, 6, 6)).astype(np.float32)
-PLACES = np.random.default_rng(3).uniform(-1.2, 1.2, (2, 3, 5, 2)).astype(np.float32)
+GRID_POINTS = np.random.default_rng(3).uniform(-1.2, 1.2, (2, 3, 5, 2)).astype(np.float32)
 
 MODELS = {
     "sine": (22, "s = Sin (x) y = Cos (s)"),
@@ -50,9 +50,9 @@ def test_samples_of_a_grid_keep_their_mode_under_its_old_name(mode: str) -> None
         f'{{ y = GridSample <mode = "{mode}", align_corners = 1> (x, p) }}'
     )
     model = parsed(text, HEADS[22])
-    (before,) = run(model, x=X, p=PLACES)
+    (before,) = run(model, x=X, p=GRID_POINTS)
     assert LowerOpset()(model).modified
-    np.testing.assert_allclose(run(model, x=X, p=PLACES)[0], before, atol=1e-6)
+    np.testing.assert_allclose(run(model, x=X, p=GRID_POINTS)[0], before, atol=1e-6)
 
 
 def test_operator_set_13_takes_axes_and_sizes_another_way() -> None:

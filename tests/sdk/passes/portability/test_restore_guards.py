@@ -13,18 +13,20 @@ from gsgen.sdk.passes.portability.restore_guards import RestoreGuards
 from support.passes import operators, parsed, run, text_of
 
 HEAD = "g (float[4,3] v) => (float[4,3] y) <int64[1] last = {1}, float two = {2}, float half = {0.5}, float back = {-0.5}>"
-SUM = "q = Mul (v, v)\n s = ReduceSum (q, last)\n"
+SQUARED_SUM_TEXT = "q = Mul (v, v)\n s = ReduceSum (q, last)\n"
 LENGTHS = {
-    "root of a sum": SUM + "n = Sqrt (s)\n y = Div (v, n)",
+    "root of a sum": SQUARED_SUM_TEXT + "n = Sqrt (s)\n y = Div (v, n)",
     "root of powers": "q = Pow (v, two)\n s = ReduceSum (q, last)\n n = Sqrt (s)\n y = Div (v, n)",
     "root of a mean": "q = Mul (v, v)\n s = ReduceMean (q, last)\n n = Sqrt (s)\n y = Div (v, n)",
-    "power of a half": SUM + "n = Pow (s, half)\n y = Div (v, n)",
+    "power of a half": SQUARED_SUM_TEXT + "n = Pow (s, half)\n y = Div (v, n)",
     "ReduceL2": "n = ReduceL2 (v, last)\n y = Div (v, n)",
-    "reciprocal root": SUM + "n = Sqrt (s)\n r = Reciprocal (n)\n y = Mul (v, r)",
-    "negative power": SUM + "r = Pow (s, back)\n y = Mul (v, r)",
-    "square": SUM + "y = Div (v, s)",
-    "sine over angle": SUM + "n = Sqrt (s)\n z = Sin (n)\n w = Mul (v, z)\n y = Div (w, n)",
-    "expanded": SUM + "n = Sqrt (s)\n i = Shape (v)\n e = Expand (n, i)\n y = Div (v, e)",
+    "reciprocal root": SQUARED_SUM_TEXT + "n = Sqrt (s)\n r = Reciprocal (n)\n y = Mul (v, r)",
+    "negative power": SQUARED_SUM_TEXT + "r = Pow (s, back)\n y = Mul (v, r)",
+    "square": SQUARED_SUM_TEXT + "y = Div (v, s)",
+    "sine over angle": SQUARED_SUM_TEXT
+    + "n = Sqrt (s)\n z = Sin (n)\n w = Mul (v, z)\n y = Div (w, n)",
+    "expanded": SQUARED_SUM_TEXT
+    + "n = Sqrt (s)\n i = Shape (v)\n e = Expand (n, i)\n y = Div (v, e)",
 }
 
 
@@ -47,20 +49,22 @@ def test_guard_changes_only_nonfinite_values(name: str, seed: int, scale: float)
     assert not rewrite(model).modified
 
 
-SAFE = {
-    "clamped under the root": SUM + "c = Clip (s, tiny)\n n = Sqrt (c)\n y = Div (v, n)",
-    "clamped after it": SUM + "n = Sqrt (s)\n c = Max (n, tiny)\n y = Div (v, c)",
-    "an epsilon that is left": SUM + "t = Add (s, tiny)\n n = Sqrt (t)\n y = Div (v, n)",
+GUARDED_DIVISIONS = {
+    "clamped under the root": SQUARED_SUM_TEXT
+    + "c = Clip (s, tiny)\n n = Sqrt (c)\n y = Div (v, n)",
+    "clamped after it": SQUARED_SUM_TEXT + "n = Sqrt (s)\n c = Max (n, tiny)\n y = Div (v, c)",
+    "an epsilon that is left": SQUARED_SUM_TEXT
+    + "t = Add (s, tiny)\n n = Sqrt (t)\n y = Div (v, n)",
     "one and an exponential": "e = Exp (v)\n d = Add (e, two)\n y = Div (v, d)",
     "chosen where it is not zero": "c = Greater (v, zero)\n d = Where (c, v, two)\n y = Div (v, d)",
     "a constant": "y = Div (v, two)",
 }
 
 
-@pytest.mark.parametrize("name", SAFE)
+@pytest.mark.parametrize("name", GUARDED_DIVISIONS)
 def test_guarded_divisions_are_left_alone(name: str) -> None:
     head = HEAD.replace("float two", "float tiny = {1e-20}, float zero = {0}, float two")
-    model = parsed(f"{head} {{ {SAFE[name]} }}")
+    model = parsed(f"{head} {{ {GUARDED_DIVISIONS[name]} }}")
     before = text_of(model)
     rewrite = RestoreGuards()
     assert not rewrite(model).modified
@@ -89,7 +93,7 @@ def test_a_divisor_that_is_no_length_is_named_and_left_alone(body: str) -> None:
 def test_a_guard_that_float16_makes_zero_is_put_back(guard: str) -> None:
     model = parsed(
         "g (float16[2,3] v) => (float16[2,3] y) <int64[1] last = {1}, float16 tiny = {0}>"
-        f" {{ {SUM} n = Sqrt (s)\n c = {guard}\n y = Div (v, c) }}"
+        f" {{ {SQUARED_SUM_TEXT} n = Sqrt (s)\n c = {guard}\n y = Div (v, c) }}"
     )
     tiny_guard = model.graph.initializers["tiny"]
     tiny_guard.const_value = ir.tensor(np.asarray(1e-12, np.float16), name="tiny")

@@ -74,15 +74,15 @@ def test_a_factor_is_split_where_its_product_is_joined(name: str) -> None:
     np.testing.assert_allclose(run(model, x=x)[0], before, rtol=1e-6, atol=1e-6)
 
 
-REFUSED = {
+UNSPLITTABLE_MODELS = {
     "reads it whole": "g (float[9,3] w, float[3] x) => (float[9,3] y) { y = Mul (w, x) }",
     "parts along axis": "g (float[9,3] w, int64[2] i) => (float[2,3] y) { y = Gather (w, i) }",
 }
 
 
-@pytest.mark.parametrize("reason", REFUSED)
+@pytest.mark.parametrize("reason", UNSPLITTABLE_MODELS)
 def test_unsplittable_weights_are_left_alone(reason: str) -> None:
-    model = with_weight(REFUSED[reason], RNG.normal(size=(9, 3)).astype(np.float32))
+    model = with_weight(UNSPLITTABLE_MODELS[reason], RNG.normal(size=(9, 3)).astype(np.float32))
     before = text_of(model)
     rewrite = SplitLargeWeights(100 if "whole" in reason else 10)
     assert not rewrite(model).modified

@@ -21,14 +21,14 @@ HEAD = f"g (float[{N},4] x, float[1] t) => (float[K,4] y, int32[1] count)"
 WEIGHTS = "<int64[1] one = {1}, int64[1] zero = {0}, int64 first = {0}, int64 second = {1}, int64[3] cube = {-1, 2, 2}, float[2,2] pair = {1, 2, 3, 4}, int64[1] flat = {-1}, float two = {2}, int64[2] wide = {-1, 4}>"
 MASK = "a = Gather <axis = 1> (x, first)\n m = Greater (a, t)\n"
 COUNT = "mi = Cast <to = 6> (m)\n ks = ReduceSum <keepdims = 0> (mi)\n count = Reshape (ks, flat)\n"
-TAKEN = {
+SELECTION_FORMS = {
     "Compress": "r = Compress <axis = 0> (x, m)",
     "NonZero and GatherND": "i = NonZero (m)\n j = Transpose <perm = [1, 0]> (i)\n r = GatherND (x, j)",
     "NonZero and Gather": "i = NonZero (m)\n j = Squeeze (i, zero)\n r = Gather (x, j)",
     "NonZero, reshaped": "i = NonZero (m)\n j = Reshape (i, flat)\n r = Gather (x, j)",
     "NonZero of its first row": "i = NonZero (m)\n j = Gather (i, first)\n r = Gather (x, j)",
 }
-THEN = {
+ROW_WISE_BODIES = {
     "nothing": "y = Identity (r)",
     "elementwise": "s = Sigmoid (r)\n u = Mul (s, two)\n v = Add (u, t)\n y = Div (r, v)",
     "columns": "s, u = Split <axis = 1> (r, halves)\n y = Concat <axis = 1> (u, s)",
@@ -66,11 +66,11 @@ def assert_same_rows(before: list[np.ndarray], after: list[np.ndarray]) -> None:
         np.testing.assert_array_equal(other[k:], 0)
 
 
-@pytest.mark.parametrize("selection", TAKEN)
+@pytest.mark.parametrize("selection", SELECTION_FORMS)
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 10**6), t=st.sampled_from([-9.0, -0.5, 0.0, 1.0, 9.0]))
 def test_every_form_of_taking_rows_gives_them_in_order(selection: str, seed: int, t: float) -> None:
-    model = masked(TAKEN[selection], THEN["elementwise"])
+    model = masked(SELECTION_FORMS[selection], ROW_WISE_BODIES["elementwise"])
     fed = inputs(seed, t)
     before = run(model, **fed)
     rewrite = MaskRows()
@@ -80,9 +80,9 @@ def test_every_form_of_taking_rows_gives_them_in_order(selection: str, seed: int
     assert_same_rows(before, run(model, **fed))
 
 
-@pytest.mark.parametrize("following_text", THEN)
+@pytest.mark.parametrize("following_text", ROW_WISE_BODIES)
 def test_rows_pass_through_row_wise_operators(following_text: str) -> None:
-    model = masked(TAKEN["NonZero and GatherND"], THEN[following_text])
+    model = masked(SELECTION_FORMS["NonZero and GatherND"], ROW_WISE_BODIES[following_text])
     fed = inputs(3, 0.1)
     before = run(model, **fed)
     rewrite = MaskRows()
@@ -109,7 +109,7 @@ def test_the_order_is_right_at_every_size(n: int) -> None:
 
 
 def test_masked_rows_do_not_reach_the_output() -> None:
-    model = masked(TAKEN["Compress"], "s = Sqrt (r)\n y = Div (two, s)")
+    model = masked(SELECTION_FORMS["Compress"], "s = Sqrt (r)\n y = Div (two, s)")
     x = np.array([[k - 5, 1, 1, 1] for k in range(N)], np.float32)
     x[:3, 2] = np.nan
     inputs = {"x": x, "t": np.zeros(1, np.float32)}
@@ -158,16 +158,16 @@ def test_a_mask_among_kept_rows_is_a_mask_of_both(selection: str) -> None:
     assert_same_rows(before, run(model, **fed))
 
 
-MIXED = {
+MIXED_MASK_BODIES = {
     "places among kept rows looked up in a table": "r1 = Compress <axis = 0> (x, m)\n b = Gather <axis = 1> (r1, second)\n m2 = Less (b, t)\n i = NonZero (m2)\n j = Transpose <perm = [1, 0]> (i)\n y = GatherND (x, j)",
     "rows of one mask at the places of another": "b = Gather <axis = 1> (x, second)\n m2 = Greater (b, t)\n r1 = Compress <axis = 0> (x, m2)\n i = NonZero (m)\n j = Transpose <perm = [1, 0]> (i)\n y = ScatterND (x, j, r1)",
     "rows of two masks added": "b = Gather <axis = 1> (x, second)\n m2 = Greater (b, t)\n r1 = Compress <axis = 0> (x, m2)\n r2 = Compress <axis = 0> (x, m)\n y = Add (r1, r2)",
 }
 
 
-@pytest.mark.parametrize("name", MIXED)
+@pytest.mark.parametrize("name", MIXED_MASK_BODIES)
 def test_rows_of_two_masks_are_not_mixed_up(name: str) -> None:
-    model = masked(MIXED[name], "")
+    model = masked(MIXED_MASK_BODIES[name], "")
     before = text_of(model)
     rewrite = MaskRows()
     assert not rewrite(model).modified
@@ -184,7 +184,7 @@ PRODUCTS = {
 
 @pytest.mark.parametrize("name", PRODUCTS)
 def test_per_row_matrix_products_are_masked(name: str) -> None:
-    model = masked(TAKEN["Compress"], PRODUCTS[name].replace("'", '"'))
+    model = masked(SELECTION_FORMS["Compress"], PRODUCTS[name].replace("'", '"'))
     fed = inputs(6, 0.0)
     before = run(model, **fed)
     rewrite = MaskRows()
@@ -195,7 +195,7 @@ def test_per_row_matrix_products_are_masked(name: str) -> None:
     assert not after[0][k:].any()
 
 
-REFUSED = {
+UNSUPPORTED_BODIES = {
     "a product over the rows": ("s = ReduceProd <keepdims = 1> (r, zero)\n y = Add (r, s)", COUNT),
     "rows in another order": ("y = CumSum (r, first)", COUNT),
     "a count that is no count": ("y = Neg (r)", "count = Identity (eleven)"),
@@ -203,10 +203,10 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", UNSUPPORTED_BODIES)
 def test_operators_that_mix_rows_are_left_alone(name: str) -> None:
-    following_text, count = REFUSED[name]
-    model = masked(TAKEN["NonZero and GatherND"], following_text, count)
+    following_text, count = UNSUPPORTED_BODIES[name]
+    model = masked(SELECTION_FORMS["NonZero and GatherND"], following_text, count)
     if "eleven" in count:
         value = model.graph.outputs[1].producer().inputs[0]
         value.const_value = ir.tensor(np.array([N], np.int32), name="eleven")
@@ -226,7 +226,7 @@ def test_a_count_is_known_however_it_ends(end: str) -> None:
         COUNT.replace("count =", "k0 =")
         + f"onei = Cast <to = 6> (one)\n zeroi = Cast <to = 6> (zero)\n count = {end}"
     )
-    model = masked(TAKEN["Compress"], "y = Neg (r)", count)
+    model = masked(SELECTION_FORMS["Compress"], "y = Neg (r)", count)
     FoldShapes()(model)
     fed = inputs(0, 0.2)
     before = run(model, **fed)
@@ -235,7 +235,7 @@ def test_a_count_is_known_however_it_ends(end: str) -> None:
 
 
 def test_the_count_must_be_the_one_that_the_manifest_names() -> None:
-    model = masked(TAKEN["Compress"], "y = Neg (r)")
+    model = masked(SELECTION_FORMS["Compress"], "y = Neg (r)")
     assert not MaskRows("num_points")(model).modified
     assert MaskRows("count")(model).modified
 

@@ -33,7 +33,7 @@ def with_weight(model: ir.Model, name: str, array: np.ndarray) -> ir.Model:
 RNG = np.random.default_rng(4)
 PLANE = RNG.normal(size=(1, 3, 5, 7)).astype(np.float32)
 # On cells, between them, on the border, and beyond it.
-PLACES = np.linspace(-1.4, 1.4, 29, dtype=np.float32)[:, None]
+SAMPLE_POINTS = np.linspace(-1.4, 1.4, 29, dtype=np.float32)[:, None]
 TIMES = [-1.7, -1.0, -0.31, 0.0, 0.5, 1.0, 1.13]
 
 
@@ -43,7 +43,7 @@ def field(order: str, attributes: str) -> ir.Model:
         " s = Unsqueeze (t, zero) e = Expand (s, tall)"
         f" j = Concat <axis = 1> ({order}) g = Reshape (j, grid) y = GridSample <{attributes}> (plane, g) }}"
     ).replace("<int64[2]", "<int64[1] zero = {0}, int64[2]")
-    return with_weight(with_weight(parsed(text), "plane", PLANE), "p", PLACES)
+    return with_weight(with_weight(parsed(text), "plane", PLANE), "p", SAMPLE_POINTS)
 
 
 @pytest.mark.parametrize("align", [0, 1])
@@ -87,7 +87,7 @@ def test_points_that_move_on_their_own_are_left_alone(inputs: str) -> None:
     )
     model = with_weight(parsed(text), "plane", PLANE)
     if "p" not in inputs.replace(",", " ").split():
-        model = with_weight(model, "p", PLACES)
+        model = with_weight(model, "p", SAMPLE_POINTS)
     assert not SampleByProduct()(model).modified
 
 

@@ -14,11 +14,11 @@ from gsgen.sdk.passes.lowering.pick_parts import PickParts
 from support.passes import HEAD, operators, parsed, run, text_of
 
 
-def listed(*numbers: int) -> str:
+def list_text(*numbers: int) -> str:
     return "{" + ", ".join(map(str, numbers)) + "}"
 
 
-def typed(dims: Sequence[int] | str) -> str:
+def type_text(dims: Sequence[int] | str) -> str:
     """Write a type; a scalar has no brackets in ONNX text."""
     return f"float[{','.join(map(str, dims))}]" if dims else "float"
 
@@ -33,8 +33,8 @@ def typed(dims: Sequence[int] | str) -> str:
 def test_random_slices_become_gathers(begin: int, end: int, step: int, axis: int) -> None:
     text = (
         "g (float[5,6] x) => (float[A,B] y) "
-        f"<int64[1] b = {listed(begin)}, int64[1] e = {listed(end)}, int64[1] a = {listed(axis)}, "
-        f"int64[1] s = {listed(step)}> {{ n = Neg (x) m = Slice (n, b, e, a, s) y = Neg (m) }}"
+        f"<int64[1] b = {list_text(begin)}, int64[1] e = {list_text(end)}, int64[1] a = {list_text(axis)}, "
+        f"int64[1] s = {list_text(step)}> {{ n = Neg (x) m = Slice (n, b, e, a, s) y = Neg (m) }}"
     )
     model, x = parsed(text), np.arange(30, dtype=np.float32).reshape(5, 6)
     (before,) = run(model, x=x)
@@ -102,7 +102,7 @@ def test_a_gather_of_known_places_looks_into_one_axis(
     rng, depth = np.random.default_rng(seed), min(depth, len(shape))
     indices = np.stack([rng.integers(-size, size, rows) for size in shape[:depth]], axis=-1)
     model = with_places(
-        f"g ({typed(shape)} x) => ({typed('ABCDEFG'[: len(rows) + len(shape) - depth])} y)",
+        f"g ({type_text(shape)} x) => ({type_text('ABCDEFG'[: len(rows) + len(shape) - depth])} y)",
         "y = GatherND (x, places)",
         indices,
     )
@@ -137,7 +137,7 @@ def test_a_scatter_of_known_rows_is_gathered(
     indices = np.stack([rng.integers(-size, size, rows) for size in shape[:depth]], axis=-1)
     new = [*rows, *shape[depth:]]
     model = with_places(
-        f"g ({typed(shape)} x, {typed(new)} u) => ({typed(shape)} y)",
+        f"g ({type_text(shape)} x, {type_text(new)} u) => ({type_text(shape)} y)",
         "y = ScatterND (x, places, u)",
         indices,
     )

@@ -9,7 +9,7 @@ import pytest
 from gsgen.sdk.passes.simplify.deduplicate_weights import DeduplicateWeights
 from support.passes import parsed, run, text_of
 
-TWICE = """
+DUPLICATE_WEIGHTS_TEXT = """
 g (float[3] x) => (float[3] y) {
     a = Add (x, first)
     y = Mul (a, second)
@@ -47,7 +47,7 @@ def float3(*numbers: float) -> np.ndarray:
 def test_weights_are_shared_if_every_byte_is_equal(
     first: np.ndarray, second: np.ndarray, left: int
 ) -> None:
-    model = with_weights(TWICE, first=first, second=second)
+    model = with_weights(DUPLICATE_WEIGHTS_TEXT, first=first, second=second)
     x = float3(0.5, -1, 7)
     (before,) = run(model, x=x)
     result = DeduplicateWeights()(model)
@@ -61,7 +61,7 @@ def test_nan_of_other_bits_is_another_weight() -> None:
     bits = np.array([0x7FC00000, 0x7FC00001, 0], np.uint32)
     first = bits[[0, 2, 2]].view(np.float32)
     second = bits[[1, 2, 2]].view(np.float32)
-    model = with_weights(TWICE, first=first, second=second)
+    model = with_weights(DUPLICATE_WEIGHTS_TEXT, first=first, second=second)
     assert not DeduplicateWeights()(model).modified
 
 
@@ -89,7 +89,7 @@ def test_weights_of_a_body_are_shared_with_those_around_it_but_not_between_branc
 
 
 def test_a_weight_that_can_be_fed_stays() -> None:
-    model = with_weights(TWICE, first=float3(1, 2, 3), second=float3(1, 2, 3))
+    model = with_weights(DUPLICATE_WEIGHTS_TEXT, first=float3(1, 2, 3), second=float3(1, 2, 3))
     model.graph.inputs.append(model.graph.initializers["second"])
     before = text_of(model)
     rewrite = DeduplicateWeights()
@@ -101,7 +101,7 @@ def test_a_weight_that_can_be_fed_stays() -> None:
 def test_weights_beside_the_model_are_compared_with_those_inside(tmp_path: Path) -> None:
     array = np.arange(3, dtype=np.float32)
     (tmp_path / "w.bin").write_bytes(b"\0" * 8 + array.tobytes() * 2)
-    model = with_weights(TWICE, first=array, second=array)
+    model = with_weights(DUPLICATE_WEIGHTS_TEXT, first=array, second=array)
     for name, offset in (("first", 8), ("second", 20)):
         model.graph.initializers[name].const_value = ir.ExternalTensor(
             "w.bin",

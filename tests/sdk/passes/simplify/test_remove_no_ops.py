@@ -8,7 +8,7 @@ from gsgen.sdk.passes.simplify.merge_reshapes import MergeReshapes
 from gsgen.sdk.passes.simplify.remove_no_ops import RemoveNoOps
 from support.passes import HEAD, operators, parsed, run
 
-IDLE = {
+NO_OP_BODIES = {
     "identity": "a = Identity (n)",
     "concat of one": "a = Concat <axis = 0> (n)",
     "max of one": "a = Max (n)",
@@ -28,7 +28,7 @@ IDLE = {
     "no padding": "a = Pad (n, pads)",
     "dropout": "a = Dropout (n)",
 }
-BUSY = {
+EFFECTIVE_BODIES = {
     "sum of all": "a = ReduceSum <keepdims = 1> (n)",
     "one over": "a = Div (one, n)",
     "nothing less": "a = Sub (zero, n)",
@@ -55,19 +55,19 @@ def model_of(body: str, rank: str = "A,B"):
     )
 
 
-@pytest.mark.parametrize("name", IDLE)
+@pytest.mark.parametrize("name", NO_OP_BODIES)
 def test_idle_operators_go_and_every_bit_stays(name: str) -> None:
-    model = model_of(IDLE[name])
+    model = model_of(NO_OP_BODIES[name])
     (before,) = run(model, x=X)
     assert RemoveNoOps()(model).modified
     assert operators(model) == {"Neg", "Abs"}
     assert run(model, x=X)[0].tobytes() == before.tobytes()
 
 
-@pytest.mark.parametrize("name", BUSY)
+@pytest.mark.parametrize("name", EFFECTIVE_BODIES)
 def test_operators_that_do_something_stay(name: str) -> None:
     rank = {"larger by ones": "A,B,C", "sum of all": "A,B"}.get(name, "A,B")
-    assert not RemoveNoOps()(model_of(BUSY[name], rank)).modified
+    assert not RemoveNoOps()(model_of(EFFECTIVE_BODIES[name], rank)).modified
 
 
 def test_an_idle_operator_in_front_of_an_output_leaves_the_name_of_the_output() -> None:
