@@ -251,7 +251,7 @@ def test_meaningful_infinities_are_kept(tmp_path, encoding):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "wanted"),
+    ("name", "value", "expected"),
     [
         ("x", "nan", "a finite number"),
         ("f_rest_8", "nan", "a finite number"),

@@ -47,7 +47,7 @@ def refusal(tmp_path: Path, content: bytes, kind: type[FormatError]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("line", "actual", "wanted"),
+    ("line", "actual", "expected"),
     [
         ("element vertex -1", "element 'vertex' with '-1' rows", "not negative"),
         ("element vertex 1_0", "element 'vertex' with '1_0' rows", "a whole number"),
