@@ -82,7 +82,7 @@ def test_the_faster_tiles_are_used(
 
 
 @pytest.mark.parametrize(
-    ("tiles", "quads", "wanted"),
+    ("tiles", "quads", "expected"),
     [(2.0, 1.0, "quads"), (1.0, 2.0, "tiles"), (1.0, 0.79, "quads"), (1.0, 0.81, "tiles")],
 )
 def test_quads_must_be_clearly_faster(

@@ -130,7 +130,7 @@ def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
 
 
 @pytest.mark.parametrize(
-    ("entry", "shape", "wanted"),
+    ("entry", "shape", "expected"),
     [
         (Input(name="x", role="view"), (4, 4), np.eye(4)),
         (Input(name="x", role="control", range=(2, 3)), (2,), [2, 2]),

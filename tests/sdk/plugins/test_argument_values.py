@@ -16,7 +16,7 @@ class Size(enum.Enum):
 
 
 @pytest.mark.parametrize(
-    ("text", "annotation", "wanted"),
+    ("text", "annotation", "expected"),
     [
         ("24", int, 24),
         ("-3", int, -3),
