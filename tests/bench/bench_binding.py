@@ -90,8 +90,8 @@ def alternating_seconds(actions: list[Callable[[], object]], times: int) -> np.n
 
 def bare_frame(session: FrameSession) -> Callable[[], object]:
     """Return what runs a frame of an open session by ONNX Runtime's own calls."""
-    assert session._ready is not None
-    bound, now = session._ready.bound, np.zeros(1, np.float32)
+    assert session._warm_session is not None
+    bound, now = session._warm_session.bound, np.zeros(1, np.float32)
     value, run, binding = bound.inputs["time"].value, bound.session, bound._binding
 
     def frame() -> None:
@@ -140,8 +140,8 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
         alone = bare_frame(session)
         actions = [alone, lambda: session.run({"time": 0.3})["gaussians"], alone]
         entry, ours, again = np.median(alternating_seconds(actions, 30), axis=0)
-        inside = Inside(session._ready.bound.session)
-        session._ready.bound.session = inside
+        inside = Inside(session._warm_session.bound.session)
+        session._warm_session.bound.session = inside
         frames = np.zeros((60, 2))
         for frame in frames:
             start_time = time.perf_counter()

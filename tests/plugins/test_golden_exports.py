@@ -33,7 +33,7 @@ from gsgen.reference_plugins.synthetic import (
 )
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporting.pipeline import Exported
-from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
+from gsgen.sdk.float16.weight_tables import MIN_TABLE_ELEMENTS
 from support.checkpoints.plugin_checks import assert_margin, stored, weights_of
 from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured
@@ -104,7 +104,7 @@ def test_half_precision_halves_the_weights_and_agrees_three_times_better_than_as
     assert_margin(case.name, path)
     assert exported.halved is not None
     retained = weights_of(path, {weight.node for weight in exported.halved.retained_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert all(size < 4 * MIN_TABLE_ELEMENTS for size in retained)  # all large tables are halved
     assert stored(path) - sum(retained) <= 0.52 * (stored(case.exported.path) - sum(retained))
 
 

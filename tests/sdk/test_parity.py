@@ -13,10 +13,10 @@ from gsgen.contract.spec.manifest import Tolerances
 from gsgen.sdk import Gaussians, ParityFailed
 from gsgen.sdk.exporting import eager_reference, verification
 from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference
-from gsgen.sdk.exporting.parity_diagnosis import Suspects
+from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects
 from gsgen.sdk.exporting.prepare import manifest_of
 from gsgen.sdk.exporting.source_vectors import RowRecorder
-from gsgen.sdk.exporting.verification import _nudged, check_parity
+from gsgen.sdk.exporting.verification import _perturbed_probes, check_parity
 from gsgen.sdk.parity import Comparison, ModelOutput, Parity, compare, references_equal
 from support.models.generators import Drift
 
@@ -163,7 +163,7 @@ def test_row_unreachable_by_torch_is_not_a_discontinuity() -> None:
 
 def test_inputs_are_perturbed_slightly_to_both_sides() -> None:
     probe = Probe(label="p", inputs={"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])})
-    moved = list(_nudged(probe))
+    moved = list(_perturbed_probes(probe))
     assert len(moved) == 6
     for first, other in zip(moved[::2], moved[1::2], strict=True):
         for side in (first, other):
@@ -201,7 +201,7 @@ def test_discontinuity_shifted_by_rounding_agrees_with_torch(monkeypatch) -> Non
     rows = outputs[0]["gaussians"]
     rows[7, 3] = 0 if rows[7, 3] else module.opacity[7].item()
     manifest = manifest_of(module, "m", "float32", 3)
-    suspects = Suspects(module, references[0].probe, (), True)
+    suspects = ParitySuspects(module, references[0].probe, (), True)
     recorder = RowRecorder(references, range(0), 0)
     check = partial(check_parity, Path("m.onnx"), manifest, references, suspects, print, recorder)
     monkeypatch.setattr(verification, "run_exported", lambda *_, **__: iter(outputs))
@@ -224,8 +224,8 @@ def test_results_that_do_not_fit_are_run_again(monkeypatch) -> None:
     probes = [Probe(label=f"{t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9, 0.4)]
     single = EagerRuns(module, probes)[0]
     module.runs = 0
-    monkeypatch.setattr(eager_reference, "KEPT_BYTES", 2 * single.nbytes)
-    runs = EagerRuns(module, probes[:1], [single]).at(probes)
+    monkeypatch.setattr(eager_reference, "MAX_KEPT_BYTES", 2 * single.nbytes)
+    runs = EagerRuns(module, probes[:1], [single]).with_probes(probes)
     assert [reference.probe for reference in runs] == probes
     assert module.runs == 2
     assert references_equal(runs[0], single)
@@ -258,12 +258,12 @@ def test_sampled_cells_are_kept_complete(step: int, count: int) -> None:
     known = with_cells(np.full(100, 0.5))
     assert known.cells is not None
     rows, color = layout.encode(known.gaussians)
-    output = ModelOutput(rows, color, count, packed_cells(known.cells)).every(step)
+    output = ModelOutput(rows, color, count, packed_cells(known.cells)).every_nth(step)
     indices = [row for row in range(300) if row // 3 % step == 0]
     np.testing.assert_array_equal(output.rows, rows[indices])
     np.testing.assert_array_equal(output.color, color[indices])
     assert output.count == sum(row < count for row in indices)
-    bare = ModelOutput(rows, color, count).every(step)
+    bare = ModelOutput(rows, color, count).every_nth(step)
     np.testing.assert_array_equal(bare.rows, rows[::step])
     assert bare.count == len(range(0, count, step))
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from gsgen.contract.tools.doctor import Check, check_package
 from gsgen.contract.validation.level_backend import LevelUnavailable
 
-_LIVE = "level live"
+_LIVE_CHECK = "level live"
 
 
 def checks() -> Iterator[Check]:
@@ -16,7 +16,7 @@ def checks() -> Iterator[Check]:
     for name in ("torch", "onnxscript", "onnx-ir"):
         yield check_package(name, remedy, purpose="export from torch")
     yield check_package("scipy", remedy, purpose="sizes of bare point clouds")
-    yield check_package("onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE)
+    yield check_package("onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE_CHECK)
     yield _adapter()
 
 
@@ -28,7 +28,11 @@ def _adapter() -> Check:
         survey_result = survey()
     except LevelUnavailable as error:
         return Check(
-            name="webgpu", state="missing", detail=error.message, remedy=error.hint, purpose=_LIVE
+            name="webgpu",
+            state="missing",
+            detail=error.message,
+            remedy=error.hint,
+            purpose=_LIVE_CHECK,
         )
     except RuntimeError as error:
         return Check(
@@ -36,6 +40,6 @@ def _adapter() -> Check:
             state="broken",
             detail=str(error),
             remedy="pip install -U onnxruntime",
-            purpose=_LIVE,
+            purpose=_LIVE_CHECK,
         )
-    return Check(name="webgpu", state="ok", detail=survey_result["adapter"], purpose=_LIVE)
+    return Check(name="webgpu", state="ok", detail=survey_result["adapter"], purpose=_LIVE_CHECK)

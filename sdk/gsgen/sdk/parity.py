@@ -32,11 +32,11 @@ from gsgen.contract.validation.agreement import (
 )
 
 # Largest share of a probe's rows that may match nearby inputs instead; one row always may.
-_JUMPING_SHARE = 1e-4
+_MAX_JUMP_FRACTION = 1e-4
 # Nearby inputs are tried where this many more rows differ, so that an error names none that jumps.
-_EXTRA_ROWS_TRIED = 64
+_MAX_EXTRA_ROWS = 64
 # Below this size, numbers of a run are compared absolutely.
-_TYPICAL = 1e-2
+_ABSOLUTE_SIZE = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,20 +82,22 @@ class ModelOutput:
         cells = None if self.cells is None else np.array(self.cells)
         return ModelOutput(np.array(self.rows), np.array(self.color), self.count, cells)
 
-    def every(self, step: int) -> "ModelOutput":
+    def every_nth(self, step: int) -> "ModelOutput":
         """Return every n-th Gaussian of the outputs, or every n-th cell (group) of Gaussians."""
         if step == 1:
             return self
         cells = len(self.rows) if self.cells is None else len(self.cells)
         per_cell = len(self.rows) // max(cells, 1)
 
-        def thinned(array: np.ndarray) -> np.ndarray:
+        def thin_array(array: np.ndarray) -> np.ndarray:
             grouped = array.reshape(cells, per_cell, -1)[::step]
             return grouped.reshape(-1, array.shape[1])
 
-        live = np.clip(self.count - per_cell * np.arange(0, cells, step), 0, per_cell).sum()
-        kept_cells = None if self.cells is None else self.cells[::step]
-        return ModelOutput(thinned(self.rows), thinned(self.color), int(live), kept_cells)
+        live_count = np.clip(self.count - per_cell * np.arange(0, cells, step), 0, per_cell).sum()
+        thinned_cells = None if self.cells is None else self.cells[::step]
+        return ModelOutput(
+            thin_array(self.rows), thin_array(self.color), int(live_count), thinned_cells
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +129,7 @@ class Parity:
         return ", ".join(parts)
 
 
-Nearby = Callable[[Reference], Iterable[Reference]]
+NearbyReferences = Callable[[Reference], Iterable[Reference]]
 
 
 class Comparison:
@@ -149,38 +151,38 @@ class Comparison:
         tolerances: Tolerances,
         *,
         roundings: int = 1,
-        nearby: Nearby | None = None,
+        nearby: NearbyReferences | None = None,
         any_order: bool = False,
     ) -> None:
         self._allowance = Allowance(tolerances, roundings)
         self._nearby, self._any_order = nearby, any_order
-        self._worst: dict[str, FieldError] = {}
-        self._probes = self._jumped = self._reordered = 0
+        self._worst_by_field: dict[str, FieldError] = {}
+        self._probe_count = self._jump_count = self._reorder_count = 0
 
     def add(self, reference: Reference, output: ModelOutput) -> None:
         """Compare a model's outputs with the expected outputs for one set of test inputs."""
-        self._probes += 1
+        self._probe_count += 1
         if reference.probe.zeros and not _all_finite(reference):
             return  # the module's own fault, which rule GI009 reports
-        fields, excused = _compare_probe(reference, output, self._allowance, self._nearby)
-        is_set = self._any_order and reference.cells is None
-        if is_set and not all(field.excess <= 1 for field in fields):
-            sorted_output = _in_order_of(reference, output)
-            as_set, _ = _compare_probe(reference, sorted_output, self._allowance, None)
-            if all(field.excess <= 1 for field in as_set):
-                fields, excused = as_set, 0
-                self._reordered += 1
-        self._jumped += excused
+        fields, jump_rows = _compare_probe(reference, output, self._allowance, self._nearby)
+        ignores_order = self._any_order and reference.cells is None
+        if ignores_order and not all(field.excess <= 1 for field in fields):
+            sorted_output = _match_row_order(reference, output)
+            unordered_fields, _ = _compare_probe(reference, sorted_output, self._allowance, None)
+            if all(field.excess <= 1 for field in unordered_fields):
+                fields, jump_rows = unordered_fields, 0
+                self._reorder_count += 1
+        self._jump_count += jump_rows
         for field in fields:
-            known = self._worst.get(field.field)
+            known = self._worst_by_field.get(field.field)
             if known is None or field.excess > known.excess:
-                self._worst[field.field] = field
+                self._worst_by_field[field.field] = field
 
     @property
     def parity(self) -> Parity:
         """The result for the runs so far."""
-        fields = tuple(self._worst.values())
-        return Parity(fields, self._probes, self._jumped, self._reordered)
+        fields = tuple(self._worst_by_field.values())
+        return Parity(fields, self._probe_count, self._jump_count, self._reorder_count)
 
 
 def compare(
@@ -200,7 +202,7 @@ def compare(
     return comparison.parity
 
 
-def _in_order_of(reference: Reference, output: ModelOutput) -> ModelOutput:
+def _match_row_order(reference: Reference, output: ModelOutput) -> ModelOutput:
     """Return a model's output rows, reordered to match the most similar expected rows.
 
     Both sets are sorted by one random projection of all numbers of a row.
@@ -214,8 +216,8 @@ def _in_order_of(reference: Reference, output: ModelOutput) -> ModelOutput:
         np.concatenate([rows[:n], color[:n, :width]], axis=1).astype(np.float64)
         for rows, color in ((expected_rows, expected_color), (output.rows, output.color))
     )
-    spread = expected.std(axis=0)
-    scale = np.divide(1, spread, out=np.zeros_like(spread), where=spread > 0)
+    deviation = expected.std(axis=0)
+    scale = np.divide(1, deviation, out=np.zeros_like(deviation), where=deviation > 0)
     direction = np.random.default_rng(0).normal(size=expected.shape[1]) * scale
     order = np.arange(len(output.rows))
     order[np.argsort(expected @ direction, kind="stable")] = np.argsort(
@@ -234,13 +236,13 @@ def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool
         (getattr(a.cells, name, None), getattr(b.cells, name, None))
         for name in ("position", "visibility", "covariance")
     ]
-    return a.count == b.count and all(_alike(x, y, tolerance) for x, y in pairs)
+    return a.count == b.count and all(_arrays_agree(x, y, tolerance) for x, y in pairs)
 
 
-def _alike(a: np.ndarray | None, b: np.ndarray | None, tolerance: float) -> bool:
+def _arrays_agree(a: np.ndarray | None, b: np.ndarray | None, tolerance: float) -> bool:
     if a is None or b is None or a.shape != b.shape:
         return a is b
-    floor = tolerance * _TYPICAL
+    floor = tolerance * _ABSOLUTE_SIZE
     return np.allclose(a, b, rtol=tolerance, atol=floor, equal_nan=True)
 
 
@@ -253,7 +255,7 @@ def _all_finite(reference: Reference) -> bool:
 
 
 def _compare_probe(
-    reference: Reference, output: ModelOutput, allowance: Allowance, nearby: Nearby | None
+    reference: Reference, output: ModelOutput, allowance: Allowance, nearby: NearbyReferences | None
 ) -> tuple[list[FieldError], int]:
     """Return the worst error of each output field, and how many rows match only nearby inputs."""
     label, n = reference.probe.label, reference.count
@@ -262,38 +264,42 @@ def _compare_probe(
         return [FieldError(field="count", error=error, excess=np.inf, probe=label)], 0
     if (output.cells is None) != (reference.cells is None):
         return [FieldError(field="cells", error=1.0, excess=np.inf, probe=label)], 0
-    worst: dict[str, FieldError] = {}
+    worst_by_field: dict[str, FieldError] = {}
     jumps = 0
     for measure, total in ((_row_errors, n), (_cell_errors, reference.live_cells)):
         errors_at = partial(measure, output, allowance)
-        distant: list[tuple[Errors, np.ndarray]] = []
+        pending_errors: list[tuple[Errors, np.ndarray]] = []
         # Step 1: the rows within the tolerances; the others are set aside.
         for start in range(0, total, BLOCK):
             rows = np.arange(start, min(start + BLOCK, total))
             errors = errors_at(rows, reference)
-            agrees = np.all([excess_of(*pair) <= 1 for pair in errors.values()], axis=0)
-            distant.append((_selected(errors, ~agrees), rows[~agrees]))
-            keep_worst(worst, _selected(errors, agrees), rows[agrees], label)
-        rows = np.concatenate([rows for _, rows in distant]) if distant else np.zeros(0, np.int64)
+            is_within = np.all([excess_of(*pair) <= 1 for pair in errors.values()], axis=0)
+            pending_errors.append((_select_errors(errors, ~is_within), rows[~is_within]))
+            keep_worst(worst_by_field, _select_errors(errors, is_within), rows[is_within], label)
+        rows = (
+            np.concatenate([rows for _, rows in pending_errors])
+            if pending_errors
+            else np.zeros(0, np.int64)
+        )
         # Step 2: a few others may be as they are nearby.
-        allowed_jumps = max(1, _JUMPING_SHARE * n) - jumps
-        if nearby is not None and 0 < len(rows) <= _EXTRA_ROWS_TRIED + allowed_jumps:
-            errors, excused = _excused(errors_at, reference, rows, nearby(reference))
-            if excused <= allowed_jumps:
-                distant = [(errors, rows)]
-                jumps += excused
+        allowed_jumps = max(1, _MAX_JUMP_FRACTION * n) - jumps
+        if nearby is not None and 0 < len(rows) <= _MAX_EXTRA_ROWS + allowed_jumps:
+            errors, jump_rows = _retry_nearby(errors_at, reference, rows, nearby(reference))
+            if jump_rows <= allowed_jumps:
+                pending_errors = [(errors, rows)]
+                jumps += jump_rows
         # Step 3: what remains of the others counts.
-        for errors, rows in distant:
-            keep_worst(worst, errors, rows, label)
-    return list(worst.values()), jumps
+        for errors, rows in pending_errors:
+            keep_worst(worst_by_field, errors, rows, label)
+    return list(worst_by_field.values()), jumps
 
 
-def _selected(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
+def _select_errors(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
     return {name: (error[mask], allowed[mask]) for name, (error, allowed) in errors.items()}
 
 
-def _excused(
-    errors_at: "_ErrorsAt", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
+def _retry_nearby(
+    errors_at: "_MeasureErrors", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple[Errors, int]:
     """Return each Gaussian's least error against torch outputs at the same or nearby inputs."""
     errors = errors_at(rows, reference)
@@ -302,16 +308,16 @@ def _excused(
         if neighbour.count != reference.count or len(neighbour.gaussians) < reference.count:
             continue
         for name, pair in errors_at(rows, neighbour).items():
-            as_there = ~(excess_of(*errors[name]) <= 1) & (excess_of(*pair) <= 1)
+            matches_nearby = ~(excess_of(*errors[name]) <= 1) & (excess_of(*pair) <= 1)
             error, allowed = (
-                np.where(as_there, b, a) for a, b in zip(errors[name], pair, strict=True)
+                np.where(matches_nearby, b, a) for a, b in zip(errors[name], pair, strict=True)
             )
             errors[name] = (error, allowed)
-            jumps |= as_there
+            jumps |= matches_nearby
     return errors, int(np.count_nonzero(jumps))
 
 
-_ErrorsAt = Callable[[np.ndarray, Reference], Errors]
+_MeasureErrors = Callable[[np.ndarray, Reference], Errors]
 
 
 def _row_errors(
@@ -335,10 +341,10 @@ def _cell_errors(
     assert expected is not None
     assert output.cells is not None
     opacity, visibility = output.rows[:, layout.OPACITY], output.cells[:, layout.VISIBILITY]
-    drawn = drawn_cells(reference.gaussians.opacity, reference.count, expected.visibility)[rows]
-    drawn |= drawn_cells(opacity, output.count, visibility)[rows]
+    is_drawn = drawn_cells(reference.gaussians.opacity, reference.count, expected.visibility)[rows]
+    is_drawn |= drawn_cells(opacity, output.count, visibility)[rows]
     packed = _packed(expected.position, expected.visibility, expected.covariance, rows)
-    return cell_errors((packed, output.cells[rows]), drawn, allowance)
+    return cell_errors((packed, output.cells[rows]), is_drawn, allowance)
 
 
 def _packed(

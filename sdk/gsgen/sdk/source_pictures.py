@@ -25,7 +25,7 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.tools.recording import evenly_spaced
 
-_MOST = 16
+_MAX_PICTURES = 16
 
 Outputs = Mapping[str, np.ndarray]
 Draw = Callable[
@@ -66,7 +66,7 @@ def add_source_pictures(
     assert subject.generator is not None
     probes = make_plan(subject, Level.VALUES).probes
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
-    count, most = pictures.count, min(_MOST, len(candidates))
+    count, most = pictures.count, min(_MAX_PICTURES, len(candidates))
     if not 1 <= count <= most:
         message = f"is {count}, expected from 1 to {most}, the model's probes"
         raise ConfigInvalid(message, where="--pictures", hint=f"The most is --pictures {most}.")
@@ -78,6 +78,6 @@ def add_source_pictures(
         (folder / f"{number}.png").write_bytes(png)
         images.append(replace(declaration, path=f"{folder.name}/{number}.png"))
     document = json.loads(subject.file.manifest_text or "{}")
-    changed = document | {"reference_images": to_json(tuple(images))}
-    write_manifest_text(draft, json.dumps(changed, ensure_ascii=False), draft)
+    updated_document = document | {"reference_images": to_json(tuple(images))}
+    write_manifest_text(draft, json.dumps(updated_document, ensure_ascii=False), draft)
     return tuple(images)

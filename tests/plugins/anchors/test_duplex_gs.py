@@ -27,7 +27,7 @@ from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk import export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from gsgen.sdk.exporting.pipeline import Exported
-from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
+from gsgen.sdk.float16.weight_tables import MIN_TABLE_ELEMENTS
 from support.checkpoints.golden_duplex import BACKDROP, golden_view
 from support.checkpoints.plugin_checks import (
     MARGIN,
@@ -394,7 +394,7 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     assert all(agrees for agrees, _ in judge("duplex_a", path))
     assert half.halved is not None
     retained = weights_of(path, {weight.node for weight in half.halved.retained_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert all(size < 4 * MIN_TABLE_ELEMENTS for size in retained)  # all large tables are halved
     integers = 1000  # bytes of sizes and indices
     assert stored(path) - sum(retained) <= 0.5 * (stored(exported.path) - sum(retained)) + integers
 

@@ -24,7 +24,7 @@ from gsgen.reference_plugins.synthetic import (
 )
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporting.pipeline import Exported
-from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
+from gsgen.sdk.float16.weight_tables import MIN_TABLE_ELEMENTS
 from support.checkpoints.plugin_checks import MARGIN, acceptance, eager, run, stored, weights_of
 from support.commands import shared
 from support.models.captured import assert_captured
@@ -96,7 +96,7 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
         assert agrees, errors
     assert result.halved is not None
     retained = weights_of(path, {entry.node for entry in result.halved.retained_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert all(size < 4 * MIN_TABLE_ELEMENTS for size in retained)  # all large tables are halved
     assert stored(path) - sum(retained) <= 0.55 * (stored(case.exported.path) - sum(retained))
 
 

@@ -12,7 +12,7 @@ from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, ProviderUnav
 from gsgen.sdk.binding.providers import selection, webgpu
 from gsgen.sdk.binding.providers.node_placement import error_text
 from gsgen.sdk.binding.providers.selection import (
-    Choice,
+    ProviderChoice,
     SessionOptions,
     choose_provider,
     installed_providers,
@@ -162,7 +162,7 @@ def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda)
         "enable_fallback": 0,
     }
     assert installed_providers() == ["cpu", "webgpu", "cuda"]
-    assert Choice("cuda", "").device == "CUDA device 0"
+    assert ProviderChoice("cuda", "").device == "CUDA device 0"
 
 
 @pytest.mark.filterwarnings("ignore:Specified provider 'CUDA:UserWarning")
@@ -187,7 +187,7 @@ def stand_in(monkeypatch, with_cuda):
 
     def as_the_cpu(path, opening):
         opened.append(opening.capture)
-        return open_plainly(path, SessionOptions(choice=Choice("cpu", "")))
+        return open_plainly(path, SessionOptions(choice=ProviderChoice("cpu", "")))
 
     opened: list[bool] = []
     # A fake of CUDA's memory.

@@ -13,7 +13,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.float16.convert_model import write_float16
-from gsgen.sdk.rewriting.rewrite import Rewritten, rewrite_file
+from gsgen.sdk.rewriting.rewrite import RewriteResult, rewrite_file
 from support.models.captured import assert_captured
 from support.models.small_models import good_rows, manifest_of, model, save, weight
 
@@ -73,7 +73,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rewritten(source: Path) -> Rewritten:
+def rewritten(source: Path) -> RewriteResult:
     return rewrite_file(source, source.with_name("rewritten.onnx"), WEBGPU)
 
 
@@ -83,7 +83,9 @@ def frames(path: Path) -> list[list[np.ndarray]]:
     return [session.run(None, {"time": t}) for t in times]
 
 
-def test_rewritten_mask_model_has_no_capture_obstacle(source: Path, rewritten: Rewritten) -> None:
+def test_rewritten_mask_model_has_no_capture_obstacle(
+    source: Path, rewritten: RewriteResult
+) -> None:
     assert len(rewritten.before.uncaptured) >= 2
     assert rewritten.after.uncaptured == ()
     done = {change.rewrite for change in rewritten.changes}
@@ -101,7 +103,7 @@ def test_rewritten_mask_model_has_no_capture_obstacle(source: Path, rewritten: R
 
 
 @pytest.mark.parametrize("half", [False, True])
-def test_masked_model_is_captured_and_replayed_live(rewritten: Rewritten, half: bool) -> None:
+def test_masked_model_is_captured_and_replayed_live(rewritten: RewriteResult, half: bool) -> None:
     path = rewritten.path
     assert path is not None
     if half:

@@ -74,7 +74,7 @@ def test_a_frame_that_the_target_cannot_bind_is_refused_at_once(
 def test_the_size_of_a_large_frame_is_told_before_the_long_part(
     tmp_path: Path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(frame_size, "_LARGE", 50 * (10 + 48) * 4)
+    monkeypatch.setattr(frame_size, "_LARGE_FRAME_BYTES", 50 * (10 + 48) * 4)
     steps: list[str] = []
     exported = export(Drift(), tmp_path / "m.onnx", progress=steps.append)
     (message,) = [step for step in steps if "Gaussians:" in step]

@@ -10,8 +10,8 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
 from gsgen.sdk.exporting.eager_reference import EagerRuns
-from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
-from gsgen.sdk.exporting.tracing.hazards import Watch
+from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects, diagnose
+from gsgen.sdk.exporting.tracing.hazards import HazardWatch
 from gsgen.sdk.parity import ModelOutput
 from sdk.exporting import hazards
 from support.models.generators import Drift, Growing, Lit, Skinned
@@ -50,7 +50,7 @@ REFUSED_HAZARDS = {
 @pytest.mark.parametrize("kind", EXPECTED_HAZARDS, ids=lambda kind: kind.__name__)
 def test_a_hazard_is_seen_with_its_line_while_the_module_runs(kind: type[Drift]) -> None:
     module, time = kind().eval(), torch.full((1,), 0.2)
-    with torch.no_grad(), Watch(module, [time]) as watch:
+    with torch.no_grad(), HazardWatch(module, [time]) as watch:
         module(time)
     line = hazard_line(kind)
     actual = [hazard for hazard in watch.hazards if hazard.where.endswith(line)]
@@ -61,7 +61,7 @@ def test_a_hazard_is_seen_with_its_line_while_the_module_runs(kind: type[Drift])
 def test_clean_modules_have_no_hazards(kind: type[Drift]) -> None:
     module = kind().eval()
     tensors = [torch.zeros(entry.shape) for entry in module.inputs]
-    with torch.no_grad(), Watch(module, tensors) as watch:
+    with torch.no_grad(), HazardWatch(module, tensors) as watch:
         module(*tensors)
     assert watch.hazards == []
     assert not watch.changes_module
@@ -70,7 +70,7 @@ def test_clean_modules_have_no_hazards(kind: type[Drift]) -> None:
 def test_watching_leaves_torch_as_it_was() -> None:
     before = torch.nn.Module.__setattr__
     module = Drift()
-    with pytest.raises(RuntimeError), Watch(module, []):
+    with pytest.raises(RuntimeError), HazardWatch(module, []):
         raise RuntimeError
     assert torch.nn.Module.__setattr__ is before
 
@@ -78,14 +78,14 @@ def test_watching_leaves_torch_as_it_was() -> None:
 @pytest.mark.parametrize("kind", [hazards.Caches, hazards.Accumulates])
 def test_module_state_is_restored_after_a_run(kind: type[Drift]) -> None:
     module, time = kind().eval(), torch.full((1,), 0.7)
-    with torch.no_grad(), Watch(module, [time]) as watch:
+    with torch.no_grad(), HazardWatch(module, [time]) as watch:
         first = module(time).position
         module(time)
     assert watch.changes_module
-    watch.undo()
+    watch.restore_module()
     with torch.no_grad():
         assert torch.equal(module(time).position, first)
-        watch.undo()
+        watch.restore_module()
         assert not torch.equal(module(time * 0.5).position, first)
 
 
@@ -124,7 +124,7 @@ def export_error(module: Drift, *, frozen: bool = False, rewritten: bool = True)
 
     module = module.eval()
     references = EagerRuns(module, PROBES)
-    suspects = Suspects(module, PROBES[0], (), rewritten)
+    suspects = ParitySuspects(module, PROBES[0], (), rewritten)
     return diagnose(suspects, MANIFEST, references, run)
 
 

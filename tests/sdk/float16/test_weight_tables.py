@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsgen.sdk.float16.to_float16 import ToFloat16
-from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS, half_table
+from gsgen.sdk.float16.weight_tables import MIN_TABLE_ELEMENTS, half_table
 from support.models.small_models import model, weight
 from support.passes import run
 
-ROWS = LEAST_ELEMENTS
+ROWS = MIN_TABLE_ELEMENTS
 
 
 def drawn(columns: int, spread: float, far: float, tail: bool) -> np.ndarray:

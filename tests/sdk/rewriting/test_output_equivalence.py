@@ -9,8 +9,8 @@ import pytest
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import BITS
-from gsgen.sdk.rewriting.output_equivalence import _room, compare_files
+from gsgen.sdk.passes.framework.base import BIT_EXACT
+from gsgen.sdk.rewriting.output_equivalence import _limits_for, compare_files
 from support.passes import parsed
 
 
@@ -21,7 +21,7 @@ def test_integers_are_compared_where_a_double_cannot_tell_them_apart(tmp_path: P
     files = tmp_path / "before.onnx", tmp_path / "after.onnx"
     probes = [Probe(label="large", inputs={"x": np.array([1 << 53], np.int64)})]
     with pytest.raises(RewriteFailed, match="'y' differs by 1 "):
-        compare_files(*files, ["y"], probes, Limits(), BITS, "a pass")
+        compare_files(*files, ["y"], probes, Limits(), BIT_EXACT, "a pass")
 
 
 def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) -> None:
@@ -35,7 +35,7 @@ def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) 
     )
     model.graph.register_initializer(value)
     ir.save(model, tmp_path / "in.onnx", external_data="weights.bin")
-    memory_limits = _room(tmp_path / "in.onnx", Limits(memory=1)).memory
+    memory_limits = _limits_for(tmp_path / "in.onnx", Limits(memory=1)).memory
     assert memory_limits > Limits(memory=1).for_model(array.nbytes).memory
 
 
@@ -49,6 +49,6 @@ def test_nonnumeric_output_is_not_compared(
     ir.save(parsed(text), tmp_path / "m.onnx")
     probes = [Probe(label=str(i), inputs={"x": np.full(2, i, np.float32)}) for i in range(2)]
     files = tmp_path / "m.onnx", tmp_path / "m.onnx"
-    result = compare_files(*files, ["y", "e", "z"], probes, Limits(), BITS, "a pass")
+    result = compare_files(*files, ["y", "e", "z"], probes, Limits(), BIT_EXACT, "a pass")
     assert result.differences == ()
     assert result.uncompared == (*uncompared, "e")

@@ -18,7 +18,13 @@ from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.manifest_io import parse
 from gsgen.contract.spec.targets import known_targets, load_target
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import BITS, ErrorBudget, NodeRewrite, RewriteTarget, is_op
+from gsgen.sdk.passes.framework.base import (
+    BIT_EXACT,
+    ErrorBudget,
+    NodeRewrite,
+    RewriteTarget,
+    is_op,
+)
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.registry import REWRITES
 from gsgen.sdk.rewriting import rewrite as pipeline
@@ -181,8 +187,8 @@ def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("factor", "exactness", "is_failing"),
     [
-        (1.0, BITS, False),
-        (1.0000001, BITS, True),
+        (1.0, BIT_EXACT, False),
+        (1.0000001, BIT_EXACT, True),
         (1.0000001, ErrorBudget(relative=1e-5), False),
         (1.01, ErrorBudget(relative=1e-5), True),
         (float("nan"), ErrorBudget(relative=1e-5), True),

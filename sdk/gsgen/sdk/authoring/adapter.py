@@ -9,7 +9,7 @@ For example, for a module that takes a view matrix and a time and returns a dict
     )
 """
 
-__all__ = ["Take", "wrap"]
+__all__ = ["OutputSelector", "wrap"]
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -25,16 +25,16 @@ from gsgen.sdk.errors import GeneratorInvalid
 
 # The source of a field: a key, an attribute or a position in the module's result, or a function
 # of the whole result.
-Take = str | int | Callable[[Any], Any]
+OutputSelector = str | int | Callable[[Any], Any]
 
-_FIELDS = tuple(field.name for field in dataclasses.fields(Gaussians))
+_FIELD_NAMES = tuple(field.name for field in dataclasses.fields(Gaussians))
 
 
 def wrap(
     module: nn.Module,
     *,
     inputs: Sequence[Input],
-    outputs: Mapping[str, Take],
+    outputs: Mapping[str, OutputSelector],
     by_name: bool = False,
     space: Space | None = None,
     color_space: Literal["srgb", "linear"] = "srgb",
@@ -66,13 +66,13 @@ def wrap(
         GeneratorInvalid: ``outputs`` lacks ``position`` or ``opacity``.
     """
     for name in outputs:
-        if name not in _FIELDS:
-            raise UnknownName.among("field", name, _FIELDS, "wrap, outputs")
+        if name not in _FIELD_NAMES:
+            raise UnknownName.among("field", name, _FIELD_NAMES, "wrap, outputs")
     for name in ("position", "opacity"):
         if name not in outputs:
             message = f"{name!r} is missing, expected a source for it"
             raise GeneratorInvalid(message, where="wrap, outputs")
-    generator = _Wrapped(module, outputs, by_name=by_name)
+    generator = _WrappedGenerator(module, outputs, by_name=by_name)
     generator.inputs = tuple(inputs)
     generator.depends_on = dict(depends_on or {})  # type: ignore[misc]
     generator.space = space or Space()
@@ -81,10 +81,12 @@ def wrap(
     return generator
 
 
-class _Wrapped(GaussianGenerator):
+class _WrappedGenerator(GaussianGenerator):
     """A Gaussian generator that runs a user's torch module and picks Gaussians from its result."""
 
-    def __init__(self, module: nn.Module, outputs: Mapping[str, Take], *, by_name: bool) -> None:
+    def __init__(
+        self, module: nn.Module, outputs: Mapping[str, OutputSelector], *, by_name: bool
+    ) -> None:
         super().__init__()
         self.module = module
         self.outputs = dict(outputs)
@@ -97,41 +99,46 @@ class _Wrapped(GaussianGenerator):
             result = self.module(**dict(zip(names, inputs, strict=True)))
         else:
             result = self.module(*inputs)
-        picked = {name: self._pick(result, name, take) for name, take in self.outputs.items()}
-        return Gaussians(**picked)
+        selected = {
+            name: self._select_tensor(result, name, selector)
+            for name, selector in self.outputs.items()
+        }
+        return Gaussians(**selected)
 
-    def _pick(self, result: Any, field: str, take: Take) -> Any:
-        value = self._extract(result, field, take)
+    def _select_tensor(self, result: Any, field: str, selector: OutputSelector) -> Any:
+        value = self._extract(result, field, selector)
         if isinstance(value, Cells if field == "cells" else Tensor):
             return value
         expected = "gsgen.sdk.Cells" if field == "cells" else "a tensor"
         message = f"is {type(value).__name__}, expected {expected}"
-        raise GeneratorInvalid(message, where=self._location(field, take))
+        raise GeneratorInvalid(message, where=self._location(field, selector))
 
-    def _extract(self, result: Any, field: str, take: Take) -> Any:
-        if callable(take):
-            return take(result)
+    def _extract(self, result: Any, field: str, selector: OutputSelector) -> Any:
+        if callable(selector):
+            return selector(result)
         if isinstance(result, Tensor):
             result = (result,)
-        if isinstance(take, str) and not isinstance(result, Mapping):
-            if hasattr(result, take):
-                return getattr(result, take)
+        if isinstance(selector, str) and not isinstance(result, Mapping):
+            if hasattr(result, selector):
+                return getattr(result, selector)
         elif isinstance(result, Mapping | Sequence):
             try:
-                return result[take]  # type: ignore[index]
+                return result[selector]  # type: ignore[index]
             except (LookupError, TypeError):
                 pass
         kind = type(self.module).__name__
-        message = f"{kind} returns {_described(result)}, which has no {take!r}"
-        raise GeneratorInvalid(message, where=self._location(field, take))
+        message = f"{kind} returns {_describe(result)}, which has no {selector!r}"
+        raise GeneratorInvalid(message, where=self._location(field, selector))
 
     @staticmethod
-    def _location(field: str, take: Take) -> str:
-        source = getattr(take, "__name__", "a function") if callable(take) else repr(take)
+    def _location(field: str, selector: OutputSelector) -> str:
+        source = (
+            getattr(selector, "__name__", "a function") if callable(selector) else repr(selector)
+        )
         return f"wrap, outputs[{field!r}] = {source}"
 
 
-def _described(result: Any) -> str:
+def _describe(result: Any) -> str:
     """Describe the result of a user's torch module for an error message: type, shape, keys."""
     if isinstance(result, Mapping):
         return f"a dict of {', '.join(repr(key) for key in result)}"

@@ -56,10 +56,10 @@ class Gaussians:
             raise GeneratorInvalid("give colours as exactly one of sh and rgb", where="Gaussians")
         n = self.position.shape[0]
         for name, width in (("position", 3), ("scale", 3), ("rotation", 4), ("covariance", 6)):
-            self._expect(name, (n, width))
-        self._expect("rgb", (n, 3))
-        self._expect("opacity", (n,), (n, 1))
-        self._expect("sh", *((n, k, 3) for k in COEFFICIENTS))
+            self._require_shape(name, (n, width))
+        self._require_shape("rgb", (n, 3))
+        self._require_shape("opacity", (n,), (n, 1))
+        self._require_shape("sh", *((n, k, 3) for k in COEFFICIENTS))
         if self.count is not None and self.count.numel() != 1:
             count_shape = list(self.count.shape)
             message = f"shape is {count_shape}, expected one element"
@@ -69,7 +69,7 @@ class Gaussians:
             message = f"{n} Gaussians do not fill {cells} cells equally"
             raise GeneratorInvalid(message, where="Gaussians.cells")
 
-    def _expect(self, name: str, *shapes: tuple[int, ...]) -> None:
+    def _require_shape(self, name: str, *shapes: tuple[int, ...]) -> None:
         value: Tensor | None = getattr(self, name)
         if value is None:
             return

@@ -153,12 +153,12 @@ def expression(
 
     The range is [0, 1] for ``arkit-52`` and [−2, 2] otherwise, unless it is given.
     """
-    usual = (0.0, 1.0) if convention == "arkit-52" else (-2.0, 2.0)
+    default_range = (0.0, 1.0) if convention == "arkit-52" else (-2.0, 2.0)
     return Input(
         name=name,
         role="expression",
         shape=(count,),
-        range=range or usual,
+        range=range or default_range,
         default="zeros",
         convention=convention,
     )

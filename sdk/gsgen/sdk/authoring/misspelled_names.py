@@ -16,7 +16,7 @@ _UNKNOWN_FIELD = re.compile(r"(\w+)\.__init__\(\) got an unexpected keyword argu
 def misspelling_hint(error: BaseException) -> str:
     """Return a hint with the known names, if an exception is about an unknown one; else nothing."""
     if isinstance(error, AttributeError) and isinstance(error.obj, ModuleType):
-        return _closest(error.name or "", dir(error.obj))
+        return _closest_name(error.name or "", dir(error.obj))
     unknown_field = _UNKNOWN_FIELD.match(str(error))
     if not isinstance(error, TypeError) or unknown_field is None:
         return ""
@@ -24,10 +24,10 @@ def misspelling_hint(error: BaseException) -> str:
         if unknown_field[1] == kind.__name__:
             names = [field.name for field in fields(kind) if field.init]
             hint = f"{kind.__name__} takes {', '.join(names)}."
-            return " ".join(filter(None, (_closest(unknown_field[2], names), hint)))
+            return " ".join(filter(None, (_closest_name(unknown_field[2], names), hint)))
     return ""
 
 
-def _closest(name: str, known: list[str]) -> str:
+def _closest_name(name: str, known: list[str]) -> str:
     matches = get_close_matches(name, known, n=1)
     return f"Did you mean {matches[0]!r}?" if matches else ""

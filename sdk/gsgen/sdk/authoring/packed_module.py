@@ -48,7 +48,7 @@ class PackedGenerator(nn.Module):
             raise GeneratorInvalid(message, where=type(self.generator).__name__)
         rows = self._padded(self._rows(gaussians))
         color = self._padded(self._color(gaussians))
-        outputs = (rows, color, self._count(gaussians))
+        outputs = (rows, color, self._count_tensor(gaussians))
         if gaussians.cells is None:
             return outputs
         return (*outputs, self._cells(gaussians, gaussians.cells))
@@ -61,8 +61,8 @@ class PackedGenerator(nn.Module):
             raise GeneratorInvalid(message, where="capacity", hint=hint)
         opacity = gaussians.opacity.reshape(n, 1)
         if gaussians.count is not None:
-            live = torch.arange(n, device=opacity.device) < gaussians.count.reshape(1)
-            opacity = opacity * live[:, None].to(opacity.dtype)
+            is_live = torch.arange(n, device=opacity.device) < gaussians.count.reshape(1)
+            opacity = opacity * is_live[:, None].to(opacity.dtype)
         return torch.cat([gaussians.position, opacity, gaussians.covariances()], dim=1)
 
     def _color(self, gaussians: Gaussians) -> Tensor:
@@ -83,8 +83,8 @@ class PackedGenerator(nn.Module):
         visibility = cells.visibility.reshape(c, 1)
         if gaussians.count is not None:
             first = torch.arange(c, device=visibility.device) * per_cell
-            live = first < gaussians.count.reshape(1)
-            visibility = visibility * live[:, None].to(visibility.dtype)
+            is_live = first < gaussians.count.reshape(1)
+            visibility = visibility * is_live[:, None].to(visibility.dtype)
         rows = torch.cat([cells.position, visibility, cells.covariances()], dim=1)
         return self._padded(rows, self.packed.capacity // per_cell)
 
@@ -93,7 +93,7 @@ class PackedGenerator(nn.Module):
         rows = rows.to(self.packed.dtype)
         return torch.cat([rows, rows.new_zeros(missing, rows.shape[1])]) if missing else rows
 
-    def _count(self, gaussians: Gaussians) -> Tensor:
+    def _count_tensor(self, gaussians: Gaussians) -> Tensor:
         n = gaussians.position.shape[0]
         if gaussians.count is None:
             return torch.full((1,), n, dtype=torch.int32)

@@ -15,7 +15,7 @@ from gsgen.contract.process.limits import Limits
 
 _WORKER = "gsgen.sdk.binding.benchmark_worker"
 
-State = Literal["measured", "unavailable", "failed", "crashed"]
+BenchmarkState = Literal["measured", "unavailable", "failed", "crashed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,7 @@ class BenchmarkResult:
 
     model: str
     provider: str
-    state: State
+    state: BenchmarkState
     reason: str
     facts: Mapping[str, Any]
 
@@ -70,7 +70,7 @@ def time_frames(
         )
 
 
-def _outcome(execution: Execution) -> tuple[State, str, dict[str, Any]]:
+def _outcome(execution: Execution) -> tuple[BenchmarkState, str, dict[str, Any]]:
     for event in execution.events:
         if event["event"] == "measured":  # a crash at the end of the process does not matter
             return "measured", "", dict(event["facts"])

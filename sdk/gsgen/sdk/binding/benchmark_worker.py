@@ -18,15 +18,15 @@ from gsgen.sdk.binding.providers.errors import ProviderUnavailable
 from gsgen.sdk.binding.session import FrameSession
 
 # The first frames are not measured: caches fill and clock rates rise.
-_UNMEASURED = 3
+_WARM_UP_FRAMES = 3
 
 
 def main(folder: Path) -> int:
     """Run the benchmark that ``folder/job.json`` describes, and return the exit code."""
-    return run_worker(folder, _work)
+    return run_worker(folder, _run_job)
 
 
-def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _run_job(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     try:
         emit("measured", facts=_measure(job))
     except ProviderUnavailable as error:
@@ -38,8 +38,8 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
 
 
 def _error_line(error: GsgenError) -> str:
-    inside = error.where.startswith(("tensor ", "input ", "output "))
-    message = f"{error.where}: {error.message}" if inside else error.message
+    is_model_error = error.where.startswith(("tensor ", "input ", "output "))
+    message = f"{error.where}: {error.message}" if is_model_error else error.message
     return f"{message}; {error.hint}" if error.hint else message
 
 
@@ -58,9 +58,9 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
         times = np.asarray(
             [
                 _time_frame(session, probes[k % len(probes)])
-                for k in range(job["frames"] + _UNMEASURED)
+                for k in range(job["frames"] + _WARM_UP_FRAMES)
             ]
-        )[_UNMEASURED:]
+        )[_WARM_UP_FRAMES:]
         return _facts(session, times) | {
             "create_seconds": opened_at - start,
             "first_frame_seconds": first,
@@ -71,15 +71,15 @@ def _time_frame(session: FrameSession, inputs: dict[str, np.ndarray]) -> tuple[f
     """Measure the time of one frame in seconds: total, copy to the device, copy back."""
     start = time.perf_counter()
     session.write(inputs)
-    written = time.perf_counter()
+    write_end = time.perf_counter()
     frame = session.run()
     _read_outputs(session, frame)
-    finished = time.perf_counter()
+    run_end = time.perf_counter()
     for (
         buffer
     ) in session.outputs.values():  # read again without waiting: this measures the copies alone
         buffer.read()
-    return finished - start, written - start, time.perf_counter() - finished
+    return run_end - start, write_end - start, time.perf_counter() - run_end
 
 
 def _read_outputs(session: FrameSession, frame: Any) -> None:
@@ -88,9 +88,9 @@ def _read_outputs(session: FrameSession, frame: Any) -> None:
 
 
 def _facts(session: FrameSession, times: np.ndarray) -> dict[str, Any]:
-    total, copied = times[:, 0], times[:, 1] + times[:, 2]
+    total, copy_times = times[:, 0], times[:, 1] + times[:, 2]
     p50, p95 = np.percentile(total, [50, 95])
-    share = float(np.clip(np.median(copied) / p50, 0, 1))
+    share = float(np.clip(np.median(copy_times) / p50, 0, 1))
     count = _gaussian_count(session)
     return {
         "device": session.device,
@@ -111,8 +111,8 @@ def _facts(session: FrameSession, times: np.ndarray) -> dict[str, Any]:
 
 def _gaussian_count(session: FrameSession) -> int | None:
     manifest = session.manifest
-    known = isinstance(manifest, GeneratorManifest) and manifest.outputs.gaussians
-    return session.run().count if known else None
+    has_gaussians = isinstance(manifest, GeneratorManifest) and manifest.outputs.gaussians
+    return session.run().count if has_gaussians else None
 
 
 if __name__ == "__main__":

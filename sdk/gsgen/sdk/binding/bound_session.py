@@ -23,7 +23,7 @@ _NO_GRAPH = ("gpu_graph_id", "-1")
 # The largest buffer of drivers; larger requests hang instead of failing.
 _BUFFER_BYTES = (4 << 30) - 1
 # ONNX Runtime's message if an output does not fit its bound buffer.
-_OTHER_SIZE = re.compile(
+_SIZE_MISMATCH = re.compile(
     r"output '([^']*)' of node .* has shape \{([\d,]*)\} but the computed output shape for this "
     r"run is \{([\d,]*)\}"
 )
@@ -214,7 +214,7 @@ def translate_error(error: Exception) -> GsgenError:
     """Convert an error of ONNX Runtime to a GsgenError with a readable message."""
     if isinstance(error, GsgenError):
         return error
-    mismatch = _OTHER_SIZE.search(str(error))
+    mismatch = _SIZE_MISMATCH.search(str(error))
     if mismatch is not None:
         return _shape_changed(*mismatch.groups())
     hint = "`gsgen validate --level live` reports the rule that the model violates."

@@ -55,9 +55,9 @@ class HostBuffer(Buffer):
 
     def write(self, array: np.ndarray) -> bool:
         """Copy an array into the tensor's host memory."""
-        changed = not _same_bits(self._array, array)
+        is_changed = not _same_bits(self._array, array)
         self._array[...] = array
-        return changed
+        return is_changed
 
     def read(self) -> np.ndarray:
         """Return the tensor's host memory as an array, without a copy."""
@@ -76,16 +76,16 @@ class DeviceBuffer(Buffer):
         super().__init__(shape, dtype)
         self._array: np.ndarray | None = None
         self._written = False
-        self._of_webgpu = memory == "gpu"
-        if self._of_webgpu:  # such buffers belong to a session
-            make = session.create_ortvalue_from_shape_and_type
+        self._is_webgpu_memory = memory == "gpu"
+        if self._is_webgpu_memory:  # such buffers belong to a session
+            create_buffer = session.create_ortvalue_from_shape_and_type
         else:
-            make = onnxruntime.OrtValue.ortvalue_from_shape_and_type
-        self.value = make(list(shape), dtype.type, memory, 0)
+            create_buffer = onnxruntime.OrtValue.ortvalue_from_shape_and_type
+        self.value = create_buffer(list(shape), dtype.type, memory, 0)
 
     def write(self, array: np.ndarray) -> bool:
         """Copy an array to the tensor's device memory, unless that holds the same bits."""
-        host = self._host()
+        host = self._host_value()
         if self._written and _same_bits(host, array):
             return False
         host[...] = array
@@ -97,21 +97,21 @@ class DeviceBuffer(Buffer):
         """Copy the tensor from device memory to the host, always into the same array."""
         import onnxruntime
 
-        host = self._host()
-        if self._of_webgpu:
-            onnxruntime.copy_tensors([self.value], [self._mirror])
+        host = self._host_value()
+        if self._is_webgpu_memory:
+            onnxruntime.copy_tensors([self.value], [self._host_copy])
         else:  # copy_tensors does not support the built-in providers
             host[...] = self.value.numpy()
         return self._view
 
-    def _host(self) -> np.ndarray:
+    def _host_value(self) -> np.ndarray:
         """Return the host array of a device buffer, which is allocated at its first use."""
         import onnxruntime
 
         if self._array is None:
             self._array = np.zeros(self.shape, self.dtype)
             self._view = _read_only(self._array)
-            self._mirror = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
+            self._host_copy = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
         return self._array
 
 

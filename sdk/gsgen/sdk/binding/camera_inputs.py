@@ -79,12 +79,12 @@ def camera_values(camera: Camera) -> dict[str, np.ndarray]:
     ``camera`` has both matrices, or a view and intrinsics, or is the pair (view, projection).
     """
     view, projection = _matrices(camera)
-    world = np.asarray(view, np.float64)
-    if world.shape != (4, 4):
-        message = f"has shape {list(world.shape)}, expected [4, 4]"
+    world_to_camera = np.asarray(view, np.float64)
+    if world_to_camera.shape != (4, 4):
+        message = f"has shape {list(world_to_camera.shape)}, expected [4, 4]"
         raise InputInvalid(message, where="camera.view")
-    values = {"view": world, "projection": np.asarray(projection)}
-    values["camera_position"] = -world[:3, :3].T @ world[:3, 3]
+    values = {"view": world_to_camera, "projection": np.asarray(projection)}
+    values["camera_position"] = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
     if all(hasattr(camera, name) for name in _VIEWPORT):
         values["viewport"] = np.asarray([getattr(camera, name) for name in _VIEWPORT])
     return values

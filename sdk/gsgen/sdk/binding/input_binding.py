@@ -55,7 +55,7 @@ class InputBinding:
         Raises:
             InputInvalid: The shape, dtype or range does not fit.
         """
-        array = self.fitting(value)
+        array = self.convert_value(value)
         limits = self.declared.range if self.declared else None
         if limits is not None and array.size:
             low, high = np.asarray(limits).astype(self.dtype)
@@ -63,12 +63,12 @@ class InputBinding:
                 actual = (
                     f"{array.min():g}" if array.size == 1 else f"{array.min():g} … {array.max():g}"
                 )
-                raise self._invalid(
+                raise self._invalid_error(
                     f"the value is {actual}, expected {limits[0]:g} … {limits[1]:g}"
                 )
         return array.T if self.transposed else array
 
-    def fitting(self, value: object) -> np.ndarray:
+    def convert_value(self, value: object) -> np.ndarray:
         """Convert a value to an array of the model input's shape and dtype, without transposing.
 
         Raises:
@@ -77,16 +77,18 @@ class InputBinding:
         try:
             array = np.asarray(value)
         except ValueError as error:  # a list of rows of unequal length
-            raise self._invalid(f"the value cannot be converted to an array: {error}") from error
+            raise self._invalid_error(
+                f"the value cannot be converted to an array: {error}"
+            ) from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
                 shape, expected = list(array.shape), list(self.shape)
-                raise self._invalid(f"the value has shape {shape}, expected shape {expected}")
+                raise self._invalid_error(f"the value has shape {shape}, expected shape {expected}")
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array
         if array.dtype.kind not in "biuf" or not np.can_cast(array.dtype, self.dtype, "same_kind"):
-            raise self._invalid(f"the value is {array.dtype}, expected {self.dtype}")
+            raise self._invalid_error(f"the value is {array.dtype}, expected {self.dtype}")
         return self._converted(array)
 
     def default(self) -> np.ndarray:
@@ -101,10 +103,12 @@ class InputBinding:
             limits = np.iinfo(self.dtype)
             if not (array.min() >= limits.min and array.max() <= limits.max):
                 actual = f"{array.min()} … {array.max()}"
-                raise self._invalid(f"the value is {actual}, which {self.dtype} cannot represent")
+                raise self._invalid_error(
+                    f"the value is {actual}, which {self.dtype} cannot represent"
+                )
         return np.asarray(array.astype(self.dtype))
 
-    def _invalid(self, message: str) -> InputInvalid:
+    def _invalid_error(self, message: str) -> InputInvalid:
         role = f" (role {self.role})" if self.role and self.role != self.name else ""
         return InputInvalid(message, where=f"input {self.name}{role}")
 
@@ -121,7 +125,7 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
     if default == "zeros":
         return np.zeros(shape)
     if default == "identity":
-        return _identity(declared.role, shape)
+        return _identity_values(declared.role, shape)
     values = np.asarray(default, np.float64)
     if values.ndim and values.size != np.prod(shape):
         message = f"default has {values.size} numbers, expected {int(np.prod(shape))}"
@@ -129,7 +133,7 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
     return values.reshape(shape) if values.ndim else np.full(shape, values)
 
 
-def _identity(role: str, shape: tuple[int, ...]) -> np.ndarray:
+def _identity_values(role: str, shape: tuple[int, ...]) -> np.ndarray:
     """Return the identity transform in a given shape: a matrix, quaternions or rotation vectors."""
     if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
         return np.eye(shape[0])

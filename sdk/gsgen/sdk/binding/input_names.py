@@ -19,7 +19,7 @@ class InputNames:
     where: str  # name of the model in errors
 
     @classmethod
-    def of(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":
+    def from_bindings(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":
         """Collect the tensor names and the input roles of a model's inputs."""
         entries = list(ports)
         roles = {port.role for port in entries if port.role}

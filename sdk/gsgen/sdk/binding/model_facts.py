@@ -21,7 +21,7 @@ from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.replay_check import output_origin
 
 # Two of this many probes are used; they differ even if time loops.
-_PROBES, _PROBE_INDICES = 4, (1, 3)
+_PROBE_COUNT, _PROBE_INDICES = 4, (1, 3)
 
 Tensors = Mapping[str, np.ndarray]
 
@@ -46,14 +46,14 @@ class ModelFacts:
         Operators that are not ONNX's own, and those with subgraphs, may draw random numbers.
         """
         graph = self.file.proto.graph
-        own = {(function.domain, function.name) for function in self.file.proto.functions}
+        function_keys = {(function.domain, function.name) for function in self.file.proto.functions}
         constant = {tensor.name for tensor in graph.initializer}
         constant |= {tensor.values.name for tensor in graph.sparse_initializer}
         for node in graph.node:
             repeats = (
                 node.domain in MAIN_DOMAIN
                 and node.op_type not in RANDOM_OPERATORS
-                and (node.domain, node.op_type) not in own
+                and (node.domain, node.op_type) not in function_keys
                 and node.op_type not in CONTROL_FLOW
             )
             if repeats and constant.issuperset(filter(None, node.input)):
@@ -79,18 +79,18 @@ class ModelFacts:
 
     def sizes(self, sizes: Mapping[str, int]) -> dict[str, int]:
         """Return the sizes of symbolic dimensions: from ``sizes``, else from the manifest."""
-        opened = dict(self.open_dimensions())
+        size_by_symbol = dict(self.open_dimensions())
         for name, size in sizes.items():
-            if not opened:
+            if not size_by_symbol:
                 message = f"the model has no open dimension, so {name!r} needs no size"
                 raise ConfigInvalid(message, where=str(self.path))
-            if name not in opened:
-                raise UnknownName.among("open dimension", name, opened, str(self.path))
+            if name not in size_by_symbol:
+                raise UnknownName.among("open dimension", name, size_by_symbol, str(self.path))
             if not size > 0:
                 raise ConfigInvalid(
                     f"the size is {size}, expected at least 1", where=f"size {name}"
                 )
-        declared = {name: size for name, size in opened.items() if size is not None}
+        declared = {name: size for name, size in size_by_symbol.items() if size is not None}
         return declared | dict(sizes)
 
     def probes(self, ports: Iterable[InputBinding]) -> list[Tensors]:
@@ -99,10 +99,12 @@ class ModelFacts:
         if self.manifest is not None and set(self._declared) == {p.name for p in entries}:
             shapes = {port.name: port.shape for port in entries}
             dtypes = {port.name: port.dtype.name for port in entries}
-            probes = default_probes(self.manifest, shapes, dtypes, count=_PROBES)
+            probes = default_probes(self.manifest, shapes, dtypes, count=_PROBE_COUNT)
             return [probes[min(k, len(probes) - 1)].inputs for k in _PROBE_INDICES]
         rng = np.random.default_rng(0)
-        return [{port.name: _random(port, rng, top) for port in entries} for top in (1, 2)]
+        return [
+            {port.name: _random(port, rng, max_value) for port in entries} for max_value in (1, 2)
+        ]
 
     @property
     def _declared(self) -> dict[str, Input]:
@@ -123,8 +125,8 @@ class ModelFacts:
                     yield dim.dim_param or f"{value.name}[{axis}]", size
 
 
-def _random(port: InputBinding, rng: np.random.Generator, top: int) -> np.ndarray:
-    return np.asarray(rng.uniform(0, top, port.shape).round(3)).astype(port.dtype)
+def _random(port: InputBinding, rng: np.random.Generator, max_value: int) -> np.ndarray:
+    return np.asarray(rng.uniform(0, max_value, port.shape).round(3)).astype(port.dtype)
 
 
 def read_model_facts(path: Path, manifest: Manifest | None) -> ModelFacts:

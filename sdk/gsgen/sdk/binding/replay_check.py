@@ -1,6 +1,6 @@
 """Compares frames replayed by graph capture with frames computed without it."""
 
-__all__ = ["WrongReplay", "agree", "largest_difference", "output_origin", "wrong_outputs"]
+__all__ = ["WrongReplay", "arrays_agree", "largest_difference", "output_origin", "wrong_outputs"]
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 Outputs = Mapping[str, np.ndarray]
 
 # Two runs on one adapter use the same kernels, so they agree to the last bits.
-_SAME = {"float32": 1e-5, "float16": 2e-3}
+_TOLERANCE_OF_DTYPE = {"float32": 1e-5, "float16": 2e-3}
 # Operators that are buffer copies, which capture does not record, or that update in place.
-_CULPRITS = frozenset({
+_COPY_OPERATORS = frozenset({
     "Flatten", "Identity", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum",
     "Reshape", "ScatterElements", "ScatterND", "Squeeze", "Unsqueeze",
 })  # fmt: skip
@@ -43,21 +43,23 @@ def wrong_outputs(
     for name in uncaptured[0] if uncaptured else ():
         expected = [np.asarray(outputs[name]) for outputs in uncaptured]
         actual = [np.asarray(outputs[name]) for outputs in replayed]
-        wrong = [k for k, pair in enumerate(zip(expected, actual, strict=True)) if not agree(*pair)]
-        if not wrong:
+        wrong_frames = [
+            k
+            for k, pair in enumerate(zip(expected, actual, strict=True))
+            if not arrays_agree(*pair)
+        ]
+        if not wrong_frames:
             continue
-        changing = any(not _same_bits(array, expected[0]) for array in expected)
+        is_changing = any(not _same_bits(array, expected[0]) for array in expected)
         repeats_first = all(_same_bits(array, actual[0]) for array in actual)
-        if changing and repeats_first and agree(expected[0], actual[0]):
+        if is_changing and repeats_first and arrays_agree(expected[0], actual[0]):
             difference = f"repeats frame 0 in all {len(actual) - 1} replays"
         else:
-            difference = (
-                f"{len(wrong)} of {len(expected)} frames differ, the first is frame {wrong[0]}"
-            )
+            difference = f"{len(wrong_frames)} of {len(expected)} frames differ, the first is frame {wrong_frames[0]}"
         yield WrongReplay(f"output {name}", f"{difference}; {origin(name)}")
 
 
-def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
+def arrays_agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
     """Return whether two arrays agree within a tolerance wherever the first one is finite."""
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
@@ -65,9 +67,9 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
         return True
     if a.dtype.kind != "f":
         return False
-    allowed = _SAME[a.dtype.name] if tolerance is None else tolerance
-    finite = np.abs(a[np.isfinite(a)].astype(np.float64))
-    return bool(largest_difference(a, b) <= allowed * finite.max(initial=0.0))
+    allowed = _TOLERANCE_OF_DTYPE[a.dtype.name] if tolerance is None else tolerance
+    finite_values = np.abs(a[np.isfinite(a)].astype(np.float64))
+    return bool(largest_difference(a, b) <= allowed * finite_values.max(initial=0.0))
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
@@ -89,16 +91,16 @@ def output_origin(graph: "Graph", name: str) -> str:
     producer = graph.producers.get(name)
     if producer is None:
         return "no node computes it"
-    if producer.op_type in _CULPRITS:
+    if producer.op_type in _COPY_OPERATORS:
         return f"made by {producer.op_type} (node {producer.name or producer.op_type})"
-    suspects = [n for n in graph.ancestors(name)[1] if n.op_type.startswith("Scatter")]
-    if suspects:
-        suspect = suspects[0]
-        return f"computed from {suspect.op_type} (node {suspect.name or suspect.op_type})"
+    scatter_nodes = [n for n in graph.ancestors(name)[1] if n.op_type.startswith("Scatter")]
+    if scatter_nodes:
+        scatter_node = scatter_nodes[0]
+        return f"computed from {scatter_node.op_type} (node {scatter_node.name or scatter_node.op_type})"
     int64_nodes = [n for n in graph.ancestors(name)[1] if _has_int64(graph, list(n.output))]
     if int64_nodes:
-        suspect = int64_nodes[0]
-        return f"computed from int64 {suspect.op_type} (node {suspect.name or suspect.op_type})"
+        scatter_node = int64_nodes[0]
+        return f"computed from int64 {scatter_node.op_type} (node {scatter_node.name or scatter_node.op_type})"
     return f"made by {producer.op_type} (node {producer.name or producer.op_type})"
 
 

@@ -33,11 +33,16 @@ from gsgen.sdk.binding.providers.errors import (
     SessionClosed,
 )
 from gsgen.sdk.binding.providers.node_placement import CPU, Node
-from gsgen.sdk.binding.providers.selection import Choice, Provider, SessionOptions, choose_provider
+from gsgen.sdk.binding.providers.selection import (
+    Provider,
+    ProviderChoice,
+    SessionOptions,
+    choose_provider,
+)
 from gsgen.sdk.binding.warm_up import WarmSession, warm_up
 
 # All WebGPU sessions share one device, which does not support several threads.
-_ON_WEBGPU = threading.RLock()
+_WEBGPU_LOCK = threading.RLock()
 _open_sessions: "weakref.WeakSet[FrameSession]" = weakref.WeakSet()
 
 
@@ -97,24 +102,24 @@ class FrameSession:
         self.path = Path(model)
         self._number = -1
         self._sources = sources = read_model_facts(self.path, manifest)
-        known, choice = sources.sizes(sizes or {}), choose_provider(provider)
+        size_by_symbol, choice = sources.sizes(sizes or {}), choose_provider(provider)
         capture = capture and choice.provider != "cpu"
-        opening = SessionOptions(
-            choice=choice, capture=capture, sizes=known, threads=threads, stop=stop
+        session_options = SessionOptions(
+            choice=choice, capture=capture, sizes=size_by_symbol, threads=threads, stop=stop
         )
         with _lock_of(choice):
-            ready = warm_up(sources, opening)
-        self._ready: WarmSession | None = ready
-        self._lock = _lock_of(ready.choice)
-        self._names = InputNames.of(ready.ports.values(), str(self.path))
-        self.manifest, self.nodes = sources.manifest, ready.nodes
-        self.provider: Provider = ready.choice.provider
-        self.reason, self.device = ready.choice.reason, ready.choice.device
-        self.captured, self.cause = ready.captured, ready.cause
+            warm_session = warm_up(sources, session_options)
+        self._warm_session: WarmSession | None = warm_session
+        self._lock = _lock_of(warm_session.choice)
+        self._names = InputNames.from_bindings(warm_session.ports.values(), str(self.path))
+        self.manifest, self.nodes = sources.manifest, warm_session.nodes
+        self.provider: Provider = warm_session.choice.provider
+        self.reason, self.device = warm_session.choice.reason, warm_session.choice.device
+        self.captured, self.cause = warm_session.captured, warm_session.cause
         _open_sessions.add(self)
-        self._warn()
+        self._warn_of_fallbacks()
 
-    def _warn(self) -> None:
+    def _warn_of_fallbacks(self) -> None:
         if self.cause:
             text = f"{self.path.name} runs without capture on {self.provider}: {self.cause}"
             warnings.warn(text, CaptureOff, stacklevel=3)
@@ -137,7 +142,7 @@ class FrameSession:
     @property
     def closed(self) -> bool:
         """Whether :meth:`close` was called on the model's session."""
-        return self._ready is None
+        return self._warm_session is None
 
     @property
     def inputs(self) -> Mapping[str, InputBinding]:
@@ -184,11 +189,11 @@ class FrameSession:
         with self._lock:
             if values or camera is not None:
                 self.update(values, camera=camera)
-            ready = self._require_open()
+            warm_session = self._require_open()
             self._number += 1  # before the run: a failed run invalidates the last frame, too
             try:
-                ready.bound.run()
-                copies = ready.bound.copies() if copy else None
+                warm_session.bound.run()
+                copies = warm_session.bound.copies() if copy else None
             except Exception as error:
                 raise translate_error(error) from error
             return Frame(self, self._number, copies)
@@ -213,12 +218,14 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            ready = self._require_open()
+            warm_session = self._require_open()
             updates = self._camera_updates(camera) if camera is not None else {}
             for key, value in (values or {}).items():
                 updates[self._names.find(key)] = value
-            tensors = {name: ready.ports[name].tensor(value) for name, value in updates.items()}
-            return ready.bound.write(tensors)
+            tensors = {
+                name: warm_session.ports[name].tensor(value) for name, value in updates.items()
+            }
+            return warm_session.bound.write(tensors)
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> None:
         """Copy tensors unchanged into model inputs, by name; matrices in the model's memory order.
@@ -229,13 +236,13 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            ready = self._require_open()
+            warm_session = self._require_open()
             arrays = {}
             for name, value in tensors.items():
-                if name not in ready.ports:
-                    raise UnknownName.among("input", name, ready.ports, str(self.path))
-                arrays[name] = ready.ports[name].fitting(value)
-            ready.bound.write(arrays)
+                if name not in warm_session.ports:
+                    raise UnknownName.among("input", name, warm_session.ports, str(self.path))
+                arrays[name] = warm_session.ports[name].convert_value(value)
+            warm_session.bound.write(arrays)
 
     def _camera_updates(self, camera: Camera) -> dict[str, object]:
         if self.manifest is None:
@@ -289,9 +296,9 @@ class FrameSession:
     def close(self) -> None:
         """Release the model's session, buffers and graph capture; a second call does nothing."""
         with self._lock:
-            if self._ready is not None:
-                self._ready.bound.close()
-                self._ready = None
+            if self._warm_session is not None:
+                self._warm_session.bound.close()
+                self._warm_session = None
 
     def __enter__(self) -> Self:
         self._require_open()
@@ -310,14 +317,14 @@ class FrameSession:
         return f"<FrameSession {self.path.name} on {self.provider}, {state}>"
 
     def _require_open(self) -> WarmSession:
-        if self._ready is None:
+        if self._warm_session is None:
             message = "the session was closed"
             raise SessionClosed(message, where=str(self.path), hint="Open a new FrameSession.")
-        return self._ready
+        return self._warm_session
 
 
-def _lock_of(choice: Choice) -> AbstractContextManager[object]:
-    return _ON_WEBGPU if choice.provider == "webgpu" else threading.RLock()
+def _lock_of(choice: ProviderChoice) -> AbstractContextManager[object]:
+    return _WEBGPU_LOCK if choice.provider == "webgpu" else threading.RLock()
 
 
 @atexit.register

@@ -16,7 +16,12 @@ from gsgen.sdk.binding.bound_session import BoundSession, tensor_specs, translat
 from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.model_facts import ModelFacts, Tensors
 from gsgen.sdk.binding.providers.node_placement import CPU, Node, error_text, node_placement
-from gsgen.sdk.binding.providers.selection import MEMORY, Choice, SessionOptions, open_session
+from gsgen.sdk.binding.providers.selection import (
+    BUFFER_MEMORY,
+    ProviderChoice,
+    SessionOptions,
+    open_session,
+)
 from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 
@@ -24,7 +29,7 @@ from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 class WarmSession:
     """An ONNX Runtime session with bound buffers that has run at least once."""
 
-    choice: Choice  # the chosen provider
+    choice: ProviderChoice  # the chosen provider
     bound: BoundSession  # the session and its buffers
     ports: Mapping[str, InputBinding]  # input name → binding
     nodes: tuple[Node, ...]  # the execution provider of each node
@@ -32,58 +37,63 @@ class WarmSession:
     cause: str = ""  # the reason why they are not; empty if they are, or if capture is off
 
 
-def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
+def warm_up(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
     """Open an ONNX Runtime session that computes correct frames, by graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
     """
-    choice = opening.choice
+    choice = session_options.choice
     try:
-        return _captured_or_uncaptured(sources, opening)
+        return _open_with_fallback(sources, session_options)
     except GsgenError as error:
         if choice.is_requested or choice.provider == "cpu":
             raise
-        cpu = Choice("cpu", f"{choice.provider} failed: {error.message}")
-        return _without_capture(sources, replace(opening, choice=cpu, capture=False), "")
+        cpu = ProviderChoice("cpu", f"{choice.provider} failed: {error.message}")
+        return _open_without_capture(
+            sources, replace(session_options, choice=cpu, capture=False), ""
+        )
 
 
-def _captured_or_uncaptured(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
-    if not opening.capture:
-        return _without_capture(sources, opening, "")
+def _open_with_fallback(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
+    if not session_options.capture:
+        return _open_without_capture(sources, session_options, "")
     try:
-        ready = _open(sources, opening)
+        warm_session = _open_uncached(sources, session_options)
     except GsgenError:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        ready = _without_capture(sources, replace(opening, capture=False), "")
-        return replace(ready, cause=_with_operators(error_text(error), ready.nodes))
-    cause = _capture_fault(sources, ready)
+        warm_session = _open_without_capture(sources, replace(session_options, capture=False), "")
+        return replace(warm_session, cause=_with_operators(error_text(error), warm_session.nodes))
+    cause = _capture_fault(sources, warm_session)
     if not cause:
-        return ready
-    ready.bound.close()
-    return _without_capture(sources, replace(opening, capture=False), cause)
+        return warm_session
+    warm_session.bound.close()
+    return _open_without_capture(sources, replace(session_options, capture=False), cause)
 
 
-def _without_capture(sources: ModelFacts, opening: SessionOptions, cause: str) -> WarmSession:
+def _open_without_capture(
+    sources: ModelFacts, session_options: SessionOptions, cause: str
+) -> WarmSession:
     try:
-        ready = _open(sources, opening)
-        ready.bound.run()
+        warm_session = _open_uncached(sources, session_options)
+        warm_session.bound.run()
     except Exception as error:
         raise translate_error(error) from error
-    return replace(ready, captured=False, cause=cause)
+    return replace(warm_session, captured=False, cause=cause)
 
 
-def _open(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
-    session = open_session(sources.path, opening)
+def _open_uncached(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
+    session = open_session(sources.path, session_options)
     inputs = [
-        sources.input_binding(spec, opening.sizes) for spec in tensor_specs(session.get_inputs())
+        sources.input_binding(spec, session_options.sizes)
+        for spec in tensor_specs(session.get_inputs())
     ]
     ports = {port.name: port for port in inputs}
     shapes = {port.name: port.shape for port in inputs}
-    memory = MEMORY[opening.choice.provider]
-    bound = BoundSession(session, shapes, _defaults(ports), memory, opening.stop)
+    memory = BUFFER_MEMORY[session_options.choice.provider]
+    bound = BoundSession(session, shapes, _defaults(ports), memory, session_options.stop)
     return WarmSession(
-        choice=opening.choice,
+        choice=session_options.choice,
         bound=bound,
         ports=ports,
         nodes=node_placement(session),
@@ -95,20 +105,20 @@ def _defaults(ports: Mapping[str, InputBinding]) -> Tensors:
     return {name: port.default() for name, port in ports.items()}
 
 
-def _capture_fault(sources: ModelFacts, ready: WarmSession) -> str:
+def _capture_fault(sources: ModelFacts, warm_session: WarmSession) -> str:
     """Compare two frames with and without graph capture; return the fault, or an empty text."""
-    probes = sources.probes(ready.ports.values())
+    probes = sources.probes(warm_session.ports.values())
     try:
-        uncaptured = _frames(ready.bound, probes, captured=False)
+        uncaptured = _frames(warm_session.bound, probes, captured=False)
     except Exception as error:
         raise translate_error(error) from error
     try:
-        replayed = _frames(ready.bound, probes, captured=True)
-        ready.bound.write(_defaults(ready.ports))
+        replayed = _frames(warm_session.bound, probes, captured=True)
+        warm_session.bound.write(_defaults(warm_session.ports))
     except Exception as error:  # capture was refused at the first run, not at creation
         return error_text(error)
-    wrong = wrong_outputs(uncaptured, replayed, sources.output_origin)
-    return "; ".join(f"{replay.output} {replay.actual}" for replay in wrong)
+    wrong_replays = wrong_outputs(uncaptured, replayed, sources.output_origin)
+    return "; ".join(f"{replay.output} {replay.actual}" for replay in wrong_replays)
 
 
 def _frames(bound: BoundSession, probes: list[Tensors], *, captured: bool) -> list[Outputs]:
@@ -125,7 +135,7 @@ def _frames(bound: BoundSession, probes: list[Tensors], *, captured: bool) -> li
 
 def _with_operators(message: str, nodes: tuple[Node, ...]) -> str:
     """Append to ONNX Runtime's message the operators that prevent graph capture."""
-    culprits = [node.operator for node in nodes if node.operator in CONTROL_FLOW]
-    culprits += [node.operator for node in nodes if node.provider == CPU]
-    operators = ", ".join(dict.fromkeys(culprits))
+    control_flow_operators = [node.operator for node in nodes if node.operator in CONTROL_FLOW]
+    control_flow_operators += [node.operator for node in nodes if node.provider == CPU]
+    operators = ", ".join(dict.fromkeys(control_flow_operators))
     return f"{message} ({operators})" if operators else message

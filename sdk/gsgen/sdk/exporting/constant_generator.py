@@ -223,15 +223,15 @@ def _outputs(
 def _padded(rows: np.ndarray, total: int) -> np.ndarray:
     if total <= len(rows):
         return rows
-    padding = np.zeros((total - len(rows), rows.shape[1]), rows.dtype)
-    return np.concatenate([rows, padding])
+    padding_rows = np.zeros((total - len(rows), rows.shape[1]), rows.dtype)
+    return np.concatenate([rows, padding_rows])
 
 
 def _model(outputs: dict[str, np.ndarray], manifest: GeneratorManifest, opset: int) -> ModelProto:
     model = ModelProto(ir_version=_IR_VERSION, producer_name="gsgen")
-    described = replace(manifest, operator_profile=smallest_profile({"Mul"}, opset))
+    full_manifest = replace(manifest, operator_profile=smallest_profile({"Mul"}, opset))
     model.opset_import.add(domain="", version=opset)
-    model.metadata_props.add(key=MANIFEST_KEY, value=dumps(described, indent=None))
+    model.metadata_props.add(key=MANIFEST_KEY, value=dumps(full_manifest, indent=None))
     graph = model.graph
     graph.name = "static"
     for name, value in outputs.items():

@@ -20,9 +20,9 @@ from gsgen.sdk.authoring.misspelled_names import misspelling_hint
 from gsgen.sdk.authoring.module_checks import input_order_hint
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.source_checks import check_gaussians
-from gsgen.sdk.exporting.tracing.hazards import Watch, hint_of
+from gsgen.sdk.exporting.tracing.hazards import HazardWatch, hint_of
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
-from gsgen.sdk.model_runs import KEPT_BYTES
+from gsgen.sdk.model_runs import MAX_KEPT_BYTES
 from gsgen.sdk.parity import Reference
 
 # Bounds are widened by this share of their size, so that Gaussians stay inside them at times and
@@ -34,44 +34,51 @@ _CHUNK = 1 << 16
 class EagerRuns:
     """The outputs of a torch generator for several sets of test inputs, computed on demand.
 
-    Results are kept while they are small; beyond :data:`KEPT_BYTES` a probe is run again each time.
+    Results are kept while they are small; beyond :data:`MAX_KEPT_BYTES` a probe is run again each time.
 
     Args:
         generator: The module.
         probes: The inputs of each run.
-        known: Results for some of the probes.
+        known_references: Results for some of the probes.
     """
 
     def __init__(
-        self, generator: GaussianGenerator, probes: Sequence[Probe], known: Sequence[Reference] = ()
+        self,
+        generator: GaussianGenerator,
+        probes: Sequence[Probe],
+        known_references: Sequence[Reference] = (),
     ) -> None:
         self.generator, self.probes = generator, tuple(probes)
-        self._known = list(known)
+        self._known_references = list(known_references)
 
     def __len__(self) -> int:
         return len(self.probes)
 
     def __getitem__(self, index: int) -> Reference:
         probe = self.probes[index]
-        for reference in self._known:
+        for reference in self._known_references:
             if reference.probe is probe:
                 return reference
         reference = run_eager(self.generator, probe)
-        if sum(known.nbytes for known in self._known) + reference.nbytes <= KEPT_BYTES:
-            self._known.append(reference)
+        if (
+            sum(known_references.nbytes for known_references in self._known_references)
+            + reference.nbytes
+            <= MAX_KEPT_BYTES
+        ):
+            self._known_references.append(reference)
         return reference
 
     def __iter__(self) -> Iterator[Reference]:
         return (self[index] for index in range(len(self)))
 
-    def at(self, probes: Sequence[Probe]) -> "EagerRuns":
+    def with_probes(self, probes: Sequence[Probe]) -> "EagerRuns":
         """Return the runs at other test inputs, with the results of those already computed."""
-        known = [
+        known_references = [
             reference
-            for reference in self._known
+            for reference in self._known_references
             if any(reference.probe is probe for probe in probes)
         ]
-        return EagerRuns(self.generator, probes, known)
+        return EagerRuns(self.generator, probes, known_references)
 
     def has_inputs_of(self, other: "EagerRuns") -> bool:
         """Return whether two sets of eager torch runs have bit-identical test inputs."""
@@ -110,10 +117,10 @@ def packed_outputs(reference: Reference, manifest: GeneratorManifest) -> dict[st
     return packed
 
 
-def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
+def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, HazardWatch]:
     """Run a torch generator in eager mode, and record operations that tracing cannot follow."""
     tensors = _tensors(probe)
-    with Watch(generator, tensors) as watch:
+    with HazardWatch(generator, tensors) as watch:
         output = call_module(generator, tensors)
     return _reference(generator, probe, output), watch
 
@@ -177,11 +184,11 @@ def _covariance(ellipsoids: Gaussians | Cells) -> np.ndarray:
     assert ellipsoids.scale is not None
     assert ellipsoids.rotation is not None
     scale, rotation = _array(ellipsoids.scale), _array(ellipsoids.rotation)
-    upper = np.empty((len(scale), 6))
+    upper_triangle = np.empty((len(scale), 6))
     for start in range(0, len(scale), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        upper[rows] = covariance_upper(scale[rows], rotation[rows])
-    return upper
+        upper_triangle[rows] = covariance_upper(scale[rows], rotation[rows])
+    return upper_triangle
 
 
 def _array(tensor: Tensor) -> np.ndarray:
@@ -214,5 +221,5 @@ def _corners(reference: Reference) -> tuple[np.ndarray, ...]:
 
 def _visible(reference: Reference) -> np.ndarray:
     g, n = reference.gaussians, reference.count
-    finite = np.isfinite(g.position[:n]).all(axis=1)
-    return np.asarray(finite & (g.opacity[:n] >= layout.CULL_OPACITY))
+    is_finite = np.isfinite(g.position[:n]).all(axis=1)
+    return np.asarray(is_finite & (g.opacity[:n] >= layout.CULL_OPACITY))

@@ -30,8 +30,8 @@ def rewrite_and_embed(
     # The exporter may call a tensor `view` although an input has that name.
     NameFixPass()(model)
     # The graph was traced at the requested operator set, so the passes keep it.
-    goal = RewriteTarget.of(target, manifest, opset_of(model))
-    changes = rewrite_graph(model, goal) if rewrite else []
+    rewrite_target = RewriteTarget.of(target, manifest, opset_of(model))
+    changes = rewrite_graph(model, rewrite_target) if rewrite else []
     # The exporter's metadata names files of the author's machine, and takes room.
     nodes = list(model.graph.all_nodes())
     values = [value for node in nodes for value in node.outputs]

@@ -24,10 +24,10 @@ from gsgen.sdk.authoring.module_checks import validate_module
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from gsgen.sdk.exporting.eager_reference import packed_outputs, run_eager
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
-from gsgen.sdk.exporting.parity_diagnosis import Suspects
+from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects
 from gsgen.sdk.exporting.pipeline import (
     OPSET,
-    VECTORS,
+    VECTOR_COUNT,
     Dtype,
     Exported,
     ExportOptions,
@@ -35,7 +35,7 @@ from gsgen.sdk.exporting.pipeline import (
     check_contract,
     silent,
 )
-from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, Prepared, default_dtype, prepare
+from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, PreparedExport, default_dtype, prepare_export
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
 from gsgen.sdk.exporting.source_vectors import RowRecorder, add_source_vectors
 from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
@@ -44,8 +44,7 @@ from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import Change
-from gsgen.sdk.rewriting.rewrite import prepare as prepare_graph
+from gsgen.sdk.rewriting.rewrite import Change, normalize_model
 from gsgen.sdk.source_pictures import SourcePictures, add_source_pictures
 
 # Compared probes of a quick comparison, besides the all-zero one.
@@ -62,7 +61,7 @@ _HALF_BUDGET, _HALF_PROBES = 24, 4
 
 
 @dataclass(frozen=True, slots=True)
-class _Rewritten:
+class _RewrittenModel:
     """A graph for the target, in the final dtype, with its manifest."""
 
     model: ir.Model
@@ -72,7 +71,7 @@ class _Rewritten:
 
 
 @dataclass(frozen=True, slots=True)
-class _Evidence:
+class _VerificationResult:
     """What the comparison of a draft with its module gave."""
 
     parity: Parity
@@ -92,7 +91,7 @@ def export(
     rewrite: bool = True,
     verify: Literal["quick", "full"] = "full",
     pictures: SourcePictures | None = None,
-    vectors: int = VECTORS,
+    vectors: int = VECTOR_COUNT,
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
@@ -149,7 +148,7 @@ def export(
     with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
         # Step 1: eager reference and hazards. A search for float16 weights measures a float32 graph.
         progress("running the module in eager torch")
-        prepared = prepare(
+        prepared = prepare_export(
             generator,
             options,
             dtype="float32" if rewrite else dtype,
@@ -165,26 +164,28 @@ def export(
         # Steps 5 to 7: verification, validation and atomic write.
         with atomic_write(path) as draft:
             save_model(rewritten.model, draft)
-            evidence = _verify(draft, prepared, rewritten, options, vectors, pictures)
+            verification_result = _verify(draft, prepared, rewritten, options, vectors, pictures)
             report = check_contract(draft, options)
     gaussians = rewritten.manifest.outputs.gaussians
     assert gaussians is not None
     return Exported(
         path=path,
         manifest=replace(
-            rewritten.manifest, reference_images=evidence.images, test_vectors=evidence.vectors
+            rewritten.manifest,
+            reference_images=verification_result.images,
+            test_vectors=verification_result.vectors,
         ),
         report=report,
         dtype=dtype,
         contents=f"{gaussians.capacity:,} rows, {dtype}",
-        parity=evidence.parity,
+        parity=verification_result.parity,
         changes=rewritten.changes,
         notes=tuple(notes),
         halved=rewritten.halved,
     )
 
 
-def _trace(prepared: Prepared, options: ExportOptions) -> ir.Model:
+def _trace(prepared: PreparedExport, options: ExportOptions) -> ir.Model:
     gaussians = prepared.manifest.outputs.gaussians
     assert gaussians is not None
     storage = Packed(getattr(torch, gaussians.dtype), gaussians.capacity)
@@ -194,15 +195,15 @@ def _trace(prepared: Prepared, options: ExportOptions) -> ir.Model:
 
 
 def _rewrite(
-    model: ir.Model, prepared: Prepared, options: ExportOptions, *, half: bool
-) -> _Rewritten:
+    model: ir.Model, prepared: PreparedExport, options: ExportOptions, *, half: bool
+) -> _RewrittenModel:
     """Rewrite a traced graph for the target; with ``half``, store weights and outputs in float16."""
     manifest, references = prepared.manifest, prepared.references
     target = load_target(options.target)
     changes = tuple(rewrite_and_embed(model, manifest, target, rewrite=options.rewrite))
     if not (half and options.rewrite):
-        return _Rewritten(model, manifest, changes, None)
-    prepare_graph(model)
+        return _RewrittenModel(model, manifest, changes, None)
+    normalize_model(model)
     stride = max(1, len(references) // _HALF_PROBES)
     model, halved = to_float16(
         model,
@@ -214,20 +215,20 @@ def _rewrite(
         budget=_HALF_BUDGET,
         progress=options.progress,
     )
-    return _Rewritten(model, float16_manifest(manifest), changes, halved)
+    return _RewrittenModel(model, float16_manifest(manifest), changes, halved)
 
 
 def _verify(
     draft: Path,
-    prepared: Prepared,
-    rewritten: _Rewritten,
+    prepared: PreparedExport,
+    rewritten: _RewrittenModel,
     options: ExportOptions,
     vectors: int,
     pictures: SourcePictures | None,
-) -> _Evidence:
+) -> _VerificationResult:
     """Compare a draft with its module, and record rows and pictures of the module in it."""
     generator, manifest, watch = prepared.generator, rewritten.manifest, prepared.watch
-    suspects = Suspects(generator, prepared.example, watch.hazards, options.rewrite)
+    suspects = ParitySuspects(generator, prepared.example, watch.hazards, options.rewrite)
     is_sorting = any(hazard.kind == "order" for hazard in watch.hazards)
     recorder = RowRecorder(prepared.references, prepared.recordable, 0 if is_sorting else vectors)
     slack, roundings = (None, 1) if rewritten.halved is None else (_HALF_SLACK, _HALF_ROUNDINGS)
@@ -235,7 +236,7 @@ def _verify(
         draft, manifest, prepared.references, suspects, options.progress, recorder, slack, roundings
     )
     check_memory(generator, watch, prepared.references)
-    recorded = add_source_vectors(draft, recorder, slack)
+    recorded_vectors = add_source_vectors(draft, recorder, slack)
 
     def run_packed(probe: Probe) -> Mapping[str, np.ndarray]:
         return packed_outputs(run_eager(generator, probe), manifest)
@@ -244,4 +245,4 @@ def _verify(
     if pictures is not None:
         options.progress("drawing the module in eager torch")
         images = add_source_pictures(draft, run_packed, pictures)
-    return _Evidence(parity, recorded, images)
+    return _VerificationResult(parity, recorded_vectors, images)

@@ -17,25 +17,25 @@ from gsgen.sdk.errors import GeneratorInvalid
 # Rows of RGB are padded to four numbers where they must fill words.
 _RGB_CHANNELS = 4
 # Frames below this size are exported too quickly for an estimate to matter.
-_LARGE = 64 << 20
+_LARGE_FRAME_BYTES = 64 << 20
 # Arrays of one frame that a comparison holds: eager torch's, its float64 covariances, the model's.
 _FRAMES_HELD = 4
 
 
 @dataclass(frozen=True, slots=True)
-class _Sizes:
+class _OutputSizes:
     rows: int  # bytes of the packed Gaussians
     color: int  # bytes of the appearance
 
 
-def _sizes(manifest: GeneratorManifest, dtype: str) -> _Sizes:
+def _sizes(manifest: GeneratorManifest, dtype: str) -> _OutputSizes:
     gaussians, appearance = manifest.outputs.gaussians, manifest.outputs.appearance
     assert gaussians is not None
     assert appearance is not None
     degree = appearance.degree
     channels = _RGB_CHANNELS if degree is None else 3 * coefficients(degree)
     numbers = gaussians.capacity * np.dtype(dtype).itemsize
-    return _Sizes(layout.ROW * numbers, channels * numbers)
+    return _OutputSizes(layout.ROW * numbers, channels * numbers)
 
 
 def frame_bytes(manifest: GeneratorManifest, dtype: str | None = None) -> int:
@@ -55,7 +55,7 @@ def describe_size(manifest: GeneratorManifest, dtype: str, *, seconds: float, ru
         runs: Number of runs in eager torch and in ONNX Runtime that follow.
     """
     size = frame_bytes(manifest, dtype)
-    if size < _LARGE:
+    if size < _LARGE_FRAME_BYTES:
         return ""
     assert manifest.outputs.gaussians is not None
     memory = (_FRAMES_HELD * size + (1 << 30)) / (1 << 30)
@@ -87,8 +87,8 @@ def check_fits(
     )
     if largest <= limit:
         return
-    halves = dtype == "float32" and largest // 2 <= limit
-    options = (["--dtype float16"] if halves else []) + list(generator.smaller)
+    fits_as_float16 = dtype == "float32" and largest // 2 <= limit
+    options = (["--dtype float16"] if fits_as_float16 else []) + list(generator.smaller)
     raise GeneratorInvalid(
         f"{name} has {format_mebibytes(largest, 0)} a frame, but {target} binds at most "
         f"{format_mebibytes(limit, 0)}",

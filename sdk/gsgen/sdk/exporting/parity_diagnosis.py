@@ -1,6 +1,6 @@
 """Explains why an exported model differs from torch: ignored inputs, or untraceable code."""
 
-__all__ = ["Suspects", "diagnose"]
+__all__ = ["ParitySuspects", "diagnose"]
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -16,10 +16,10 @@ from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.tracing.hazards import Hazard
 from gsgen.sdk.parity import ModelOutput, references_equal
 
-Run = Callable[[list[Probe]], list[ModelOutput]]
-_MOST = 3
+RunProbes = Callable[[list[Probe]], list[ModelOutput]]
+_MAX_NAMED = 3
 
-_RANDOM = (
+_RANDOM_HINT = (
     "forward gives another result for the same inputs: it draws random numbers, reads a clock, "
     "or keeps state between frames."
 )
@@ -27,22 +27,22 @@ _NOT_REWRITTEN = (
     "The graph was not rewritten, and runtimes compute some of torch's operators differently: "
     "export with rewrites."
 )
-_UNSTABLE = (
+_UNSTABLE_HINT = (
     "Eager torch differs as much between float32 and float64: forward loses its digits, for example "
     "in a difference of large numbers or a division by nearly zero. Compute it in another order, "
     "with smaller numbers, or once, in __init__, in float64."
 )
-_UNTRACED = (
+_UNTRACED_HINT = (
     "No operation of forward was seen to leave torch. Look for values that are computed from "
     "inputs outside of torch"
 )
-_UNKNOWN = f"{_UNTRACED}; without such a value, a kernel differs: please report it."
+_UNKNOWN_HINT = f"{_UNTRACED_HINT}; without such a value, a kernel differs: please report it."
 # Eager torch counts as stable if float32 and float64 agree this closely, relatively.
-_STABLE = 1e-3
+_STABLE_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Suspects:
+class ParitySuspects:
     """Possible causes of a difference between an exported model and its torch module."""
 
     generator: GaussianGenerator  # the module
@@ -52,7 +52,7 @@ class Suspects:
 
 
 def diagnose(
-    suspects: Suspects, manifest: GeneratorManifest, references: EagerRuns, run: Run
+    suspects: ParitySuspects, manifest: GeneratorManifest, references: EagerRuns, run: RunProbes
 ) -> tuple[str, str]:
     """Return why an exported model differs from torch, as part of a sentence, and a hint."""
     lost_roles = _lost_inputs(suspects, manifest, references, run)
@@ -60,18 +60,18 @@ def diagnose(
     return reason, _hint(suspects, references)
 
 
-def _hint(suspects: Suspects, references: EagerRuns) -> str:
+def _hint(suspects: ParitySuspects, references: EagerRuns) -> str:
     if suspects.hazards:
-        return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MOST])
+        return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MAX_NAMED])
     second_run = run_eager(suspects.generator, references.probes[-1])
     if not references_equal(references[-1], second_run):
-        return _RANDOM
+        return _RANDOM_HINT
     if not suspects.rewritten:
         return _NOT_REWRITTEN
     is_stable = _is_stable(suspects.generator, references)
     if is_stable is None:
-        return f"{_UNTRACED}, or for digits that float32 loses."
-    return _UNKNOWN if is_stable else _UNSTABLE
+        return f"{_UNTRACED_HINT}, or for digits that float32 loses."
+    return _UNKNOWN_HINT if is_stable else _UNSTABLE_HINT
 
 
 def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | None:
@@ -83,33 +83,33 @@ def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | No
             for name, array in reference.probe.inputs.items()
         }
         try:
-            exact = run_eager(float64_generator, replace(reference.probe, inputs=inputs))
+            float64_outputs = run_eager(float64_generator, replace(reference.probe, inputs=inputs))
         except GsgenError:
             return None  # a dtype is written out in forward
-        if not references_equal(reference, exact, _STABLE):
+        if not references_equal(reference, float64_outputs, _STABLE_TOLERANCE):
             return False
     return True
 
 
 def _lost_inputs(
-    suspects: Suspects, manifest: GeneratorManifest, references: EagerRuns, run: Run
+    suspects: ParitySuspects, manifest: GeneratorManifest, references: EagerRuns, run: RunProbes
 ) -> list[str]:
     """Return the input roles that have an effect in torch, but not in the exported model."""
-    base, far = suspects.traced, references.probes[-1]
-    varied = [
+    traced_probe, far_probe = suspects.traced, references.probes[-1]
+    changed_probes = [
         (role, probe)
-        for role, probes in dependency_probes(manifest, base, (far,))
+        for role, probes in dependency_probes(manifest, traced_probe, (far_probe,))
         for probe in probes
     ]
-    if not varied:
+    if not changed_probes:
         return []
-    probes = [base, *(probe for _, probe in varied)]
+    probes = [traced_probe, *(probe for _, probe in changed_probes)]
     outputs_of_runs = run(probes)
     expected = [run_eager(suspects.generator, probe, checked=False) for probe in probes]
     return [
         role
         for (role, _), outputs, reference in zip(
-            varied, outputs_of_runs[1:], expected[1:], strict=True
+            changed_probes, outputs_of_runs[1:], expected[1:], strict=True
         )
         if _equal(outputs_of_runs[0], outputs) and not references_equal(expected[0], reference)
     ]

@@ -2,7 +2,7 @@
 
 __all__ = [
     "OPSET",
-    "VECTORS",
+    "VECTOR_COUNT",
     "Dtype",
     "ExportOptions",
     "Exported",
@@ -37,7 +37,7 @@ Progress = Callable[[str], None]
 # The operator set of exported models unless another is requested: every runtime has its kernels.
 OPSET = SAFEST_OPSET
 # The number of test vectors with rows of the eager module, unless another is requested.
-VECTORS = 2
+VECTOR_COUNT = 2
 
 
 def silent(_: str) -> None:

@@ -121,9 +121,11 @@ def export_post_process(
     halved = None
     if half and rewrite:
         pairs = zip(probes, expected, strict=True)
-        finite = [probe for probe, image in pairs if np.isfinite(image).all()]
+        finite_probes = [probe for probe, image in pairs if np.isfinite(image).all()]
         image_name = _image(model.inputs).name
-        halved = image_to_float16(graph, image_name, finite[:_HALF_PROBES], allowed, progress)
+        halved = image_to_float16(
+            graph, image_name, finite_probes[:_HALF_PROBES], allowed, progress
+        )
     # Steps 5 to 7: verification, validation and atomic write.
     with atomic_write(path) as draft:
         save_model(graph, draft)
@@ -150,13 +152,13 @@ def _trace(model: PostProcess, example: Probe, opset: int, *, half: bool) -> ir.
         name: value.astype(dtype) if value.dtype == np.float16 else value
         for name, value in example.inputs.items()
     }
-    module = _Positional(copy.deepcopy(model).half() if half else model)
-    names = TensorNames(tuple(inputs), (OUTPUT,), _open_axes(model.inputs))
+    module = _PositionalModule(copy.deepcopy(model).half() if half else model)
+    names = TensorNames(tuple(inputs), (OUTPUT,), _dynamic_axes(model.inputs))
     where = type(model).__name__
     return trace_module(module, replace(example, inputs=inputs), names, opset, where=where)
 
 
-class _Positional(nn.Module):
+class _PositionalModule(nn.Module):
     """Calls a torch module with positional inputs, so that traced inputs keep manifest names."""
 
     def __init__(self, model: nn.Module) -> None:
@@ -221,11 +223,11 @@ def _probes_of_sizes(
         yield from probes_of(manifest, count=_RUNS_PER_SIZE, image=(dtype, shape))
 
 
-def _open_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
+def _dynamic_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
     if _image(inputs).shape is not None:
         return None
-    auto = torch.export.Dim.AUTO
-    sizes = {2: auto, 3: auto}
+    auto_dim = torch.export.Dim.AUTO
+    sizes = {2: auto_dim, 3: auto_dim}
     return tuple(sizes if entry.role == "image" else {} for entry in inputs)
 
 
@@ -234,8 +236,8 @@ def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]
     tensors = [torch.from_numpy(np.array(value)).float() for value in probe.inputs.values()]
     image = call_module(model, tensors)
     height, width = probe.inputs[_image(model.inputs).name].shape[2:]
-    fits = isinstance(image, torch.Tensor) and image.ndim == 4
-    if not fits or image.shape[1] not in IMAGE_CHANNELS or image.shape[2:] != (height, width):
+    is_image = isinstance(image, torch.Tensor) and image.ndim == 4
+    if not is_image or image.shape[1] not in IMAGE_CHANNELS or image.shape[2:] != (height, width):
         is_tensor = isinstance(image, torch.Tensor)
         actual = list(image.shape) if is_tensor else type(image).__name__
         message = f"forward returned {actual}, expected [1, 3 or 4, {height}, {width}]"
@@ -255,29 +257,29 @@ def _check_parity(
     low, high = manifest.outputs.image.range
     runs = run_exported(path, (OUTPUT,), probes, frame_bytes=max(e.nbytes for e in expected))
     images = [np.array(outputs[OUTPUT]) for outputs in runs]
-    compared = list(_compared(images, expected, probes, abs(high - low), allowed))
-    worst = max(compared, key=lambda field: field.excess)
-    parity = Parity((worst,), len(probes))
+    field_errors = list(_image_errors(images, expected, probes, abs(high - low), allowed))
+    worst_error = max(field_errors, key=lambda field: field.excess)
+    parity = Parity((worst_error,), len(probes))
     if not parity.holds:
         message = (
-            f"the image is off by {worst.error:.3g} of its range for the test inputs {worst.probe!r}, "
-            f"{worst.excess:.3g} times the tolerance"
+            f"the image is off by {worst_error.error:.3g} of its range for the test inputs {worst_error.probe!r}, "
+            f"{worst_error.excess:.3g} times the tolerance"
         )
         raise ParityFailed(message, where=path.name, parity=parity)
     return parity
 
 
-def _compared(
+def _image_errors(
     images: list[np.ndarray],
     expected_images: list[np.ndarray],
     probes: list[Probe],
-    span: float,
+    value_range: float,
     allowed: float,
 ) -> Iterator[FieldError]:
     for actual, expected, probe in zip(images, expected_images, probes, strict=True):
         if probe.zeros and not np.isfinite(expected).all():
             continue  # the module's own fault, which rule GI009 reports
-        error = np.abs(actual.astype(np.float64) - expected) / span
+        error = np.abs(actual.astype(np.float64) - expected) / value_range
         error[np.isnan(error)] = np.inf
         largest = float(error.max())
         yield FieldError(

@@ -1,6 +1,6 @@
 """Runs a torch generator at test inputs, and describes it: the first step of its export."""
 
-__all__ = ["BOUNDS_PROBES", "Prepared", "default_dtype", "manifest_of", "prepare"]
+__all__ = ["BOUNDS_PROBES", "PreparedExport", "default_dtype", "manifest_of", "prepare_export"]
 
 import time
 from collections.abc import Iterator
@@ -37,17 +37,17 @@ from gsgen.sdk.exporting.eager_reference import (
 from gsgen.sdk.exporting.frame_size import check_fits, describe_size
 from gsgen.sdk.exporting.pipeline import Dtype, ExportOptions, probes_of
 from gsgen.sdk.exporting.sh_degrees import HALF_RGB
-from gsgen.sdk.exporting.tracing.hazards import Watch
+from gsgen.sdk.exporting.tracing.hazards import HazardWatch
 
 # Probes of the measured bounds besides the all-zero one, and the most that are compared.
 BOUNDS_PROBES = 8
 # Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
-_DISTANCES = {"close": 0.2, "far": 8.0}
+_DISTANCE_FACTORS = {"close": 0.2, "far": 8.0}
 _TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Prepared:
+class PreparedExport:
     """A torch generator, its manifest, and the results of its runs in eager torch."""
 
     generator: GaussianGenerator
@@ -55,7 +55,7 @@ class Prepared:
     references: EagerRuns  # results at the contract's probes, and at probes far from them
     recordable: range  # the probes of ``references`` whose rows may be recorded
     example: Probe  # the inputs to trace with
-    watch: Watch  # the hazards of the first run
+    watch: HazardWatch  # the hazards of the first run
 
 
 def default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
@@ -66,7 +66,7 @@ def default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
     return "float32" if run_eager(generator, probe).gaussians.rgb is None else "float16"
 
 
-def prepare(
+def prepare_export(
     generator: GaussianGenerator,
     options: ExportOptions,
     *,
@@ -74,7 +74,7 @@ def prepare(
     stored_dtype: Dtype,
     capacity: int | None,
     compared: int,
-) -> Prepared:
+) -> PreparedExport:
     """Run a torch generator in eager mode, and describe it by its declarations and its outputs.
 
     Args:
@@ -87,9 +87,9 @@ def prepare(
     """
     # Step 1: one run; the bounds are not known yet, so its probes lie around the default bounds.
     first_probes = probes_of(manifest_of(generator, options.name, dtype), count=BOUNDS_PROBES)
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     start, watch = run_watched(generator, first_probes[0])
-    seconds = time.perf_counter() - started
+    seconds = time.perf_counter() - start_time
     # Step 2: the outputs, and their size.
     manifest = _with_outputs(generator, options.name, dtype, start, capacity)
     check_fits(generator, manifest, options.target, stored_dtype)
@@ -102,15 +102,15 @@ def prepare(
     references, example = first_runs, first_probes[0]
     if generator.inputs:
         # Cameras orbit the bounds, so they are placed a second time, around the measured bounds.
-        placed = first_runs.at(probes_of(manifest, count=BOUNDS_PROBES))
-        every = first_runs if placed.has_inputs_of(first_runs) else placed
-        manifest = replace(manifest, bounds=measure_bounds(chain(first_runs, every)))
+        bounds_runs = first_runs.with_probes(probes_of(manifest, count=BOUNDS_PROBES))
+        all_runs = first_runs if bounds_runs.has_inputs_of(first_runs) else bounds_runs
+        manifest = replace(manifest, bounds=measure_bounds(chain(first_runs, all_runs)))
         # Bounds need every probe that the validator has; a quick comparison takes some of them.
-        indices = np.linspace(1, len(every) - 1, compared).round().astype(int)
-        compared_probes = [every.probes[index] for index in (0, *indices)]
-        references = every.at([*compared_probes, *_far_probes(manifest)])
-        example = every.probes[1]
-    return Prepared(
+        indices = np.linspace(1, len(all_runs) - 1, compared).round().astype(int)
+        compared_probes = [all_runs.probes[index] for index in (0, *indices)]
+        references = all_runs.with_probes([*compared_probes, *_far_probes(manifest)])
+        example = all_runs.probes[1]
+    return PreparedExport(
         generator=generator,
         manifest=manifest,
         references=references,
@@ -192,12 +192,13 @@ def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
     All other inputs are sampled with another seed.
     """
     assert manifest.bounds is not None
-    for seed, (label, scale) in enumerate(_DISTANCES.items(), start=1):
+    for seed, (label, scale) in enumerate(_DISTANCE_FACTORS.items(), start=1):
         low, high = np.array([manifest.bounds.min, manifest.bounds.max])
-        middle, half = (low + high) / 2, (high - low) / 2
+        center, half_range = (low + high) / 2, (high - low) / 2
         scaled = Bounds(
-            tuple((middle - scale * half).tolist()), tuple((middle + scale * half).tolist())
+            tuple((center - scale * half_range).tolist()),
+            tuple((center + scale * half_range).tolist()),
         )
-        moved = replace(manifest, bounds=scaled)
-        for probe in probes_of(moved, seed=seed, count=2)[1:]:
+        scaled_manifest = replace(manifest, bounds=scaled)
+        for probe in probes_of(scaled_manifest, seed=seed, count=2)[1:]:
             yield replace(probe, label=f"{label}, {probe.label}")

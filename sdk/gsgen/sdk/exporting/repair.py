@@ -78,36 +78,36 @@ def repair(
     subject = inspect_model(open_model(source), settings.target, settings.limits)
     if target is not None:
         refuse_overwriting(subject.file, target)
-    broken = {finding.rule for finding in before.findings}
-    manifest = request.manifest or _own_manifest(subject)
-    steps, manifest = _steps(subject, manifest, broken, request)
+    violated_rules = {finding.rule for finding in before.findings}
+    manifest = request.manifest or _embedded_manifest(subject)
+    repair_steps, manifest = _repair_steps(subject, manifest, violated_rules, request)
     if request.manifest is not None:
-        steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
-    if not steps:
+        repair_steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
+    if not repair_steps:
         raise GsgenError(
             "the model has no fault that gsgen can repair without guessing", where=str(source)
         )
     model = ir.load(source)
     _check_symbols(model, request.sizes)
     external_weights = has_external_weights(model)
-    for _, change in steps:
+    for _, change in repair_steps:
         change(model)
     NameFixPass()(model)
     model.metadata_props.pop(NEUTRAL_KEY, None)
     if manifest.operator_profile is not None:
         manifest = with_profile(manifest, model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
-    with _draft(target, source) as draft:
+    with _draft_copy(target, source) as draft:
         save_model(model, draft, external_weights=external_weights)
         after = validate(draft, settings)
         refuse_new_violations(before, after, "repaired")
     return RepairResult(
-        tuple(step for step, _ in steps), before, replace(after, path=str(target or source))
+        tuple(step for step, _ in repair_steps), before, replace(after, path=str(target or source))
     )
 
 
 @contextmanager
-def _draft(target: Path | None, source: Path) -> Iterator[Path]:
+def _draft_copy(target: Path | None, source: Path) -> Iterator[Path]:
     """Yield a temporary path for the repaired model, which is renamed at the end or deleted."""
     if target is not None:
         with atomic_write(target) as draft:
@@ -125,11 +125,11 @@ def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
         raise UnknownName.among("dimension", name, known, "--size")
 
 
-Change = Callable[[ir.Model], passes.PassResult | None]
-Steps = list[tuple[Repair, Change]]
+RepairPass = Callable[[ir.Model], passes.PassResult | None]
+RepairSteps = list[tuple[Repair, RepairPass]]
 
 
-def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
+def _embedded_manifest(subject: InspectedModel) -> GeneratorManifest:
     if subject.parsed is None:
         raise GsgenError(
             "the model has no manifest, so the meaning of its outputs is unknown",
@@ -145,38 +145,47 @@ def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
     return subject.manifest
 
 
-def _steps(
-    subject: InspectedModel, manifest: GeneratorManifest, broken: set[str], request: RepairRequest
-) -> tuple[Steps, GeneratorManifest]:
+def _repair_steps(
+    subject: InspectedModel,
+    manifest: GeneratorManifest,
+    violated_rules: set[str],
+    request: RepairRequest,
+) -> tuple[RepairSteps, GeneratorManifest]:
     """Return the repairs of a model in order, and the manifest of the repaired model."""
-    steps: Steps = []
+    repair_steps: RepairSteps = []
     outputs = manifest.outputs
     rows, color, count = outputs.gaussians, outputs.appearance, outputs.count
     for symbol, size in request.sizes.items():
-        steps.append(
+        repair_steps.append(
             (Repair(f"dimension {symbol} is {size}", "GO004"), PinDimensions({symbol: size}))
         )
-    if count is not None and "GO011" in broken:
-        steps.append((Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name)))
-    if color is not None and color.space == "rgb" and "GO015" in broken:
+    if count is not None and "GO011" in violated_rules:
+        repair_steps.append(
+            (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name))
+        )
+    if color is not None and color.space == "rgb" and "GO015" in violated_rules:
         description = f"{color.name} is padded to four channels"
-        steps.append((Repair(description, "GO015"), PadColor(color.name)))
+        repair_steps.append((Repair(description, "GO015"), PadColor(color.name)))
     if color is not None and request.channel_major:
         description = f"{color.name} is reordered to coefficient-major"
-        steps.append((Repair(description, "GV014"), ReorderHarmonics(color.name)))
-    if rows and color and count and broken & {"GV002", "GV018"}:
-        silence = SilencePadding((rows.name, color.name), count.name)
-        steps.append((Repair("packed Gaussians behind the count are zero", "GV018"), silence))
+        repair_steps.append((Repair(description, "GV014"), ReorderHarmonics(color.name)))
+    if rows and color and count and violated_rules & {"GV002", "GV018"}:
+        silence_padding = SilencePadding((rows.name, color.name), count.name)
+        repair_steps.append(
+            (Repair("packed Gaussians behind the count are zero", "GV018"), silence_padding)
+        )
     if rows and color and count and request.rename:
         color_name = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
         names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT}
         changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
         if changed:
-            steps.append((Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names)))
+            repair_steps.append(
+                (Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names))
+            )
             outputs = replace(
                 outputs,
                 gaussians=replace(rows, name=GAUSSIANS),
                 appearance=replace(color, name=color_name),
                 count=replace(count, name=COUNT),
             )
-    return steps, replace(manifest, outputs=outputs)
+    return repair_steps, replace(manifest, outputs=outputs)

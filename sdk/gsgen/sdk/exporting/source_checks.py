@@ -59,11 +59,11 @@ def _refuse_not_finite(where: str, values: Tensor, inputs: str) -> None:
     # The bounds need no copy of the values, and are NaN if a value is.
     if not values.numel() or all(bound.isfinite() for bound in values.aminmax()):
         return
-    wrong = int((~torch.isfinite(values)).reshape(len(values), -1).any(dim=1).sum())
+    invalid_count = int((~torch.isfinite(values)).reshape(len(values), -1).any(dim=1).sum())
     has_nan, has_infinity = bool(values.isnan().any()), bool(values.isinf().any())
     kinds = " or ".join(["NaN"] * has_nan + ["infinity"] * has_infinity)
     raise GeneratorInvalid(
-        f"{kinds} in {wrong:,} of {len(values):,} rows at {inputs!r}; expected finite numbers",
+        f"{kinds} in {invalid_count:,} of {len(values):,} rows at {inputs!r}; expected finite numbers",
         where=where,
         hint=_NOT_FINITE,
     )
@@ -75,10 +75,10 @@ def _refuse_logarithms(scale: Tensor) -> None:
     Single negative scales are accepted: methods that add an offset to a scale
     (Deformable-3D-Gaussians) have them, and draw their squares.
     """
-    wrong = int((scale < 0).all(dim=1).sum())
-    if wrong > len(scale) / 2:
+    invalid_count = int((scale < 0).all(dim=1).sum())
+    if invalid_count > len(scale) / 2:
         raise GeneratorInvalid(
-            f"the scale is negative in {wrong:,} of {len(scale):,} rows, down to "
+            f"the scale is negative in {invalid_count:,} of {len(scale):,} rows, down to "
             f"{float(scale.min()):g}; expected standard deviations",
             where="Gaussians.scale",
             hint="3DGS stores logarithms: take torch.exp of them; or take abs, if signs have no meaning.",
@@ -87,10 +87,10 @@ def _refuse_logarithms(scale: Tensor) -> None:
 
 def _refuse_logits(opacity: Tensor) -> None:
     """Raise if most opacities lie outside 0 to 1, because they are probably logits."""
-    wrong = int(((opacity < 0) | (opacity > 1)).sum())
-    if wrong > len(opacity) / 2:
+    invalid_count = int(((opacity < 0) | (opacity > 1)).sum())
+    if invalid_count > len(opacity) / 2:
         raise GeneratorInvalid(
-            f"the opacity is outside 0 to 1 in {wrong:,} of {len(opacity):,} rows, from "
+            f"the opacity is outside 0 to 1 in {invalid_count:,} of {len(opacity):,} rows, from "
             f"{float(opacity.min()):g} to {float(opacity.max()):g}; expected opacities",
             where="Gaussians.opacity",
             hint="3DGS stores logits: take torch.sigmoid of them.",
@@ -102,10 +102,10 @@ def _refuse_no_rotation(rotation: Tensor, inputs: str) -> None:
 
     Single ones are accepted: a trained scene may hold a few, and they are drawn unrotated.
     """
-    wrong = int((rotation == 0).all(dim=1).sum())
-    if wrong > len(rotation) / 2:
+    invalid_count = int((rotation == 0).all(dim=1).sum())
+    if invalid_count > len(rotation) / 2:
         raise GeneratorInvalid(
-            f"the rotation has norm 0 in {wrong:,} of {len(rotation):,} visible rows at {inputs!r}; "
+            f"the rotation has norm 0 in {invalid_count:,} of {len(rotation):,} visible rows at {inputs!r}; "
             "expected unit quaternions (w, x, y, z)",
             where="Gaussians.rotation",
             hint="The quaternion of no rotation is (1, 0, 0, 0).",

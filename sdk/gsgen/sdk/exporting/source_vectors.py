@@ -26,9 +26,9 @@ from gsgen.contract.tools.recording import evenly_spaced
 from gsgen.sdk.exporting.eager_reference import EagerRuns, packed_outputs
 
 # Enough for changes that touch the whole scene; more would make the file larger than a graph needs.
-_ROWS = 2
+_ROWS_PER_VECTOR = 2
 # Inputs of more numbers, such as images, would make the manifest larger than it is worth.
-_MOST_NUMBERS = 4096
+_MAX_NUMBERS = 4096
 
 
 class RowRecorder:
@@ -41,19 +41,21 @@ class RowRecorder:
     """
 
     def __init__(self, references: EagerRuns, candidates: Sequence[int], count: int) -> None:
-        usable = [
+        usable_probes = [
             index
             for index in candidates
             if not references.probes[index].zeros
             and sum(array.size for array in references.probes[index].inputs.values())
-            <= _MOST_NUMBERS
+            <= _MAX_NUMBERS
         ]
         self.references = references
-        self.indices = set(evenly_spaced(usable, min(count, len(usable))) if count else ())
+        self.indices = set(
+            evenly_spaced(usable_probes, min(count, len(usable_probes))) if count else ()
+        )
         self.outputs: dict[int, dict[str, np.ndarray]] = {}
         self.digests: dict[int, str] = {}
 
-    def observe(self, index: int, outputs: Mapping[str, np.ndarray]) -> None:
+    def add_run(self, index: int, outputs: Mapping[str, np.ndarray]) -> None:
         """Record a sample of one run's output rows and a digest of all rows, for a test vector."""
         if index in self.indices:
             self.outputs[index] = {
@@ -86,8 +88,8 @@ def add_source_vectors(
     )
     if vectors:
         document = json.loads(subject.file.manifest_text or "{}")
-        changed = document | {"test_vectors": to_json(vectors)}
-        write_manifest_text(draft, json.dumps(changed, ensure_ascii=False), draft)
+        updated_document = document | {"test_vectors": to_json(vectors)}
+        write_manifest_text(draft, json.dumps(updated_document, ensure_ascii=False), draft)
     return vectors
 
 
@@ -100,7 +102,9 @@ def _vector(
     assert manifest.outputs.gaussians is not None
     source = packed_outputs(reference, manifest)
     capacity = manifest.outputs.gaussians.capacity
-    rows = _drawn(source[manifest.outputs.gaussians.name][: reference.count], OPACITY, capacity)
+    rows = _drawn_rows(
+        source[manifest.outputs.gaussians.name][: reference.count], OPACITY, capacity
+    )
     if not rows:
         return None
     numbers = dict.fromkeys(source, rows)
@@ -110,7 +114,10 @@ def _vector(
     if manifest.outputs.cells is not None:
         name = manifest.outputs.cells.name
         count = capacity // manifest.outputs.cells.per_cell
-        numbers[name], steps[name] = _drawn(source[name], VISIBILITY, count), subsample_step(count)
+        numbers[name], steps[name] = (
+            _drawn_rows(source[name], VISIBILITY, count),
+            subsample_step(count),
+        )
     outputs = tuple(
         record_rows(name, source[name], numbers[name]) for name in source if numbers[name]
     )
@@ -122,14 +129,14 @@ def _vector(
         outputs=outputs,
         tolerances=tolerances,
     )
-    differs = any(vector_faults(subject, vector, recorder.outputs[index], steps))
-    return None if differs else vector
+    is_different = any(vector_faults(subject, vector, recorder.outputs[index], steps))
+    return None if is_different else vector
 
 
-def _drawn(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:
+def _drawn_rows(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:
     """Return indices of a few finite, visible rows, chosen from the rows that validators sample."""
     step = subsample_step(capacity)
     sample = packed[::step]
     is_drawn = (sample[:, opacity] >= CULL_OPACITY) & np.isfinite(sample).all(axis=1)
     rows = [int(row) * step for row in np.flatnonzero(is_drawn)]
-    return evenly_spaced(rows, min(_ROWS, len(rows))) if rows else []
+    return evenly_spaced(rows, min(_ROWS_PER_VECTOR, len(rows))) if rows else []

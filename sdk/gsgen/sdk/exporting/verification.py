@@ -17,25 +17,25 @@ from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.frame_size import frame_bytes
-from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
+from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects, diagnose
 from gsgen.sdk.exporting.pipeline import Progress
 from gsgen.sdk.exporting.source_vectors import RowRecorder
-from gsgen.sdk.exporting.tracing.hazards import Watch
+from gsgen.sdk.exporting.tracing.hazards import HazardWatch
 from gsgen.sdk.model_runs import run_in_groups
 from gsgen.sdk.parity import Comparison, ModelOutput, Parity, Reference, references_equal
 
 # Relative change of inputs that finds rows at a threshold: a few times the rounding of kernels.
-_NUDGE = 1e-5
-_PAIRS = 3
+_PERTURBATION = 1e-5
+_PAIR_COUNT = 3
 # Sums over many threads differ by this much, relatively, from run to run.
-_ROUNDING = 1e-5
+_STATE_TOLERANCE = 1e-5
 
 
 def check_parity(
     path: Path,
     manifest: GeneratorManifest,
     references: EagerRuns,
-    suspects: Suspects,
+    suspects: ParitySuspects,
     progress: Progress,
     recorder: RowRecorder,
     allowed: Tolerances | None = None,
@@ -49,7 +49,7 @@ def check_parity(
     """
 
     def nearby(reference: Reference) -> Iterator[Reference]:
-        probes = _nudged(reference.probe)
+        probes = _perturbed_probes(reference.probe)
         return (run_eager(suspects.generator, probe, checked=False) for probe in probes)
 
     comparison = Comparison(
@@ -61,7 +61,7 @@ def check_parity(
     )
     for index, outputs in enumerate(_runs(path, manifest, references.probes)):
         progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
-        recorder.observe(index, outputs)
+        recorder.add_run(index, outputs)
         comparison.add(references[index], _output(outputs, manifest))
     parity = comparison.parity
     if parity.holds:
@@ -70,12 +70,12 @@ def check_parity(
     def run(probes: list[Probe]) -> list[ModelOutput]:
         return [_output(outputs, manifest).copy() for outputs in _runs(path, manifest, probes)]
 
-    worst = max(parity.fields, key=lambda field: field.excess)
-    element = "cell" if worst.field.startswith("cell") else "Gaussian"
+    worst_field = max(parity.fields, key=lambda field: field.excess)
+    element = "cell" if worst_field.field.startswith("cell") else "Gaussian"
     reason, hint = diagnose(suspects, manifest, references, run)
     raise ParityFailed(
-        f"{worst.field} of {element} {worst.row} differs by {worst.error:.3g} for the test inputs "
-        f"{worst.probe!r}, {worst.excess:.3g} times the tolerance{reason} "
+        f"{worst_field.field} of {element} {worst_field.row} differs by {worst_field.error:.3g} for the test inputs "
+        f"{worst_field.probe!r}, {worst_field.excess:.3g} times the tolerance{reason} "
         f"({parity.describe()})",
         where=path.name,
         hint=hint,
@@ -83,19 +83,19 @@ def check_parity(
     )
 
 
-def _nudged(probe: Probe) -> Iterator[Probe]:
+def _perturbed_probes(probe: Probe) -> Iterator[Probe]:
     """Yield pairs of test inputs in which each float is slightly increased or decreased."""
     rng = np.random.default_rng(0)
-    for _ in range(_PAIRS):
+    for _ in range(_PAIR_COUNT):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
-        for side in (_NUDGE, -_NUDGE):
-            moved = {
-                name: (array * (1 + side * signs[name])).astype(array.dtype)
+        for factor in (_PERTURBATION, -_PERTURBATION):
+            perturbed_inputs = {
+                name: (array * (1 + factor * signs[name])).astype(array.dtype)
                 if array.dtype.kind == "f"
                 else array
                 for name, array in probe.inputs.items()
             }
-            yield replace(probe, inputs=moved)
+            yield replace(probe, inputs=perturbed_inputs)
 
 
 def _runs(
@@ -125,7 +125,7 @@ def run_exported(
     return run_in_groups(path, names, probes, limits, frame_bytes=frame_bytes, failure=failure)
 
 
-def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRuns) -> None:
+def check_memory(generator: GaussianGenerator, watch: HazardWatch, references: EagerRuns) -> None:
     """Raise if a torch module's result depends on earlier frames, by its changed state.
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing
@@ -133,14 +133,14 @@ def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRu
     """
     if not watch.changes_module:
         return
-    watch.undo()
+    watch.restore_module()
     reference = references[-1]
-    if references_equal(reference, run_eager(generator, reference.probe), _ROUNDING):
+    if references_equal(reference, run_eager(generator, reference.probe), _STATE_TOLERANCE):
         return
-    changes = [hazard for hazard in watch.hazards if hazard.kind == "state"]
+    state_changes = [hazard for hazard in watch.hazards if hazard.kind == "state"]
     raise GeneratorInvalid(
         f"forward remembers earlier frames: for the test inputs {reference.probe.label!r}, its result from the "
         "initial state differs from its result after other frames",
-        where="; ".join(hazard.where for hazard in changes[:3]),
-        hint=changes[0].hint if changes else "",
+        where="; ".join(hazard.where for hazard in state_changes[:3]),
+        hint=state_changes[0].hint if state_changes else "",
     )

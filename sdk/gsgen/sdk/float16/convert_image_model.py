@@ -21,20 +21,20 @@ from gsgen.sdk.float16.to_float16 import FLOAT, HALF, ToFloat16, can_compute_in_
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import free_name
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
-from gsgen.sdk.rewriting.rewrite import prepare, tidy
+from gsgen.sdk.rewriting.rewrite import normalize_model, remove_unused
 
 # Operators that add too many numbers for float16.
-_SUMS = (
+_SUMMING_OPERATORS = (
     *("Conv", "ConvTranspose", "MatMul", "Gemm", "Einsum", "Softmax", "LpNormalization"),
     *("InstanceNormalization", "LayerNormalization", "BatchNormalization", "CumSum"),
     *("ReduceSum", "ReduceMean", "ReduceL2", "ReduceSumSquare", "GlobalAveragePool"),
 )
 # Tolerance of computing in float16, as a share of the largest value: a quarter of the difference
 # that rule GB011 allows between two devices.
-_ROUNDING = 5e-4
+_COMPUTE_TOLERANCE = 5e-4
 # Tolerance of storing weights in float16, as a share of the tolerance of the whole model.
-_SHARE_OF_WEIGHTS = 0.5
-_BUDGET = 24
+_WEIGHT_ERROR_SHARE = 0.5
+_MAX_MEASUREMENTS = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,62 +59,66 @@ def image_to_float16(
     ``image`` names the input that becomes float16. ``probes`` have images that float16 can hold;
     ``allowed`` is a share of the result's largest value.
     """
-    prepare(model)
-    measure = _Measure(model, probes)
-    opset, once = opset_of(model), set(constant_nodes(model.graph))
-    nodes = [n for n in model.graph if n not in once and can_compute_in_float16(n, opset)]
+    normalize_model(model)
+    measure = _ImageErrorMeasure(model, probes)
+    opset, constant_node_set = opset_of(model), set(constant_nodes(model.graph))
+    nodes = [
+        n for n in model.graph if n not in constant_node_set and can_compute_in_float16(n, opset)
+    ]
     progress(f"measuring which of {len(measure.weights)} weights may be float16")
     tables = max_quantizable(
         range(len(measure.weights)),
-        measure.of_weights,
-        budget=_BUDGET,
-        allowed=_SHARE_OF_WEIGHTS * allowed,
+        measure.weights_error,
+        budget=_MAX_MEASUREMENTS,
+        allowed=_WEIGHT_ERROR_SHARE * allowed,
     )
     measure.stored = tables.quantized
-    measure.rebase()
+    measure.update_reference()
     progress(f"measuring which of {len(nodes)} nodes may round to float16")
-    free = [k for k, node in enumerate(nodes) if not is_op(node, *_SUMS)]
-    search = max_quantizable(free, measure.of_nodes, budget=_BUDGET, allowed=_ROUNDING)
+    searchable_nodes = [k for k, node in enumerate(nodes) if not is_op(node, *_SUMMING_OPERATORS)]
+    search = max_quantizable(
+        searchable_nodes, measure.nodes_error, budget=_MAX_MEASUREMENTS, allowed=_COMPUTE_TOLERANCE
+    )
     computed = {node_key(nodes[k]) for k in search.quantized}
-    keep = {node_key(node) for node in nodes} - computed
+    retained_keys = {node_key(node) for node in nodes} - computed
     stored = {measure.weights[k] for k in tables.quantized}
     _halve_input(model.graph, image)
-    ToFloat16(keep, outputs=True, stored=stored)(model)
-    tidy(model)
+    ToFloat16(retained_keys, outputs=True, stored=stored)(model)
+    remove_unused(model)
     retained_weights = tuple(name for name in measure.weights if name not in stored)
-    return Float16ImageResult(len(computed), len(keep), len(stored), retained_weights)
+    return Float16ImageResult(len(computed), len(retained_keys), len(stored), retained_weights)
 
 
-class _Measure:
+class _ImageErrorMeasure:
     """Measures how much rounding to float16 changes the image of a post-process model."""
 
     def __init__(self, model: ir.Model, probes: Sequence[Probe]) -> None:
         self._model, self._probes = InstrumentedModel(model), probes
         self.weights, self.stored = self._model.weights, frozenset[int]()
-        self.rebase()
+        self.update_reference()
 
-    def rebase(self) -> None:
+    def update_reference(self) -> None:
         """Recompute the reference images with the weights that are already stored as float16."""
         self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
-    def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
+    def weights_error(self, stored: Collection[int]) -> tuple[float, str]:
         """Return the largest relative image error of storing the given weights as float16."""
-        largest = max(float(np.abs(image).max()) for image in self._expected)
-        return self._error((), stored, largest), "image"
+        largest_value = max(float(np.abs(image).max()) for image in self._expected)
+        return self._error((), stored, largest_value), "image"
 
-    def of_nodes(self, selected: Collection[int]) -> tuple[float, str]:
+    def nodes_error(self, selected: Collection[int]) -> tuple[float, str]:
         """Return the largest relative image error of computing given nodes in float16."""
         return self._error(selected, self.stored), "image"
 
     def _error(
-        self, selected: Collection[int], stored: Collection[int], largest: float = 0.0
+        self, selected: Collection[int], stored: Collection[int], largest_value: float = 0.0
     ) -> float:
-        worst = 0.0
+        worst_error = 0.0
         for probe, expected in zip(self._probes, self._expected, strict=True):
             error = np.abs(self._output_image(probe, selected, stored) - expected).max()
-            error = error / max(largest or float(np.abs(expected).max()), 1e-6)
-            worst = max(worst, float(error) if error <= np.inf else np.inf)
-        return worst
+            error = error / max(largest_value or float(np.abs(expected).max()), 1e-6)
+            worst_error = max(worst_error, float(error) if error <= np.inf else np.inf)
+        return worst_error
 
     def _output_image(
         self, probe: Probe, selected: Collection[int], stored: Collection[int]
@@ -134,16 +138,16 @@ def _halve_input(graph: ir.Graph, name: str) -> None:
     """Make a graph input float16, and cast it to float32 for the nodes that read it."""
     value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})
-    widened = node.outputs[0]
-    widened.name = node.name = free_name(graph, f"{name}_as_float32")
-    widened.type, widened.shape = ir.TensorType(FLOAT), value.shape
+    cast_output = node.outputs[0]
+    cast_output.name = node.name = free_name(graph, f"{name}_as_float32")
+    cast_output.type, cast_output.shape = ir.TensorType(FLOAT), value.shape
     readers = list(value.uses())
     for use in readers:
         if use.node is not node:
-            use.node.replace_input_with(use.idx, widened)
+            use.node.replace_input_with(use.idx, cast_output)
     value.type = ir.TensorType(HALF)
-    front = next(iter(graph), None)
-    if front is None:
+    first_node = next(iter(graph), None)
+    if first_node is None:
         graph.append(node)
     else:
-        graph.insert_before(front, node)
+        graph.insert_before(first_node, node)

@@ -44,16 +44,16 @@ from gsgen.sdk.rewriting.model_io import (
     weight_bytes,
 )
 from gsgen.sdk.rewriting.output_equivalence import probes_of
-from gsgen.sdk.rewriting.rewrite import prepare, tidy
+from gsgen.sdk.rewriting.rewrite import normalize_model, remove_unused
 
-_BUDGET = 200
+_MAX_MEASUREMENTS = 200
 # Share of the tolerance for storing weights in 16 bits: if nodes are searched, too, and if not.
-_SHARE_OF_WEIGHTS, _SHARE_WITHOUT_NODES = 0.5, 0.6
+_WEIGHT_ERROR_SHARE, _WEIGHTS_ONLY_ERROR_SHARE = 0.5, 0.6
 # Share of that error for small tables, if nodes are not searched: their bytes hardly count.
-_SHARE_OF_SMALL = 0.1
+_SMALL_TABLE_SHARE = 0.1
 # Share of the tolerance for the search, from one attempt to the next: the error that real kernels
 # add to the measured rounding is known only at the end.
-_SHARES = (1.0, 0.5, 0.25)
+_TOLERANCE_SHARES = (1.0, 0.5, 0.25)
 
 Progress = Callable[[str], None]
 
@@ -96,7 +96,7 @@ def write_float16(
     *,
     outputs: bool = True,
     tolerances: Tolerances | None = None,
-    budget: int = _BUDGET,
+    budget: int = _MAX_MEASUREMENTS,
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> Float16Result:
@@ -131,7 +131,7 @@ def write_float16(
         )
     model = ir.load(source)
     external_weights = has_external_weights(model)
-    prepare(model)
+    normalize_model(model)
     probes = probes_of(subject, {})
     converted, result = to_float16(
         model,
@@ -158,7 +158,7 @@ def to_float16(
     tolerances: Tolerances | None = None,
     arithmetic: bool = True,
     roundings: int = 1,
-    budget: int = _BUDGET,
+    budget: int = _MAX_MEASUREMENTS,
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[ir.Model, Float16Result]:
@@ -169,7 +169,7 @@ def to_float16(
     other options are those of :func:`write_float16`.
     """
     if outputs:
-        _refuse_half_words(model, manifest)
+        _refuse_partial_words(model, manifest)
     progress("running the model in float32")
     allowed = tolerances or manifest.tolerances or Tolerances()
     measure = ErrorProbe(
@@ -194,12 +194,12 @@ def to_float16(
             hint="Keep them float32 (`gsgen float16 --keep-outputs`), or move the scene closer to "
             "its origin.",
         )
-    for share in _SHARES:
-        choice = search.choose(share, progress)
+    for share in _TOLERANCE_SHARES:
+        choice = search.choose_float16(share, progress)
         converted = model.clone()
         _convert(converted, _with_slack(manifest, allowed), choice, outputs=outputs)
         progress("comparing the float16 model with the float32 one")
-        parity = measure.of_model(converted, limits or Limits())
+        parity = measure.model_parity(converted, limits or Limits())
         if parity.holds:
             break
     else:
@@ -223,7 +223,7 @@ def to_float16(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Choice:
+class _Float16Choice:
     """The chosen nodes that stay float32, and the weight tables to store in 16 bits."""
 
     retained: tuple[RetainedFloat32, ...]  # nodes that compute in float32, with reasons
@@ -257,34 +257,36 @@ class _Search:
         self.boundary = Boundary(model.graph, opset)
         self.measured = 0
         self._measure, self._budget, self._arithmetic = measure, budget, arithmetic
-        self._guards = epsilon_guards(self.nodes, opset)
+        self._guard_reasons = epsilon_guards(self.nodes, opset)
 
-    def choose(self, share: float, progress: Progress) -> _Choice:
+    def choose_float16(self, share: float, progress: Progress) -> _Float16Choice:
         """Choose the weights, then the nodes, that float16 can hold within the tolerance."""
         measure, nodes = self._measure, self.nodes
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
-        portion = share * (_SHARE_OF_WEIGHTS if self._arithmetic else _SHARE_WITHOUT_NODES)
-        small = portion if self._arithmetic else _SHARE_OF_SMALL * portion
-        tables = choose_tables(measure, self._budget, portion, small)
+        weight_share = share * (
+            _WEIGHT_ERROR_SHARE if self._arithmetic else _WEIGHTS_ONLY_ERROR_SHARE
+        )
+        small_table_share = weight_share if self._arithmetic else _SMALL_TABLE_SHARE * weight_share
+        tables = choose_tables(measure, self._budget, weight_share, small_table_share)
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
         measure.stored = tables.quantized
-        free = [
+        searchable_nodes = [
             index
             for index, node in enumerate(nodes)
-            if self._arithmetic and node not in self._guards
+            if self._arithmetic and node not in self._guard_reasons
         ]
-        node_search = max_quantizable(free, measure, budget=self._budget, allowed=share)
+        node_search = max_quantizable(searchable_nodes, measure, budget=self._budget, allowed=share)
         self.measured += tables.measured + node_search.measured
         if self._arithmetic:
-            retained = retained_nodes(nodes, self._guards, node_search.retained)
+            retained = retained_nodes(nodes, self._guard_reasons, node_search.retained)
         else:
             retained = [
                 RetainedFloat32(node_key(node), "only weights are stored in 16 bits")
                 for node in nodes
             ]
         retained += merge_islands(self.boundary, nodes, retained)
-        return _Choice(
+        return _Float16Choice(
             retained=tuple(retained),
             retained_weights=tuple(
                 RetainedFloat32(measure.weights[index], group.field, group.excess)
@@ -296,7 +298,7 @@ class _Search:
         )
 
 
-def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
+def _refuse_partial_words(model: ir.Model, manifest: GeneratorManifest) -> None:
     """Raise if rows of float16 SH would not fill whole 32-bit words (rule GO015)."""
     color = manifest.outputs.appearance
     if color is None or color.space != "sh":
@@ -315,7 +317,7 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
 
 
 def _convert(
-    model: ir.Model, manifest: GeneratorManifest, choice: _Choice, *, outputs: bool
+    model: ir.Model, manifest: GeneratorManifest, choice: _Float16Choice, *, outputs: bool
 ) -> None:
     ToFloat16(
         choice.retained_names, outputs=outputs, stored=choice.stored, unstepped=choice.unstepped
@@ -330,16 +332,16 @@ def _convert(
     if outputs or manifest.test_vectors:
         model.metadata_props.pop(NEUTRAL_KEY, None)
         model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
-    tidy(model)
+    remove_unused(model)
 
 
 def _with_slack(manifest: GeneratorManifest, allowed: Tolerances) -> GeneratorManifest:
     """Return a manifest with float16 rounding errors added to its test vectors' tolerances."""
     vectors = []
     for vector in manifest.test_vectors:
-        own = vector.tolerances or manifest.tolerances or Tolerances()
+        vector_tolerances = vector.tolerances or manifest.tolerances or Tolerances()
         sums = {
-            field.name: getattr(own, field.name) + getattr(allowed, field.name)
+            field.name: getattr(vector_tolerances, field.name) + getattr(allowed, field.name)
             for field in fields(Tolerances)
         }
         vectors.append(replace(vector, tolerances=Tolerances(**sums)) if vector.outputs else vector)

@@ -18,13 +18,13 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.contract.validation.agreement import FieldError
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
-from gsgen.sdk.model_runs import KEPT_BYTES, run_in_groups
+from gsgen.sdk.model_runs import MAX_KEPT_BYTES, run_in_groups
 from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
-_LEAST_ROOM = 1e-3
+_MIN_TOLERANCE = 1e-3
 # Number of further probes: coprime to the number of the search's probes, so that times differ.
-_UNSEEN = 12
+_UNSEEN_COUNT = 12
 
 
 class ErrorProbe:
@@ -70,13 +70,13 @@ class ErrorProbe:
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
         # The search compares every step-th row of large outputs; the result is compared in full.
-        self._step = max(1, -(-len(probes) * self.frame_bytes // KEPT_BYTES))
+        self._step = max(1, -(-len(probes) * self.frame_bytes // MAX_KEPT_BYTES))
         self._references = [self._reference(probe, self._step) for probe in probes]
-        self._unseen = _unseen(manifest, probes)
+        self._unseen_probes = _unseen_probes(manifest, probes)
         # A search with a smaller share of the tolerance asks for most choices again.
         self._measured: dict[tuple[frozenset[int], ...], tuple[float, str]] = {}
         self.rounded = self.parity(frozenset())
-        self._stored = {field.field: field.excess for field in self.rounded.fields}
+        self._storage_excess = {field.field: field.excess for field in self.rounded.fields}
 
     @cached_property
     def frame_bytes(self) -> int:
@@ -85,8 +85,8 @@ class ErrorProbe:
         return sum(outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f")
 
     def _reference(self, probe: Probe, step: int = 1) -> Reference:
-        nothing = np.zeros(len(self.model.units), np.bool_)
-        output = self._read(self.model.run(probe.inputs, nothing)).every(step)
+        no_nodes = np.zeros(len(self.model.units), np.bool_)
+        output = self._read(self.model.run(probe.inputs, no_nodes)).every_nth(step)
         if output.rows.dtype != np.float32:
             message = f"is {output.rows.dtype} already"
             raise RewriteFailed(message, where=f"output {self.names[0]}")
@@ -98,7 +98,7 @@ class ErrorProbe:
         rows, color, count, *cells = (outputs[name] for name in self.names)
         return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
-    def _stored_as(self, output: ModelOutput) -> ModelOutput:
+    def _round_outputs(self, output: ModelOutput) -> ModelOutput:
         """Round an output to the dtype in which the float16 model stores it."""
         with np.errstate(over="ignore"):
             cells = None if output.cells is None else output.cells.astype(self.storage)
@@ -112,36 +112,40 @@ class ErrorProbe:
         stored = np.zeros(len(self.weights), np.bool_)
         stored[list(self.stored)] = True
         runs = (self.model.run(probe.inputs, flags, stored) for probe in self.probes)
-        outputs = (self._stored_as(self._read(run).every(self._step)) for run in runs)
-        return self._compared(self._references, outputs)
+        outputs = (self._round_outputs(self._read(run).every_nth(self._step)) for run in runs)
+        return self._compare(self._references, outputs)
 
-    def _compared(self, references: Iterable[Reference], outputs: Iterable[ModelOutput]) -> Parity:
+    def _compare(self, references: Iterable[Reference], outputs: Iterable[ModelOutput]) -> Parity:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
         """Return error / tolerance and name of the output field that float16 nodes affect most."""
         key = (frozenset(selected), frozenset(self.stored), self.model.unstepped)
         if key not in self._measured:
-            used = {field.field: self._used(field) for field in self.parity(selected).fields}
-            worst = max(used, key=lambda field: used[field], default="")
-            self._measured[key] = (used.get(worst, 0.0), worst)
+            error_shares = {
+                field.field: self._error_share(field) for field in self.parity(selected).fields
+            }
+            worst_field = max(error_shares, key=lambda field: error_shares[field], default="")
+            self._measured[key] = (error_shares.get(worst_field, 0.0), worst_field)
         return self._measured[key]
 
-    def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
+    def weights_error(self, stored: Collection[int]) -> tuple[float, str]:
         """Return error / tolerance and name of the output field that 16-bit weights affect most."""
         self.stored = stored
         return self(())
 
-    def _used(self, field: FieldError) -> float:
+    def _error_share(self, field: FieldError) -> float:
         """Return a field's error as a share of the tolerance that rounding the outputs leaves."""
-        base = self._stored.get(field.field, 0.0)
-        return float((field.excess - base) / max(1 - base, _LEAST_ROOM))
+        base = self._storage_excess.get(field.field, 0.0)
+        return float((field.excess - base) / max(1 - base, _MIN_TOLERANCE))
 
-    def of_model(self, model: ir.Model, limits: Limits) -> Parity:
+    def model_parity(self, model: ir.Model, limits: Limits) -> Parity:
         """Compare a float16 model with float32, also for test inputs unseen by the search."""
-        probes = [*self.probes, *self._unseen]
-        known = self._references if self._step == 1 else ()
-        references = chain(known, (self._reference(probe) for probe in probes[len(known) :]))
+        probes = [*self.probes, *self._unseen_probes]
+        known_references = self._references if self._step == 1 else ()
+        references = chain(
+            known_references, (self._reference(probe) for probe in probes[len(known_references) :])
+        )
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
             file = Path(folder) / "float16.onnx"
             save_model(model, file, external_weights=has_external_weights(model))
@@ -154,16 +158,16 @@ class ErrorProbe:
                 frame_bytes=self.frame_bytes,
                 failure=_cannot_run,
             )
-            return self._compared(references, (self._read(outputs) for outputs in runs))
+            return self._compare(references, (self._read(outputs) for outputs in runs))
 
 
 def _cannot_run(message: str) -> RewriteFailed:
     return RewriteFailed(f"ONNX Runtime cannot run the result: {message}", where="float16")
 
 
-def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
+def _unseen_probes(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
     """Return test inputs with cameras, times and poses other than those of ``probes``."""
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}
-    return default_probes(manifest, shapes, dtypes, seed=1, count=_UNSEEN) if inputs else ()
+    return default_probes(manifest, shapes, dtypes, seed=1, count=_UNSEEN_COUNT) if inputs else ()

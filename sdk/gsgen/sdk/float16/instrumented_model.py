@@ -1,6 +1,6 @@
 """A model that rounds selected nodes and weights to float16, selectable for each run."""
 
-__all__ = ["FLAGS", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
+__all__ = ["FLAGS_INPUT", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
 
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
@@ -27,11 +27,11 @@ from gsgen.sdk.passes.framework.value_facts import required
 from gsgen.sdk.rewriting.constant_subgraph import partition_constants
 from gsgen.sdk.rewriting.model_io import save_model
 
-FLAGS = "computed_in_float16"
+FLAGS_INPUT = "computed_in_float16"
 # A constant with more elements is a table: an element that becomes zero does not guard a division.
 GUARD_ELEMENTS = 16
 # Operators that only move numbers: a GPU flushes subnormal numbers where it computes with them.
-_MOVES = (
+_MOVE_OPERATORS = (
     *("Cast", "Concat", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Split"),
     *("Squeeze", "Transpose", "Unsqueeze", "Where"),
 )
@@ -65,22 +65,22 @@ class InstrumentedModel:
         part = partition_constants(model)
         copy = part.per_frame
         opset = opset_of(copy)
-        able = () if weights_only else copy.graph
-        nodes = [node for node in able if can_compute_in_float16(node, opset)]
+        candidate_nodes = () if weights_only else copy.graph
+        nodes = [node for node in candidate_nodes if can_compute_in_float16(node, opset)]
         self.units = tuple(node_key(node) for node in nodes)
         self._tables = {table.name or "": _array(table) for table in tables(model.graph)}
-        self._halves: dict[str, HalfTable] = {}
+        self._stored_tables: dict[str, HalfTable] = {}
         self.unstepped: frozenset[int] = frozenset()
         self.weights = tuple(self._tables)
         self.sizes = tuple(array.size for array in self._tables.values())
         self._names = [value.name or "" for value in copy.graph.outputs]
-        self._between, self._cached = list(part.boundary), _CachedConstants(b"", {})
+        self._boundary_names, self._cached = list(part.boundary), _CachedConstants(b"", {})
         _feed_tables(copy, self.weights)
         _instrument(copy, nodes, opset)
-        self._session, self._once = _session(copy, rounds=bool(nodes)), None
+        self._session, self._constant_session = _session(copy, rounds=bool(nodes)), None
         if part.constant is not None:
             _feed_tables(part.constant, self.weights)
-            self._once = _session(part.constant, rounds=False)
+            self._constant_session = _session(part.constant, rounds=False)
 
     def run(
         self,
@@ -91,24 +91,24 @@ class InstrumentedModel:
         """Return the float32 outputs with the selected nodes and weights rounded to float16."""
         if stored is None:
             stored = np.zeros(len(self.weights), np.bool_)
-        session_inputs = {**inputs, **self._constants(stored), FLAGS: selected}
+        session_inputs = {**inputs, **self._constants(stored), FLAGS_INPUT: selected}
         return _run(self._session, self._names, session_inputs)
 
-    def _halved(self, name: str) -> HalfTable:
+    def _stored_table(self, name: str) -> HalfTable:
         """Return a weight table rounded to its 16-bit storage."""
-        if name not in self._halves:
+        if name not in self._stored_tables:
             in_steps = self.weights.index(name) not in self.unstepped
-            self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
-        return self._halves[name]
+            self._stored_tables[name] = half_table(self._tables[name], in_steps=in_steps)
+        return self._stored_tables[name]
 
-    def is_in_steps(self, table: int) -> bool:
+    def is_evenly_quantized(self, table: int) -> bool:
         """Return whether a weight table is quantised evenly in 16 bits rather than as float16."""
-        return self._halved(self.weights[table]).step is not None
+        return self._stored_table(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
         """Allow only float16, not evenly spaced 16-bit values, for the listed weight tables."""
         for table in self.unstepped ^ frozenset(tables):
-            self._halves.pop(self.weights[table], None)
+            self._stored_tables.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
@@ -116,11 +116,11 @@ class InstrumentedModel:
         key = stored.tobytes()
         if key != self._cached.key or not self._cached.arrays:
             arrays = {
-                name: self._halved(name).decoded if half else array
+                name: self._stored_table(name).decoded if half else array
                 for (name, array), half in zip(self._tables.items(), stored, strict=True)
             }
-            if self._once is not None:
-                arrays |= _run(self._once, self._between, arrays)
+            if self._constant_session is not None:
+                arrays |= _run(self._constant_session, self._boundary_names, arrays)
             self._cached = _CachedConstants(key, arrays)
         return self._cached.arrays
 
@@ -187,10 +187,12 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
     graph = model.graph
     if not nodes:
         return
-    flags = ir.Value(name=FLAGS, type=ir.TensorType(ir.DataType.BOOL), shape=ir.Shape([len(nodes)]))
+    flags = ir.Value(
+        name=FLAGS_INPUT, type=ir.TensorType(ir.DataType.BOOL), shape=ir.Shape([len(nodes)])
+    )
     graph.inputs.append(flags)
     zero = weight(graph, "float16_zero", np.zeros((), np.float32))
-    tiny = weight(graph, "float16_tiny", np.asarray(FLOAT16_SMALLEST_NORMAL, np.float32))
+    smallest_normal = weight(graph, "float16_tiny", np.asarray(FLOAT16_SMALLEST_NORMAL, np.float32))
     for number, node in enumerate(nodes):
         inputs, outputs = convertible_indices(node, opset)
         unit = weight(graph, f"float16_unit_{number}", np.asarray(number))
@@ -200,10 +202,10 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
         graph.insert_before(node, flag)
         for index in inputs:
             value = required(node.inputs[index])
-            before = _rounded(value, f"float16_in_{number}_{index}")
-            if not is_op(node, *_MOVES):
-                before += _flushed(before[-1].outputs[0], tiny, zero)
-            before.append(_chosen(flag, before[-1].outputs[0], value))
+            before = _rounding_nodes(value, f"float16_in_{number}_{index}")
+            if not is_op(node, *_MOVE_OPERATORS):
+                before += _flush_nodes(before[-1].outputs[0], smallest_normal, zero)
+            before.append(_select_node(flag, before[-1].outputs[0], value))
             graph.insert_before(node, before)
             node.replace_input_with(index, before[-1].outputs[0])
         for index in outputs:
@@ -214,8 +216,8 @@ def _round_output(graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, num
     value = node.outputs[index]
     name, readers = value.name, list(value.uses())
     value.name = f"float16_raw_{number}_{index}"
-    behind = _rounded(value, f"float16_out_{number}_{index}")
-    behind.append(_chosen(flag, behind[-1].outputs[0], value))
+    behind = _rounding_nodes(value, f"float16_out_{number}_{index}")
+    behind.append(_select_node(flag, behind[-1].outputs[0], value))
     result = behind[-1].outputs[0]
     result.name, result.shape = name, value.shape
     graph.insert_after(node, behind)
@@ -226,22 +228,24 @@ def _round_output(graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, num
             graph.outputs[position] = result
 
 
-def _rounded(value: ir.Value, name: str) -> list[ir.Node]:
+def _rounding_nodes(value: ir.Value, name: str) -> list[ir.Node]:
     half = new_node("Cast", [value], f"{name}_half", dtype=HALF, to=HALF.value)
-    back = new_node("Cast", [half.outputs[0]], f"{name}_back", dtype=FLOAT, to=FLOAT.value)
-    return [half, back]
+    float32_cast = new_node("Cast", [half.outputs[0]], f"{name}_back", dtype=FLOAT, to=FLOAT.value)
+    return [half, float32_cast]
 
 
-def _flushed(value: ir.Value, tiny: ir.Value, zero: ir.Value) -> list[ir.Node]:
+def _flush_nodes(value: ir.Value, smallest_normal: ir.Value, zero: ir.Value) -> list[ir.Node]:
     size = new_node("Abs", [value], f"{value.name}_size", dtype=FLOAT)
-    small = new_node("Less", [size.outputs[0], tiny], f"{value.name}_small", dtype=ir.DataType.BOOL)
-    result = new_node(
-        "Where", [small.outputs[0], zero, value], f"{value.name}_flushed", dtype=FLOAT
+    is_small = new_node(
+        "Less", [size.outputs[0], smallest_normal], f"{value.name}_small", dtype=ir.DataType.BOOL
     )
-    return [size, small, result]
+    result = new_node(
+        "Where", [is_small.outputs[0], zero, value], f"{value.name}_flushed", dtype=FLOAT
+    )
+    return [size, is_small, result]
 
 
-def _chosen(flag: ir.Node, rounded: ir.Value, value: ir.Value) -> ir.Node:
+def _select_node(flag: ir.Node, rounded: ir.Value, value: ir.Value) -> ir.Node:
     return new_node(
         "Where", [flag.outputs[0], rounded, value], f"{rounded.name}_chosen", dtype=FLOAT
     )

@@ -13,12 +13,12 @@ from gsgen.sdk.float16.error_measure import ErrorProbe
 from gsgen.sdk.float16.instrumented_model import GUARD_ELEMENTS
 from gsgen.sdk.float16.sensitivity_search import Search, Sensitivity, max_quantizable
 from gsgen.sdk.float16.to_float16 import FLOAT, Boundary, convertible_indices, node_key
-from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
+from gsgen.sdk.float16.weight_tables import MIN_TABLE_ELEMENTS
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.graph_builder import constant_array
 
 # Operators between a guard and the division that it protects.
-_BEHIND_GUARDS = (
+_GUARD_CHAIN_OPERATORS = (
     *("Sqrt", "Reciprocal", "Pow", "Cast", "Expand", "Reshape", "Squeeze", "Unsqueeze"),
     *("Transpose", "Identity", "Slice", "Gather", "Where", "Clip", "Max", "Min"),
 )
@@ -41,46 +41,53 @@ class RetainedFloat32:
 
 
 def choose_tables(
-    measure: ErrorProbe, budget: int, allowed: float, allowed_with_small: float
+    measure: ErrorProbe, budget: int, allowed: float, allowed_for_small: float
 ) -> Search:
     """Choose weight tables to store in 16 bits, large ones first, within the allowed error.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
-    ``allowed`` is the largest share of the tolerance, ``allowed_with_small`` the one up to which
-    tables of fewer than ``LEAST_ELEMENTS`` are stored so, too: few bytes depend on them.
+    ``allowed`` is the largest share of the tolerance, ``allowed_for_small`` the one up to which
+    tables of fewer than ``MIN_TABLE_ELEMENTS`` are stored so, too: few bytes depend on them.
     """
     # Step 1: large tables, each in the form that is closer.
     measure.model.store_unstepped(())
-    large = [k for k, size in enumerate(measure.sizes) if size >= LEAST_ELEMENTS]
-    first = max_quantizable(large, measure.of_weights, budget=budget, allowed=allowed)
-    stepped = [k for group in first.retained for k in group.units if measure.model.is_in_steps(k)]
+    large_tables = [k for k, size in enumerate(measure.sizes) if size >= MIN_TABLE_ELEMENTS]
+    first_search = max_quantizable(
+        large_tables, measure.weights_error, budget=budget, allowed=allowed
+    )
+    even_step_tables = [
+        k
+        for group in first_search.retained
+        for k in group.units
+        if measure.model.is_evenly_quantized(k)
+    ]
     # Step 2: large tables that were too coarse in even steps, as float16.
-    measure.model.store_unstepped(stepped)
+    measure.model.store_unstepped(even_step_tables)
     unstepped = max_quantizable(
-        stepped,
-        lambda added: measure.of_weights([*first.quantized, *added]),
-        budget=budget - first.measured,
+        even_step_tables,
+        lambda added_entries: measure.weights_error([*first_search.quantized, *added_entries]),
+        budget=budget - first_search.measured,
         allowed=allowed,
     )
-    stored = first.quantized | unstepped.quantized
+    stored = first_search.quantized | unstepped.quantized
     retained_groups = (
         replace(group, units=tuple(k for k in group.units if k not in stored))
-        for group in first.retained
+        for group in first_search.retained
     )
-    measured = first.measured + unstepped.measured
+    measured = first_search.measured + unstepped.measured
     # Step 3: small tables.
-    small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
-    second = max_quantizable(
-        small,
-        lambda added: measure.of_weights([*stored, *added]),
+    small_tables = [k for k, size in enumerate(measure.sizes) if size < MIN_TABLE_ELEMENTS]
+    second_search = max_quantizable(
+        small_tables,
+        lambda added_entries: measure.weights_error([*stored, *added_entries]),
         budget=budget - measured,
-        allowed=allowed_with_small,
+        allowed=allowed_for_small,
     )
     return Search(
-        stored | second.quantized,
-        (*(group for group in retained_groups if group.units), *second.retained),
-        measured + second.measured,
+        stored | second_search.quantized,
+        (*(group for group in retained_groups if group.units), *second_search.retained),
+        measured + second_search.measured,
     )
 
 
@@ -94,7 +101,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
     Case 4: the operators between such an epsilon and the division.
     """
     reasons: dict[ir.Node, str] = {}
-    front: list[ir.Node] = []
+    frontier: list[ir.Node] = []
     for node in nodes:
         if not convertible_indices(node, opset)[1]:
             reasons[node] = "it decides"  # Case 1
@@ -110,27 +117,31 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
                 and ((size > 0) & (size < FLOAT16_SMALLEST_NORMAL)).any()
             ):
                 reasons[node] = "a guard that float16 makes zero"  # Case 3
-                front.append(node)
-    while front:
-        for reader in (use.node for v in front.pop().outputs for use in v.uses()):
-            ends = is_op(reader, "Div", "Mul")
-            if reader in reasons or not (ends or is_op(reader, *_BEHIND_GUARDS)):
+                frontier.append(node)
+    while frontier:
+        for reader in (use.node for v in frontier.pop().outputs for use in v.uses()):
+            is_division = is_op(reader, "Div", "Mul")
+            if reader in reasons or not (is_division or is_op(reader, *_GUARD_CHAIN_OPERATORS)):
                 continue
             reasons[reader] = "between a guard and its division"  # Case 4
-            if not ends:
-                front.append(reader)
+            if not is_division:
+                frontier.append(reader)
     return reasons
 
 
 def retained_nodes(
-    nodes: Sequence[ir.Node], guarded: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
+    nodes: Sequence[ir.Node],
+    guard_reasons: Mapping[ir.Node, str],
+    costly_groups: Sequence[Sensitivity],
 ) -> list[RetainedFloat32]:
     """Return the nodes that stay float32: tiny ε terms, and groups with too large an error."""
-    able = set(nodes)
+    convertible_nodes = set(nodes)
     retained = [
-        RetainedFloat32(node_key(node), reason) for node, reason in guarded.items() if node in able
+        RetainedFloat32(node_key(node), reason)
+        for node, reason in guard_reasons.items()
+        if node in convertible_nodes
     ]
-    for group in costly:
+    for group in costly_groups:
         retained += [
             RetainedFloat32(node_key(nodes[k]), group.field, group.excess) for k in group.units
         ]
@@ -142,22 +153,22 @@ def merge_islands(
 ) -> list[RetainedFloat32]:
     """Return further nodes to keep in float32, so that fewer Casts between dtypes are needed."""
     keep = {entry.node for entry in retained}
-    added: list[RetainedFloat32] = []
+    added_entries: list[RetainedFloat32] = []
     while True:
-        fresh = [
+        new_entries = [
             node
             for node in nodes
             if node_key(node) not in keep
-            and _borders(node, keep)
-            and boundary.saved(node, keep) > 0
+            and _touches_retained(node, keep)
+            and boundary.saved_casts(node, keep) > 0
         ]
-        if not fresh:
-            return added
-        keep.add(node_key(fresh[0]))
-        added.append(RetainedFloat32(node_key(fresh[0]), "saves Casts"))
+        if not new_entries:
+            return added_entries
+        keep.add(node_key(new_entries[0]))
+        added_entries.append(RetainedFloat32(node_key(new_entries[0]), "saves Casts"))
 
 
-def _borders(node: ir.Node, keep: Collection[str]) -> bool:
-    near = [value.producer() for value in node.inputs if value is not None]
-    near += [use.node for value in node.outputs for use in value.uses()]
-    return any(neighbour is not None and node_key(neighbour) in keep for neighbour in near)
+def _touches_retained(node: ir.Node, keep: Collection[str]) -> bool:
+    neighbours = [value.producer() for value in node.inputs if value is not None]
+    neighbours += [use.node for value in node.outputs for use in value.uses()]
+    return any(neighbour is not None and node_key(neighbour) in keep for neighbour in neighbours)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 # A group that uses at most this share of the tolerance is not split further.
-_HARMLESS = 0.02
+_NEGLIGIBLE_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,11 @@ class Search:
     measured: int  # number of measured choices
 
 
-Measure = Callable[[Collection[int]], tuple[float, str]]
+MeasureError = Callable[[Collection[int]], tuple[float, str]]
 
 
 def max_quantizable(
-    units: Sequence[int], measure: Measure, *, budget: int = 200, allowed: float = 1.0
+    units: Sequence[int], measure: MeasureError, *, budget: int = 200, allowed: float = 1.0
 ) -> Search:
     """Find many nodes or weight tables to quantize together within an allowed output error.
 
@@ -48,54 +48,56 @@ def max_quantizable(
     """
     count = 0
 
-    def costs(group: Collection[int]) -> tuple[float, str]:
+    def measure_cost(group: Collection[int]) -> tuple[float, str]:
         nonlocal count
         count += 1
         return measure(group)
 
     if not units:
         return Search(frozenset(), (), 0)
-    excess, field = costs(units)
+    excess, field = measure_cost(units)
     if excess <= allowed:
         return Search(frozenset(units), (), count)
     groups = [Sensitivity(tuple(units), excess, field)]
     while count + 2 <= budget // 2:
-        costly = [g for g in groups if len(g.units) > 1 and not g.excess <= _HARMLESS * allowed]
-        if not costly:
+        costly_groups = [
+            g for g in groups if len(g.units) > 1 and not g.excess <= _NEGLIGIBLE_SHARE * allowed
+        ]
+        if not costly_groups:
             break
-        worst = max(costly, key=lambda g: g.excess)
-        groups.remove(worst)
-        middle = len(worst.units) // 2
-        for half in (worst.units[:middle], worst.units[middle:]):
-            groups.append(Sensitivity(half, *costs(half)))
+        worst_group = max(costly_groups, key=lambda g: g.excess)
+        groups.remove(worst_group)
+        midpoint = len(worst_group.units) // 2
+        for half_units in (worst_group.units[:midpoint], worst_group.units[midpoint:]):
+            groups.append(Sensitivity(half_units, *measure_cost(half_units)))
     groups.sort(key=lambda g: (g.excess, g.units))
-    return _fill(groups, costs, allowed, lambda: count, budget)
+    return _choose_groups(groups, measure_cost, allowed, lambda: count, budget)
 
 
-def _fill(
+def _choose_groups(
     groups: list[Sensitivity],
-    costs: Measure,
+    measure_cost: MeasureError,
     allowed: float,
-    counted: Callable[[], int],
+    call_count: Callable[[], int],
     budget: int,
 ) -> Search:
     low, high = 0, sum(group.excess <= allowed for group in groups)
     # Step 3: the first `low` groups together were measured to fit.
     while low < high:
-        middle = (low + high + 1) // 2
-        if costs(_joined(groups[:middle]))[0] <= allowed:
-            low = middle
+        midpoint = (low + high + 1) // 2
+        if measure_cost(_units_of(groups[:midpoint]))[0] <= allowed:
+            low = midpoint
         else:
-            high = middle - 1
+            high = midpoint - 1
     quantized, retained = list(groups[:low]), []
     for group in groups[low:]:
-        fits = group.excess <= allowed and counted() < budget
-        if fits and costs(_joined([*quantized, group]))[0] <= allowed:
+        is_allowed = group.excess <= allowed and call_count() < budget
+        if is_allowed and measure_cost(_units_of([*quantized, group]))[0] <= allowed:
             quantized.append(group)
         else:
             retained.append(group)
-    return Search(frozenset(_joined(quantized)), tuple(retained), counted())
+    return Search(frozenset(_units_of(quantized)), tuple(retained), call_count())
 
 
-def _joined(groups: Sequence[Sensitivity]) -> list[int]:
+def _units_of(groups: Sequence[Sensitivity]) -> list[int]:
     return [unit for group in groups for unit in group.units]

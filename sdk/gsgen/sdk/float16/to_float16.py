@@ -19,9 +19,9 @@ from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 
 FLOAT, HALF = ir.DataType.FLOAT, ir.DataType.FLOAT16
-_ALLOWED = "tensor(float16)"
+_FLOAT16_TYPE = "tensor(float16)"
 # Operators that read shapes, not numbers, so that they need no Cast.
-_INDIFFERENT = ("Shape", "Size")
+_SHAPE_OPERATORS = ("Shape", "Size")
 
 
 class ToFloat16(CautiousRewrite):
@@ -65,11 +65,11 @@ class ToFloat16(CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Convert nodes, weights and outputs to float16, and insert Casts at float32 nodes."""
         graph, opset = model.graph, opset_of(model)
-        once = set(constant_nodes(graph))
+        constant_node_set = set(constant_nodes(graph))
         selected = [
             node
             for node in graph
-            if node not in once
+            if node not in constant_node_set
             and node_key(node) not in self.keep
             and can_compute_in_float16(node, opset)
         ]
@@ -121,26 +121,26 @@ def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]
     float16, none of them does.
     """
     schema = _schema(node, opset)
-    if schema is None or is_op(node, *_INDIFFERENT):
+    if schema is None or is_op(node, *_SHAPE_OPERATORS):
         return [], []
     typed_inputs = _floats(node.inputs, schema.inputs)
     typed_outputs = _floats(node.outputs, schema.outputs)
     # An attribute decides the type of an output whose type variable no input has.
-    free = {formal.type_str for _, formal in typed_outputs} - {
+    free_types = {formal.type_str for _, formal in typed_outputs} - {
         formal.type_str for _, formal in typed_inputs
     }
-    if free and not is_op(node, "Cast"):
+    if free_types and not is_op(node, "Cast"):
         return [], []
-    stiff = {
+    fixed_types = {
         formal.type_str
         for _, formal in (*typed_inputs, *typed_outputs)
-        if _ALLOWED not in formal.types
+        if _FLOAT16_TYPE not in formal.types
     }
     variables = {constraint.type_param_str for constraint in schema.type_constraints}
-    if stiff & variables:
+    if fixed_types & variables:
         return [], []
     return tuple(  # type: ignore[return-value]
-        [index for index, formal in part if formal.type_str not in stiff]
+        [index for index, formal in part if formal.type_str not in fixed_types]
         for part in (typed_inputs, typed_outputs)
     )
 
@@ -179,7 +179,7 @@ HalfInputs = set[tuple[ir.Node, int]]
 
 
 def _readers(value: ir.Value) -> list[tuple[ir.Node, int]]:
-    return [(node, index) for node, index in value.uses() if not is_op(node, *_INDIFFERENT)]
+    return [(node, index) for node, index in value.uses() if not is_op(node, *_SHAPE_OPERATORS)]
 
 
 def _convert_weight(
@@ -190,13 +190,13 @@ def _convert_weight(
     if not (half or stored) or value.const_value is None:
         return
     array = value.const_value.numpy()
-    full = [use for use in readers if use not in half_inputs]
-    if full and stored and not value.is_graph_output():
-        _store(graph, value, half_table(array, in_steps=in_steps), half_inputs)
+    float32_uses = [use for use in readers if use not in half_inputs]
+    if float32_uses and stored and not value.is_graph_output():
+        _store_table(graph, value, half_table(array, in_steps=in_steps), half_inputs)
         return
     with np.errstate(over="ignore"):
         array = array.astype(np.float16)
-    if value.is_graph_output() or full:
+    if value.is_graph_output() or float32_uses:
         copy = weight(graph, f"{value.name}_float16", array)
         for node, index in half:
             node.replace_input_with(index, copy)
@@ -205,7 +205,9 @@ def _convert_weight(
     value.type = ir.TensorType(HALF)
 
 
-def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs) -> None:
+def _store_table(
+    graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs
+) -> None:
     """Store a graph weight in 16 bits, followed by nodes that decode the weight for its readers."""
     value.const_value = ir.tensor(table.numbers, name=value.name)
     value.type = ir.TensorType(value.const_value.dtype)
@@ -219,12 +221,12 @@ def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: Half
     start = weight(graph, f"{value.name}_start", table.start)
     scaled = new_node("Mul", [numbers.outputs[0], step], name, dtype=FLOAT, shape=value.shape)
     name = f"{value.name}_moved"
-    moved = new_node("Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape)
-    for node in (moved, scaled, numbers):
+    shifted = new_node("Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape)
+    for node in (shifted, scaled, numbers):
         _insert_after(graph, value, node)
     for node, index in readers:
-        node.replace_input_with(index, moved.outputs[0])
-    _convert_value(graph, moved.outputs[0], half_inputs, is_half=False)
+        node.replace_input_with(index, shifted.outputs[0])
+    _convert_value(graph, shifted.outputs[0], half_inputs, is_half=False)
 
 
 def _convert_value(
@@ -265,9 +267,9 @@ def _cast(value: ir.Value, dtype: ir.DataType) -> ir.Node:
 
 
 def _insert_after(graph: ir.Graph, value: ir.Value, node: ir.Node) -> None:
-    maker = value.producer()
-    if maker is not None:
-        graph.insert_after(maker, node)
+    source_node = value.producer()
+    if source_node is not None:
+        graph.insert_after(source_node, node)
         return
     first = next(iter(graph), None)
     if first is None:
@@ -290,23 +292,27 @@ class Boundary:
 
     def casts(self, keep: Collection[str]) -> int:
         """Return the number of Casts between float16 and float32 nodes, outputs not counted."""
-        return sum(self._needs(value, keep) for value in _values(self._graph))
+        return sum(self._needs_float16(value, keep) for value in _values(self._graph))
 
-    def saved(self, node: ir.Node, keep: Collection[str]) -> int:
+    def saved_casts(self, node: ir.Node, keep: Collection[str]) -> int:
         """Return how many Casts are saved if a node is kept in float32."""
-        near = {v for v in (*node.inputs, *node.outputs) if v is not None}
-        before = sum(self._needs(value, keep) for value in near)
-        return before - sum(self._needs(value, {*keep, node_key(node)}) for value in near)
+        neighbour_values = {v for v in (*node.inputs, *node.outputs) if v is not None}
+        before = sum(self._needs_float16(value, keep) for value in neighbour_values)
+        return before - sum(
+            self._needs_float16(value, {*keep, node_key(node)}) for value in neighbour_values
+        )
 
-    def _needs(self, value: ir.Value, keep: Collection[str]) -> bool:
+    def _needs_float16(self, value: ir.Value, keep: Collection[str]) -> bool:
         if value.dtype != FLOAT or value in self._constants:
             return False
         if value.is_initializer() and not value.is_graph_input():
             return False
-        maker, output = value.producer(), value.index()
-        native = maker is not None and output in self._halved(maker, keep)[1]
-        reader_halves = {index in self._halved(node, keep)[0] for node, index in _readers(value)}
+        source_node, output = value.producer(), value.index()
+        native = source_node is not None and output in self._float16_indices(source_node, keep)[1]
+        reader_halves = {
+            index in self._float16_indices(node, keep)[0] for node, index in _readers(value)
+        }
         return (not native) in reader_halves
 
-    def _halved(self, node: ir.Node, keep: Collection[str]) -> tuple[list[int], list[int]]:
+    def _float16_indices(self, node: ir.Node, keep: Collection[str]) -> tuple[list[int], list[int]]:
         return ([], []) if node_key(node) in keep else self._places.get(node, ([], []))

@@ -7,7 +7,7 @@ channels of a plane, have steps of their own where these are twice as fine. Tabl
 blocks, so that a hundred million numbers take little more memory than their 16 bits a number.
 """
 
-__all__ = ["LEAST_ELEMENTS", "HalfTable", "half_table"]
+__all__ = ["MIN_TABLE_ELEMENTS", "HalfTable", "half_table"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-_STEPS = 65535
+_MAX_STEP = 65535
 # A step below this is zero where a processor flushes subnormal numbers.
-_LEAST_STEP = float(np.finfo(np.float32).tiny)
+_MIN_STEP_SIZE = float(np.finfo(np.float32).tiny)
 # A smaller table saves fewer bytes than the nodes that decode its steps take.
-LEAST_ELEMENTS = 4096
+MIN_TABLE_ELEMENTS = 4096
 # A column of fewer numbers saves fewer bytes than its step and start take.
-_LEAST_ROWS = 64
+_MIN_ROWS = 64
 # How much finer, squared, steps along another axis than the last must be: these need more of them.
-_FINER = 4
+_AXIS_PENALTY = 4
 # Numbers in a block.
-_BLOCK = 1 << 18
+_BLOCK_ELEMENTS = 1 << 18
 
 Block = tuple[slice, slice, slice]
 
@@ -56,44 +56,44 @@ def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> H
     Float16 suits sizes from very small to large: even steps may be closer by the mean square, but
     make the small numbers zero.
     """
-    if in_steps and array.size >= LEAST_ELEMENTS:
-        steps = _in_steps(array)
+    if in_steps and array.size >= MIN_TABLE_ELEMENTS:
+        steps = _quantize_evenly(array)
         if steps is not None:
             return steps
     return HalfTable(array.astype(np.float16))
 
 
-def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
+def _quantize_evenly(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
     """Quantise a weight table at even spacing; None if float16 has no larger error."""
-    axis = _axis_of_steps(array)
+    axis = _quantization_axis(array)
     start, width = _range(array, axis)
-    step = (width / _STEPS).astype(np.float32)
-    step[step < _LEAST_STEP] = 0
+    step = (width / _MAX_STEP).astype(np.float32)
+    step[step < _MIN_STEP_SIZE] = 0
     rows = 1 if axis is None else _size(array.shape[:axis])
-    flat = array.reshape(rows, start.size, -1)
-    numbers = np.empty(flat.shape, np.uint16)
-    gained = 0.0
-    for block in _blocks(flat.shape):
-        part, low = flat[block], start.reshape(-1, 1)[block[1]]
+    flat_table = array.reshape(rows, start.size, -1)
+    numbers = np.empty(flat_table.shape, np.uint16)
+    error_reduction = 0.0
+    for block in _blocks(flat_table.shape):
+        part, low = flat_table[block], start.reshape(-1, 1)[block[1]]
         size = step.reshape(-1, 1)[block[1]]
         steps = np.divide(part - low, size, out=np.zeros_like(part), where=size > 0)
-        table = HalfTable(np.clip(np.rint(steps), 0, _STEPS).astype(np.uint16), size, low)
-        gained += _error(HalfTable(part.astype(np.float16)), part) - _error(table, part)
+        table = HalfTable(np.clip(np.rint(steps), 0, _MAX_STEP).astype(np.uint16), size, low)
+        error_reduction += _error(HalfTable(part.astype(np.float16)), part) - _error(table, part)
         numbers[block] = table.numbers
-    if gained <= 0:
+    if error_reduction <= 0:
         return None
     shape = () if axis is None else (start.size, *[1] * (array.ndim - 1 - axis))
     return HalfTable(numbers.reshape(array.shape), step.reshape(shape), start.reshape(shape))
 
 
-def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
+def _quantization_axis(array: Float32[np.ndarray, "..."]) -> int | None:
     """Return the axis along which a weight table's quantisation spacing varies, or None."""
-    last = array.ndim - 1
-    axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
-    coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}
-    for axis in coarse.keys() - {last}:
-        coarse[axis] *= _FINER
-    return min(reversed(axes), key=lambda axis: coarse[axis], default=None)
+    last_axis = array.ndim - 1
+    axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _MIN_ROWS]
+    spacing_by_axis = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}
+    for axis in spacing_by_axis.keys() - {last_axis}:
+        spacing_by_axis[axis] *= _AXIS_PENALTY
+    return min(reversed(axes), key=lambda axis: spacing_by_axis[axis], default=None)
 
 
 def _range(
@@ -101,8 +101,8 @@ def _range(
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
     """Return minimum, and maximum − minimum, of a weight table at each index of an axis."""
     other_axes = tuple(k for k in range(array.ndim) if k != axis)
-    least = np.atleast_1d(array.min(axis=other_axes))
-    return least, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - least
+    minimum = np.atleast_1d(array.min(axis=other_axes))
+    return minimum, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - minimum
 
 
 def _size(shape: tuple[int, ...]) -> int:
@@ -111,13 +111,17 @@ def _size(shape: tuple[int, ...]) -> int:
 
 def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
     """Divide a weight table's shape into slices of limited size, to bound the memory."""
-    _, middle, inner = shape
-    sizes = (max(1, _BLOCK // (middle * inner)), max(1, _BLOCK // inner), _BLOCK)
+    _, column_count, inner_size = shape
+    sizes = (
+        max(1, _BLOCK_ELEMENTS // (column_count * inner_size)),
+        max(1, _BLOCK_ELEMENTS // inner_size),
+        _BLOCK_ELEMENTS,
+    )
     for position in np.ndindex(*(-(-n // size) for n, size in zip(shape, sizes, strict=True))):
-        first, second, third = (
+        row_slice, column_slice, inner_slice = (
             slice(k * size, (k + 1) * size) for k, size in zip(position, sizes, strict=True)
         )
-        yield first, second, third
+        yield row_slice, column_slice, inner_slice
 
 
 def _error(table: HalfTable, array: Float32[np.ndarray, "..."]) -> float:

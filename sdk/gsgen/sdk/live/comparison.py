@@ -13,7 +13,7 @@ from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.tolerances import effective_tolerances
 from gsgen.sdk.binding.replay_check import (
     WrongReplay,
-    agree,
+    arrays_agree,
     largest_difference,
     output_origin,
     wrong_outputs,
@@ -21,10 +21,10 @@ from gsgen.sdk.binding.replay_check import (
 from gsgen.sdk.live.level import Frame, Live, Outputs
 
 # Of more rows than this, evenly spaced ones are compared.
-_MOST_ROWS = 1 << 14
+_MAX_ROWS = 1 << 14
 # Companion models declare no tolerances; relative to the largest value of an output.
 _TOLERANCE = 2e-3
-_EXPECTED = "the CPU's value"
+_EXPECTED_TEXT = "the CPU's value"
 
 
 def wrong_replays(live: Live) -> Iterator[WrongReplay]:
@@ -42,31 +42,33 @@ def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
     packed = [pair for pair in pairs if pair is not None]
     if len(packed) < len(pairs) or live.subject.generator is None:
         packed = []
-    for error in _worst(packed, effective_tolerances(live.subject)):
+    for error in _worst_errors(packed, effective_tolerances(live.subject)):
         times = f"{error.excess:.3g} times the tolerance"
         actual = f"off by {error.error:.3g} at row {error.row}, {times} ({error.probe})"
-        yield f"field {error.field}", actual, _EXPECTED
+        yield f"field {error.field}", actual, _EXPECTED_TEXT
     compared = _declared_names(live) if packed else set()
     for name in frames[0].cpu if frames else ():
         if name not in compared:
-            yield from _compare_whole(name, frames)
+            yield from _compare_output(name, frames)
 
 
-def _worst(
+def _worst_errors(
     pairs: list[tuple[ModelOutputs, ModelOutputs]], tolerances: Sequence[Tolerance]
 ) -> Iterable[FieldError]:
     """Return the largest excess of each field in which packed rows of two providers differ."""
-    worst: dict[str, FieldError] = {}
+    worst_errors: dict[str, FieldError] = {}
     for cpu, gpu in pairs:
         if cpu.count == gpu.count:
             errors = list(field_errors(cpu, gpu, tolerances))
         else:
-            apart = float(abs(cpu.count - gpu.count))
-            errors = [FieldError(field="count", error=apart, excess=np.inf, probe=cpu.probe)]
+            count_difference = float(abs(cpu.count - gpu.count))
+            errors = [
+                FieldError(field="count", error=count_difference, excess=np.inf, probe=cpu.probe)
+            ]
         for error in errors:
-            if error.field not in worst or error.excess > worst[error.field].excess:
-                worst[error.field] = error
-    return worst.values()
+            if error.field not in worst_errors or error.excess > worst_errors[error.field].excess:
+                worst_errors[error.field] = error
+    return worst_errors.values()
 
 
 def _compared_rows(live: Live, frame: Frame) -> tuple[ModelOutputs, ModelOutputs] | None:
@@ -75,19 +77,19 @@ def _compared_rows(live: Live, frame: Frame) -> tuple[ModelOutputs, ModelOutputs
     rows, colors, cells = comparable_parts(cpu, gpu)
     if rows is None or colors is None or (cells is None) != (cpu.cells is None):
         return None
-    row_numbers, cell_numbers = _some_rows(cpu)
+    row_numbers, cell_numbers = _sampled_rows(cpu)
     live_rows = int(np.count_nonzero(row_numbers < cpu.count))
-    first, second = (
+    cpu_rows, gpu_rows = (
         replace(
             outputs,
-            gaussians=rows[side][row_numbers],
-            appearance=colors[side][row_numbers],
-            cells=None if cells is None else cells[side][cell_numbers],
+            gaussians=rows[provider_index][row_numbers],
+            appearance=colors[provider_index][row_numbers],
+            cells=None if cells is None else cells[provider_index][cell_numbers],
             count=live_rows if outputs.count == cpu.count else outputs.count,
         )
-        for side, outputs in enumerate((cpu, gpu))
+        for provider_index, outputs in enumerate((cpu, gpu))
     )
-    return first, second
+    return cpu_rows, gpu_rows
 
 
 def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
@@ -95,12 +97,12 @@ def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOu
     return read_outputs(live.subject, probe.label, dict(outputs or {}), zeros=probe.zeros)
 
 
-def _some_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
+def _sampled_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
     """Select the indices of Gaussians, and of groups (cells) of them, to compare; evenly spaced."""
     if outputs.cells is None or outputs.gaussians is None:
-        return _even_indices(outputs.count, _MOST_ROWS), None
+        return _even_indices(outputs.count, _MAX_ROWS), None
     per_cell = len(outputs.gaussians) // len(outputs.cells)
-    cells = _even_indices(-(-outputs.count // per_cell), max(1, _MOST_ROWS // per_cell))
+    cells = _even_indices(-(-outputs.count // per_cell), max(1, _MAX_ROWS // per_cell))
     return (cells[:, None] * per_cell + np.arange(per_cell)).ravel(), cells
 
 
@@ -121,11 +123,11 @@ def _declared_names(live: Live) -> set[str]:
     return {part.name for part in parts if part is not None}
 
 
-def _compare_whole(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
+def _compare_output(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
     """Compare one output of two runs as a whole, relative to its largest value."""
     for frame in frames:
         cpu, gpu = np.asarray(frame.cpu[name]), np.asarray((frame.uncaptured or {})[name])
-        if not agree(cpu, gpu, _TOLERANCE):
+        if not arrays_agree(cpu, gpu, _TOLERANCE):
             actual = f"off by {largest_difference(cpu, gpu):.3g} ({frame.probe.label})"
-            yield f"output {name}", actual, _EXPECTED
+            yield f"output {name}", actual, _EXPECTED_TEXT
             return

@@ -18,7 +18,7 @@ from gsgen.contract.spec.severity import Level
 
 _OUTPUT_NODE = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
 # More outputs than the default number of storage buffers per stage of any adapter.
-_PARTS = 64
+_SPLIT_COUNT = 64
 
 
 def live_fixtures() -> list[Fixture]:
@@ -29,37 +29,37 @@ def live_fixtures() -> list[Fixture]:
 @invalid("GB011", level=Level.LIVE)
 def integers_of_64_bits() -> ModelSpec:
     """Fixture: ONNX generator that adds and removes a number above 2³², which a GPU truncates."""
-    counted = drifting_model().replace_text(
+    counting_model = drifting_model().replace_text(
         SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
         "back = Cast <to = 1> (far) near = Div (back, size) "
         "later = Add (near, time) shift = Mul (speed, later)",
     )
-    big = np.asarray([1 << 32], np.int64)
-    return counted.with_weights(thousand=f32(1000), size=f32(1 << 32), big=big)
+    large_constant = np.asarray([1 << 32], np.int64)
+    return counting_model.with_weights(thousand=f32(1000), size=f32(1 << 32), big=large_constant)
 
 
 @invalid("GB014", level=Level.LIVE)
 def branches_by_if() -> ModelSpec:
     """Fixture: an ONNX generator with an If of different branches, which WebGPU cannot capture."""
-    branched = drifting_model().replace_text(
+    branching_model = drifting_model().replace_text(
         SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
         "else_branch = e () => (float[1] b) { b = Abs (time) }> "
         "shift = Mul (speed, turned)",
     )
-    return branched.with_weights(half=f32(0.5))
+    return branching_model.with_weights(half=f32(0.5))
 
 
 @invalid("GB015", level=Level.LIVE)
 def round_on_the_cpu() -> ModelSpec:
     """Fixture: an ONNX generator that rounds time to tenths by Round, which has no GPU kernel."""
-    stepped = drifting_model().replace_text(
+    stepping_model = drifting_model().replace_text(
         SHIFT_NODE,
         "scaled = Mul (time, ten) whole = Round (scaled) step = Div (whole, ten) "
         "shift = Mul (speed, step)",
     )
-    return stepped.with_weights(ten=f32(10))
+    return stepping_model.with_weights(ten=f32(10))
 
 
 @invalid("GB016", level=Level.LIVE)
@@ -75,10 +75,10 @@ def output_from_idle_sum() -> ModelSpec:
 @invalid("GB017", level=Level.LIVE)
 def split_into_many() -> ModelSpec:
     """Fixture: an ONNX generator with a Split into more outputs than a GPU kernel may bind."""
-    parts = ", ".join(f"part_{index}" for index in range(_PARTS))
-    wide_split = drifting_model().replace_text(
+    parts = ", ".join(f"part_{index}" for index in range(_SPLIT_COUNT))
+    splitting_model = drifting_model().replace_text(
         SHIFT_NODE,
-        f"many = Expand (time, parts) {parts} = Split <axis = 0, num_outputs = {_PARTS}> (many) "
+        f"many = Expand (time, parts) {parts} = Split <axis = 0, num_outputs = {_SPLIT_COUNT}> (many) "
         "again = Add (part_0, part_1) twice = Mul (speed, again) shift = Mul (twice, half)",
     )
-    return wide_split.with_weights(parts=i64(_PARTS), half=f32(0.5))
+    return splitting_model.with_weights(parts=i64(_SPLIT_COUNT), half=f32(0.5))

@@ -27,7 +27,7 @@ from gsgen.sdk.binding.providers.webgpu import PACKAGE
 
 _WORKER = "gsgen.sdk.live.worker"
 # Frames: the first is captured, the others are replayed.
-_FRAMES, _STILL_FRAMES = 6, 4
+_FRAME_COUNT, _STATIC_FRAME_COUNT = 6, 4
 
 Outputs = Mapping[str, np.ndarray]
 Event = Mapping[str, Any]
@@ -75,8 +75,8 @@ class Live:
     def refusal(self) -> str:
         """Why ONNX Runtime refused to capture the model's graph; empty if it did not."""
         stop = self.stop
-        early = stop is not None and stop.phase == "captured" and not self.accepted
-        return stop.message if stop is not None and early else ""
+        has_ended_early = stop is not None and stop.phase == "captured" and not self.accepted
+        return stop.message if stop is not None and has_ended_early else ""
 
     @property
     def state(self) -> str:
@@ -88,16 +88,16 @@ class Live:
 
 
 @contextmanager
-def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
+def prepare_live(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
     """Run a model in WebGPU; the returned arrays are valid within the ``with`` block."""
-    _need_package()
-    runs = _select_runs(trial)
-    subject, probes = trial.subject, [trial.plan.probes[run] for run in runs]
+    _require_package()
+    runs = _select_runs(probe_runs)
+    subject, probes = probe_runs.subject, [probe_runs.plan.probes[run] for run in runs]
     half = any(tensor.dtype == "float16" for tensor in subject.graph.tensors.values())
     path, limits = subject.file.path, subject.sandbox_limits
     with execute(path, [], probes, limits, _WORKER, half=half) as execution:
         _raise_if_unavailable(execution)
-        live = _read(trial, execution, runs)
+        live = _read(probe_runs, execution, runs)
         yield LevelContext(
             context=live,
             items=len(live.frames),
@@ -108,27 +108,29 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
 
 def survey(seconds: float = 60) -> dict[str, str]:
     """Start a child process that reports the versions and adapter of the WebGPU provider."""
-    _need_package()
+    _require_package()
     with execute(Path(), [], [], Limits(seconds=seconds), _WORKER, half=False) as execution:
         _raise_if_unavailable(execution)
         return _environment(execution.events)
 
 
-def _need_package() -> None:
+def _require_package() -> None:
     if find_spec(PACKAGE) is None:
         message = "onnxruntime-ep-webgpu is not installed"
         raise LevelUnavailable(message, hint="pip install 'gsgen[live]'")
 
 
-def _select_runs(trial: ProbeRuns) -> list[int]:
+def _select_runs(probe_runs: ProbeRuns) -> list[int]:
     """Select runs of a model with different inputs; the last run repeats the first."""
-    plan = trial.plan
+    plan = probe_runs.plan
     runs = [run for run in range(plan.values) if not plan.probes[run].zeros]
     zeros = [run for run in range(plan.values) if plan.probes[run].zeros]
     if plan.values == 1:
-        return [0] * _STILL_FRAMES
-    spread = np.linspace(0, len(runs) - 1, min(len(runs), _FRAMES - 1)).round().astype(int)
-    selected_runs = [runs[index] for index in spread]
+        return [0] * _STATIC_FRAME_COUNT
+    run_indices = (
+        np.linspace(0, len(runs) - 1, min(len(runs), _FRAME_COUNT - 1)).round().astype(int)
+    )
+    selected_runs = [runs[index] for index in run_indices]
     return [*selected_runs, *zeros, selected_runs[0]]
 
 
@@ -139,23 +141,25 @@ def _raise_if_unavailable(execution: Execution) -> None:
             raise RuntimeError(f"ONNX Runtime fell back to the CPU: {event['message']}")
         if event["event"] == "unavailable":
             raise LevelUnavailable(event["message"], hint=event["hint"])
-    ready = any(event["event"] == "adapter" for event in execution.events)
-    if not ready and execution.fault is not None:
+    has_adapter = any(event["event"] == "adapter" for event in execution.events)
+    if not has_adapter and execution.fault is not None:
         message = f"the WebGPU provider does not start ({execution.fault.message})"
         raise LevelUnavailable(message, hint="run `gsgen doctor`")
 
 
 def _environment(events: tuple[Event, ...]) -> dict[str, str]:
-    known = {"adapter": _adapter(events)}
+    versions = {"adapter": _adapter(events)}
     for event in events:
         if event["event"] == "device":
-            known["onnxruntime-ep-webgpu"] = str(event["version"])
-    return known
+            versions["onnxruntime-ep-webgpu"] = str(event["version"])
+    return versions
 
 
 def _adapter(events: tuple[Event, ...]) -> str:
     """Return a GPU's name, kind and float16 support, as text."""
-    device = next((e["name"] for e in events if e["event"] == "device"), "")
+    device = next(
+        (device_event["name"] for device_event in events if device_event["event"] == "device"), ""
+    )
     for event in events:
         if event["event"] == "adapter":
             kind = "software" if event["software"] else "hardware"
@@ -164,7 +168,7 @@ def _adapter(events: tuple[Event, ...]) -> str:
     return str(device)
 
 
-def _read(trial: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
+def _read(probe_runs: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
     events = execution.events
     samples = {sample.index: sample.outputs for sample in execution.samples}
     outputs = {
@@ -172,33 +176,33 @@ def _read(trial: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
         for event in events
         if event["event"] == "frame"
     }
-    cpu = trial.execution
+    cpu = probe_runs.execution
     frames = tuple(
         Frame(
-            trial.plan.probes[run],
+            probe_runs.plan.probes[run],
             cpu.samples[cpu.runs[run].sample].outputs,
             outputs.get(("plain", index)),
             outputs.get(("captured", index)),
         )
         for index, run in enumerate(runs)
     )
-    placed = next((event["nodes"] for event in events if event["event"] == "placed"), None)
+    placed_nodes = next((event["nodes"] for event in events if event["event"] == "placed"), None)
     return Live(
-        subject=trial.subject,
+        subject=probe_runs.subject,
         adapter=_adapter(events),
-        nodes=None if placed is None else tuple(Node(*entry) for entry in placed),
+        nodes=None if placed_nodes is None else tuple(Node(*entry) for entry in placed_nodes),
         accepted=any(event["event"] == "accepted" for event in events),
-        stop=_stop(execution),
+        stop=_find_early_stop(execution),
         frames=frames,
     )
 
 
-def _stop(execution: Execution) -> EarlyStop | None:
+def _find_early_stop(execution: Execution) -> EarlyStop | None:
     for event in execution.events:
         if event["event"] == "stopped":
             return EarlyStop(event["phase"], event["frame"], event["message"])
     if execution.fault is None:
         return None
-    begun = [event for event in execution.events if event["event"] == "begin"]
-    phase = begun[-1]["phase"] if begun else "plain"
+    begin_events = [event for event in execution.events if event["event"] == "begin"]
+    phase = begin_events[-1]["phase"] if begin_events else "plain"
     return EarlyStop(phase, execution.fault.probe or 0, execution.fault.message)

@@ -25,9 +25,9 @@ def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
     return prepare_live(probe_runs)
 
 
-RUNNER = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare)
+LIVE_BACKEND = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare)
 
-_MOST_FRAMES = "every frame of several, with inputs that change"
+_EXPECTED_RUN = "every frame of several, with inputs that change"
 _live_rule = partial(rule, over="live", kinds=KINDS)
 
 
@@ -80,10 +80,10 @@ def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
 
     cpu_nodes = [node for node in live.nodes or () if node.provider != WEBGPU]
     for operator in dict.fromkeys(node.operator for node in cpu_nodes):
-        first, *similar = [node for node in cpu_nodes if node.operator == operator]
-        count = f", and {len(similar)} more like it" if similar else ""
-        location = f"node {first.name or operator} ({operator})"
-        actual = f"runs in {first.provider}{count}"
+        first_node, *similar_nodes = [node for node in cpu_nodes if node.operator == operator]
+        count = f", and {len(similar_nodes)} more like it" if similar_nodes else ""
+        location = f"node {first_node.name or operator} ({operator})"
+        actual = f"runs in {first_node.provider}{count}"
         yield Violation.at(location, actual, "a kernel in the WebGPU provider")
 
 
@@ -121,6 +121,6 @@ def runs_on_webgpu(live: "Live") -> Iterator[Violation]:
     """
     stop = live.stop
     if stop is not None and not live.refusal:
-        when = "at the creation of the session" if stop.frame < 0 else f"in frame {stop.frame}"
-        actual = f"stopped {when} ({stop.phase} session): {stop.message}"
-        yield Violation.at("graph", actual, _MOST_FRAMES)
+        stop_text = "at the creation of the session" if stop.frame < 0 else f"in frame {stop.frame}"
+        actual = f"stopped {stop_text} ({stop.phase} session): {stop.message}"
+        yield Violation.at("graph", actual, _EXPECTED_RUN)

@@ -21,16 +21,21 @@ from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outpu
 from gsgen.contract.process.limits import limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import BoundSession
-from gsgen.sdk.binding.providers.errors import FellBack, ProviderUnavailable
+from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import error_text, node_placement
-from gsgen.sdk.binding.providers.selection import MEMORY, Choice, SessionOptions, open_session
-from gsgen.sdk.binding.providers.webgpu import DRIVER, AdapterMissing, find_adapter
+from gsgen.sdk.binding.providers.selection import (
+    BUFFER_MEMORY,
+    ProviderChoice,
+    SessionOptions,
+    open_session,
+)
+from gsgen.sdk.binding.providers.webgpu import DRIVER_HINT, AdapterMissing, find_adapter
 
 # Memory for drivers and shader compilers, in addition to the model's.
 _DRIVER_BYTES = 2 << 30
 # The Vulkan loader logs the opened device if VK_LOADER_DEBUG is set.
-_OPENED = re.compile(r'Using "([^"]+)" with driver')
-_SOFTWARE = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
+_OPENED_DEVICE = re.compile(r'Using "([^"]+)" with driver')
+_SOFTWARE_ADAPTER = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
 
 
 class Opener(Protocol):
@@ -41,10 +46,10 @@ class Opener(Protocol):
 
 def main(folder: Path) -> int:
     """Run the WebGPU job that ``folder/job.json`` describes, and return the exit code."""
-    return run_worker(folder, _work)
+    return run_worker(folder, _run_job)
 
 
-def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _run_job(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     _set_driver_environment(folder)
     try:
         import onnxruntime
@@ -55,10 +60,10 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
         _try_adapter(opener, folder, emit, half=job["half"])
         limit_memory(job["memory"] + _DRIVER_BYTES)
         if job["probes"]:
-            _Frames(folder, job, emit, opener).run()
+            _FrameRunner(folder, job, emit, opener).run()
     except AdapterMissing as error:
         emit("unavailable", message=error.message, hint=error.hint)
-    except FellBack as error:
+    except ProviderFallback as error:
         emit("fell-back", message=error.message)
     emit("done")
     return 0
@@ -66,12 +71,12 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
 
 def _set_driver_environment(folder: Path) -> None:
     """Set environment variables for GPU drivers, unless the user already did."""
-    usual = {
+    default_environment = {
         "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER": "1",
         "VK_LOADER_DEBUG": "driver",
         "XDG_RUNTIME_DIR": str(folder),
     }
-    for name, value in usual.items():
+    for name, value in default_environment.items():
         os.environ.setdefault(name, value)
 
 
@@ -79,7 +84,7 @@ def _find_provider(emit: Emit) -> Opener:
     """Report the GPU of the WebGPU provider, and return a function that opens models on it."""
     adapter = find_adapter()
     emit("device", name=adapter.name, version=adapter.version)
-    choice = Choice("webgpu", "requested", adapter, is_requested=True)
+    choice = ProviderChoice("webgpu", "requested", adapter, is_requested=True)
 
     def open_with_adapter(model: Path | bytes, *, capture: bool) -> Any:
         return open_session(model, SessionOptions(choice=choice, capture=capture))
@@ -91,23 +96,25 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     """Run a minimal model in float32 and float16, and report the GPU that ran it."""
     try:
         _run_smallest(opener, "float32")
-    except FellBack:
+    except ProviderFallback:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         reason = error.message if isinstance(error, ProviderUnavailable) else error_text(error)
-        raise AdapterMissing(f"there is no usable WebGPU adapter ({reason})", DRIVER) from error
+        raise AdapterMissing(
+            f"there is no usable WebGPU adapter ({reason})", DRIVER_HINT
+        ) from error
     log = (folder / "log").read_text("utf-8", errors="replace")
-    opened = _OPENED.findall(log)
-    name = opened[-1] if opened else ""
+    device_names = _OPENED_DEVICE.findall(log)
+    name = device_names[-1] if device_names else ""
     try:
         _run_smallest(opener, "float16")
     except Exception as error:
-        emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=False)
+        emit("adapter", name=name, software=bool(_SOFTWARE_ADAPTER.search(name)), half=False)
         if half:
             message = f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
             raise AdapterMissing(message, "use a newer driver") from error
     else:
-        emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=True)
+        emit("adapter", name=name, software=bool(_SOFTWARE_ADAPTER.search(name)), half=True)
 
 
 def _run_smallest(opener: Opener, dtype: str) -> None:
@@ -123,14 +130,14 @@ def _run_smallest(opener: Opener, dtype: str) -> None:
         tensor.elem_type = kind
         tensor.shape.dim.add(dim_value=4)
     session = opener(model.SerializeToString(), capture=False)
-    (doubled,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
-    if doubled.tolist() != [0, 2, 4, 6]:
+    (result,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
+    if result.tolist() != [0, 2, 4, 6]:
         raise RuntimeError(
-            f"the WebGPU adapter computes 2 · [0, 1, 2, 3] as {doubled.tolist()}, expected [0, 2, 4, 6]"
+            f"the WebGPU adapter computes 2 · [0, 1, 2, 3] as {result.tolist()}, expected [0, 2, 4, 6]"
         )
 
 
-class _Frames:
+class _FrameRunner:
     """Computes the frames of one model in WebGPU, without graph capture and by replay."""
 
     def __init__(self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener) -> None:
@@ -138,15 +145,15 @@ class _Frames:
         self.known: dict[str, int] = {}
 
     def run(self) -> None:
-        if self._phase("plain", self._uncaptured):
-            self._phase("captured", self._captured)
+        if self._phase("plain", self._run_uncaptured):
+            self._phase("captured", self._run_captured)
 
-    def _phase(self, name: str, work: Callable[[], None]) -> bool:
+    def _phase(self, name: str, run_frames: Callable[[], None]) -> bool:
         """Run a job's frames with or without WebGPU graph capture; return False after an error."""
         self.index = -1
         try:
-            work()
-        except FellBack:
+            run_frames()
+        except ProviderFallback:
             raise
         except Exception as error:
             self.emit("stopped", phase=name, frame=self.index, message=error_text(error))
@@ -160,19 +167,19 @@ class _Frames:
             self.emit("begin", phase=phase, probe=index)
             yield inputs_of(index)
 
-    def _keep(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
+    def _emit_frame(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
         sample = keep_outputs(self.folder, outputs, self.known, self.emit)
         self.emit("frame", phase=phase, frame=self.index, sample=sample)
 
-    def _uncaptured(self) -> None:
+    def _run_uncaptured(self) -> None:
         session = self.opener(Path(self.job["model"]), capture=False)
         self.emit("placed", nodes=[astuple(node) for node in node_placement(session)])
         names = [output.name for output in session.get_outputs()]
         for inputs in self._frames("plain"):
             outputs = session.run(names, inputs)
-            self._keep("plain", dict(zip(names, outputs, strict=True)))
+            self._emit_frame("plain", dict(zip(names, outputs, strict=True)))
 
-    def _captured(self) -> None:
+    def _run_captured(self) -> None:
         """Capture the first frame, and compute the others by replay with the same buffers."""
         session = self.opener(Path(self.job["model"]), capture=True)
         self.emit("accepted")
@@ -180,10 +187,10 @@ class _Frames:
         for inputs in self._frames("captured"):
             if bound is None:
                 shapes = {name: array.shape for name, array in inputs.items()}
-                bound = BoundSession(session, shapes, inputs, MEMORY["webgpu"])
+                bound = BoundSession(session, shapes, inputs, BUFFER_MEMORY["webgpu"])
             bound.write(inputs)
             bound.run()
-            self._keep("captured", bound.copies())
+            self._emit_frame("captured", bound.copies())
 
 
 if __name__ == "__main__":

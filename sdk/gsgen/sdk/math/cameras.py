@@ -23,9 +23,9 @@ def camera_centre(view: Float[Tensor, "4 4"], order: Order = "column") -> Float[
     A tensor of zeros, which runtimes feed initially, gives the origin.
     """
     matrix = _matrix(view, order)
-    turn, shift = matrix[:3, :3], matrix[:3, 3:4]
-    square = (turn * turn).sum() / 3
-    return -(turn * shift).sum(dim=0) / square.clamp(min=_SMALLEST_SCALE)
+    rotation, offset = matrix[:3, :3], matrix[:3, 3:4]
+    square = (rotation * rotation).sum() / 3
+    return -(rotation * offset).sum(dim=0) / square.clamp(min=_SMALLEST_SCALE)
 
 
 def frustum_mask(
@@ -61,9 +61,9 @@ def frustum_mask(
     normal = planes[:, :3]
     length = torch.sqrt((normal * normal).sum(dim=1))
     distance = position @ normal.transpose(0, 1) + planes[:, 3]
-    reach = radius.reshape(-1, 1) * length if isinstance(radius, Tensor) else radius * length
-    inside = (distance + reach >= 0).to(position.dtype)
-    return _product(inside)
+    extent = radius.reshape(-1, 1) * length if isinstance(radius, Tensor) else radius * length
+    is_inside = (distance + extent >= 0).to(position.dtype)
+    return _product(is_inside)
 
 
 def _product(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:

@@ -26,11 +26,11 @@ def covariance_upper(
     return torch.stack([(rows[a] * rows[b]).sum(dim=-1) for a, b in UPPER_TRIANGLE], dim=-1)
 
 
-def covariance_matrix(upper: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3 3"]:
+def covariance_matrix(upper_triangles: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3 3"]:
     """Convert upper triangles xx xy xz yy yz zz to symmetric 3×3 matrices."""
-    xx, xy, xz, yy, yz, zz = upper.unbind(dim=-1)
+    xx, xy, xz, yy, yz, zz = upper_triangles.unbind(dim=-1)
     entries = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
-    return torch.stack(entries, dim=-1).reshape(*upper.shape[:-1], 3, 3)
+    return torch.stack(entries, dim=-1).reshape(*upper_triangles.shape[:-1], 3, 3)
 
 
 def upper_triangle(matrix: Float[Tensor, "n 3 3"]) -> Float[Tensor, "n 6"]:
@@ -40,16 +40,16 @@ def upper_triangle(matrix: Float[Tensor, "n 3 3"]) -> Float[Tensor, "n 6"]:
 
 
 def rotate_covariance(
-    upper: Float[Tensor, "n 6"], turn: Float[Tensor, "*n 3 3"]
+    upper_triangles: Float[Tensor, "n 6"], linear_map: Float[Tensor, "*n 3 3"]
 ) -> Float[Tensor, "n 6"]:
     """Return the upper triangle of T Σ Tᵀ: the covariance after a linear map.
 
     Args:
-        upper: Upper triangles of Σ.
-        turn: T, one for all rows or one per row; it need not be orthonormal.
+        upper_triangles: Upper triangles of Σ.
+        linear_map: T, one for all rows or one per row; it need not be orthonormal.
     """
-    xx, xy, xz, yy, yz, zz = upper.chunk(6, dim=1)
-    rows = matrix_entries(turn)
+    xx, xy, xz, yy, yz, zz = upper_triangles.chunk(6, dim=1)
+    rows = matrix_entries(linear_map)
     half = [
         (a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz)
         for a, b, c in rows

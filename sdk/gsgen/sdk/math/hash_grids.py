@@ -54,8 +54,8 @@ def _sample(
     offsets = torch.cartesian_prod(*[torch.tensor([0.0, 1.0], device=table.device)] * 3)
     scaled = unit * resolution
     low = torch.floor(scaled).clamp(0, resolution - 1)
-    share = (scaled - low)[:, None]
-    weights = offsets * share + (1 - offsets) * (1 - share)
+    fraction = (scaled - low)[:, None]
+    weights = offsets * fraction + (1 - offsets) * (1 - fraction)
     weight = weights[..., 0:1] * weights[..., 1:2] * weights[..., 2:3]
     corners = (low[:, None] + offsets).to(torch.int32)
     rows = _rows(corners, table.shape[0], resolution)
@@ -65,10 +65,10 @@ def _sample(
 
 def _rows(corners: Int[Tensor, "n 8 3"], size: int, resolution: int) -> Int[Tensor, "n 8"]:
     """Return the row index in the hash table of each grid corner's feature."""
-    side = resolution + 1
+    vertices_per_side = resolution + 1
     x, y, z = corners.unbind(dim=-1)
-    if side**3 <= size:
-        return x + side * (y + side * z)
+    if vertices_per_side**3 <= size:
+        return x + vertices_per_side * (y + vertices_per_side * z)
     if size & (size - 1) or resolution * size > torch.iinfo(torch.int32).max:
         message = f"the hash table has {size} rows for a resolution of {resolution}"
         raise GeneratorInvalid(

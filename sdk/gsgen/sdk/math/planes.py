@@ -19,8 +19,8 @@ Padding = Literal["border", "zeros"]
 Combine = Literal["product", "sum", "concat"]
 
 # The coordinates (of x, y, z, t) that span each plane; the first one is along the width.
-_TRI = ((0, 1), (0, 2), (1, 2))
-_HEX = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_TRI_PLANE_AXES = ((0, 1), (0, 2), (1, 2))
+_HEX_PLANE_AXES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 
 def to_unit_cube(
@@ -53,18 +53,18 @@ def sample_plane(
         raise GeneratorInvalid(message, where="sample_plane")
     _, height, width = plane.shape
     table = plane.permute(1, 2, 0).reshape(height * width, -1)
-    columns, across = _neighbours(
+    columns, column_weights = _neighbours(
         coordinates[:, 0:1], width, align_corners=align_corners, padding=padding
     )
-    rows, down = _neighbours(
+    rows, row_weights = _neighbours(
         coordinates[:, 1:2], height, align_corners=align_corners, padding=padding
     )
     texels = (rows * width)[:, :, None] + columns[:, None, :]
-    shares = down[:, :, None] * across[:, None, :]
+    corner_weights = row_weights[:, :, None] * column_weights[:, None, :]
     # One gather for all four corners: four kernels would cost more than the arithmetic.
     corners = table.index_select(0, texels.reshape(-1).to(torch.int32))
-    weighed = corners.reshape(-1, 4, table.shape[1]) * shares.reshape(-1, 4, 1)
-    return weighed.sum(dim=1)
+    weighted_corners = corners.reshape(-1, 4, table.shape[1]) * corner_weights.reshape(-1, 4, 1)
+    return weighted_corners.sum(dim=1)
 
 
 def _neighbours(
@@ -76,13 +76,15 @@ def _neighbours(
     if padding == "border":
         texel = texel.clamp(0, size - 1)
     low = torch.floor(texel)
-    share = texel - low
+    fraction = texel - low
     low = low.clamp(-2, size)  # far outside equals just outside, and fits an integer
     index = torch.cat([low, low + 1], dim=1)
-    shares = torch.cat([1 - share, share], dim=1)
+    corner_weights = torch.cat([1 - fraction, fraction], dim=1)
     if padding == "zeros":
-        shares = shares * ((index >= 0).to(index.dtype) * (index <= size - 1).to(index.dtype))
-    return index.clamp(0, size - 1), shares
+        corner_weights = corner_weights * (
+            (index >= 0).to(index.dtype) * (index <= size - 1).to(index.dtype)
+        )
+    return index.clamp(0, size - 1), corner_weights
 
 
 def tri_plane(
@@ -107,7 +109,7 @@ def tri_plane(
     """
     return _sample_planes(
         planes,
-        _TRI,
+        _TRI_PLANE_AXES,
         position,
         combine,
         align_corners=align_corners,
@@ -143,7 +145,7 @@ def hex_plane(
     coordinates = torch.cat([position, moment], dim=1)
     return _sample_planes(
         planes,
-        _HEX,
+        _HEX_PLANE_AXES,
         coordinates,
         combine,
         align_corners=align_corners,
@@ -176,7 +178,7 @@ def _sample_planes(
     ]
     if combine == "concat":
         return torch.cat(samples, dim=1)
-    first, *following = samples
-    for sample in following:
+    first, *other_samples = samples
+    for sample in other_samples:
         first = first * sample if combine == "product" else first + sample
     return first

@@ -14,13 +14,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-_TINY = 1e-24
+_MIN_SQUARED_ANGLE = 1e-24
 # Below this squared angle, sin(a)/a is 1 and (1 - cos(a))/a² is ½ to the last bit of float32.
 SMALL_ANGLE = 1e-12
 
 
 def safe_normalize(
-    vector: Float[Tensor, "... k"], *, smallest: float = _TINY
+    vector: Float[Tensor, "... k"], *, smallest: float = _MIN_SQUARED_ANGLE
 ) -> Float[Tensor, "... k"]:
     """Scale vectors to unit length; a zero vector stays zero instead of becoming NaN.
 

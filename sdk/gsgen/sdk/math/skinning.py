@@ -44,12 +44,12 @@ def skinning_transforms(
     """
     count = turns.shape[0]
     parent_indices = _parent_indices(parents, count, tuple(joints.shape))
-    chain = _chained(_local(turns, joints, parent_indices), parent_indices)
-    turn, origin = chain[:, :3, :3], chain[:, :3, 3:4]
-    shift = origin - (turn * joints[:, None, :]).sum(dim=2, keepdim=True)
+    chain = _chain_transforms(_local_transforms(turns, joints, parent_indices), parent_indices)
+    rotation, origin = chain[:, :3, :3], chain[:, :3, 3:4]
+    translations = origin - (rotation * joints[:, None, :]).sum(dim=2, keepdim=True)
     if translation is not None:
-        shift = shift + translation.reshape(1, 3, 1)
-    return torch.cat([turn, shift], dim=2)
+        translations = translations + translation.reshape(1, 3, 1)
+    return torch.cat([rotation, translations], dim=2)
 
 
 def skin(
@@ -68,12 +68,14 @@ def skin(
         The points in the pose, and each point's blended linear map for
         :func:`gsgen.sdk.math.rotate_covariance`.
     """
-    blended = (weights @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
-    turn, shift = blended[:, :, :3], blended[:, :, 3]
-    return transform_points(turn, position) + shift, turn
+    blended_transforms = (weights @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
+    rotation, translations = blended_transforms[:, :, :3], blended_transforms[:, :, 3]
+    return transform_points(rotation, position) + translations, rotation
 
 
-def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:
+def _local_transforms(
+    turns: Tensor, joints: Tensor, parents: Sequence[int]
+) -> Float[Tensor, "j 4 4"]:
     """Return each joint's rigid transform in the frame of its parent joint."""
     origin = torch.cat([joints, torch.zeros_like(joints[:1])], dim=0)
     offset = joints - origin.index_select(0, _indices(parents, joints))
@@ -81,26 +83,28 @@ def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tenso
     return torch.cat([torch.cat([turns, offset[:, :, None]], dim=2), last], dim=1)
 
 
-def _chained(local: Float[Tensor, "j 4 4"], parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:
+def _chain_transforms(
+    local_transforms: Float[Tensor, "j 4 4"], parents: Sequence[int]
+) -> Float[Tensor, "j 4 4"]:
     """Multiply each joint's local transform by those of all its ancestors."""
-    root = torch.eye(4, dtype=local.dtype, device=local.device)[None]
-    transforms = torch.cat([local, root], dim=0)
+    root = torch.eye(4, dtype=local_transforms.dtype, device=local_transforms.device)[None]
+    transforms = torch.cat([local_transforms, root], dim=0)
     for ancestors in _ancestor_rounds(parents):
-        transforms = transforms.index_select(0, _indices(ancestors, local)) @ transforms
+        transforms = transforms.index_select(0, _indices(ancestors, local_transforms)) @ transforms
     return transforms[: len(parents)]
 
 
 def _ancestor_rounds(parents: Sequence[int]) -> Iterator[list[int]]:
     """Yield each joint's ancestor 1, 2, 4, … levels up; the joint count means no ancestor."""
-    none = len(parents)
-    ancestors = [*parents, none]
-    while any(ancestor != none for ancestor in ancestors):
+    no_ancestor = len(parents)
+    ancestors = [*parents, no_ancestor]
+    while any(ancestor != no_ancestor for ancestor in ancestors):
         yield ancestors
         ancestors = [ancestors[ancestor] for ancestor in ancestors]
 
 
-def _indices(values: Sequence[int], like: Tensor) -> Tensor:
-    return torch.tensor(list(values), dtype=torch.int32, device=like.device)
+def _indices(values: Sequence[int], device_of: Tensor) -> Tensor:
+    return torch.tensor(list(values), dtype=torch.int32, device=device_of.device)
 
 
 def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:

@@ -24,7 +24,7 @@ def convert(text: str, annotation: Any, where: str) -> Any:
     try:
         return _converted(text, annotation)
     except ValueError as error:
-        message = f"{text!r} is not {_described(annotation)}"
+        message = f"{text!r} is not {_describe_type(annotation)}"
         raise ConfigInvalid(message, where=where) from error
     except TypeError as error:
         message = f"{name_of(annotation)} cannot be written on a command line"
@@ -37,15 +37,15 @@ def _converted(text: str, annotation: Any) -> Any:
     if origin is Annotated:
         return _converted(text, get_args(annotation)[0])
     if origin in (Union, types.UnionType):
-        return _first_that_fits(text, get_args(annotation))
+        return _parse_first_match(text, get_args(annotation))
     if origin is Literal:
-        return _chosen(text, {str(value): value for value in get_args(annotation)})
+        return _choose_value(text, {str(value): value for value in get_args(annotation)})
     if origin in _SEQUENCES or annotation in _SEQUENCES:
         return _sequence(text, origin or annotation, get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
         by_value = {str(member.value): member for member in annotation}
-        return _chosen(text, by_value | {member.name: member for member in annotation})
-    simple: dict[Any, Callable[[str], Any]] = {
+        return _choose_value(text, by_value | {member.name: member for member in annotation})
+    simple_parsers: dict[Any, Callable[[str], Any]] = {
         Any: str,
         Path: Path,
         bool: _truth,
@@ -53,14 +53,14 @@ def _converted(text: str, annotation: Any) -> Any:
         int: int,
         object: str,
         str: str,
-        type(None): _nothing,
+        type(None): _parse_none,
     }
-    if annotation not in simple:
+    if annotation not in simple_parsers:
         raise TypeError
-    return simple[annotation](text)
+    return simple_parsers[annotation](text)
 
 
-def _first_that_fits(text: str, members: Sequence[Any]) -> Any:
+def _parse_first_match(text: str, members: Sequence[Any]) -> Any:
     """Convert text by the first matching member of a union; str comes last since it always fits."""
     for member in sorted(members, key=lambda member_type: member_type in (str, Path, Any)):
         try:
@@ -71,21 +71,22 @@ def _first_that_fits(text: str, members: Sequence[Any]) -> Any:
 
 
 def _sequence(text: str, kind: Any, members: Sequence[Any]) -> Any:
-    words = [word.strip() for word in text.split(",")] if text else []
-    fixed = kind is tuple and members and members[-1] is not Ellipsis
-    if fixed and len(words) != len(members):
+    items = [word.strip() for word in text.split(",")] if text else []
+    is_fixed_length = kind is tuple and members and members[-1] is not Ellipsis
+    if is_fixed_length and len(items) != len(members):
         raise ValueError
-    types_of = members if fixed else [members[0] if members else str] * len(words)
+    member_types = members if is_fixed_length else [members[0] if members else str] * len(items)
     values = [
-        _converted(word, element_type) for word, element_type in zip(words, types_of, strict=True)
+        _converted(word, element_type)
+        for word, element_type in zip(items, member_types, strict=True)
     ]
     return tuple(values) if kind is tuple else values
 
 
-def _chosen(text: str, known: dict[str, Any]) -> Any:
-    if text not in known:
+def _choose_value(text: str, choices: dict[str, Any]) -> Any:
+    if text not in choices:
         raise ValueError
-    return known[text]
+    return choices[text]
 
 
 def _truth(text: str) -> bool:
@@ -94,23 +95,23 @@ def _truth(text: str) -> bool:
     return text.lower() in _TRUE
 
 
-def _nothing(text: str) -> None:
+def _parse_none(text: str) -> None:
     if text.lower() not in ("", "none", "null"):
         raise ValueError
 
 
-def _described(annotation: Any) -> str:
+def _describe_type(annotation: Any) -> str:
     """Return a phrase for the values that a type allows, such as ``a whole number``."""
     origin = get_origin(annotation)
     if origin is Annotated:
-        return _described(get_args(annotation)[0])
+        return _describe_type(get_args(annotation)[0])
     if origin is Literal:
         return f"one of {', '.join(str(value) for value in get_args(annotation))}"
     if origin in (Union, types.UnionType):
-        return " or ".join(_described(member) for member in get_args(annotation))
+        return " or ".join(_describe_type(member) for member in get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
         return f"one of {', '.join(str(member.value) for member in annotation)}"
-    words: dict[Any, str] = {
+    items: dict[Any, str] = {
         bool: "true or false",
         float: "a number",
         int: "a whole number",
@@ -118,7 +119,7 @@ def _described(annotation: Any) -> str:
     }
     if origin in _SEQUENCES:
         return f"{name_of(annotation)}, separated by commas"
-    return words.get(annotation, name_of(annotation))
+    return items.get(annotation, name_of(annotation))
 
 
 def name_of(annotation: Any) -> str:

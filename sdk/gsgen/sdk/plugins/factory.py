@@ -50,7 +50,7 @@ class Factory:
                     f"{entry!r} has no '=', expected KEY=VALUE", where="--arg", hint=hint
                 )
             values[key] = convert(text, self._type_of(key), f"--arg {key}")
-        missing = [name for name in self._needed() if name not in values]
+        missing = [name for name in self._required_names() if name not in values]
         if missing:
             hint = " ".join(f"--arg {name}=…" for name in missing)
             message = f"{self.target} needs {', '.join(missing)}"
@@ -62,9 +62,9 @@ class Factory:
         if not _is_factory(self.make):
             return self.make
         build = locate_errors(partial(self.make, **arguments), self.target)
-        return _checked(build(), self.target)
+        return _require_generator(build(), self.target)
 
-    def _needed(self) -> Iterator[str]:
+    def _required_names(self) -> Iterator[str]:
         for name, parameter in self.parameters.items():
             if parameter.default is parameter.empty and parameter.kind not in _VARIADIC:
                 yield name
@@ -139,7 +139,7 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
         value = getattr(value, name)
     if _is_factory(value):
         return Factory(target, value)
-    return Factory(target, _checked(value, target))
+    return Factory(target, _require_generator(value, target))
 
 
 def _import(name: str, search_folder: Path) -> Any:
@@ -151,42 +151,42 @@ def _import(name: str, search_folder: Path) -> Any:
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise _no_module(name, error.name, search_folder) from error
-        raise _raised(error, name) from error
+        raise _factory_error(error, name) from error
     except Exception as error:  # the user's code may raise anything
-        raise _raised(error, name) from error
+        raise _factory_error(error, name) from error
 
 
-def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
+def _no_module(name: str, missing_module: str, search_folder: Path) -> UnknownName:
     """Return the error for a module that cannot be found, with a similar file name as a hint."""
-    parent = search_folder.joinpath(*absent.split(".")[:-1])
-    prefix = absent.rpartition(".")[0]
+    parent = search_folder.joinpath(*missing_module.split(".")[:-1])
+    prefix = missing_module.rpartition(".")[0]
     stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
     stems += [path.name for path in parent.glob("*/") if path.name.isidentifier()]
     known = [f"{prefix}.{stem}" if prefix else stem for stem in stems]
-    close = get_close_matches(absent, known, n=1, cutoff=0.5)
+    close = get_close_matches(missing_module, known, n=1, cutoff=0.5)
     hint = (
         f"Did you mean {close[0]!r}?"
         if close
         else f"Searched {search_folder} and the installed packages."
     )
-    return UnknownName(f"unknown module {absent!r}", where=f"TARGET {name}", hint=hint)
+    return UnknownName(f"unknown module {missing_module!r}", where=f"TARGET {name}", hint=hint)
 
 
-def _candidates(holder: Any) -> list[str]:
+def _candidates(namespace: Any) -> list[str]:
     """Return the names of torch generators in a Python module, and of functions returning one."""
     import torch
 
-    module_name = getattr(holder, "__name__", None)
+    module_name = getattr(namespace, "__name__", None)
     return [
         name
-        for name, value in vars(holder).items()
+        for name, value in vars(namespace).items()
         if not name.startswith("_")
         and (isinstance(value, torch.nn.Module) or callable(value))
         and getattr(value, "__module__", module_name) == module_name
     ]
 
 
-def _checked(module: Any, target: str) -> Any:
+def _require_generator(module: Any, target: str) -> Any:
     """Return a module that is a torch generator or post-process model; raise for others."""
     import torch
 
@@ -217,12 +217,12 @@ def locate_errors(build: Callable[[], Any], where: str) -> Callable[[], Any]:
         except Exception as error:  # that code may raise anything
             if isinstance(error, ModuleNotFoundError):
                 require_torch()
-            raise _raised(error, where) from error
+            raise _factory_error(error, where) from error
 
     return located_build
 
 
-def _raised(error: Exception, where: str) -> GsgenError:
+def _factory_error(error: Exception, where: str) -> GsgenError:
     """Return an error for an exception in the user's code, with the line that raised it."""
     from gsgen.sdk.authoring.misspelled_names import misspelling_hint
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.exporting.constant_generator import ConstantSource
 
-_GROUP = "gsgen.generators"
+_ENTRY_POINT_GROUP = "gsgen.generators"
 
 # Returns the module or scene to export; called with the options that its signature declares.
 Build = Callable[..., "GaussianGenerator | PostProcess | ConstantSource"]
@@ -119,7 +119,7 @@ class Plugin:
 
 def find_plugins() -> dict[str, Extension]:
     """Return every registered plugin by name, even if its dependencies are missing."""
-    return find_extensions(_GROUP)
+    return find_extensions(_ENTRY_POINT_GROUP)
 
 
 def installed_plugins() -> Iterator[Plugin]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.sdk.plugins.plugin import find_plugins
 
-_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 # Template → path in the package; @package@ stands for the import name.
 _FILES = {
@@ -46,10 +46,10 @@ class PluginPackage:
     files: tuple[Path, ...]  # all files, relative to the folder, sorted
 
 
-def write_plugin_package(name: str, into: Path) -> PluginPackage:
+def write_plugin_package(name: str, parent_folder: Path) -> PluginPackage:
     """Write the package of a new plugin into a new folder named like the package."""
     _check_name(name)
-    folder, package = into / name, name.replace("-", "_")
+    folder, package = parent_folder / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         hint = "Choose another name, or another folder with --into."
         raise ConfigInvalid("the folder exists already", where=str(folder), hint=hint)
@@ -62,7 +62,7 @@ def write_plugin_package(name: str, into: Path) -> PluginPackage:
         "repository": _repository(),
     }
     texts = {
-        _filled(where, replacements): _template(source, replacements)
+        _fill_template(where, replacements): _template(source, replacements)
         for source, where in _FILES.items()
     }
     try:
@@ -79,10 +79,10 @@ def _repository() -> str:
 
 
 def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name):
+    if not _NAME_PATTERN.fullmatch(name):
         ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
         suggestion = re.sub("[^a-z0-9]+", "-", ascii_name.lower()).strip("-0123456789")
-        example = suggestion if _NAME.fullmatch(suggestion) else "my-method"
+        example = suggestion if _NAME_PATTERN.fullmatch(suggestion) else "my-method"
         hint = f"For example {example!r}."
         message = (
             f"{name!r} has other characters than lower-case letters, digits and single hyphens"
@@ -103,10 +103,10 @@ def _check_name(name: str) -> None:
 
 def _template(source: str, replacements: dict[str, str]) -> str:
     text = files("gsgen.sdk").joinpath("templates", "plugin", source).read_text("utf-8")
-    return _filled(text, replacements)
+    return _fill_template(text, replacements)
 
 
-def _filled(text: str, replacements: dict[str, str]) -> str:
+def _fill_template(text: str, replacements: dict[str, str]) -> str:
     """Replace every @word@ in a template text; an unknown word raises KeyError."""
     return re.sub("@([a-z]+)@", lambda match: replacements[match[1]], text)
 

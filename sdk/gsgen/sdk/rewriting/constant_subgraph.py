@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import onnx_ir as ir
 
-_BODIES = (ir.AttributeType.GRAPH, ir.AttributeType.GRAPHS)
+_GRAPH_ATTRIBUTE_TYPES = (ir.AttributeType.GRAPH, ir.AttributeType.GRAPHS)
 
 
 def constant_nodes(graph: ir.Graph) -> list[ir.Node]:
@@ -20,7 +20,9 @@ def constant_nodes(graph: ir.Graph) -> list[ir.Node]:
     known: set[ir.Value] = set()
     for node in graph:
         node_inputs = [value for value in node.inputs if value is not None]
-        bodies = any(attribute.type in _BODIES for attribute in node.attributes.values())
+        bodies = any(
+            attribute.type in _GRAPH_ATTRIBUTE_TYPES for attribute in node.attributes.values()
+        )
         if bodies or "Random" in node.op_type or not node_inputs:
             continue
         if all(value in known or _is_weight(value) for value in node_inputs):
@@ -52,7 +54,7 @@ def partition_constants(model: ir.Model) -> PartitionedModel:
     boundary = tuple(value.name or "" for value in _read_outside(per_frame.graph, nodes))
     _keep_nodes(constant.graph, constant_nodes(constant.graph), boundary)
     for value in list(_read_outside(per_frame.graph, nodes)):
-        _feed(per_frame.graph, value)
+        _make_input(per_frame.graph, value)
     per_frame.graph.remove(nodes, safe=True)
     for part in (constant, per_frame):
         _drop_weights(part.graph)
@@ -60,11 +62,11 @@ def partition_constants(model: ir.Model) -> PartitionedModel:
 
 
 def _read_outside(graph: ir.Graph, nodes: list[ir.Node]) -> Iterator[ir.Value]:
-    inside = set(nodes)
+    inner_nodes = set(nodes)
     for node in nodes:
         for value in node.outputs:
-            outside = any(use.node not in inside for use in value.uses())
-            if outside or value.is_graph_output():
+            is_read_outside = any(use.node not in inner_nodes for use in value.uses())
+            if is_read_outside or value.is_graph_output():
                 yield value
 
 
@@ -77,7 +79,7 @@ def _keep_nodes(graph: ir.Graph, nodes: list[ir.Node], outputs: tuple[str, ...])
     graph.remove([node for node in graph if node not in retained], safe=True)
 
 
-def _feed(graph: ir.Graph, value: ir.Value) -> None:
+def _make_input(graph: ir.Graph, value: ir.Value) -> None:
     """Turn a value inside a graph into a graph input of the same name."""
     graph_input = ir.Value(name=value.name, type=value.type, shape=value.shape)
     value.name = f"{value.name}_computed"

@@ -44,10 +44,10 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
     if path.resolve() == source.path.resolve():
         return
     read = {(source.path.parent / ref.location).resolve() for ref in source.external}
-    written = path.resolve(), path.with_name(f"{path.name}.data").resolve()
-    overwritten = [target.name for target in written if target in read]
-    if overwritten:
-        message = f"would replace {overwritten[0]}, which {source.path.name} reads"
+    written_paths = path.resolve(), path.with_name(f"{path.name}.data").resolve()
+    overwritten_names = [target.name for target in written_paths if target in read]
+    if overwritten_names:
+        message = f"would replace {overwritten_names[0]}, which {source.path.name} reads"
         raise ConfigInvalid(message, where=str(path), hint="Choose another name or folder.")
 
 
@@ -69,11 +69,13 @@ def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -
 @contextmanager
 def _weights_in_memory(model: ir.Model) -> Iterator[None]:
     """Load external weights into memory during the ``with`` block."""
-    external = [v for v in _weights(model) if isinstance(v.const_value, ir.ExternalTensor)]
-    tensors = [value.const_value for value in external]
+    external_weights_list = [
+        v for v in _weights(model) if isinstance(v.const_value, ir.ExternalTensor)
+    ]
+    tensors = [value.const_value for value in external_weights_list]
     ir.external_data.load_to_model(model)
     try:
         yield
     finally:
-        for value, tensor in zip(external, tensors, strict=True):
+        for value, tensor in zip(external_weights_list, tensors, strict=True):
             value.const_value = tensor

@@ -20,7 +20,7 @@ from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import ErrorBudget
 
 # Number of probes of a model without a manifest, and the value of its unknown sizes.
-_COUNT = 5
+_PROBE_COUNT = 5
 _UNKNOWN_SIZE = 3
 _HIGHEST_INDEX = 2
 _EPSILON = {"float16": 2.0**-10, "float32": 2.0**-22, "float64": 2.0**-50}
@@ -63,7 +63,7 @@ def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe,
         probes = ()
     if not probes:
         probes = tuple(
-            _sample_probe(shapes, dtypes, index) for index in range(_COUNT if shapes else 1)
+            _sample_probe(shapes, dtypes, index) for index in range(_PROBE_COUNT if shapes else 1)
         )
     # Optimisations would round differently before and after: kernels alone are compared.
     return tuple(
@@ -75,10 +75,14 @@ def _shape(
     tensor: Tensor, sizes: Mapping[str, int], declared: Input | None = None
 ) -> tuple[int, ...]:
     dims = tensor.dims
-    stated = declared.shape if declared and declared.shape else None
+    declared_shape = declared.shape if declared and declared.shape else None
     if dims is None:
-        return stated or ()
-    known = stated if stated and len(stated) == len(dims) else (_UNKNOWN_SIZE,) * len(dims)
+        return declared_shape or ()
+    known = (
+        declared_shape
+        if declared_shape and len(declared_shape) == len(dims)
+        else (_UNKNOWN_SIZE,) * len(dims)
+    )
     return tuple(
         dim if isinstance(dim, int) else sizes.get(dim or "", known[axis])
         for axis, dim in enumerate(dims)
@@ -116,8 +120,8 @@ def _sample_probe(
 
 
 def compare_files(
-    before: Path,
-    after: Path,
+    source: Path,
+    rewritten: Path,
     outputs: Sequence[str],
     probes: Sequence[Probe],
     limits: Limits,
@@ -129,27 +133,31 @@ def compare_files(
     ``passes`` are the names of the passes that ran, for an error.
     """
     with (
-        execute(before, outputs, probes, _room(before, limits)) as old,
-        execute(after, outputs, probes, _room(after, limits)) as new,
+        execute(source, outputs, probes, _limits_for(source, limits)) as old,
+        execute(rewritten, outputs, probes, _limits_for(rewritten, limits)) as new,
     ):
-        _must_run(old, probes, before.name, "before the rewrite")
-        _must_run(new, probes, passes, "after the rewrite")
-        worst: dict[str, Difference] = {}
+        _require_success(old, probes, source.name, "before the rewrite")
+        _require_success(new, probes, passes, "after the rewrite")
+        worst_difference: dict[str, Difference] = {}
         compared_names: set[str] = set()
         for index, probe in enumerate(probes):
-            a, b = (
+            expected, actual = (
                 execution.samples[execution.runs[index].sample].outputs for execution in (old, new)
             )
-            compared_names |= {name for name, value in a.items() if _has_finite_values(value)}
-            for difference in _differences(a, b, probe, allowed):
-                known = worst.get(difference.output)
+            compared_names |= {
+                name for name, value in expected.items() if _has_finite_values(value)
+            }
+            for difference in _differences(expected, actual, probe, allowed):
+                known = worst_difference.get(difference.output)
                 if known is None or _excess(difference) > _excess(known):
-                    worst[difference.output] = difference
+                    worst_difference[difference.output] = difference
     violations = [
-        difference for difference in worst.values() if not difference.largest <= difference.allowed
+        difference
+        for difference in worst_difference.values()
+        if not difference.largest <= difference.allowed
     ]
     if violations:
-        _must_repeat(before, outputs, probes, limits)
+        _require_repeatable(source, outputs, probes, limits)
         difference = max(violations, key=_excess)
         raise RewriteFailed(
             f"output {difference.output!r} differs by {difference.largest:.3g} for the test inputs {difference.probe!r}, "
@@ -158,7 +166,7 @@ def compare_files(
             hint="Nothing was written. Leave the pass out with --skip, and please report it.",
         )
     uncompared = tuple(name for name in outputs if name not in compared_names)
-    return Comparison(tuple(worst.values()), uncompared)
+    return Comparison(tuple(worst_difference.values()), uncompared)
 
 
 def _has_finite_values(value: np.ndarray) -> bool:
@@ -168,11 +176,11 @@ def _has_finite_values(value: np.ndarray) -> bool:
     return value.size > 0
 
 
-def _room(model: Path, limits: Limits) -> Limits:
+def _limits_for(model: Path, limits: Limits) -> Limits:
     return limits.for_model(open_model(model).weight_bytes)
 
 
-def _must_run(run: Execution, probes: Sequence[Probe], where: str, version: str) -> None:
+def _require_success(run: Execution, probes: Sequence[Probe], where: str, version: str) -> None:
     fault = run.fault
     if fault is None:
         return
@@ -182,12 +190,12 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, version: str)
     raise RewriteFailed(message, where=where, hint=hint)
 
 
-def _must_repeat(
+def _require_repeatable(
     model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
 ) -> None:
     """Raise if a model's outputs change between two runs with the same inputs."""
-    twice = [probe for probe in probes for _ in range(2)]
-    with execute(model, outputs, twice, _room(model, limits)) as run:
+    doubled_probes = [probe for probe in probes for _ in range(2)]
+    with execute(model, outputs, doubled_probes, _limits_for(model, limits)) as run:
         samples = [run.sample for run in run.runs]
     if samples[::2] != samples[1::2]:
         message = "the model gives other outputs for the same inputs, so nothing can be compared"
@@ -197,27 +205,40 @@ def _must_repeat(
 
 def _excess(difference: Difference) -> float:
     """Return an output difference as a multiple of the allowed one; NaN becomes infinite."""
-    within = difference.largest <= difference.allowed
-    return difference.largest / difference.allowed if within and difference.allowed > 0 else np.inf
+    is_within = difference.largest <= difference.allowed
+    return (
+        difference.largest / difference.allowed if is_within and difference.allowed > 0 else np.inf
+    )
 
 
 def _differences(
-    before: Mapping[str, np.ndarray],
-    after: Mapping[str, np.ndarray],
+    source: Mapping[str, np.ndarray],
+    rewritten: Mapping[str, np.ndarray],
     probe: Probe,
     allowed: ErrorBudget,
 ) -> Iterator[Difference]:
-    for name, old in before.items():
-        new = _unpadded(old, after[name]) if allowed.pads else after[name]
+    for name, old in source.items():
+        new = _unpadded(old, rewritten[name]) if allowed.pads else rewritten[name]
         if old.shape != new.shape or old.dtype != new.dtype:
             yield Difference(name, np.inf, 0.0, probe.label)
         elif old.tobytes() != new.tobytes():
-            error, room = _error(np.asarray(old), np.asarray(new), allowed)
-            over = np.where(error <= room, 0.0, error)  # so that NaN is over
-            worst = int(np.argmax(np.where(np.isnan(over), np.inf, over)))
-            worst = worst if over[worst] != 0 else int(np.argmax(error))
-            if error[worst] != 0:  # zeros of either sign, and NaNs of other bits, are the same
-                yield Difference(name, float(error[worst]), float(room[worst]), probe.label)
+            error, allowed_error = _error(np.asarray(old), np.asarray(new), allowed)
+            excess_error = np.where(error <= allowed_error, 0.0, error)  # so that NaN is over
+            worst_difference = int(
+                np.argmax(np.where(np.isnan(excess_error), np.inf, excess_error))
+            )
+            worst_difference = (
+                worst_difference if excess_error[worst_difference] != 0 else int(np.argmax(error))
+            )
+            if (
+                error[worst_difference] != 0
+            ):  # zeros of either sign, and NaNs of other bits, are the same
+                yield Difference(
+                    name,
+                    float(error[worst_difference]),
+                    float(allowed_error[worst_difference]),
+                    probe.label,
+                )
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
@@ -235,24 +256,24 @@ def _error(
     The last axis holds the fields of a Gaussian, so the relative tolerance of each column refers to
     the largest number of that column.
     """
-    a, b = old.astype(np.float64), new.astype(np.float64)
-    finite = np.isfinite(a)
-    equal = (
+    expected, actual = old.astype(np.float64), new.astype(np.float64)
+    is_finite = np.isfinite(expected)
+    is_equal = (
         (old == new)
-        | (np.isnan(a) & np.isnan(b))
-        | (~finite if allowed.repairs_nonfinite else False)
+        | (np.isnan(expected) & np.isnan(actual))
+        | (~is_finite if allowed.repairs_nonfinite else False)
     )
     with np.errstate(invalid="ignore"):
-        difference = np.abs(a - b)
+        difference = np.abs(expected - actual)
     if old.dtype.kind in "iu":
         # Two large integers may be equal as float64.
         difference = np.maximum(difference, 1.0)
-    error = np.where(equal, 0.0, difference)
-    size = np.abs(np.where(finite, a, 0.0))
-    room = np.zeros_like(size)
+    error = np.where(is_equal, 0.0, difference)
+    size = np.abs(np.where(is_finite, expected, 0.0))
+    allowed_error = np.zeros_like(size)
     if old.dtype.kind == "f" and (allowed.relative or allowed.absolute):
         axes = tuple(range(size.ndim - 1)) if size.ndim > 1 else None
         largest = size.max(axis=axes, keepdims=True, initial=0.0)
         rounding = _EPSILON[old.dtype.name] * size
-        room = room + allowed.absolute + allowed.relative * largest + rounding
-    return error.reshape(-1), room.reshape(-1)
+        allowed_error = allowed_error + allowed.absolute + allowed.relative * largest + rounding
+    return error.reshape(-1), allowed_error.reshape(-1)

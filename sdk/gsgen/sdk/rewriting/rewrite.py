@@ -6,7 +6,7 @@ declare, it is not written.
 """
 
 __all__ = [
-    "Change", "GraphStats", "Rewritten", "graph_stats", "prepare", "rewrite_file", "rewrite_graph",
+    "Change", "GraphStats", "RewriteResult", "graph_stats", "normalize_model", "rewrite_file", "rewrite_graph",
 ]  # fmt: skip
 
 import tempfile
@@ -43,7 +43,7 @@ from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import BITS, ErrorBudget, Rewrite, RewriteTarget, opset_of
+from gsgen.sdk.passes.framework.base import BIT_EXACT, ErrorBudget, Rewrite, RewriteTarget, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
@@ -51,7 +51,7 @@ from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, pr
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 # Passes enable each other a few times at most; more rounds mean that two undo each other.
-_MOST_ROUNDS = 20
+_MAX_ROUNDS = 20
 
 # A graph that breaks these rules has no defined result that a rewrite could preserve.
 _GRAPH_RULES = ("GG015", "GG019")
@@ -80,7 +80,7 @@ class GraphStats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rewritten:
+class RewriteResult:
     """The result of rewriting a graph: changes, node counts, and output differences."""
 
     path: Path | None  # the file; None if it was not written
@@ -96,14 +96,19 @@ class Rewritten:
 
 
 def rewrite_graph(
-    model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
+    model: ir.Model,
+    rewrite_target: RewriteTarget,
+    only: Sequence[str] = (),
+    skip: Sequence[str] = (),
 ) -> list[Change]:
     """Apply the rewrites of a target runtime to a model, in place, until nothing changes."""
-    rewrites = find_rewrites(goal, only, skip)
-    prepare(model)
-    changes = _merged([*_settle(model, _exact(rewrites)), *_settle(model, rewrites)])
+    rewrites = find_rewrites(rewrite_target, only, skip)
+    normalize_model(model)
+    changes = _merge_changes(
+        [*_apply_until_stable(model, _bit_exact(rewrites)), *_apply_until_stable(model, rewrites)]
+    )
     if changes:
-        tidy(model)
+        remove_unused(model)
     return changes
 
 
@@ -118,7 +123,7 @@ def rewrite_file(
     sizes: Mapping[str, int] | None = None,
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
-) -> Rewritten:
+) -> RewriteResult:
     """Rewrite a model file for a target runtime, and write the result to another file.
 
     A model without a manifest gets probes from the shapes and dtypes of its inputs; a symbolic size
@@ -133,12 +138,12 @@ def rewrite_file(
     subject = inspect_model(open_model(source), target, limits)
     settings = Settings(level=Level.STATIC, target=target)
     report = validate(source, settings)
-    _refuse_broken(report)
+    _refuse_invalid_model(report)
     if path is not None:
         refuse_overwriting(subject.file, path)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
-    goal = RewriteTarget.of(target, manifest, opset, sizes)
-    rewrites = find_rewrites(goal, only, skip)
+    rewrite_target = RewriteTarget.of(target, manifest, opset, sizes)
+    rewrites = find_rewrites(rewrite_target, only, skip)
     model = _load(source, opset)
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
         run = _ComparedRun(
@@ -151,20 +156,20 @@ def rewrite_file(
             external_weights=has_external_weights(model),
             progress=progress,
         )
-        prepare(model)
+        normalize_model(model)
         # Step 1: the passes that keep every bit. Step 2: all passes.
-        run.step("exact", _exact(rewrites))
+        run.step("exact", _bit_exact(rewrites))
         run.step("all", rewrites)
         progress("checking the rules on the result")
         if run.changes and manifest is not None:
             refuse_new_violations(report, validate(run.latest, settings), "rewritten")
-        before, after = graph_stats(source, goal), graph_stats(run.latest, goal)
+        before, after = graph_stats(source, rewrite_target), graph_stats(run.latest, rewrite_target)
     if path is not None:
         with atomic_write(path) as draft:
             run.save(draft)
-    return Rewritten(
+    return RewriteResult(
         path=path,
-        changes=tuple(_merged(run.changes)),
+        changes=tuple(_merge_changes(run.changes)),
         before=before,
         after=after,
         probes=len(run.probes),
@@ -193,15 +198,15 @@ class _ComparedRun:
     def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
         """Apply rewrites until nothing changes, and compare the outputs if the graph changed."""
         self.progress(f"rewriting: {len(rewrites)} passes")
-        changes = _settle(self.model, rewrites)
+        changes = _apply_until_stable(self.model, rewrites)
         if not changes:
             return
-        tidy(self.model)
+        remove_unused(self.model)
         draft = self.folder / f"{name}.onnx"
         self.save(draft)
-        _check_form(draft, changes)
+        _check_well_formed(draft, changes)
         self.progress(f"comparing outputs at {len(self.probes)} probes")
-        allowed = reduce(or_, (change.exactness for change in changes), BITS)
+        allowed = reduce(or_, (change.exactness for change in changes), BIT_EXACT)
         comparison = compare_files(
             self.latest, draft, self.outputs, self.probes, self.limits, allowed, _names(changes)
         )
@@ -215,24 +220,24 @@ class _ComparedRun:
         save_model(self.model, path, external_weights=self.external_weights)
 
 
-def _refuse_broken(report: Report) -> None:
+def _refuse_invalid_model(report: Report) -> None:
     """Raise if a model's external weights are unsafe to read, or its graph is ill-formed."""
     for finding in report.findings:
-        unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
-        if unsafe and finding.severity >= Severity.ERROR:
+        is_unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
+        if is_unsafe and finding.severity >= Severity.ERROR:
             message = f"{finding.rule}: {finding.where}: {finding.message}"
             raise RewriteFailed(message, where=report.path, hint=finding.hint)
 
 
-def _refuse_higher(model: ir.Model, opset: int | None) -> None:
-    now = opset_of(model)
-    if opset is not None and opset > now:
-        message = f"{opset} is above the model's operator set {now}"
+def _refuse_higher_opset(model: ir.Model, opset: int | None) -> None:
+    current_opset = opset_of(model)
+    if opset is not None and opset > current_opset:
+        message = f"{opset} is above the model's operator set {current_opset}"
         hint = "Rewrites only lower it; export the model again with a higher one."
         raise ConfigInvalid(message, where="--opset", hint=hint)
 
 
-def prepare(model: ir.Model) -> None:
+def normalize_model(model: ir.Model) -> None:
     """Inline functions, turn constants into weights, name all nodes and infer a model's shapes.
 
     The outputs stay the same.
@@ -247,7 +252,7 @@ def prepare(model: ir.Model) -> None:
     _infer(model)
 
 
-def tidy(model: ir.Model) -> None:
+def remove_unused(model: ir.Model) -> None:
     """Remove nodes and weights of a graph that no node or output reads."""
     RemoveUnusedNodesPass()(model)
     NameFixPass()(model)
@@ -266,14 +271,14 @@ def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
     ]
 
 
-def _exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
+def _bit_exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
     return [rewrite for rewrite in rewrites if rewrite.exactness.bits]
 
 
-def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
+def _apply_until_stable(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
     """Apply graph rewrites in rounds until a round changes nothing; return all changes."""
     changes: list[Change] = []
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         changed = False
         for rewrite in rewrites:
             if not rewrite(model).modified:
@@ -283,21 +288,21 @@ def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
             RemoveUnusedNodesPass()(model)
             _infer(model)
         if not changed:
-            return _merged(changes)
-    undoing = ", ".join(sorted({change.rewrite for change in changes}))
-    message = f"still changes after {_MOST_ROUNDS} rounds of {undoing}"
+            return _merge_changes(changes)
+    unstable_names = ", ".join(sorted({change.rewrite for change in changes}))
+    message = f"still changes after {_MAX_ROUNDS} rounds of {unstable_names}"
     hint = "Leave one of them out with --skip, and please report it."
     raise RewriteFailed(message, where="rewrite", hint=hint)
 
 
-def _merged(changes: Sequence[Change]) -> list[Change]:
+def _merge_changes(changes: Sequence[Change]) -> list[Change]:
     """Merge the changes that the same rewrite made in several rounds."""
-    merged: dict[str, Change] = {}
+    changes_by_rewrite: dict[str, Change] = {}
     for change in changes:
-        known = merged.get(change.rewrite)
+        known = changes_by_rewrite.get(change.rewrite)
         nodes = (*known.nodes, *change.nodes) if known else change.nodes
-        merged[change.rewrite] = Change(change.rewrite, change.exactness, nodes)
-    return list(merged.values())
+        changes_by_rewrite[change.rewrite] = Change(change.rewrite, change.exactness, nodes)
+    return list(changes_by_rewrite.values())
 
 
 def _names(changes: Sequence[Change]) -> str:
@@ -311,11 +316,11 @@ def _load(source: Path, opset: int | None) -> ir.Model:
         raise ModelUnreadable(
             f"the file is not a readable ONNX graph: {error}", where=str(source)
         ) from error
-    _refuse_higher(model, opset)
+    _refuse_higher_opset(model, opset)
     return model
 
 
-def _check_form(file: Path, changes: Sequence[Change]) -> None:
+def _check_well_formed(file: Path, changes: Sequence[Change]) -> None:
     """Raise if ONNX's own checker rejects a model file or its shapes."""
     try:
         onnx.checker.check_model(file, full_check=True)
@@ -325,12 +330,12 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
         raise RewriteFailed(message, where=_names(changes), hint=hint) from error
 
 
-def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:
+def graph_stats(file: Path, rewrite_target: RewriteTarget) -> GraphStats:
     """Count a model's nodes, and predict which of them the target runtime cannot capture."""
-    opened = open_model(file)
-    graph = read_graph(opened)
-    placed = placements(graph, opened.proto, goal.tables)
-    opsets = {entry.domain: entry.version for entry in opened.proto.opset_import}
+    loaded_model = open_model(file)
+    graph = read_graph(loaded_model)
+    placed = placements(graph, loaded_model.proto, rewrite_target.tables)
+    opsets = {entry.domain: entry.version for entry in loaded_model.proto.opset_import}
     return GraphStats(
         len(graph.nodes),
         next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), 0),

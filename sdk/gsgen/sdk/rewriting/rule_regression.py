@@ -17,9 +17,9 @@ def refuse_new_violations(before: Report, after: Report, operation: str) -> None
         return {f.rule for f in report.findings if f.severity is Severity.ERROR}
 
     # Rules that could not be evaluated on the source may find faults that it had before.
-    evaluated = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
-    fresh = (errors(after) - errors(before)) & evaluated
-    if fresh:
-        listed = ", ".join(sorted(fresh))
+    evaluated_rules = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
+    new_violations = (errors(after) - errors(before)) & evaluated_rules
+    if new_violations:
+        listed = ", ".join(sorted(new_violations))
         message = f"the {operation} model would break {listed}, which the source keeps"
         raise GsgenError(message, where=before.path)

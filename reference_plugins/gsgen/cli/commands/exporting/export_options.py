@@ -12,7 +12,7 @@ import typer
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
-from gsgen.sdk.exporting.pipeline import OPSET, VECTORS
+from gsgen.sdk.exporting.pipeline import OPSET, VECTOR_COUNT
 
 # The lowest and the highest operator set that torch exports and runtimes know.
 OPSETS = (16, 23)
@@ -32,7 +32,7 @@ class ExportRequest:
     level: str = "behaviour"  # the last level of the validation
     verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
     pictures: int = 0  # reference pictures of the eager module
-    vectors: int = VECTORS  # test vectors with rows of the eager module
+    vectors: int = VECTOR_COUNT  # test vectors with rows of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
     as_json: bool = False  # whether to print that report instead of text
@@ -107,7 +107,7 @@ def _request(
             min=0,
             max=4,
         ),
-    ] = VECTORS,
+    ] = VECTOR_COUNT,
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,

@@ -24,7 +24,7 @@ from gsgen.contract.errors import ConfigInvalid
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from gsgen.sdk.rewriting.rewrite import Rewritten
+    from gsgen.sdk.rewriting.rewrite import RewriteResult
 
 _MAX_NAMES = 4
 
@@ -87,7 +87,7 @@ def rewrite(
     _show(result)
 
 
-def _show(result: "Rewritten") -> None:
+def _show(result: "RewriteResult") -> None:
     """Print the report of a graph rewrite, and a warning for outputs that were not compared."""
     for line in _report(result):
         typer.echo(line)
@@ -130,7 +130,7 @@ def _list(target: str, *, as_json: bool) -> None:
         typer.echo(f"\n- marks passes that target {target} does not need.")
 
 
-def _report(result: "Rewritten") -> "Iterator[str]":
+def _report(result: "RewriteResult") -> "Iterator[str]":
     for change in result.changes:
         names = first_names(change.nodes, _MAX_NAMES)
         yield f"{change.rewrite}: {len(change.nodes)}× {names}"
@@ -152,7 +152,7 @@ def _report(result: "Rewritten") -> "Iterator[str]":
         yield f"wrote {result.path}"
 
 
-def _compared(result: "Rewritten") -> str:
+def _compared(result: "RewriteResult") -> str:
     parts = [
         f"{difference.output} differs by {difference.largest:.2g}"
         for difference in result.differences
@@ -163,7 +163,7 @@ def _compared(result: "Rewritten") -> str:
     return "; ".join([", ".join(parts) or "nothing differs", blank])
 
 
-def _document(result: "Rewritten") -> dict[str, object]:
+def _document(result: "RewriteResult") -> dict[str, object]:
     return {
         "path": str(result.path) if result.path else None,
         "passes": [

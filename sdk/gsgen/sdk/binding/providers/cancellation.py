@@ -31,13 +31,13 @@ class Stop:
 
     def now(self) -> None:
         """Cancel the running inferences of an ONNX Runtime session, until :meth:`reset`."""
-        self._set(terminate=True)
+        self._set_terminate(terminate=True)
 
     def reset(self) -> None:
         """Allow an ONNX Runtime session to run inferences again after a cancellation."""
-        self._set(terminate=False)
+        self._set_terminate(terminate=False)
 
-    def _set(self, *, terminate: bool) -> None:
+    def _set_terminate(self, *, terminate: bool) -> None:
         self._terminate = terminate
         for options in self._options:
             options.terminate = terminate

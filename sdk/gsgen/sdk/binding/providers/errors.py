@@ -1,8 +1,15 @@
 """Errors and warnings of ONNX Runtime sessions that run a model every frame."""
 
 __all__ = [
-    "CaptureOff", "FellBack", "FrameGone", "InputInvalid", "NodesOnCpu", "ProviderUnavailable",
-    "RunFailed", "SessionClosed", "SizeUnknown",
+    "CaptureOff",
+    "FrameGone",
+    "InputInvalid",
+    "NodesOnCpu",
+    "ProviderFallback",
+    "ProviderUnavailable",
+    "RunFailed",
+    "SessionClosed",
+    "SizeUnknown",
 ]  # fmt: skip
 
 from gsgen.contract.errors import GsgenError
@@ -28,7 +35,7 @@ class ProviderUnavailable(GsgenError):
     """Raised if the requested execution provider is not available on this machine."""
 
 
-class FellBack(ProviderUnavailable):
+class ProviderFallback(ProviderUnavailable):
     """Raised if ONNX Runtime opened a session on another execution provider than requested."""
 
 

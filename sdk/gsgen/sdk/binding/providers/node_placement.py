@@ -8,8 +8,10 @@ from typing import Any
 
 CPU = "CPUExecutionProvider"
 
-_CODES = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : |\S+\.(?:cc|h):\d+ .*? was false\. ")
-_LONGEST = 500
+_ERROR_PREFIX = re.compile(
+    r"\[ONNXRuntimeError\] : \d+ : \w+ : |\S+\.(?:cc|h):\d+ .*? was false\. "
+)
+_MAX_MESSAGE_LENGTH = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,4 +40,7 @@ def node_placement(session: Any) -> tuple[Node, ...]:
 
 def error_text(error: Exception) -> str:
     """Return an ONNX Runtime error message without codes, source files and conditions."""
-    return _CODES.sub("", " ".join(str(error).split()))[:_LONGEST] or type(error).__name__
+    return (
+        _ERROR_PREFIX.sub("", " ".join(str(error).split()))[:_MAX_MESSAGE_LENGTH]
+        or type(error).__name__
+    )

@@ -1,7 +1,12 @@
 """Chooses an execution provider, and opens ONNX Runtime sessions on it."""
 
 __all__ = [
-    "PROVIDERS", "Choice", "Provider", "SessionOptions", "choose_provider", "installed_providers",
+    "PROVIDERS",
+    "Provider",
+    "ProviderChoice",
+    "SessionOptions",
+    "choose_provider",
+    "installed_providers",
     "open_session",
 ]  # fmt: skip
 
@@ -13,10 +18,10 @@ from typing import Any, Literal, get_args
 
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.binding.providers.cancellation import FATAL, Stop
-from gsgen.sdk.binding.providers.errors import FellBack, ProviderUnavailable
+from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import CPU, error_text
 from gsgen.sdk.binding.providers.webgpu import (
-    DRIVER,
+    DRIVER_HINT,
     PACKAGE,
     WEBGPU,
     Adapter,
@@ -31,12 +36,12 @@ CUDA = "CUDAExecutionProvider"
 _NO_ADAPTER = "Failed to get a WebGPU adapter"
 
 # ONNX Runtime's names for each provider, and for the memory of its buffers.
-NAMES: dict[Provider, str] = {"cpu": CPU, "webgpu": WEBGPU, "cuda": CUDA}
-MEMORY: dict[Provider, str] = {"cpu": "cpu", "webgpu": "gpu", "cuda": "cuda"}
+PROVIDER_NAMES: dict[Provider, str] = {"cpu": CPU, "webgpu": WEBGPU, "cuda": CUDA}
+BUFFER_MEMORY: dict[Provider, str] = {"cpu": "cpu", "webgpu": "gpu", "cuda": "cuda"}
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ProviderChoice:
     """The chosen execution provider and the reason for the choice."""
 
     provider: Provider  # the provider's name
@@ -58,7 +63,7 @@ class Choice:
 class SessionOptions:
     """Options for opening an ONNX Runtime session."""
 
-    choice: Choice  # the provider
+    choice: ProviderChoice  # the provider
     capture: bool = False  # record commands once and replay them
     sizes: Mapping[str, int] = field(default_factory=dict)  # symbol → size of a dimension
     threads: int = 0  # threads of the CPU provider; 0 lets ONNX Runtime decide
@@ -87,7 +92,7 @@ def installed_providers() -> list[Provider]:
     return [*providers, "cuda"] if _has_cuda() else providers
 
 
-def choose_provider(name: str = "auto") -> Choice:
+def choose_provider(name: str = "auto") -> ProviderChoice:
     """Return the execution provider called ``name``, or with ``auto`` the fastest available one.
 
     Raises:
@@ -104,23 +109,23 @@ def choose_provider(name: str = "auto") -> Choice:
         hint = "pip install onnxruntime-gpu instead of onnxruntime, or use 'auto'"
         raise ProviderUnavailable(message, where="provider cuda", hint=hint)
     adapter = _requested_adapter() if provider == "webgpu" else None
-    return Choice(provider, "requested", adapter, is_requested=True)
+    return ProviderChoice(provider, "requested", adapter, is_requested=True)
 
 
-def _automatic() -> Choice:
+def _automatic() -> ProviderChoice:
     if _has_cuda():
-        return Choice("cuda", "the installed ONNX Runtime has CUDA")
+        return ProviderChoice("cuda", "the installed ONNX Runtime has CUDA")
     if find_spec(PACKAGE) is None:
-        return Choice("cpu", "neither CUDA nor onnxruntime-ep-webgpu is installed")
+        return ProviderChoice("cpu", "neither CUDA nor onnxruntime-ep-webgpu is installed")
     try:
         adapter = find_adapter()
     except AdapterMissing as error:
-        return Choice("cpu", error.message)
+        return ProviderChoice("cpu", error.message)
     if not adapter.hardware:
-        return Choice(
+        return ProviderChoice(
             "cpu", "WebGPU has only a software driver, which is slower than the CPU provider"
         )
-    return Choice("webgpu", f"WebGPU has a GPU: {adapter.name}", adapter)
+    return ProviderChoice("webgpu", f"WebGPU has a GPU: {adapter.name}", adapter)
 
 
 def _requested_adapter() -> Adapter:
@@ -138,28 +143,28 @@ def _has_cuda() -> bool:
     return CUDA in onnxruntime.get_available_providers()
 
 
-def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
+def open_session(model: Path | bytes, session_options: SessionOptions) -> Any:
     """Return an ``onnxruntime.InferenceSession`` on the chosen provider, without fallback.
 
-    Raises :class:`FellBack` if ONNX Runtime silently opened the session on the CPU instead.
+    Raises :class:`ProviderFallback` if ONNX Runtime silently opened the session on the CPU instead.
     """
     import onnxruntime
 
     settings = onnxruntime.SessionOptions()
     settings.log_severity_level = FATAL
-    settings.intra_op_num_threads = opening.threads
+    settings.intra_op_num_threads = session_options.threads
     settings.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
     # Between frames, its threads would keep cores busy that draw or write the last frame.
     settings.add_session_config_entry("session.force_spinning_stop", "1")
-    for symbol, size in opening.sizes.items():
+    for symbol, size in session_options.sizes.items():
         settings.add_free_dimension_override_by_name(symbol, size)
-    provider = opening.choice.provider
+    provider = session_options.choice.provider
     providers: list[Any] | None = None
-    if opening.choice.adapter is not None:
-        device = opening.choice.adapter.device
-        settings.add_provider_for_devices([device], opening.provider_options)
+    if session_options.choice.adapter is not None:
+        device = session_options.choice.adapter.device
+        settings.add_provider_for_devices([device], session_options.provider_options)
     else:
-        providers = [(NAMES[provider], opening.provider_options)]
+        providers = [(PROVIDER_NAMES[provider], session_options.provider_options)]
     source = model if isinstance(model, bytes) else str(model)
     try:
         # With fallback, a missing adapter would open a session on the CPU.
@@ -168,9 +173,9 @@ def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
         if _NO_ADAPTER not in str(error):
             raise
         where = f"provider {provider}"
-        raise ProviderUnavailable(error_text(error), where=where, hint=DRIVER) from error
-    if NAMES[provider] not in session.get_providers():
+        raise ProviderUnavailable(error_text(error), where=where, hint=DRIVER_HINT) from error
+    if PROVIDER_NAMES[provider] not in session.get_providers():
         actual = ", ".join(session.get_providers())
-        message = f"the session runs on {actual}, expected {NAMES[provider]}"
-        raise FellBack(message, where=f"provider {provider}")
+        message = f"the session runs on {actual}, expected {PROVIDER_NAMES[provider]}"
+        raise ProviderFallback(message, where=f"provider {provider}")
     return session

@@ -3,7 +3,7 @@
 The provider is a plug-in (onnxruntime-ep-webgpu) that a process registers once.
 """
 
-__all__ = ["DRIVER", "PACKAGE", "WEBGPU", "Adapter", "AdapterMissing", "find_adapter"]
+__all__ = ["DRIVER_HINT", "PACKAGE", "WEBGPU", "Adapter", "AdapterMissing", "find_adapter"]
 
 import os
 import threading
@@ -12,13 +12,13 @@ from typing import Any
 
 WEBGPU = "WebGpuExecutionProvider"
 PACKAGE = "onnxruntime_ep_webgpu"
-DRIVER = "install a Vulkan driver, such as mesa-vulkan-drivers 25"
-_SOFTWARE = "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER"
+DRIVER_HINT = "install a Vulkan driver, such as mesa-vulkan-drivers 25"
+_SOFTWARE_VARIABLE = "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER"
 
 # A unique name: registering a name twice kills the process at the next session, and a name that
 # ends in ".virtual" aborts it at once.
-_NAME = "gsgen.webgpu"
-_registering = threading.Lock()
+_REGISTRATION_NAME = "gsgen.webgpu"
+_registration_lock = threading.Lock()
 _registered = False
 
 
@@ -66,7 +66,7 @@ def find_adapter() -> Adapter:
     devices = [candidate for candidate in onnxruntime.get_ep_devices() if candidate.ep_name == name]
     if not devices:
         message = "ONNX Runtime lists no device for WebGPU"
-        raise AdapterMissing(message, DRIVER)
+        raise AdapterMissing(message, DRIVER_HINT)
     gpu = onnxruntime.OrtHardwareDeviceType.GPU
     device = min(devices, key=lambda candidate: candidate.device.type != gpu)
     return Adapter(
@@ -81,8 +81,8 @@ def _register(library: str) -> None:
     global _registered
     import onnxruntime
 
-    with _registering:
+    with _registration_lock:
         if not _registered:
-            os.environ.setdefault(_SOFTWARE, "1")
-            onnxruntime.register_execution_provider_library(_NAME, library)
+            os.environ.setdefault(_SOFTWARE_VARIABLE, "1")
+            onnxruntime.register_execution_provider_library(_REGISTRATION_NAME, library)
             _registered = True

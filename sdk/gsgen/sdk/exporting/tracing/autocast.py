@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-_NOTE = (
+_AUTOCAST_WARNING = (
     "forward uses autocast, which was switched off: the model computes in float32, "
     "and may differ from training in its last digits"
 )
@@ -20,20 +20,20 @@ def float32_arithmetic(notes: list[str]) -> Iterator[None]:
 
     ONNX Runtime has no kernels for bfloat16 on the CPU, nor WebGPU for any mixture of dtypes.
     """
-    patched = {name: getattr(torch.autocast, name) for name in ("__enter__", "__exit__")}
+    original_methods = {name: getattr(torch.autocast, name) for name in ("__enter__", "__exit__")}
 
-    def enter(self: Any) -> Any:
-        if _NOTE not in notes:
-            notes.append(_NOTE)
+    def enter_autocast(self: Any) -> Any:
+        if _AUTOCAST_WARNING not in notes:
+            notes.append(_AUTOCAST_WARNING)
         return self
 
-    def leave(*_: Any) -> None:
+    def exit_autocast(*_: Any) -> None:
         """Do nothing, in place of the exit of a ``torch.autocast`` context."""
 
-    for name, method in zip(patched, (enter, leave), strict=True):
+    for name, method in zip(original_methods, (enter_autocast, exit_autocast), strict=True):
         setattr(torch.autocast, name, method)
     try:
         yield
     finally:
-        for name, method in patched.items():
+        for name, method in original_methods.items():
             setattr(torch.autocast, name, method)

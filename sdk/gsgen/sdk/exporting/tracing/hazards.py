@@ -7,7 +7,7 @@ attributes that forward sets for later frames, and for random numbers.
 A hazard alone does not make an export wrong, so it is reported only if another check fails.
 """
 
-__all__ = ["Hazard", "Watch", "hint_of"]
+__all__ = ["Hazard", "HazardWatch", "hint_of"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from torch.utils._pytree import tree_leaves
 
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
-Kind = Literal[
+HazardKind = Literal[
     "branch", "data", "linalg", "number", "numpy", "order", "random", "rebuilt", "shape", "state"
 ]  # fmt: skip
 
-_DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
+_DESCRIPTIONS_AND_HINTS: dict[HazardKind, tuple[str, str]] = {
     "branch": (
         "Python branches on a tensor",
         "torch.where(condition, a, b) chooses in every frame.",
@@ -63,11 +63,11 @@ _DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
     ),
 }
 
-_LINALG = (
+_LINALG_NAMES = (
     *("inv", "inv_ex", "pinv", "solve", "solve_ex", "lstsq", "det", "slogdet", "svd", "svdvals"),
     *("eig", "eigh", "eigvals", "eigvalsh", "qr", "cholesky", "lu", "matrix_exp", "matrix_power"),
 )
-_NAMES: dict[str, Kind] = {
+_KIND_OF_FUNCTION: dict[str, HazardKind] = {
     **dict.fromkeys(("__bool__", "is_nonzero", "__contains__", "equal", "allclose"), "branch"),
     **dict.fromkeys(("item", "tolist", "__float__", "__int__", "__index__"), "number"),
     **dict.fromkeys(("numpy", "__array__"), "numpy"),
@@ -75,18 +75,18 @@ _NAMES: dict[str, Kind] = {
     **dict.fromkeys(("nonzero", "argwhere", "masked_select", "unique"), "shape"),
     **dict.fromkeys(("argsort", "sort", "topk", "msort"), "order"),
     **dict.fromkeys(("inverse", "pinverse", "det", "logdet", "svd", "qr", "cholesky"), "linalg"),
-    **dict.fromkeys((f"linalg_{name}" for name in _LINALG), "linalg"),
+    **dict.fromkeys((f"linalg_{name}" for name in _LINALG_NAMES), "linalg"),
 }
-_RANDOM = frozenset(
+_RANDOM_FUNCTIONS = frozenset(
     {
         *("rand", "randn", "randint", "randperm", "normal", "bernoulli", "multinomial"),
         *("rand_like", "randn_like", "randint_like", "uniform_", "normal_", "random_"),
     }
 )
-_TAINT = "_gsgen_of_an_input"
+_INPUT_MARK = "_gsgen_of_an_input"
 
 
-def hint_of(kind: Kind) -> str:
+def hint_of(kind: HazardKind) -> str:
     """Return the code to write instead of a kind of operation that tracing cannot follow."""
     return _DESCRIPTIONS_AND_HINTS[kind][1]
 
@@ -95,7 +95,7 @@ def hint_of(kind: Kind) -> str:
 class Hazard:
     """An operation of a user's module that tracing cannot follow."""
 
-    kind: Kind  # the kind of operation
+    kind: HazardKind  # the kind of operation
     where: str  # ``file:line (code)``; where an attribute is set, its name stands in front
 
     @property
@@ -112,7 +112,7 @@ class Hazard:
         return f"{self.where}: {self.description}. {self.hint}"
 
 
-class Watch(TorchFunctionMode):
+class HazardWatch(TorchFunctionMode):
     """Records operations that tracing cannot follow while a torch module runs.
 
     For example::
@@ -129,11 +129,13 @@ class Watch(TorchFunctionMode):
         super().__init__()
         self.hazards: list[Hazard] = []
         self._module = module
-        self._owned = {id(tensor): tensor for tensor in (*module.parameters(), *module.buffers())}
-        self._undo: list[Callable[[], None]] = []
-        self._saved: set[tuple[int, str]] = set()
+        self._module_tensors = {
+            id(tensor): tensor for tensor in (*module.parameters(), *module.buffers())
+        }
+        self._undo_steps: list[Callable[[], None]] = []
+        self._saved_keys: set[tuple[int, str]] = set()
         for tensor in inputs:
-            setattr(tensor, _TAINT, True)
+            setattr(tensor, _INPUT_MARK, True)
 
     def __enter__(self) -> Self:
         self._plain_setattr: Any = nn.Module.__setattr__
@@ -153,11 +155,11 @@ class Watch(TorchFunctionMode):
     @property
     def changes_module(self) -> bool:
         """Whether the torch module changed its attributes, parameters or buffers while it ran."""
-        return bool(self._undo)
+        return bool(self._undo_steps)
 
-    def undo(self) -> None:
+    def restore_module(self) -> None:
         """Restore all attributes and buffers of the torch module to their values before the run."""
-        for step in reversed(self._undo):
+        for step in reversed(self._undo_steps):
             step()
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -165,30 +167,30 @@ class Watch(TorchFunctionMode):
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
         leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]
-        tainted = any(hasattr(leaf, _TAINT) for leaf in leaves)
-        self._inspect(func, name, args, tainted=tainted)
+        depends_on_input = any(hasattr(leaf, _INPUT_MARK) for leaf in leaves)
+        self._inspect_call(func, name, args, depends_on_input=depends_on_input)
         result = func(*args, **kwargs)
-        if tainted:
-            changed = [args[0]] if name == "__setitem__" else []
-            for leaf in (*tree_leaves(result), *changed):
+        if depends_on_input:
+            changed_tensors = [args[0]] if name == "__setitem__" else []
+            for leaf in (*tree_leaves(result), *changed_tensors):
                 if isinstance(leaf, Tensor):
-                    setattr(leaf, _TAINT, True)
+                    setattr(leaf, _INPUT_MARK, True)
         return result
 
-    def _inspect(self, func: Any, name: str, args: Any, *, tainted: bool) -> None:
-        if name in _RANDOM:
-            self._note("random")
-        if self._is_in_place(name) and args and id(args[0]) in self._owned:
-            self._note("state")
-            self._keep_tensor(args[0])
-        if not tainted:
+    def _inspect_call(self, func: Any, name: str, args: Any, *, depends_on_input: bool) -> None:
+        if name in _RANDOM_FUNCTIONS:
+            self._record_hazard("random")
+        if self._is_in_place(name) and args and id(args[0]) in self._module_tensors:
+            self._record_hazard("state")
+            self._save_tensor(args[0])
+        if not depends_on_input:
             return
-        if name in _NAMES:
-            self._note(_NAMES[name])
+        if name in _KIND_OF_FUNCTION:
+            self._record_hazard(_KIND_OF_FUNCTION[name])
         elif getattr(func, "__self__", None) is torch.Tensor.data:
-            self._note("data")
+            self._record_hazard("data")
         elif (name == "__getitem__" and _is_mask(args[1])) or (name == "where" and len(args) == 1):
-            self._note("shape")
+            self._record_hazard("shape")
 
     @staticmethod
     def _is_in_place(name: str) -> bool:
@@ -196,37 +198,39 @@ class Watch(TorchFunctionMode):
         is_operator = name.startswith("__i") and name not in ("__index__", "__int__", "__invert__")
         return ends_in_underscore or is_operator or name == "__setitem__"
 
-    def _note(self, kind: Kind, prefix: str = "") -> None:
+    def _record_hazard(self, kind: HazardKind, prefix: str = "") -> None:
         line = current_user_line()
-        known = [hazard for hazard in self.hazards if hazard.kind == kind and line in hazard.where]
-        if line and not known:
+        is_known = [
+            hazard for hazard in self.hazards if hazard.kind == kind and line in hazard.where
+        ]
+        if line and not is_known:
             self.hazards.append(Hazard(kind, f"{prefix}{line}"))
 
-    def _keep_tensor(self, tensor: Tensor) -> None:
-        if (id(tensor), "") not in self._saved:
-            self._saved.add((id(tensor), ""))
-            before = tensor.detach().clone()
-            self._undo.append(lambda: _copy(tensor, before))
+    def _save_tensor(self, tensor: Tensor) -> None:
+        if (id(tensor), "") not in self._saved_keys:
+            self._saved_keys.add((id(tensor), ""))
+            old_value = tensor.detach().clone()
+            self._undo_steps.append(lambda: _restore_tensor(tensor, old_value))
 
     def _setattr(self) -> Callable[[nn.Module, str, Any], None]:
         original_setattr: Callable[[nn.Module, str, Any], None] = self._plain_setattr
 
-        def note(module: nn.Module, name: str, value: Any) -> None:
-            self._note("state", f"{type(module).__name__}.{name}, ")
-            if (id(module), name) not in self._saved:
-                self._saved.add((id(module), name))
-                known = name in module.__dict__
-                before = module.__dict__.get(name)
+        def record_and_set(module: nn.Module, name: str, value: Any) -> None:
+            self._record_hazard("state", f"{type(module).__name__}.{name}, ")
+            if (id(module), name) not in self._saved_keys:
+                self._saved_keys.add((id(module), name))
+                is_known = name in module.__dict__
+                old_value = module.__dict__.get(name)
                 if name in module._buffers:
                     buffer = module._buffers[name]
-                    self._undo.append(lambda: module._buffers.update({name: buffer}))
-                elif known:
-                    self._undo.append(lambda: module.__dict__.update({name: before}))
+                    self._undo_steps.append(lambda: module._buffers.update({name: buffer}))
+                elif is_known:
+                    self._undo_steps.append(lambda: module.__dict__.update({name: old_value}))
                 else:
-                    self._undo.append(lambda: module.__dict__.pop(name, None))
+                    self._undo_steps.append(lambda: module.__dict__.pop(name, None))
             original_setattr(module, name, value)
 
-        return note
+        return record_and_set
 
 
 def _is_mask(index: Any) -> bool:
@@ -234,6 +238,6 @@ def _is_mask(index: Any) -> bool:
     return any(isinstance(part, Tensor) and part.dtype == torch.bool for part in parts)
 
 
-def _copy(tensor: Tensor, before: Tensor) -> None:
+def _restore_tensor(tensor: Tensor, old_value: Tensor) -> None:
     with torch.no_grad():
-        tensor.copy_(before)
+        tensor.copy_(old_value)

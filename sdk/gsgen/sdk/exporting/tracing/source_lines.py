@@ -12,10 +12,10 @@ from pathlib import Path
 from types import FrameType
 
 _SDK_FOLDER = Path(__file__).parents[2]
-_STANDARD = Path(sysconfig.get_path("stdlib"))
-_PACKAGES = ("site-packages", "dist-packages")
+_STDLIB_FOLDER = Path(sysconfig.get_path("stdlib"))
+_SITE_FOLDERS = ("site-packages", "dist-packages")
 # Packages that a user's line calls, so that their frames lie inside of its frame.
-_BETWEEN = frozenset(
+_LIBRARY_PACKAGES = frozenset(
     ("beartype", "jaxtyping", "numpy", "onnx", "onnx_ir", "onnxscript", "scipy", "torch")
 )
 
@@ -38,8 +38,8 @@ def current_user_line() -> str:
     for frame in _frames():
         name = frame.f_code.co_filename
         if is_user_file(name):
-            code = linecache.getline(name, frame.f_lineno).strip()
-            return f"{Path(name).name}:{frame.f_lineno} ({code})"
+            source_line = linecache.getline(name, frame.f_lineno).strip()
+            return f"{Path(name).name}:{frame.f_lineno} ({source_line})"
     return ""
 
 
@@ -56,7 +56,7 @@ def is_user_file(filename: str) -> bool:
     path = Path(filename)
     if not path.is_file() or path.is_relative_to(_SDK_FOLDER):
         return False
-    package_indices = [path.parts.index(name) for name in _PACKAGES if name in path.parts]
+    package_indices = [path.parts.index(name) for name in _SITE_FOLDERS if name in path.parts]
     if package_indices:
-        return path.parts[max(package_indices) + 1] not in _BETWEEN
-    return not path.is_relative_to(_STANDARD)
+        return path.parts[max(package_indices) + 1] not in _LIBRARY_PACKAGES
+    return not path.is_relative_to(_STDLIB_FOLDER)

@@ -26,8 +26,8 @@ from gsgen.sdk.exporting.tracing.hazards import Hazard
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
-_MOST = 3
-_HINT = (
+_MAX_HAZARDS = 3
+_TRACE_HINT = (
     "Shapes must not depend on data: use masks and torch.where, not boolean indexing, and "
     "keep `.item()`, numpy and Python branches on tensors out of forward."
 )
@@ -75,7 +75,7 @@ def trace_module(
     """
     arguments = tuple(torch.from_numpy(np.array(value)) for value in example.inputs.values())
     try:
-        with _quiet():
+        with _silence_exporter():
             program = torch.onnx.export(
                 module,
                 arguments,
@@ -90,7 +90,7 @@ def trace_module(
     except GeneratorInvalid:
         raise
     except Exception as error:  # the exporter's errors share no base class
-        raise _explained(where, error, hazards) from error
+        raise _export_error(where, error, hazards) from error
     assert program is not None
     _widen_indices(program.model)
     exported_opset = program.model.opset_imports.get("", opset)
@@ -112,14 +112,14 @@ def _widen_indices(model: ir.Model) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence_exporter() -> Iterator[None]:
     """Suppress the console messages of torch's exporter, and the stacks that it keeps of nodes."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     # No error or file of ours holds them, and they take a tenth of the exporter's time. Older
     # releases do not know the option.
     options: Any = torch.fx.config
-    keeps_none = getattr(options, "do_not_emit_stack_traces", False)
+    old_setting = getattr(options, "do_not_emit_stack_traces", False)
     options.do_not_emit_stack_traces = True
     try:
         # Graphs of failed attempts are printed, not logged.
@@ -127,11 +127,11 @@ def _quiet() -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     finally:
-        options.do_not_emit_stack_traces = keeps_none
+        options.do_not_emit_stack_traces = old_setting
         logging.disable(level)
 
 
-def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
+def _export_error(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
     """Return a tracing error with torch's reason, the line of the user's code, and a hint."""
     root: BaseException = error
     while root.__cause__ is not None:
@@ -139,39 +139,45 @@ def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> Ex
     reason = next((line for line in str(root).splitlines() if line.strip()), type(root).__name__)
     message = f"{type(root).__name__}: {reason.strip()[:300]}"
     line = user_line_of(root)
-    likely = [hazard for hazard in hazards if line and line in hazard.where] or list(hazards)
-    likely.sort(key=lambda hazard: hazard.kind == "order")  # torch exports sorts
-    if not likely:
-        return ExportFailed(message, where=line or name, hint=_HINT)
-    first = likely[0]
+    likely_hazards = [hazard for hazard in hazards if line and line in hazard.where] or list(
+        hazards
+    )
+    likely_hazards.sort(key=lambda hazard: hazard.kind == "order")  # torch exports sorts
+    if not likely_hazards:
+        return ExportFailed(message, where=line or name, hint=_TRACE_HINT)
+    first = likely_hazards[0]
     return ExportFailed(
         f"{first.description}, and torch cannot export it ({message})",
         where=line or first.where,
-        hint="\n  ".join([first.hint, *(str(hazard) for hazard in likely[1:_MOST])]),
+        hint="\n  ".join([first.hint, *(str(hazard) for hazard in likely_hazards[1:_MAX_HAZARDS])]),
     )
 
 
 # Its types are those of single operators, not of what they return.
-_OP: Any = opset18
+_OPSET18: Any = opset18
 
 
 def _searchsorted(
     boundaries: Any, values: Any, *, right: bool = False, side: str | None = None, **_: Any
 ) -> Any:
     """Translate searchsorted to float32 counts of boundaries; WebGPU cannot sum int64."""
-    each = _OP.Unsqueeze(values, _OP.Constant(value_ints=[-1]))
-    row = _OP.Unsqueeze(boundaries, _OP.Constant(value_ints=[-2]))
-    is_right = right or side == "right"
-    is_below = _OP.LessOrEqual(row, each) if is_right else _OP.Less(row, each)
-    ones = _OP.Cast(is_below, to=TensorProto.FLOAT)
-    count = _OP.ReduceSum(ones, _OP.Constant(value_ints=[-1]), keepdims=0)
-    return _OP.Cast(count, to=TensorProto.INT64)
+    expanded_values = _OPSET18.Unsqueeze(values, _OPSET18.Constant(value_ints=[-1]))
+    row = _OPSET18.Unsqueeze(boundaries, _OPSET18.Constant(value_ints=[-2]))
+    is_right_side = right or side == "right"
+    is_below = (
+        _OPSET18.LessOrEqual(row, expanded_values)
+        if is_right_side
+        else _OPSET18.Less(row, expanded_values)
+    )
+    ones = _OPSET18.Cast(is_below, to=TensorProto.FLOAT)
+    count = _OPSET18.ReduceSum(ones, _OPSET18.Constant(value_ints=[-1]), keepdims=0)
+    return _OPSET18.Cast(count, to=TensorProto.INT64)
 
 
 def _prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
     """Translate ``prims.prod``, to which torch reduces ``cumprod``, to the operator ReduceProd."""
-    axes = _OP.Constant(value_ints=list(dims))
-    return _OP.ReduceProd(values, axes, keepdims=0)
+    axes = _OPSET18.Constant(value_ints=list(dims))
+    return _OPSET18.ReduceProd(values, axes, keepdims=0)
 
 
 # ONNX forms of torch operators that torch's own exporter does not translate.

@@ -6,8 +6,20 @@ the documentation page is generated from it. Rewrites are listed in
 """
 
 __all__ = [
-    "BITS", "SAFE_WIDTH", "ByTables", "ErrorBudget", "NodeRewrite", "Rewrite", "RewriteTarget",
-    "Substitute", "WithinLimit", "describe_item", "every_node", "is_op", "kernel_dtype", "opset_of",
+    "BIT_EXACT",
+    "SAFE_TENSOR_COUNT",
+    "ErrorBudget",
+    "LimitRewrite",
+    "NodeRewrite",
+    "Rewrite",
+    "RewriteTarget",
+    "Substitute",
+    "TableRewrite",
+    "describe_item",
+    "every_node",
+    "is_op",
+    "kernel_dtype",
+    "opset_of",
 ]  # fmt: skip
 
 from abc import abstractmethod
@@ -24,7 +36,7 @@ from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable, operator
 from gsgen.contract.spec.targets import Target, known_targets
 
 # WebGPU guarantees eight storage buffers a stage, and the joined tensor needs one of them.
-SAFE_WIDTH = 7
+SAFE_TENSOR_COUNT = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +51,7 @@ class ErrorBudget:
     @property
     def bits(self) -> bool:
         """Whether the rewrite must keep all outputs bit for bit."""
-        return self == BITS
+        return self == BIT_EXACT
 
     def describe(self) -> str:
         """Return the error budget as text, such as ``bit for bit``."""
@@ -47,8 +59,8 @@ class ErrorBudget:
             return "every finite value keeps its bits" if self.repairs_nonfinite else "bit for bit"
         parts = [f"{self.relative:g} of the largest value"] if self.relative else []
         parts += [f"{self.absolute:g}"] if self.absolute else []
-        behind = ", with zeros behind" if self.pads else ""
-        return "within " + " and ".join(parts) + behind
+        suffix = ", with zeros behind" if self.pads else ""
+        return "within " + " and ".join(parts) + suffix
 
     def __or__(self, other: "ErrorBudget") -> "ErrorBudget":
         return ErrorBudget(
@@ -59,7 +71,7 @@ class ErrorBudget:
         )
 
 
-BITS = ErrorBudget()
+BIT_EXACT = ErrorBudget()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +130,7 @@ class Rewrite(passes.InPlacePass):
     """
 
     name: ClassVar[str]
-    exactness: ClassVar[ErrorBudget] = BITS
+    exactness: ClassVar[ErrorBudget] = BIT_EXACT
     wanted_by: ClassVar[str] = "every target"
 
     def __init__(self) -> None:
@@ -172,7 +184,7 @@ class NodeRewrite(Rewrite):
         """Replace a node of the graph by equivalent nodes."""
 
 
-class ByTables(Rewrite):
+class TableRewrite(Rewrite):
     """A graph rewrite that depends on which operators the target runtime supports.
 
     Without a target, it rewrites every node that it can.
@@ -188,7 +200,7 @@ class ByTables(Rewrite):
         return cls(target) if target.tables else None
 
 
-class WithinLimit(Rewrite):
+class LimitRewrite(Rewrite):
     """A graph rewrite of operators with more tensors than the target GPU can bind.
 
     Attributes:
@@ -198,7 +210,7 @@ class WithinLimit(Rewrite):
 
     limited_by: ClassVar[str]
 
-    def __init__(self, limit: int = SAFE_WIDTH) -> None:
+    def __init__(self, limit: int = SAFE_TENSOR_COUNT) -> None:
         super().__init__()
         if limit < 2:
             raise ValueError(
@@ -213,7 +225,7 @@ class WithinLimit(Rewrite):
         return None if limit is None else cls(limit)
 
 
-class Substitute(ByTables, NodeRewrite):
+class Substitute(TableRewrite, NodeRewrite):
     """A graph rewrite of operators that the target runtime's graph capture does not support.
 
     Without a target, it replaces every operator of ``kinds``.

@@ -24,13 +24,13 @@ def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
     graph = model.graph
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]
-    tensors = {value.name or "": _described(value) for value in values}
+    tensors = {value.name or "": _describe_value(value) for value in values}
     nodes = tuple(ir.serde.serialize_node(node) for node in graph if node.domain in MAIN_DOMAIN)
-    described = Graph(
+    typed_graph = Graph(
         inputs=(), outputs=(), nodes=nodes, initializers={}, tensors=tensors, functions=frozenset()
     )
     weights = [_weight(value) for value in graph.initializers.values()]
-    return intervals(described, [tensor for tensor in weights if tensor is not None], manifest)
+    return intervals(typed_graph, [tensor for tensor in weights if tensor is not None], manifest)
 
 
 def fits_int32(span: Interval | None, most: int = _INT32[1]) -> bool:
@@ -40,7 +40,7 @@ def fits_int32(span: Interval | None, most: int = _INT32[1]) -> bool:
     return max(_INT32[0], -most) <= span[0] <= span[1] <= most
 
 
-def _described(value: ir.Value) -> Tensor:
+def _describe_value(value: ir.Value) -> Tensor:
     dims = None
     if value.shape is not None:
         dims = tuple(d if isinstance(d, int) else d.value for d in value.shape)
@@ -58,4 +58,4 @@ def _weight(value: ir.Value) -> TensorProto | None:
     return numpy_helper.from_array(np.asarray(tensor.numpy()), value.name or "")
 
 
-Spans = Mapping[str, Interval]
+ValueSpans = Mapping[str, Interval]

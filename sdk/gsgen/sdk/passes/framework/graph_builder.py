@@ -57,15 +57,15 @@ def new_node(
     return node
 
 
-def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> None:
+def append_output(graph: ir.Graph, old_value: ir.Value, nodes: Sequence[ir.Node]) -> None:
     """Append nodes to a graph, the last of which computes an existing graph output."""
-    name = old.name
-    old.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
+    name = old_value.name
+    old_value.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
     new = nodes[-1].outputs[0]
     new.name = name
     for index, value in enumerate(graph.outputs):
-        if value is old:
+        if value is old_value:
             graph.outputs[index] = new
 
 
@@ -94,7 +94,7 @@ class InsertionPoint:
         """Insert a standard ONNX node with one output into the graph, and return the output."""
         known = (value.dtype for value in inputs if value is not None)
         result_dtype = dtype if dtype is not None else next(known, None)
-        name = self._next(kind)
+        name = self._next_name(kind)
         node = new_node(kind, inputs, name, dtype=result_dtype, shape=shape, **attributes)
         self.graph.insert_before(self.node, node)
         return node.outputs[0]
@@ -107,7 +107,7 @@ class InsertionPoint:
         **attributes: int | float | str | Sequence[int],
     ) -> list[ir.Value]:
         """Insert a node with several outputs, which have the dtype of the first input."""
-        name = self._next(kind)
+        name = self._next_name(kind)
         node = ir.node(kind, inputs, attributes=attributes, name=name, num_outputs=count)
         for index, value in enumerate(node.outputs):
             value.name = f"{name}_{index}"
@@ -117,7 +117,7 @@ class InsertionPoint:
 
     def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
         """Add a weight to the graph, with the numbers of an array."""
-        return weight(self.graph, self._next(name), np.asarray(array))
+        return weight(self.graph, self._next_name(name), np.asarray(array))
 
     def int64(self, *numbers: int) -> ir.Value:
         """Add an int64 weight [n], such as axes, a shape or starts."""
@@ -129,31 +129,31 @@ class InsertionPoint:
         A graph output needs a value of its own. If the value existed before the node (an input
         of the graph, for example), an Identity is inserted.
         """
-        for old, new in zip(self.node.outputs, values, strict=True):
+        for old_value, new in zip(self.node.outputs, values, strict=True):
             producer = new.producer()
-            fresh = producer is not None and producer.graph is self.graph
-            if old.is_graph_output() and (not fresh or new.is_graph_output()):
+            is_new = producer is not None and producer.graph is self.graph
+            if old_value.is_graph_output() and (not is_new or new.is_graph_output()):
                 new = self.op("Identity", new, shape=new.shape)
-            replace_value(old, new)
+            replace_value(old_value, new)
         self.graph.remove(self.node, safe=True)
 
-    def _next(self, kind: str) -> str:
+    def _next_name(self, kind: str) -> str:
         self._count += 1
         return f"{self._stem}_{self._count}_{kind}"
 
 
-def replace_value(old: ir.Value, new: ir.Value) -> None:
+def replace_value(old_value: ir.Value, new: ir.Value) -> None:
     """Replace all uses of a graph value by another value; a graph output keeps its name."""
-    name, output = old.name, old.is_graph_output()
+    name, output = old_value.name, old_value.is_graph_output()
     if new.type is None or output:
-        new.type = old.type
+        new.type = old_value.type
     if new.shape is None or output:
-        new.shape = old.shape
-    ir.convenience.replace_all_uses_with(old, new, replace_graph_outputs=True)
+        new.shape = old_value.shape
+    ir.convenience.replace_all_uses_with(old_value, new, replace_graph_outputs=True)
     if output:
         graph = new.graph
         assert isinstance(graph, ir.Graph)
-        old.name = free_name(graph, f"{name}_replaced")
+        old_value.name = free_name(graph, f"{name}_replaced")
         new.name = name
 
 

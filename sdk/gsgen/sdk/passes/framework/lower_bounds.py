@@ -19,7 +19,7 @@ _NOT_NEGATIVE = (
     *("Abs", "Exp", "ReduceL1", "ReduceL2", "ReduceSumSquare", "Sigmoid", "Softmax"),
     *("Softplus", "HardSigmoid"),
 )
-_DEEPEST = 40
+_MAX_DEPTH = 40
 
 
 def smallest_normal(dtype: ir.DataType | None) -> float:
@@ -48,7 +48,7 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
     if known is not None:
         return float(known.min()) if known.size and not np.isnan(known).any() else -math.inf
     node = value.producer() if value is not None else None
-    if node is None or depth > _DEEPEST:
+    if node is None or depth > _MAX_DEPTH:
         return -math.inf
 
     def input_bound(index: int) -> float:
@@ -86,8 +86,8 @@ def _squares(node: ir.Node) -> bool:
     """Return whether a node computes squares: x · x, or x to an even power."""
     if is_op(node, "Mul"):
         return node.inputs[0] is node.inputs[1]
-    power = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
-    return power is not None and bool((power % 2 == 0).all() and (power > 0).all())
+    exponent = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
+    return exponent is not None and bool((exponent % 2 == 0).all() and (exponent > 0).all())
 
 
 def _replaces_zero(value: ir.Value) -> bool:
@@ -101,5 +101,5 @@ def _replaces_zero(value: ir.Value) -> bool:
         return False
     if is_op(test, "Equal"):
         return not zero.any() and if_false is test.inputs[0] and is_never_zero(if_true)
-    above = bool((zero >= 0).all())
-    return above and if_true is test.inputs[0] and is_never_zero(if_false)
+    is_not_negative = bool((zero >= 0).all())
+    return is_not_negative and if_true is test.inputs[0] and is_never_zero(if_false)

@@ -33,10 +33,10 @@ def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
 
 def _binary(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
-        first, second = inputs
-        assert first is not None
-        assert second is not None
-        return np.asarray(compute(first, second))
+        first_input, second_input = inputs
+        assert first_input is not None
+        assert second_input is not None
+        return np.asarray(compute(first_input, second_input))
 
     return run
 
@@ -84,34 +84,34 @@ def _axes(node: ir.Node, inputs: Arrays, position: int = 1) -> tuple[int, ...] |
     return None if array is None else tuple(int(axis) for axis in array.reshape(-1))
 
 
-def _first(inputs: Arrays) -> np.ndarray:
+def _first_input(inputs: Arrays) -> np.ndarray:
     assert inputs[0] is not None
     return inputs[0]
 
 
 def _reduce(compute: Callable[..., np.ndarray]) -> "Evaluator":
     def run(node: ir.Node, inputs: Arrays) -> np.ndarray:
-        axes, array = _axes(node, inputs), _first(inputs)
+        axes, array = _axes(node, inputs), _first_input(inputs)
         if not axes and int_attribute(node, "noop_with_empty_axes", 0):
             return array
-        keep = bool(int_attribute(node, "keepdims", 1))
-        reduced = compute(array, axis=axes or None, keepdims=keep)
+        keep_axes = bool(int_attribute(node, "keepdims", 1))
+        reduced = compute(array, axis=axes or None, keepdims=keep_axes)
         return np.asarray(reduced, array.dtype)
 
     return run
 
 
 def _squeeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    return np.squeeze(_first(inputs), _axes(node, inputs))
+    return np.squeeze(_first_input(inputs), _axes(node, inputs))
 
 
 def _unsqueeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
     axes = required(_axes(node, inputs))
-    return np.expand_dims(_first(inputs), axes)
+    return np.expand_dims(_first_input(inputs), axes)
 
 
 def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    array, shape = _first(inputs), required(inputs[1])
+    array, shape = _first_input(inputs), required(inputs[1])
     sizes = [int(size) for size in shape]
     if not int_attribute(node, "allowzero", 0):
         sizes = [size or array.shape[axis] for axis, size in enumerate(sizes)]
@@ -120,11 +120,11 @@ def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 def _gather(node: ir.Node, inputs: Arrays) -> np.ndarray:
     index = required(inputs[1])
-    return np.asarray(np.take(_first(inputs), index, axis=int_attribute(node, "axis", 0)))
+    return np.asarray(np.take(_first_input(inputs), index, axis=int_attribute(node, "axis", 0)))
 
 
 def _slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    array = _first(inputs)
+    array = _first_input(inputs)
     if len(inputs) < 3:
         raise TypeError  # operator set 9 and before: attributes
     assert inputs[1] is not None
@@ -144,7 +144,7 @@ def _slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _cast(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    array, kind = _first(inputs), ir.DataType(node.attributes["to"].as_int())
+    array, kind = _first_input(inputs), ir.DataType(node.attributes["to"].as_int())
     if kind.is_string():
         raise TypeError
     dtype = kind.numpy()
@@ -170,20 +170,20 @@ def _where(_: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
-    array, shape = _first(inputs), required(inputs[1])
+    array, shape = _first_input(inputs), required(inputs[1])
     whole = np.broadcast_shapes(array.shape, tuple(int(size) for size in shape))
     return np.broadcast_to(array, whole)
 
 
 def _transpose(node: ir.Node, inputs: Arrays) -> np.ndarray:
     order = node.attributes.get("perm")
-    return _first(inputs).transpose(None if order is None else list(order.as_ints()))
+    return _first_input(inputs).transpose(None if order is None else list(order.as_ints()))
 
 
 def _constant_of_shape(node: ir.Node, inputs: Arrays) -> np.ndarray:
     value = node.attributes.get("value")
     filler = np.zeros(1, np.float32) if value is None else value.as_tensor().numpy()
-    return np.full([int(size) for size in _first(inputs)], filler.reshape(-1)[0])
+    return np.full([int(size) for size in _first_input(inputs)], filler.reshape(-1)[0])
 
 
 def _range(_: ir.Node, inputs: Arrays) -> np.ndarray:

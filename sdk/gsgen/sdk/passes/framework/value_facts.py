@@ -85,5 +85,5 @@ def split_sizes(node: ir.Node) -> list[int] | None:
     if not isinstance(length, int):
         return None
     part = -(-length // count)
-    last = length - part * (count - 1)
-    return None if last < 0 else [part] * (count - 1) + [last]
+    last_size = length - part * (count - 1)
+    return None if last_size < 0 else [part] * (count - 1) + [last_size]

@@ -48,12 +48,14 @@ class GatherScatters(CautiousNodeRewrite):
         order = np.arange(targets.rows, dtype=np.int64)
         # If several updates have the same index, the last one counts; NumPy assigns in this order.
         order[targets.flat] = targets.rows + np.arange(targets.flat.size)
-        old = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
+        old_rows = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
         # A size of zero would mean the size of the updates' first axis.
-        new = write.op("Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape))
-        both = write.op("Concat", old, new, axis=0)
-        gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
-        write.replace(write.op("Reshape", gathered, write.int64(*required(fixed_shape(data)))))
+        new_rows = write.op(
+            "Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape)
+        )
+        joined_rows = write.op("Concat", old_rows, new_rows, axis=0)
+        gathered_rows = write.op("Gather", joined_rows, write.constant(order, "order"), axis=0)
+        write.replace(write.op("Reshape", gathered_rows, write.int64(*required(fixed_shape(data)))))
 
 
 def scatter_obstacle(node: ir.Node) -> str:

@@ -87,8 +87,8 @@ def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
     """Return the indices that a Slice selects on each axis; None if they are unknown."""
     shape = fixed_shape(node.inputs[0])
     arguments = [constant_of(value) for value in node.inputs[1:]]
-    present = [value for value in node.inputs[1:] if value is not None]
-    if shape is None or len(present) != sum(array is not None for array in arguments):
+    given_inputs = [value for value in node.inputs[1:] if value is not None]
+    if shape is None or len(given_inputs) != sum(array is not None for array in arguments):
         return None
     begins, ends, axes, steps = (*arguments, None, None)[:4]
     if begins is None or ends is None:
@@ -109,11 +109,11 @@ def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
 def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | None, int]:
     """Convert the bounds of an ONNX Slice to those of a Python slice."""
     first = int(begin) + size if begin < 0 else int(begin)
-    last = int(end) + size if end < 0 else int(end)
+    end_index = int(end) + size if end < 0 else int(end)
     if step > 0:
-        return min(max(first, 0), size), min(max(last, 0), size), int(step)
-    first, last = min(max(first, 0), size - 1), min(max(last, -1), size - 1)
-    return first, None if last < 0 else last, int(step)
+        return min(max(first, 0), size), min(max(end_index, 0), size), int(step)
+    first, end_index = min(max(first, 0), size - 1), min(max(end_index, -1), size - 1)
+    return first, None if end_index < 0 else end_index, int(step)
 
 
 def _gather_nd(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
@@ -122,11 +122,11 @@ def _gather_nd(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     shape = required(fixed_shape(x))
     depth = indices.shape[-1]
     indexed_shape, row_shape = shape[:depth], shape[depth:]
-    inside = np.where(indices < 0, indices + np.array(indexed_shape, np.int64), indices)
-    flat = np.zeros(indices.shape[:-1], np.int64)
+    wrapped_indices = np.where(indices < 0, indices + np.array(indexed_shape, np.int64), indices)
+    flat_indices = np.zeros(indices.shape[:-1], np.int64)
     for axis, size in enumerate(indexed_shape):
-        flat = flat * size + inside[..., axis]
+        flat_indices = flat_indices * size + wrapped_indices[..., axis]
     rows = x
     if depth > 1:
         rows = write.op("Reshape", x, write.int64(math.prod(indexed_shape), *row_shape))
-    return write.op("Gather", rows, write.constant(flat, "places"), axis=0)
+    return write.op("Gather", rows, write.constant(flat_indices, "places"), axis=0)

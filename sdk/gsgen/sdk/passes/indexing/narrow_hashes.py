@@ -6,7 +6,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.model.value_ranges import Interval
-from gsgen.sdk.passes.framework.base import ByTables, every_node, is_op
+from gsgen.sdk.passes.framework.base import TableRewrite, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.gather_spans import fits_int32, spans_of
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
@@ -23,14 +23,23 @@ _LARGEST_INT32 = (1 << 31) - 1
 # Bits of both operands that index the table of exclusive ors: 2¹⁴ entries.
 _TABLE_BITS = 7
 # Operators that move the elements of their first input.
-_MOVES = ("Gather", "Slice", "Squeeze", "Unsqueeze", "Reshape", "Transpose", "Expand", "Identity")
+_MOVE_OPERATORS = (
+    "Gather",
+    "Slice",
+    "Squeeze",
+    "Unsqueeze",
+    "Reshape",
+    "Transpose",
+    "Expand",
+    "Identity",
+)
 
 
 class _Unprovable(Exception):
     """Raised if the remainder of a value cannot be computed in int32; the message says why."""
 
 
-class NarrowHashes(ByTables, CautiousRewrite):
+class NarrowHashes(TableRewrite, CautiousRewrite):
     """Compute spatial hashes modulo a power of two in int32, without bit operators.
 
     Instant-NGP indexes a table of 2ᵏ entries by (x · p₁ ⊕ y · p₂ ⊕ z · p₃) mod 2ᵏ. PyTorch ports
@@ -57,7 +66,7 @@ class NarrowHashes(ByTables, CautiousRewrite):
             spans = spans or spans_of(model, self.target.manifest if self.target else None)
             write = InsertionPoint(node)
             try:
-                remainder = _Remainder(write, _modulus_bits(node), spans).of(
+                remainder = _Remainder(write, _modulus_bits(node), spans).remainder_of(
                     required(node.inputs[0])
                 )
             except _Unprovable as reason:
@@ -83,7 +92,7 @@ def _modulus_bits(node: ir.Node) -> int:
 def _has_xor(value: ir.Value | None) -> bool:
     """Return whether a value derives from an XOR through Adds, Casts, Reshapes and the like."""
     node = None if value is None else value.producer()
-    if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
+    if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVE_OPERATORS):
         return False
     return is_op(node, "BitwiseXor") or any(_has_xor(entry) for entry in node.inputs)
 
@@ -93,24 +102,26 @@ class _Remainder:
 
     def __init__(self, write: InsertionPoint, bits: int, spans: dict[str, Interval]) -> None:
         self.write, self.bits, self.spans = write, bits, spans
-        self._known: dict[int, ir.Value] = {}
+        self._remainders: dict[int, ir.Value] = {}
 
-    def of(self, value: ir.Value) -> ir.Value:
+    def remainder_of(self, value: ir.Value) -> ir.Value:
         """Return a graph value modulo 2ᵏ; nodes for the same value are created only once."""
-        if id(value) not in self._known:
-            self._known[id(value)] = self._computed(value)
-        return self._known[id(value)]
+        if id(value) not in self._remainders:
+            self._remainders[id(value)] = self._computed_digits(value)
+        return self._remainders[id(value)]
 
-    def _computed(self, value: ir.Value) -> ir.Value:
+    def _computed_digits(self, value: ir.Value) -> ir.Value:
         known = constant_of(value)
         if known is not None:
             return self._constant(np.mod(known, 1 << self.bits))
         node = value.producer()
         if node is not None and is_op(node, "BitwiseXor"):  # Case 2
-            return self._xor(*(self.of(required(entry)) for entry in node.inputs))
-        if node is not None and is_op(node, *_MOVES):
-            moved = self.of(required(node.inputs[0]))
-            return self.write.op(node.op_type, moved, *node.inputs[1:], **attribute_values(node))
+            return self._xor_digits(*(self.remainder_of(required(entry)) for entry in node.inputs))
+        if node is not None and is_op(node, *_MOVE_OPERATORS):
+            moved_value = self.remainder_of(required(node.inputs[0]))
+            return self.write.op(
+                node.op_type, moved_value, *node.inputs[1:], **attribute_values(node)
+            )
         if node is not None and is_op(node, "Mul", "Add", "Sub"):
             return self._arithmetic(node)
         span = self.spans.get(value.name or "")
@@ -124,7 +135,9 @@ class _Remainder:
         a, b = (required(entry) for entry in node.inputs)
         if is_op(node, "Add", "Sub"):
             low, high = (0, 2 * size) if is_op(node, "Add") else (-size, size)
-            return self._reduced(self.write.op(node.op_type, self.of(a), self.of(b)), low, high)
+            return self._reduced(
+                self.write.op(node.op_type, self.remainder_of(a), self.remainder_of(b)), low, high
+            )
         if constant_of(a) is not None:
             a, b = b, a
         factor = constant_of(b)
@@ -150,10 +163,10 @@ class _Remainder:
         if low >= 0 and high < size:
             return value
         if low < 0:  # a division rounds towards zero, so the value must not be negative
-            shift = -int(low // size) * size
-            if high + shift > _LARGEST_INT32:
+            offset = -int(low // size) * size
+            if high + offset > _LARGEST_INT32:
                 raise _Unprovable(f"values of tensor {value.name} may leave the range of int32")
-            value = self.write.op("Add", value, self._constant(np.array(shift)))
+            value = self.write.op("Add", value, self._constant(np.array(offset)))
         return self._low_bits(value, self.bits)
 
     def _low_bits(self, value: ir.Value, bits: int) -> ir.Value:
@@ -161,11 +174,11 @@ class _Remainder:
         multiple = self.write.op("Mul", self.write.op("Div", value, size), size)
         return self.write.op("Sub", value, multiple)
 
-    def _xor(self, a: ir.Value, b: ir.Value) -> ir.Value:
+    def _xor_digits(self, a: ir.Value, b: ir.Value) -> ir.Value:
         """Return the exclusive or of two values below 2ᵏ, by a look-up for every seven bits."""
-        op, side = self.write.op, 1 << _TABLE_BITS
-        first, second = np.indices((side, side))
-        table = self._constant((first ^ second).reshape(-1))
+        op, table_size = self.write.op, 1 << _TABLE_BITS
+        first_digits, second_digits = np.indices((table_size, table_size))
+        table = self._constant((first_digits ^ second_digits).reshape(-1))
         total: ir.Value | None = None
         for start in range(0, self.bits, _TABLE_BITS):
             scale = self._constant(np.array(1 << start))
@@ -173,10 +186,10 @@ class _Remainder:
                 self._low_bits(op("Div", value, scale) if start else value, _TABLE_BITS)
                 for value in (a, b)
             )
-            index = op("Add", op("Mul", a_digit, self._constant(np.array(side))), b_digit)
+            index = op("Add", op("Mul", a_digit, self._constant(np.array(table_size))), b_digit)
             digit = op("Gather", table, index, axis=0)
-            shifted = op("Mul", digit, scale) if start else digit
-            total = shifted if total is None else op("Add", total, shifted)
+            shifted_digit = op("Mul", digit, scale) if start else digit
+            total = shifted_digit if total is None else op("Add", total, shifted_digit)
         return required(total)
 
     def _cast(self, value: ir.Value) -> ir.Value:

@@ -19,7 +19,7 @@ _REDUCTIONS = {"add": "ReduceSum", "mul": "ReduceProd", "max": "ReduceMax", "min
 # The number that a sum or a product does not change; extremes repeat an element instead.
 _NEUTRAL = {"add": 0, "mul": 1}
 # The table of groups is at most this many times as large as the tensors that it gathers from.
-_PADDING = 16
+_MAX_PADDING = 16
 
 
 class ReduceScatters(CautiousNodeRewrite):
@@ -50,7 +50,7 @@ class ReduceScatters(CautiousNodeRewrite):
             return obstacle
         targets = scatter_targets(node)
         most = int(np.bincount(targets.flat).max(initial=0))
-        if targets.rows * (1 + most) > _PADDING * (targets.rows + targets.flat.size):
+        if targets.rows * (1 + most) > _MAX_PADDING * (targets.rows + targets.flat.size):
             return f"one row has {most} updates, most have far fewer"
         return ""
 
@@ -79,18 +79,20 @@ def _groups(targets: ScatterTargets) -> np.ndarray:
 def _replace(node: ir.Node, targets: ScatterTargets, groups: np.ndarray, reduction: str) -> None:
     write = InsertionPoint(node)
     data, _, updates = node.inputs
-    old = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
+    old_rows = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
     # A size of zero would mean the size of the updates' first axis.
-    new = write.op("Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape))
-    parts, padding = [old, new], groups[:, :1]
+    new_rows = write.op(
+        "Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape)
+    )
+    parts, padding = [old_rows, new_rows], groups[:, :1]
     if reduction in _NEUTRAL:
         padding = np.full_like(groups[:, :1], targets.rows + targets.flat.size)
         shape = (1, *targets.row_shape)
         parts.append(
-            write.constant(np.full(shape, _NEUTRAL[reduction], numpy_dtype(old)), "neutral")
+            write.constant(np.full(shape, _NEUTRAL[reduction], numpy_dtype(old_rows)), "neutral")
         )
-    joined = write.op("Concat", *parts, axis=0)
+    joined_rows = write.op("Concat", *parts, axis=0)
     index = np.where(groups < 0, padding, groups)
-    gathered = write.op("Gather", joined, write.constant(index, "groups"), axis=0)
-    reduced = write.op(_REDUCTIONS[reduction], gathered, write.int64(1), keepdims=0)
+    gathered_rows = write.op("Gather", joined_rows, write.constant(index, "groups"), axis=0)
+    reduced = write.op(_REDUCTIONS[reduction], gathered_rows, write.int64(1), keepdims=0)
     write.replace(write.op("Reshape", reduced, write.int64(*required(fixed_shape(data)))))

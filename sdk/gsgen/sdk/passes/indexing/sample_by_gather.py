@@ -7,7 +7,7 @@ import math
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import ByTables, ErrorBudget, is_op
+from gsgen.sdk.passes.framework.base import ErrorBudget, TableRewrite, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousNodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import (
@@ -24,7 +24,7 @@ _IMAGE_RANK, _VOLUME_RANK = 4, 5
 _FLOAT, _INT = ir.DataType.FLOAT, ir.DataType.INT32
 
 
-class SampleByGather(ByTables, CautiousNodeRewrite):
+class SampleByGather(TableRewrite, CautiousNodeRewrite):
     """Replace a GridSample with linear interpolation by Gathers and arithmetic.
 
     Kernels of GridSample exist for images and operator sets 16 to 19 only; in onnxruntime-web 1.22
@@ -55,14 +55,14 @@ class SampleByGather(ByTables, CautiousNodeRewrite):
 
     def obstacle(self, node: ir.Node) -> str:
         """Return the reason why a GridSample cannot be rewritten as Gathers; empty if it can."""
-        return _obstacle(node)
+        return _find_obstacle(node)
 
     def replace(self, node: ir.Node) -> None:
         """Replace a GridSample by Gathers of the neighbouring pixels, and their weighted sum."""
         _replace(node)
 
 
-def _obstacle(node: ir.Node) -> str:
+def _find_obstacle(node: ir.Node) -> str:
     image, grid = (fixed_shape(value) for value in node.inputs)
     if image is None or grid is None:
         return "the sizes of its inputs are not known"
@@ -96,11 +96,12 @@ def _replace(node: ir.Node) -> None:
     kind = required(image.dtype)
     dtype = kind if kind == ir.DataType.DOUBLE else _FLOAT
     table = _pixel_table(before, image)
-    flat = _convert(before, grid, dtype, [points, len(sizes)])
+    flat_grid = _convert(before, grid, dtype, [points, len(sizes)])
     sampler = _Sampler(before, dtype, node)
     # The first coordinate of the grid belongs to the last axis of the image.
     neighbours = [
-        sampler.neighbours(flat, len(sizes) - 1 - axis, size) for axis, size in enumerate(sizes)
+        sampler.neighbours(flat_grid, len(sizes) - 1 - axis, size)
+        for axis, size in enumerate(sizes)
     ]
     start = None
     if frames > 1:
@@ -127,9 +128,9 @@ def _replace(node: ir.Node) -> None:
         return before.op("Add", *parts)
 
     shape = [frames, *grid_shape[1:-1], channels]
-    mixed = before.op("Reshape", interpolated(0, start), before.int64(*shape))
+    interpolated_samples = before.op("Reshape", interpolated(0, start), before.int64(*shape))
     perm = [0, len(shape) - 1, *range(1, len(shape) - 1)]
-    before.replace(_convert(before, before.op("Transpose", mixed, perm=perm), kind))
+    before.replace(_convert(before, before.op("Transpose", interpolated_samples, perm=perm), kind))
 
 
 class _Sampler:
@@ -174,16 +175,16 @@ class _Sampler:
         """Clamp pixel coordinates to the pixels of an axis; NaN becomes 0."""
         op, zero = self.before.op, self.number(0)
         positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
-        raised = op("Where", positive, value, zero, dtype=self.dtype)
-        small = op("Less", raised, last, dtype=ir.DataType.BOOL)
-        return op("Where", small, raised, last, dtype=self.dtype)
+        not_negative = op("Where", positive, value, zero, dtype=self.dtype)
+        is_small = op("Less", not_negative, last, dtype=ir.DataType.BOOL)
+        return op("Where", is_small, not_negative, last, dtype=self.dtype)
 
     def _mask_outside(self, index: ir.Value, weight: ir.Value, last: ir.Value) -> ir.Value:
         op, zero = self.before.op, self.number(0)
-        above = op("GreaterOrEqual", index, zero, dtype=ir.DataType.BOOL)
-        masked_weight = op("Where", above, weight, zero, dtype=self.dtype)
-        below = op("LessOrEqual", index, last, dtype=ir.DataType.BOOL)
-        return op("Where", below, masked_weight, zero, dtype=self.dtype)
+        is_above = op("GreaterOrEqual", index, zero, dtype=ir.DataType.BOOL)
+        masked_weight = op("Where", is_above, weight, zero, dtype=self.dtype)
+        is_below = op("LessOrEqual", index, last, dtype=ir.DataType.BOOL)
+        return op("Where", is_below, masked_weight, zero, dtype=self.dtype)
 
 
 def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
@@ -192,10 +193,10 @@ def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
     perm = [0, *range(2, 2 + len(sizes)), 1]
     known = constant_of(image, largest=1 << 62)
     if known is not None:
-        turned = np.ascontiguousarray(known.transpose(perm)).reshape(-1, channels)
-        return before.constant(turned, "table")
-    turned_value = before.op("Transpose", image, perm=perm)
-    return before.op("Reshape", turned_value, before.int64(frames * math.prod(sizes), channels))
+        transposed_table = np.ascontiguousarray(known.transpose(perm)).reshape(-1, channels)
+        return before.constant(transposed_table, "table")
+    transposed_image = before.op("Transpose", image, perm=perm)
+    return before.op("Reshape", transposed_image, before.int64(frames * math.prod(sizes), channels))
 
 
 def _convert(

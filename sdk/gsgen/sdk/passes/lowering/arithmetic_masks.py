@@ -11,10 +11,10 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import attribute_values, constant_of, required
 
 _BOOL, _FLOAT = ir.DataType.BOOL, ir.DataType.FLOAT
-_LOGIC = ("And", "Equal", "Or", "Xor")
-_JOINING = ("Concat",)
+_LOGIC_OPERATORS = ("And", "Equal", "Or", "Xor")
+_CONCAT_OPERATORS = ("Concat",)
 # Metadata key of tensors that this pass created and that hold only zeros and ones.
-_MARK = "gsgen.mask"
+_MASK_KEY = "gsgen.mask"
 
 
 class ArithmeticMasks(Substitute):
@@ -52,11 +52,11 @@ class ArithmeticMasks(Substitute):
         """Replace a boolean operator by arithmetic on zeros and ones."""
         write = InsertionPoint(node)
         if _undoes_mask_cast(node):  # Case 3
-            write.replace(_recast(write, node))
+            write.replace(_cast_mask(write, node))
             return
         indices = _computed_inputs(node)
         numbers = {index: _as_number(write, node.inputs[index]) for index in indices}
-        if is_op(node, *_LOGIC):  # Case 1: an operator that computes with truth values
+        if is_op(node, *_LOGIC_OPERATORS):  # Case 1: an operator that computes with truth values
             results = [_logic(write, node.op_type, *numbers.values())]
         else:  # Case 2: an operator that moves elements
             inputs = [numbers.get(index, value) for index, value in enumerate(node.inputs)]
@@ -64,7 +64,7 @@ class ArithmeticMasks(Substitute):
             results = write.ops(node.op_type, len(node.outputs), *inputs, **attributes)
         for old, value in zip(node.outputs, results, strict=True):
             value.type, value.shape = ir.TensorType(_FLOAT), old.shape
-            value.meta[_MARK] = True
+            value.meta[_MASK_KEY] = True
         write.replace(
             *(
                 write.op("Cast", result, dtype=_BOOL, shape=result.shape, to=int(_BOOL))
@@ -75,7 +75,7 @@ class ArithmeticMasks(Substitute):
 
 def _computed_inputs(node: ir.Node) -> range:
     """Return the indices of a node's numeric operands, without shapes, indices and conditions."""
-    if is_op(node, *_LOGIC, *_JOINING):
+    if is_op(node, *_LOGIC_OPERATORS, *_CONCAT_OPERATORS):
         return range(len(node.inputs))
     return range(1, 3) if is_op(node, "Where") else range(1)
 
@@ -83,17 +83,17 @@ def _computed_inputs(node: ir.Node) -> range:
 def _as_number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
     """Return a boolean tensor of the graph as float zeros and ones."""
     assert value is not None
-    maker = value.producer()
-    if is_op(maker, "Cast") and maker is not None:
-        inner = maker.inputs[0]
-        if inner is not None and inner.meta.get(_MARK):
-            return inner
+    source_node = value.producer()
+    if is_op(source_node, "Cast") and source_node is not None:
+        source = source_node.inputs[0]
+        if source is not None and source.meta.get(_MASK_KEY):
+            return source
     known = constant_of(value)
     if known is not None:
         number = write.constant(known.astype(np.float32), "mask")
     else:
         number = write.op("Cast", value, dtype=_FLOAT, shape=value.shape, to=int(_FLOAT))
-    number.meta[_MARK] = True
+    number.meta[_MASK_KEY] = True
     return number
 
 
@@ -112,17 +112,22 @@ def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
 def _undoes_mask_cast(node: ir.Node) -> bool:
     """Return whether a node casts a mask to numbers right after a cast of numbers to booleans."""
     value = node.inputs[0] if is_op(node, "Cast") else None
-    maker = value.producer() if value is not None else None
-    if value is None or maker is None or not is_op(maker, "Cast") or value.dtype != _BOOL:
+    source_node = value.producer() if value is not None else None
+    if (
+        value is None
+        or source_node is None
+        or not is_op(source_node, "Cast")
+        or value.dtype != _BOOL
+    ):
         return False
-    inner = maker.inputs[0]
-    return inner is not None and bool(inner.meta.get(_MARK))
+    source = source_node.inputs[0]
+    return source is not None and bool(source.meta.get(_MASK_KEY))
 
 
-def _recast(write: InsertionPoint, node: ir.Node) -> ir.Value:
-    maker = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
-    inner, kind = required(maker.inputs[0]), required(node.outputs[0].dtype)
-    if kind == inner.dtype:
-        return inner
-    cast = write.op("Cast", inner, dtype=kind, shape=inner.shape, to=int(kind))
+def _cast_mask(write: InsertionPoint, node: ir.Node) -> ir.Value:
+    source_node = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+    source, kind = required(source_node.inputs[0]), required(node.outputs[0].dtype)
+    if kind == source.dtype:
+        return source
+    cast = write.op("Cast", source, dtype=kind, shape=source.shape, to=int(kind))
     return cast

@@ -36,19 +36,19 @@ class MultiplyMatrices(NodeRewrite):
         operands = list(node.inputs)
         for index in vectors:
             axis = 0 if index == 0 else 1  # Case 2: the left vector is a row. Case 1: a column.
-            lifted = _change_axes(
+            operands_2d = _reshape_axes(
                 graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}"
             )
             size = required(required(operands[index]).shape)[0]
-            lifted.outputs[0].shape = ir.Shape([1, size] if index == 0 else [size, 1])
-            graph.insert_before(node, lifted)
-            operands[index] = lifted.outputs[0]
+            operands_2d.outputs[0].shape = ir.Shape([1, size] if index == 0 else [size, 1])
+            graph.insert_before(node, operands_2d)
+            operands[index] = operands_2d.outputs[0]
         product = ir.Node("", "MatMul", operands, name=f"{node.name}_matrices")
         product.outputs[0].type = old.type
         axes = [-2 if index == 0 else -1 for index in vectors]
-        flat = _change_axes(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
-        graph.insert_before(node, [product, flat])
-        product_value = flat.outputs[0]
+        squeezed = _reshape_axes(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
+        graph.insert_before(node, [product, squeezed])
+        product_value = squeezed.outputs[0]
         product_value.type, product_value.shape, name = old.type, old.shape, old.name
         ir.convenience.replace_all_uses_with(old, product_value, replace_graph_outputs=True)
         graph.remove(node, safe=True)
@@ -63,7 +63,7 @@ def _vector_operands(node: ir.Node) -> list[int]:
     return [index for index, shape in enumerate(shapes) if shape is not None and len(shape) == 1]
 
 
-def _change_axes(
+def _reshape_axes(
     graph: ir.Graph, op: str, value: ir.Value | None, axes: list[int], name: str
 ) -> ir.Node:
     """Return a Squeeze or Unsqueeze node, with its axes as a weight of the graph."""

@@ -55,8 +55,8 @@ class PickParts(NodeRewrite):
         parts = []
         for piece, indices in piece_indices:
             shape = fixed_shape(piece)
-            whole = shape is not None and indices == list(range(shape[axis]))
-            parts.append(piece if whole else _gather(write, piece, indices, axis))
+            is_whole = shape is not None and indices == list(range(shape[axis]))
+            parts.append(piece if is_whole else _gather(write, piece, indices, axis))
         result = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=axis)
         write.replace(result)
 
@@ -72,15 +72,15 @@ def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: in
     return write.op("Gather", value, numbers, axis=axis)
 
 
-def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
+def _indices_per_piece(node: ir.Node, concat: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
     """Divide a Gather's indices among a Concat's inputs; None if unknown or in too many pieces."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
-    shapes = [fixed_shape(piece) for piece in join.inputs]
+    shapes = [fixed_shape(piece) for piece in concat.inputs]
     axis = _axis(node)
     if indices is None or any(shape is None for shape in shapes):
         return None
     rank = len(shapes[0] or ())
-    if int_attribute(join, "axis", 0) % rank != axis:
+    if int_attribute(concat, "axis", 0) % rank != axis:
         return None
     ends = np.cumsum([shape[axis] for shape in shapes if shape is not None])
     if ((indices < -ends[-1]) | (indices >= ends[-1])).any():
@@ -88,13 +88,13 @@ def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, lis
     pieces: list[tuple[ir.Value, list[int]]] = []
     for joined_index in np.where(indices < 0, indices + ends[-1], indices):
         piece_number = int(np.searchsorted(ends, joined_index, side="right"))
-        piece = required(join.inputs[piece_number])
+        piece = required(concat.inputs[piece_number])
         piece_index = int(joined_index) - (int(ends[piece_number - 1]) if piece_number else 0)
         if pieces and pieces[-1][0] is piece:
             pieces[-1][1].append(piece_index)
         else:
             pieces.append((piece, [piece_index]))
-    return pieces if pieces and len(pieces) <= len(join.inputs) else None
+    return pieces if pieces and len(pieces) <= len(concat.inputs) else None
 
 
 def _gather_then_transpose(

@@ -46,12 +46,12 @@ class RoundByFloor(NodeRewrite):
 
         nodes: list[ir.Node] = []
         floor = append("Floor", x)
-        part = append("Sub", x, floor)
+        fraction = append("Sub", x, floor)
         pairs = append("Floor", append("Mul", floor, half))
-        odd = append("Sub", floor, append("Add", pairs, pairs))
-        tie = append("Where", append("Equal", part, half), odd, zero)
-        up = append("Where", append("Greater", part, half), unit, tie)
-        result, name = append("Add", floor, up), old.name
+        is_odd = append("Sub", floor, append("Add", pairs, pairs))
+        tie_increment = append("Where", append("Equal", fraction, half), is_odd, zero)
+        rounded_fraction = append("Where", append("Greater", fraction, half), unit, tie_increment)
+        result, name = append("Add", floor, rounded_fraction), old.name
         graph.insert_before(node, nodes)
         ir.convenience.replace_all_uses_with(old, result, replace_graph_outputs=True)
         graph.remove(node, safe=True)

@@ -35,36 +35,36 @@ class SampleByProduct(CautiousRewrite):
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample along a line of fixed points as two matrix products."""
-        varying = _varying(model.graph)
+        varying_values = _varying_values(model.graph)
         for node in list(model.graph.all_nodes()):
             if not is_op(node, "GridSample"):
                 continue
-            line = _line(node, varying)
-            if isinstance(line, str):
-                if line:
-                    self.refuse(node, line)
+            sampled_line = _sampled_line(node, varying_values)
+            if isinstance(sampled_line, str):
+                if sampled_line:
+                    self.refuse(node, sampled_line)
                 continue
             self.note(node)
-            _replace(node, line)
+            _replace(node, sampled_line)
 
 
 @dataclass(frozen=True, slots=True)
-class _Line:
-    fixed: ir.Value  # the constant coordinate of each point, [n, 1]
-    common: ir.Value  # the common coordinate, one number
-    common_is_x: bool  # whether the common coordinate is x
+class _SampledLine:
+    fixed_coordinate: ir.Value  # the constant coordinate of each point, [n, 1]
+    common_coordinate: ir.Value  # the common coordinate, one number
+    is_common_x: bool  # whether the common coordinate is x
 
 
-def _varying(graph: ir.Graph) -> set[ir.Value]:
+def _varying_values(graph: ir.Graph) -> set[ir.Value]:
     """Return the values of a graph that depend on a graph input."""
-    varying = {value for value in graph.inputs if value.name not in graph.initializers}
+    varying_values = {value for value in graph.inputs if value.name not in graph.initializers}
     for node in graph:
-        if varying.intersection(value for value in node.inputs if value is not None):
-            varying.update(node.outputs)
-    return varying
+        if varying_values.intersection(value for value in node.inputs if value is not None):
+            varying_values.update(node.outputs)
+    return varying_values
 
 
-def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
+def _sampled_line(node: ir.Node, varying_values: set[ir.Value]) -> _SampledLine | str:
     """Return the line of points that a GridSample node samples, or why a rewrite is impossible.
 
     The reason is empty if the points do not lie on such a line at all.
@@ -73,7 +73,7 @@ def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
     shapes = fixed_shape(plane), fixed_shape(grid)
     if plane is None or grid is None or shapes[0] is None or shapes[1] is None:
         return "its shapes are not known"
-    if grid not in varying:
+    if grid not in varying_values:
         return ""
     if len(shapes[0]) != 4 or shapes[0][0] != 1 or plane.dtype != _FLOAT or grid.dtype != _FLOAT:
         return ""
@@ -86,56 +86,82 @@ def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
         return f"its mode is {modes['mode']}, expected bilinear"
     if modes.get("padding_mode", "zeros") == "reflection":
         return "its padding is reflection, expected zeros or border"
-    join = _producer_before_reshapes(grid)
-    if join is None or not is_op(join, "Concat") or len(join.inputs) != 2:
+    concat = _producer_before_reshapes(grid)
+    if concat is None or not is_op(concat, "Concat") or len(concat.inputs) != 2:
         return ""
-    x, y = join.inputs
+    x, y = concat.inputs
     count = shapes[1][1] * shapes[1][2]
-    for fixed, varying_coordinate, common_is_x in ((y, x, True), (x, y, False)):
-        common = None if varying_coordinate is None else _common_number(varying_coordinate)
-        if fixed is None or common is None or fixed in varying:
+    for fixed_coordinate, varying_coordinate, is_common_x in ((y, x, True), (x, y, False)):
+        common_coordinate = (
+            None if varying_coordinate is None else _common_scalar(varying_coordinate)
+        )
+        if (
+            fixed_coordinate is None
+            or common_coordinate is None
+            or fixed_coordinate in varying_values
+        ):
             continue
-        if fixed_shape(fixed) != (count, 1) or fixed_shape(varying_coordinate) != (count, 1):
+        if fixed_shape(fixed_coordinate) != (count, 1) or fixed_shape(varying_coordinate) != (
+            count,
+            1,
+        ):
             continue
-        if 4 * count * shapes[0][2 if common_is_x else 3] > _MAX_WEIGHT_BYTES:
+        if 4 * count * shapes[0][2 if is_common_x else 3] > _MAX_WEIGHT_BYTES:
             return f"weights of {count} points would take too much memory"
-        return _Line(fixed, common, common_is_x)
+        return _SampledLine(fixed_coordinate, common_coordinate, is_common_x)
     return ""
 
 
 def _producer_before_reshapes(value: ir.Value | None) -> ir.Node | None:
     """Return the node that computes a graph value, ignoring reshapes."""
-    maker = value.producer() if value is not None else None
-    while maker is not None and is_op(maker, "Reshape", "Unsqueeze", "Squeeze"):
-        maker = maker.inputs[0].producer() if maker.inputs[0] is not None else None
-    return maker
+    source_node = value.producer() if value is not None else None
+    while source_node is not None and is_op(source_node, "Reshape", "Unsqueeze", "Squeeze"):
+        source_node = (
+            source_node.inputs[0].producer() if source_node.inputs[0] is not None else None
+        )
+    return source_node
 
 
-def _common_number(value: ir.Value) -> ir.Value | None:
+def _common_scalar(value: ir.Value) -> ir.Value | None:
     """Return the number that an Expand repeats in all elements; None for other tensors."""
-    maker = _producer_before_reshapes(value)
-    if maker is None or not is_op(maker, "Expand"):
+    source_node = _producer_before_reshapes(value)
+    if source_node is None or not is_op(source_node, "Expand"):
         return None
-    source = maker.inputs[0]
+    source = source_node.inputs[0]
     shape = fixed_shape(source)
     return source if shape is not None and int(np.prod(shape)) == 1 else None
 
 
-def _replace(node: ir.Node, line: _Line) -> None:
+def _replace(node: ir.Node, sampled_line: _SampledLine) -> None:
     write = InsertionPoint(node)
     plane, grid = node.inputs
     shape, points = required(fixed_shape(plane)), required(fixed_shape(grid))
     _, channels, height, width = shape
-    common, fixed = (width, height) if line.common_is_x else (height, width)
+    common_coordinate, fixed_coordinate = (
+        (width, height) if sampled_line.is_common_x else (height, width)
+    )
     # The plane as a matrix: a row for each cell of the common axis.
-    order = [3, 2, 1] if line.common_is_x else [2, 3, 1]
-    turned = write.op("Transpose", plane, perm=[*order, 0])
-    rows = write.op("Reshape", turned, write.int64(common, fixed * channels))
-    mix = _hat_weights(write, node, write.op("Reshape", line.common, write.int64(1, 1)), common)
-    row = write.op("Reshape", write.op("MatMul", mix, rows), write.int64(fixed, channels))
-    samples = write.op("MatMul", _hat_weights(write, node, line.fixed, fixed), row)
-    flat = write.op("Transpose", samples, perm=[1, 0])
-    write.replace(write.op("Reshape", flat, write.int64(1, channels, points[1], points[2])))
+    order = [3, 2, 1] if sampled_line.is_common_x else [2, 3, 1]
+    transposed_plane = write.op("Transpose", plane, perm=[*order, 0])
+    rows = write.op(
+        "Reshape", transposed_plane, write.int64(common_coordinate, fixed_coordinate * channels)
+    )
+    mix = _hat_weights(
+        write,
+        node,
+        write.op("Reshape", sampled_line.common_coordinate, write.int64(1, 1)),
+        common_coordinate,
+    )
+    row = write.op(
+        "Reshape", write.op("MatMul", mix, rows), write.int64(fixed_coordinate, channels)
+    )
+    samples = write.op(
+        "MatMul", _hat_weights(write, node, sampled_line.fixed_coordinate, fixed_coordinate), row
+    )
+    transposed_samples = write.op("Transpose", samples, perm=[1, 0])
+    write.replace(
+        write.op("Reshape", transposed_samples, write.int64(1, channels, points[1], points[2]))
+    )
 
 
 def _hat_weights(write: InsertionPoint, node: ir.Node, coordinate: ir.Value, size: int) -> ir.Value:
@@ -145,10 +171,10 @@ def _hat_weights(write: InsertionPoint, node: ir.Node, coordinate: ir.Value, siz
         return write.constant(np.asarray(value, np.float32), "number")
 
     if int_attribute(node, "align_corners", 0):
-        scale, shift = (size - 1) / 2, (size - 1) / 2
+        scale, offset = (size - 1) / 2, (size - 1) / 2
     else:
-        scale, shift = size / 2, (size - 1) / 2
-    cell = write.op("Add", write.op("Mul", coordinate, number(scale)), number(shift))
+        scale, offset = size / 2, (size - 1) / 2
+    cell = write.op("Add", write.op("Mul", coordinate, number(scale)), number(offset))
     attribute = node.attributes.get("padding_mode")
     if attribute is not None and attribute.as_string() == "border":
         cell = write.op("Clip", cell, number(0), number(size - 1))

@@ -48,13 +48,13 @@ class SelectExtremes(Substitute):
             result = first
             for argument in node.inputs[1:]:
                 assert argument is not None
-                result = _larger_or_smaller(write, node.op_type, result, argument)
+                result = _elementwise_extreme(write, node.op_type, result, argument)
         if result is first:
             result = write.op("Identity", first)
         write.replace(result)
 
 
-def _larger_or_smaller(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
+def _elementwise_extreme(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
     """Return the larger or smaller of two values; NaN if one of them is NaN."""
     for x, bound_value in ((a, b), (b, a)):
         bound = _finite_number(bound_value)
@@ -64,17 +64,17 @@ def _larger_or_smaller(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Valu
             number = write.constant(np.asarray(bound).reshape(()), "bound")
             return write.op("Clip", x, *((number,) if kind == "Max" else (None, number)))
     # Case 2: compare and select
-    selected = _replace_beyond(write, "Less" if kind == "Max" else "Greater", a, b)
+    extreme = _replace_beyond(write, "Less" if kind == "Max" else "Greater", a, b)
     if not (b.dtype is not None and b.dtype.is_floating_point()) or _is_finite(b):
-        return selected
+        return extreme
     is_not_nan = write.op("Equal", b, b, dtype=ir.DataType.BOOL)
-    return write.op("Where", is_not_nan, selected, b, dtype=b.dtype)
+    return write.op("Where", is_not_nan, extreme, b, dtype=b.dtype)
 
 
 def _replace_beyond(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
     """Clamp a graph value at a bound, by replacing the elements beyond the bound."""
-    beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
-    return write.op("Where", beyond, bound, x, dtype=x.dtype)
+    is_beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
+    return write.op("Where", is_beyond, bound, x, dtype=x.dtype)
 
 
 def _finite_number(value: ir.Value) -> np.ndarray | None:

@@ -37,44 +37,46 @@ class UnrollControlFlow(CautiousRewrite):
     name = "unroll-control-flow"
     wanted_by = "targets that capture graphs"
 
-    def __init__(self, turns: int = _MAX_ITERATIONS, nodes: int = _MAX_NODES) -> None:
+    def __init__(self, iterations: int = _MAX_ITERATIONS, nodes: int = _MAX_NODES) -> None:
         super().__init__()
-        self.turns, self.nodes = turns, nodes
+        self.iterations, self.nodes = iterations, nodes
         self.used_names: set[str | None] = set()
 
     def rewrite(self, model: ir.Model) -> None:
         """Unroll control flow, outer nodes first, since this may fix inner iteration counts."""
-        refused: set[ir.Node] = set()
+        refused_nodes: set[ir.Node] = set()
         self.used_names = _used_names(model)
         while True:
-            candidates = (node for node in every_node(model) if is_op(node, *_WRITERS))
-            node = next((candidate for candidate in candidates if candidate not in refused), None)
+            candidates = (node for node in every_node(model) if is_op(node, *_UNROLLERS))
+            node = next(
+                (candidate for candidate in candidates if candidate not in refused_nodes), None
+            )
             if node is None:
                 return
-            plan = _WRITERS[node.op_type](node, self)
+            plan = _UNROLLERS[node.op_type](node, self)
             if self.opset < _AXES_AS_INPUT:
                 plan = f"operator set is {self.opset}, expected {_AXES_AS_INPUT} or later"
             if isinstance(plan, str):
                 self.refuse(node, plan)
-                refused.add(node)
+                refused_nodes.add(node)
                 continue
             self.note(node)
             plan()
 
-    def size_obstacle(self, turns: int, body: ir.Graph) -> str:
+    def size_obstacle(self, iterations: int, body: ir.Graph) -> str:
         """Return why the copies of a loop body would be too large; empty if they are not."""
-        written = turns * sum(1 for _ in body.all_nodes())
-        if turns > self.turns:
-            return f"{turns} iterations, expected {self.turns} at most"
-        if written > self.nodes:
-            return f"{written} nodes would be written, expected {self.nodes} at most"
+        written_nodes = iterations * sum(1 for _ in body.all_nodes())
+        if iterations > self.iterations:
+            return f"{iterations} iterations, expected {self.iterations} at most"
+        if written_nodes > self.nodes:
+            return f"{written_nodes} nodes would be written, expected {self.nodes} at most"
         return ""
 
 
-Plan = str | Callable[[], None]
+UnrollPlan = str | Callable[[], None]
 
 
-def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
+def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that inserts the taken branch of an If node, or why that is impossible."""
     known = _known_array(node.inputs[0])
     if known is None:
@@ -89,59 +91,59 @@ def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
     return write
 
 
-def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
+def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that unrolls a Loop node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
-    turns = _trip_count(node, body)
-    if isinstance(turns, str):
-        return turns
-    carried = len(node.inputs) - 2
-    if turns == 0 and len(node.outputs) > carried:
+    iterations = _trip_count(node, body)
+    if isinstance(iterations, str):
+        return iterations
+    carried_count = len(node.inputs) - 2
+    if iterations == 0 and len(node.outputs) > carried_count:
         return "it never runs, so its collected outputs have no shape"
-    obstacle = rewrite.size_obstacle(turns, body)
+    obstacle = rewrite.size_obstacle(iterations, body)
     if obstacle:
         return obstacle
 
     def write() -> None:
         before = InsertionPoint(node)
         copy = _BodyCopier(before, body, rewrite.used_names)
-        state = [_required(value) for value in node.inputs[2:]]
-        lists: list[list[ir.Value]] = [[] for _ in node.outputs[carried:]]
-        always = before.constant(np.asarray(True), "go_on")
-        for turn in range(turns):
+        state = [_require_value(value) for value in node.inputs[2:]]
+        lists: list[list[ir.Value]] = [[] for _ in node.outputs[carried_count:]]
+        is_always = before.constant(np.asarray(True), "go_on")
+        for turn in range(iterations):
             number = before.constant(np.asarray(turn, np.int64), "turn")
-            _, *results = copy((number, always, *state))
-            state = results[:carried]
-            for collected, value in zip(lists, results[carried:], strict=True):
-                collected.append(value)
-        before.replace(*state, *(_stack(before, collected, 0) for collected in lists))
+            _, *results = copy((number, is_always, *state))
+            state = results[:carried_count]
+            for results_list, value in zip(lists, results[carried_count:], strict=True):
+                results_list.append(value)
+        before.replace(*state, *(_stack(before, results_list, 0) for results_list in lists))
 
     return write
 
 
 def _trip_count(node: ir.Node, body: ir.Graph) -> int | str:
     """Return the number of iterations of a Loop node, or the reason why it is unknown."""
-    trips, first = (_known_array(value) for value in node.inputs[:2])
+    trip_count, first = (_known_array(value) for value in node.inputs[:2])
     if node.inputs[1] is not None and first is None:
         return "its start condition differs between frames"
     if first is not None and not first.reshape(-1)[0]:
         return 0
-    condition = _before_identities(body.outputs[0])
+    condition = _skip_identities(body.outputs[0])
     continues = constant_of(condition)
     if continues is not None and not continues.reshape(-1)[0]:
-        return 1 if trips is None else min(1, max(0, int(trips.reshape(-1)[0])))
+        return 1 if trip_count is None else min(1, max(0, int(trip_count.reshape(-1)[0])))
     if continues is None and condition is not body.inputs[1]:
         return "its end depends on data that differ between frames"
-    if trips is None:
+    if trip_count is None:
         return "its trip count differs between frames"
-    return max(0, int(trips.reshape(-1)[0]))
+    return max(0, int(trip_count.reshape(-1)[0]))
 
 
 def _known_array(value: ir.Value | None) -> np.ndarray | None:
-    return None if value is None else constant_of(_before_identities(value))
+    return None if value is None else constant_of(_skip_identities(value))
 
 
-def _before_identities(value: ir.Value) -> ir.Value:
+def _skip_identities(value: ir.Value) -> ir.Value:
     """Return the graph value before any chain of Identity nodes."""
     maker = value.producer()
     while maker is not None and is_op(maker, "Identity") and maker.inputs[0] is not None:
@@ -150,53 +152,58 @@ def _before_identities(value: ir.Value) -> ir.Value:
     return value
 
 
-def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
+def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that unrolls a Scan node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
-    scanned = node.attributes["num_scan_inputs"].as_int()
-    carried = len(node.inputs) - scanned
+    scanned_count = node.attributes["num_scan_inputs"].as_int()
+    carried_count = len(node.inputs) - scanned_count
     if len(body.inputs) != len(node.inputs):
         return "it is a Scan of operator set 8, which has other inputs"
-    in_axes = _int_list(node, "scan_input_axes", scanned)
-    backwards = _int_list(node, "scan_input_directions", scanned)
-    out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried)
-    prepended = _int_list(node, "scan_output_directions", len(node.outputs) - carried)
+    in_axes = _int_list(node, "scan_input_axes", scanned_count)
+    backward_flags = _int_list(node, "scan_input_directions", scanned_count)
+    out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried_count)
+    prepended = _int_list(node, "scan_output_directions", len(node.outputs) - carried_count)
     sizes = {
-        _axis_size(value, axis) for value, axis in zip(node.inputs[carried:], in_axes, strict=True)
+        _axis_size(value, axis)
+        for value, axis in zip(node.inputs[carried_count:], in_axes, strict=True)
     }
     if len(sizes) != 1 or None in sizes:
         return "the length of its scanned inputs is not known"
-    turns = sizes.pop() or 0
-    if turns == 0:
+    iterations = sizes.pop() or 0
+    if iterations == 0:
         return "it never runs, so its collected outputs have no shape"
-    obstacle = rewrite.size_obstacle(turns, body)
+    obstacle = rewrite.size_obstacle(iterations, body)
     if obstacle:
         return obstacle
 
     def write() -> None:
         before = InsertionPoint(node)
         copy = _BodyCopier(before, body, rewrite.used_names)
-        state = [_required(value) for value in node.inputs[:carried]]
+        state = [_require_value(value) for value in node.inputs[:carried_count]]
         lists: list[list[ir.Value]] = [[] for _ in out_axes]
-        for turn in range(turns):
+        for turn in range(iterations):
             rows = [
                 before.op(
                     "Gather",
                     value,
-                    before.constant(np.asarray(turns - 1 - turn if back else turn, np.int64)),
+                    before.constant(
+                        np.asarray(iterations - 1 - turn if is_backward else turn, np.int64)
+                    ),
                     axis=axis,
                 )
-                for value, axis, back in zip(node.inputs[carried:], in_axes, backwards, strict=True)
+                for value, axis, is_backward in zip(
+                    node.inputs[carried_count:], in_axes, backward_flags, strict=True
+                )
             ]
             results = copy((*state, *rows))
-            state = results[:carried]
-            for collected, value in zip(lists, results[carried:], strict=True):
-                collected.append(value)
-        joined = [
-            _stack(before, collected[::-1] if back else collected, axis)
-            for collected, axis, back in zip(lists, out_axes, prepended, strict=True)
+            state = results[:carried_count]
+            for results_list, value in zip(lists, results[carried_count:], strict=True):
+                results_list.append(value)
+        joined_values = [
+            _stack(before, results_list[::-1] if is_backward else results_list, axis)
+            for results_list, axis, is_backward in zip(lists, out_axes, prepended, strict=True)
         ]
-        before.replace(*state, *joined)
+        before.replace(*state, *joined_values)
 
     return write
 
@@ -213,12 +220,12 @@ def _axis_size(value: ir.Value | None, axis: int) -> int | None:
     return dim if isinstance(dim, int) else None
 
 
-def _required(value: ir.Value | None) -> ir.Value:
+def _require_value(value: ir.Value | None) -> ir.Value:
     assert value is not None, "a loop's state is never left out"
     return value
 
 
-_WRITERS: dict[str, Callable[[ir.Node, UnrollControlFlow], Plan]] = {
+_UNROLLERS: dict[str, Callable[[ir.Node, UnrollControlFlow], UnrollPlan]] = {
     "If": _write_if,
     "Loop": _write_loop,
     "Scan": _write_scan,
@@ -233,18 +240,18 @@ class _BodyCopier:
         self.stem = before.node.name or before.node.outputs[0].name or before.node.op_type
         self.turn = 0
         for value in list(body.initializers.values()):
-            self._lift(value)
+            self._lift_to_outer(value)
 
-    def _lift(self, value: ir.Value) -> None:
+    def _lift_to_outer(self, value: ir.Value) -> None:
         """Move a weight of a loop body to the surrounding graph, so that all copies share it."""
-        outer = ir.Value(
-            name=self._fresh(f"{self.stem}_{value.name}"),
+        outer_value = ir.Value(
+            name=self._new_name(f"{self.stem}_{value.name}"),
             const_value=value.const_value,
             type=value.type,
             shape=value.shape,
         )
-        self.before.graph.register_initializer(outer)
-        ir.convenience.replace_all_uses_with(value, outer, replace_graph_outputs=True)
+        self.before.graph.register_initializer(outer_value)
+        ir.convenience.replace_all_uses_with(value, outer_value, replace_graph_outputs=True)
         del self.body.initializers[value.name or ""]
 
     def __call__(self, inputs: Sequence[ir.Value]) -> list[ir.Value]:
@@ -253,21 +260,21 @@ class _BodyCopier:
         replacements = dict(zip(copy.inputs, inputs, strict=True))
         results = [replacements.get(value, value) for value in copy.outputs]
         for old, new in replacements.items():
-            for user, input_index in list(old.uses()):
-                user.replace_input_with(input_index, new)
+            for user_node, input_index in list(old.uses()):
+                user_node.replace_input_with(input_index, new)
         copy.outputs.clear()
         nodes = list(copy)
         copy.remove(nodes)
         for node in nodes:
-            node.name = self._fresh(f"{self.stem}_{self.turn}_{node.name or node.op_type}")
+            node.name = self._new_name(f"{self.stem}_{self.turn}_{node.name or node.op_type}")
             for result in node.outputs:
                 if result.name:  # an omitted output has no name
-                    result.name = self._fresh(f"{self.stem}_{self.turn}_{result.name}")
+                    result.name = self._new_name(f"{self.stem}_{self.turn}_{result.name}")
         self.before.graph.insert_before(self.before.node, nodes)
         self.turn += 1
         return results
 
-    def _fresh(self, name: str) -> str:
+    def _new_name(self, name: str) -> str:
         while name in self.used_names:
             name += "_"
         self.used_names.add(name)
@@ -279,8 +286,8 @@ def _stack(before: InsertionPoint, values: Sequence[ir.Value], axis: int) -> ir.
     rank = rank_of(values[0])
     if axis < 0 and rank is not None:
         axis += rank + 1
-    raised = [before.op("Unsqueeze", value, before.int64(axis)) for value in values]
-    return raised[0] if len(raised) == 1 else before.op("Concat", *raised, axis=axis)
+    unsqueezed = [before.op("Unsqueeze", value, before.int64(axis)) for value in values]
+    return unsqueezed[0] if len(unsqueezed) == 1 else before.op("Concat", *unsqueezed, axis=axis)
 
 
 def _used_names(model: ir.Model) -> set[str | None]:

@@ -68,11 +68,11 @@ class _Formula:
         ]
         return self.write.op(kind, *values)
 
-    def where(self, test: str, bound: float, then: ir.Value, otherwise: ir.Value) -> ir.Value:
-        """Insert a Where that returns ``then`` if x is beyond a bound, else ``otherwise``."""
+    def where(self, test: str, bound: float, if_true: ir.Value, if_false: ir.Value) -> ir.Value:
+        """Insert a Where that returns ``if_true`` if x is beyond a bound, else ``if_false``."""
         limit = self.number(bound)
-        beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
-        return self.write.op("Where", beyond, then, otherwise, dtype=self.x.dtype)
+        is_beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
+        return self.write.op("Where", is_beyond, if_true, if_false, dtype=self.x.dtype)
 
     def negative_part(self) -> ir.Value:
         """Insert min(x, 0) of an activation's argument x into the graph; return the result."""
@@ -80,8 +80,10 @@ class _Formula:
 
     def negative_exponential(self, scale: float = 1.0) -> ir.Value:
         """Insert e^(x / scale) − 1 where x is negative, else zero, into the graph."""
-        below = self.negative_part() if scale == 1 else self.op("Div", self.negative_part(), scale)
-        return self.op("Sub", self.op("Exp", below), 1.0)
+        scaled_negative = (
+            self.negative_part() if scale == 1 else self.op("Div", self.negative_part(), scale)
+        )
+        return self.op("Sub", self.op("Exp", scaled_negative), 1.0)
 
 
 def _elu(f: _Formula) -> ir.Value:
@@ -103,16 +105,16 @@ def _selu(f: _Formula) -> ir.Value:
 
 
 def _softplus(f: _Formula) -> ir.Value:
-    power = f.op("Exp", f.op("Neg", f.op("Abs", f.x)))
-    return f.op("Add", f.op("Relu", f.x), f.op("Log", f.op("Add", power, 1.0)))
+    exponential = f.op("Exp", f.op("Neg", f.op("Abs", f.x)))
+    return f.op("Add", f.op("Relu", f.x), f.op("Log", f.op("Add", exponential, 1.0)))
 
 
 def _gelu(f: _Formula) -> ir.Value:
     approximation = f.node.attributes.get("approximate")
     if approximation is not None and approximation.as_string() == "tanh":
         cube = f.op("Mul", f.op("Mul", f.x, f.x), f.x)
-        inner = f.op("Add", f.x, f.op("Mul", cube, 0.044715))
-        gate = f.op("Tanh", f.op("Mul", inner, math.sqrt(2 / math.pi)))
+        argument = f.op("Add", f.x, f.op("Mul", cube, 0.044715))
+        gate = f.op("Tanh", f.op("Mul", argument, math.sqrt(2 / math.pi)))
     else:
         gate = f.op("Erf", f.op("Mul", f.x, math.sqrt(0.5)))
     return f.op("Mul", f.op("Mul", f.x, 0.5), f.op("Add", gate, 1.0))
@@ -136,9 +138,9 @@ def _log_softmax(f: _Formula) -> ir.Value:
         if f.opset >= 18
         else f.write.op("ReduceMax", f.x, axes=[axis], keepdims=1)
     )
-    shifted = f.op("Sub", f.x, most)
-    total = f.write.op("ReduceSum", f.op("Exp", shifted), axes, keepdims=1)
-    return f.op("Sub", shifted, f.op("Log", total))
+    shifted_input = f.op("Sub", f.x, most)
+    total = f.write.op("ReduceSum", f.op("Exp", shifted_input), axes, keepdims=1)
+    return f.op("Sub", shifted_input, f.op("Log", total))
 
 
 def _prelu(f: _Formula) -> ir.Value:
@@ -148,8 +150,8 @@ def _prelu(f: _Formula) -> ir.Value:
 
 def _shrink(f: _Formula) -> ir.Value:
     bound, bias = f.attribute("lambd", 0.5), f.attribute("bias", 0.0)
-    upper = f.where("Greater", bound, f.op("Sub", f.x, bias), f.number(0))
-    return f.where("Less", -bound, f.op("Add", f.x, bias), upper)
+    above_bound = f.where("Greater", bound, f.op("Sub", f.x, bias), f.number(0))
+    return f.where("Less", -bound, f.op("Add", f.x, bias), above_bound)
 
 
 def _swish(f: _Formula) -> ir.Value:

@@ -51,23 +51,23 @@ class WriteOutModulo(Substitute):
 
 
 def _integer_remainder(
-    write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value, of_dividend: int
+    write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value, has_dividend_sign: int
 ) -> ir.Value:
     """Return the remainder of integers, with the sign of the divisor or of the dividend."""
     remainder = write.op("Sub", x, write.op("Mul", write.op("Div", x, y), y))
-    if of_dividend:
+    if has_dividend_sign:
         return remainder
     # The remainder is nonzero and its sign differs from that of y exactly if their product is
     # negative. The product might overflow, so the remainder is multiplied by the sign of y only.
     sign_product = write.op(
         "Where",
-        _positive(write, y, zero),
+        _absolute(write, y, zero),
         remainder,
         write.op("Sub", zero, remainder),
         dtype=x.dtype,
     )
-    wrong = write.op("Less", sign_product, zero, dtype=ir.DataType.BOOL)
-    return write.op("Add", remainder, write.op("Where", wrong, y, zero, dtype=x.dtype))
+    has_wrong_sign = write.op("Less", sign_product, zero, dtype=ir.DataType.BOOL)
+    return write.op("Add", remainder, write.op("Where", has_wrong_sign, y, zero, dtype=x.dtype))
 
 
 def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Value:
@@ -75,14 +75,18 @@ def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.V
     size, step = write.op("Abs", x), write.op("Abs", y)
     count = write.op("Floor", write.op("Div", size, step))
     remainder = write.op("Sub", size, write.op("Mul", count, step))
-    few = write.op("Less", remainder, step, dtype=ir.DataType.BOOL)
-    remainder = write.op("Where", few, remainder, write.op("Sub", remainder, step), dtype=x.dtype)
-    many = write.op("Less", remainder, zero, dtype=ir.DataType.BOOL)
-    remainder = write.op("Where", many, write.op("Add", remainder, step), remainder, dtype=x.dtype)
+    is_too_small = write.op("Less", remainder, step, dtype=ir.DataType.BOOL)
+    remainder = write.op(
+        "Where", is_too_small, remainder, write.op("Sub", remainder, step), dtype=x.dtype
+    )
+    is_negative = write.op("Less", remainder, zero, dtype=ir.DataType.BOOL)
+    remainder = write.op(
+        "Where", is_negative, write.op("Add", remainder, step), remainder, dtype=x.dtype
+    )
     return write.op(
-        "Where", _positive(write, x, zero), remainder, write.op("Neg", remainder), dtype=x.dtype
+        "Where", _absolute(write, x, zero), remainder, write.op("Neg", remainder), dtype=x.dtype
     )
 
 
-def _positive(write: InsertionPoint, x: ir.Value, zero: ir.Value) -> ir.Value:
+def _absolute(write: InsertionPoint, x: ir.Value, zero: ir.Value) -> ir.Value:
     return write.op("Greater", x, zero, dtype=ir.DataType.BOOL)

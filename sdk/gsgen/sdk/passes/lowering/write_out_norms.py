@@ -14,9 +14,9 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, rank_of, required
 
 # From this operator set on, the axes of a reduction are an input; before, an attribute.
-_AXES_ARE_INPUT = 18
+_AXES_INPUT_OPSET = 18
 # From this operator set on, GroupNormalization has a scale per channel; before, per group.
-_SCALES_CHANNELS = 21
+_CHANNEL_SCALE_OPSET = 21
 
 
 class WriteOutNorms(Substitute):
@@ -53,10 +53,10 @@ class WriteOutNorms(Substitute):
         """Replace a normalisation operator by means, products and roots."""
         write = InsertionPoint(node)
         x = required(node.inputs[0])
-        _WRITERS[node.op_type](_Norm(write, node, x, self.opset))
+        _NORM_WRITERS[node.op_type](_NormWriter(write, node, x, self.opset))
 
 
-class _Norm:
+class _NormWriter:
     """Inserts the operators of a normalisation's formula into the graph."""
 
     def __init__(self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int) -> None:
@@ -90,14 +90,14 @@ class _Norm:
 
     def reduced(self, kind: str, value: ir.Value, axes: list[int]) -> ir.Value:
         """Insert a reduction of a graph value along axes, which keep size one."""
-        if self.opset >= _AXES_ARE_INPUT or (kind == "ReduceSum" and self.opset >= 13):
+        if self.opset >= _AXES_INPUT_OPSET or (kind == "ReduceSum" and self.opset >= 13):
             return self.write.op(kind, value, self.write.int64(*axes), keepdims=1)
         return self.write.op(kind, value, axes=axes, keepdims=1)
 
     def inverse_deviation(self, centred: ir.Value, axes: list[int], epsilon: float) -> ir.Value:
         variance = self.reduced("ReduceMean", self.op("Mul", centred, centred), axes)
-        guarded = self.op("Add", variance, self.number(epsilon))
-        return self.op("Reciprocal", self.op("Sqrt", guarded))
+        guarded_value = self.op("Add", variance, self.number(epsilon))
+        return self.op("Reciprocal", self.op("Sqrt", guarded_value))
 
     def scaled(self, value: ir.Value, scale: ir.Value | None, bias: ir.Value | None) -> ir.Value:
         value = value if scale is None else self.op("Mul", value, scale)
@@ -121,7 +121,7 @@ class _Norm:
         return self.write.op("Unsqueeze", value, axes=axes)
 
 
-def _layer(norm: _Norm) -> None:
+def _layer_norm(norm: _NormWriter) -> None:
     first = int_attribute(norm.node, "axis", -1) % norm.rank
     axes = list(range(first, norm.rank))
     mean = norm.reduced("ReduceMean", norm.x, axes)
@@ -131,14 +131,14 @@ def _layer(norm: _Norm) -> None:
     norm.finish(norm.scaled(normalised, norm.argument(1), norm.argument(2)), mean, inverse)
 
 
-def _root_mean_square(norm: _Norm) -> None:
+def _root_mean_square(norm: _NormWriter) -> None:
     first = int_attribute(norm.node, "axis", -1) % norm.rank
     axes = list(range(first, norm.rank))
     inverse = norm.inverse_deviation(norm.x, axes, norm.attribute("epsilon", 1e-5))
     norm.finish(norm.scaled(norm.op("Mul", norm.x, inverse), norm.argument(1), None))
 
 
-def _instance(norm: _Norm) -> None:
+def _instance(norm: _NormWriter) -> None:
     axes = list(range(2, norm.rank))
     centred = norm.op("Sub", norm.x, norm.reduced("ReduceMean", norm.x, axes))
     inverse = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
@@ -146,7 +146,7 @@ def _instance(norm: _Norm) -> None:
     norm.finish(norm.scaled(norm.op("Mul", centred, inverse), scale, bias))
 
 
-def _group(norm: _Norm) -> None:
+def _group_norm(norm: _NormWriter) -> None:
     groups = norm.node.attributes["num_groups"].as_int()
     sizes = fixed_shape(norm.x)
     size = norm.op("Shape", norm.x) if sizes is None else norm.write.int64(*sizes)
@@ -157,7 +157,7 @@ def _group(norm: _Norm) -> None:
     inverse = norm.inverse_deviation(centred, [2], norm.attribute("epsilon", 1e-5))
     normalised = norm.op("Mul", centred, inverse)
     scale, bias = norm.argument(1), norm.argument(2)
-    if norm.opset < _SCALES_CHANNELS:  # one number per group
+    if norm.opset < _CHANNEL_SCALE_OPSET:  # one number per group
         scale, bias = (
             None
             if parameter is None
@@ -170,7 +170,7 @@ def _group(norm: _Norm) -> None:
     norm.finish(norm.scaled(flat, norm.per_channel(scale), norm.per_channel(bias)))
 
 
-def _lp(norm: _Norm) -> None:
+def _lp_norm(norm: _NormWriter) -> None:
     """Replace LpNormalization by its formula; a vector of length zero stays zero."""
     axis = int_attribute(norm.node, "axis", -1)
     if int_attribute(norm.node, "p", 2) == 1:
@@ -179,24 +179,24 @@ def _lp(norm: _Norm) -> None:
         squares = norm.op("Mul", norm.x, norm.x)
         length = norm.op("Sqrt", norm.reduced("ReduceSum", squares, [axis]))
     is_zero = norm.write.op("Equal", length, norm.number(0), dtype=ir.DataType.BOOL)
-    safe = norm.write.op("Where", is_zero, norm.number(math.inf), length, dtype=length.dtype)
-    norm.finish(norm.op("Div", norm.x, safe))
+    safe_length = norm.write.op("Where", is_zero, norm.number(math.inf), length, dtype=length.dtype)
+    norm.finish(norm.op("Div", norm.x, safe_length))
 
 
-def _mean_variance(norm: _Norm) -> None:
+def _mean_variance(norm: _NormWriter) -> None:
     attribute = norm.node.attributes.get("axes")
     axes = list(attribute.as_ints()) if attribute is not None else [0, 2, 3]
     centred = norm.op("Sub", norm.x, norm.reduced("ReduceMean", norm.x, axes))
     variance = norm.reduced("ReduceMean", norm.op("Mul", centred, centred), axes)
-    guarded = norm.op("Add", norm.op("Sqrt", variance), norm.number(1e-9))
-    norm.finish(norm.op("Div", centred, guarded))
+    guarded_value = norm.op("Add", norm.op("Sqrt", variance), norm.number(1e-9))
+    norm.finish(norm.op("Div", centred, guarded_value))
 
 
-_WRITERS: dict[str, Callable[[_Norm], None]] = {
-    "GroupNormalization": _group,
+_NORM_WRITERS: dict[str, Callable[[_NormWriter], None]] = {
+    "GroupNormalization": _group_norm,
     "InstanceNormalization": _instance,
-    "LayerNormalization": _layer,
-    "LpNormalization": _lp,
+    "LayerNormalization": _layer_norm,
+    "LpNormalization": _lp_norm,
     "MeanVarianceNormalization": _mean_variance,
     "RMSNormalization": _root_mean_square,
 }

@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute, required
 
 # From these operator sets on, the axes are an input; before, an attribute.
-_SUM_TAKES_AXES, _ALL_TAKE_AXES = 13, 18
+_SUM_AXES_OPSET, _ALL_AXES_OPSET = 13, 18
 
 
 class WriteOutReductions(Substitute):
@@ -34,10 +34,10 @@ class WriteOutReductions(Substitute):
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether a node reduces floats over at least one axis."""
         value = node.inputs[0]
-        idle = int_attribute(node, "noop_with_empty_axes", 0)
+        is_noop = int_attribute(node, "noop_with_empty_axes", 0)
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
         floats = value is not None and value.dtype is not None and value.dtype.is_floating_point()
-        return floats and (not idle or (axes is not None and axes.size > 0))
+        return floats and (not is_noop or (axes is not None and axes.size > 0))
 
     def replace(self, node: ir.Node) -> None:
         """Replace a composite reduction by its formula with ReduceSum or ReduceMax."""
@@ -68,10 +68,10 @@ def _log_sum_exp(write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.V
         finite = write.op("Less", write.op("Abs", largest), infinity, dtype=ir.DataType.BOOL)
         return write.op("Where", finite, largest, zero, dtype=x.dtype)
 
-    largest_kept = finite_or_zero(reduced("ReduceMax", x, keep=1))
-    powers = write.op("Exp", write.op("Sub", x, largest_kept))
-    shift = finite_or_zero(reduced("ReduceMax", x))
-    return write.op("Add", write.op("Log", reduced("ReduceSum", powers)), shift)
+    largest_keepdims = finite_or_zero(reduced("ReduceMax", x, keep_axes=1))
+    exponentials = write.op("Exp", write.op("Sub", x, largest_keepdims))
+    reduced_maximum = finite_or_zero(reduced("ReduceMax", x))
+    return write.op("Add", write.op("Log", reduced("ReduceSum", exponentials)), reduced_maximum)
 
 
 def _reduced(
@@ -80,16 +80,18 @@ def _reduced(
     opset: int,
     kind: str,
     value: ir.Value,
-    keep: int | None = None,
+    keep_axes: int | None = None,
 ) -> ir.Value:
     """Insert a reduction along the axes of a node, in the form that the operator set requires."""
-    keep = int_attribute(node, "keepdims", 1) if keep is None else keep
+    keep_axes = int_attribute(node, "keepdims", 1) if keep_axes is None else keep_axes
     attribute = node.attributes.get("axes")
     axes = None if attribute is None else list(attribute.as_ints())
     axes_input = node.inputs[1] if len(node.inputs) > 1 else None
-    if opset >= (_SUM_TAKES_AXES if kind == "ReduceSum" else _ALL_TAKE_AXES):
+    if opset >= (_SUM_AXES_OPSET if kind == "ReduceSum" else _ALL_AXES_OPSET):
         argument = write.int64(*axes) if axes is not None else axes_input
-        return write.op(kind, value, *([argument] if argument is not None else []), keepdims=keep)
+        return write.op(
+            kind, value, *([argument] if argument is not None else []), keepdims=keep_axes
+        )
     if axes is None:
-        return write.op(kind, value, keepdims=keep)
-    return write.op(kind, value, keepdims=keep, axes=axes)
+        return write.op(kind, value, keepdims=keep_axes)
+    return write.op(kind, value, keepdims=keep_axes, axes=axes)

@@ -48,8 +48,8 @@ class WriteOutSigns(Substitute):
         def compare(comparison: str, a: ir.Value, b: ir.Value) -> ir.Value:
             return write.op(comparison, a, b, dtype=ir.DataType.BOOL)
 
-        def where(condition: ir.Value, then: ir.Value, otherwise: ir.Value) -> ir.Value:
-            return write.op("Where", condition, then, otherwise, dtype=x.dtype)
+        def where(condition: ir.Value, if_true: ir.Value, if_false: ir.Value) -> ir.Value:
+            return write.op("Where", condition, if_true, if_false, dtype=x.dtype)
 
         zero = number(0)
         match node.op_type:
@@ -65,8 +65,8 @@ class WriteOutSigns(Substitute):
                 result = _is_infinite(write, node, x)
             case _:
                 # Numbers neither above nor below zero are zero or NaN, and stay so.
-                below = where(compare("Less", x, zero), _minus_one(write, kind, zero), x)
-                result = where(compare("Greater", x, zero), number(1), below)
+                negative_sign = where(compare("Less", x, zero), _minus_one(write, kind, zero), x)
+                result = where(compare("Greater", x, zero), number(1), negative_sign)
         write.replace(result)
 
 
@@ -80,11 +80,13 @@ def _is_infinite(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     assert x.dtype is not None
     kind = x.dtype.numpy()
     end = write.constant(np.asarray(np.inf, kind), "number")
-    up, down = (int_attribute(node, f"detect_{sign}", 1) for sign in ("positive", "negative"))
-    if up and down:
+    detects_positive, detects_negative = (
+        int_attribute(node, f"detect_{sign}", 1) for sign in ("positive", "negative")
+    )
+    if detects_positive and detects_negative:
         x = write.op("Abs", x)
-    elif down:
+    elif detects_negative:
         x = write.op("Neg", x)
-    elif not up:  # no sign is selected, so no number may compare as equal
+    elif not detects_positive:  # no sign is selected, so no number may compare as equal
         end = write.constant(np.asarray(np.nan, kind), "number")
     return write.op("Equal", x, end, dtype=ir.DataType.BOOL)

@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import NodeRewrite, WithinLimit, is_op
+from gsgen.sdk.passes.framework.base import LimitRewrite, NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 
-class ChunkConcat(WithinLimit, NodeRewrite):
+class ChunkConcat(LimitRewrite, NodeRewrite):
     """Replace a Concat of more than seven inputs by a tree of smaller Concats.
 
     WebGPU guarantees eight storage buffers per shader stage. A Concat binds one for each input and
@@ -38,9 +38,9 @@ class ChunkConcat(WithinLimit, NodeRewrite):
                 write.op("Concat", *group, axis=axis) if len(group) > 1 else group[0]
                 for group in _groups(parts, self.limit)
             ]
-        (whole,) = parts
-        assert whole is not None
-        write.replace(whole)
+        (single_part,) = parts
+        assert single_part is not None
+        write.replace(single_part)
 
 
 def _groups(parts: Sequence[ir.Value | None], limit: int) -> list[Sequence[ir.Value | None]]:

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import WithinLimit, is_op
+from gsgen.sdk.passes.framework.base import LimitRewrite, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import split_sizes
@@ -15,7 +15,7 @@ from gsgen.sdk.passes.framework.value_facts import split_sizes
 _SIZES_ARE_INPUT = 13
 
 
-class ChunkSplit(WithinLimit, CautiousRewrite):
+class ChunkSplit(LimitRewrite, CautiousRewrite):
     """Replace a Split with more than seven outputs by a tree of smaller Splits.
 
     A Split binds one storage buffer for its input and one for each output, and WebGPU guarantees
@@ -44,13 +44,17 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         write = InsertionPoint(node)
         axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
         parts = [(node.inputs[0], sizes)]
-        while any(len(inner) > 1 for _, inner in parts):
+        while any(len(part_sizes) > 1 for _, part_sizes in parts):
             split_parts: list[tuple[ir.Value | None, list[int]]] = []
-            for value, inner in parts:
-                groups = self._groups(inner)
-                outer = [sum(group) for group in groups]
-                cut = self._cut(write, value, outer, axis) if len(groups) > 1 else [value]
-                split_parts += zip(cut, groups, strict=True)
+            for value, part_sizes in parts:
+                groups = self._groups(part_sizes)
+                group_sizes = [sum(group) for group in groups]
+                split_values = (
+                    self._split_once(write, value, group_sizes, axis)
+                    if len(groups) > 1
+                    else [value]
+                )
+                split_parts += zip(split_values, groups, strict=True)
             parts = split_parts
         write.replace(*(value for value, _ in parts if value is not None))
 
@@ -60,7 +64,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         ends = [len(sizes) * k // count for k in range(count + 1)]
         return [sizes[a:b] for a, b in pairwise(ends)]
 
-    def _cut(
+    def _split_once(
         self, write: InsertionPoint, value: ir.Value | None, sizes: list[int], axis: int
     ) -> list[ir.Value]:
         if self.opset >= _SIZES_ARE_INPUT:

@@ -34,8 +34,12 @@ class ClipBeforeCast(NodeRewrite):
         """Return whether a node clips floats that were cast to integers, with constant bounds."""
         if not is_op(node, "Clip", "Max", "Min") or self.opset < 12 or node.inputs[0] is None:
             return False
-        inner = node.inputs[0].producer()
-        x = inner.inputs[0] if inner is not None and is_op(inner, "Cast") else None
+        source_node = node.inputs[0].producer()
+        x = (
+            source_node.inputs[0]
+            if source_node is not None and is_op(source_node, "Cast")
+            else None
+        )
         if x is None or x.dtype not in _EXACT_INTEGERS or node.inputs[0].dtype not in _INTEGERS:
             return False
         bounds = _bounds(node)
@@ -45,8 +49,8 @@ class ClipBeforeCast(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Clip the float input of a Cast to integers, and cast the result."""
-        inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
-        x = required(inner.inputs[0])
+        source_node = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+        x = required(source_node.inputs[0])
         kind = required(node.outputs[0].dtype)
         bounds = required(_bounds(node))
         assert x.dtype is not None

@@ -34,20 +34,22 @@ class EndOutputsOnCompute(Rewrite):
                 continue  # input and output share a name, which a new output could not have
             producer = value.producer()
             # Case 1: a copy, or a second output of the same value. Case 2: a weight.
-            if producer is None or _copies(producer) or value in visited:
+            if producer is None or _only_copies(producer) or value in visited:
                 self.note(value)
                 _end_on_mul(model.graph, index, value)
             visited.add(value)
 
 
-def _copies(node: ir.Node) -> bool:
+def _only_copies(node: ir.Node) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
-    idle = node.attributes.get_int("noop_with_empty_axes", 0) == 1
+    is_noop = node.attributes.get_int("noop_with_empty_axes", 0) == 1
     has_axes = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
     axes = node.inputs[1] if len(node.inputs) > 1 else None
-    empty = axes is None or (axes.shape is not None and 0 in axes.shape.dims)
-    return is_copy(node.op_type, len(node.inputs), keeps_all_axes=idle and empty and not has_axes)
+    is_empty = axes is None or (axes.shape is not None and 0 in axes.shape.dims)
+    return is_copy(
+        node.op_type, len(node.inputs), keeps_all_axes=is_noop and is_empty and not has_axes
+    )
 
 
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:

@@ -18,11 +18,11 @@ from gsgen.sdk.passes.lowering.write_out_norms import WriteOutNorms
 
 # The operators of later sets have not been compared with their earlier versions.
 _NEWEST_KNOWN_OPSET = 26
-_SPLIT_COUNTS = 18
+_SPLIT_COUNT_OPSET = 18
 # From this set on these work along one axis; before, along all axes from that axis on.
-_ALONG_ONE_AXIS = 13
-_FLATTENED = ("Hardmax", "LogSoftmax", "Softmax")
-_EIGHT_BITS = ("FLOAT8", "FLOAT4", "INT4", "UINT4", "INT2", "UINT2")
+_ONE_AXIS_OPSET = 13
+_FLATTENING_OPERATORS = ("Hardmax", "LogSoftmax", "Softmax")
+_SMALL_DTYPES = ("FLOAT8", "FLOAT4", "INT4", "UINT4", "INT2", "UINT2")
 # Attributes added later, each with a test for the value that means the earlier behaviour.
 _NEW_ATTRIBUTES: dict[str, Callable[[ir.Attr], bool]] = {
     "block_size": lambda attribute: attribute.as_int() == 0,
@@ -38,7 +38,7 @@ _NEW_VALUES = {
     ("Pad", "mode"): "wrap",
     ("Resize", "coordinate_transformation_mode"): "half_pixel_symmetric",
 }
-_RENAMED = {"linear": "bilinear", "cubic": "bicubic"}
+_OLD_MODE_NAMES = {"linear": "bilinear", "cubic": "bicubic"}
 _REDUCTIONS = (
     "ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax", "ReduceMean",
     "ReduceMin", "ReduceProd", "ReduceSumSquare",
@@ -81,7 +81,7 @@ class LowerOpset(CautiousRewrite):
         if self.opset > self.target_opset and self._can_be_lowered(model):
             for node in list(model.graph.all_nodes()):
                 if node.domain in MAIN_DOMAIN:
-                    self._lower(node)
+                    self._lower_node(node)
             for domain in MAIN_DOMAIN:
                 if domain in model.opset_imports:
                     model.opset_imports[domain] = self.target_opset
@@ -102,56 +102,64 @@ class LowerOpset(CautiousRewrite):
         """Return why a node has no equivalent in the lower operator set; empty if one exists."""
         if self.opset > _NEWEST_KNOWN_OPSET:
             return f"operator set is {self.opset}, expected {_NEWEST_KNOWN_OPSET} or earlier"
-        new, old = (_schema(node.op_type, opset) for opset in (self.opset, self.target_opset))
-        if new is None or (old is not None and new.since_version == old.since_version):
+        new_schema, old_schema = (
+            _schema(node.op_type, opset) for opset in (self.opset, self.target_opset)
+        )
+        if new_schema is None or (
+            old_schema is not None and new_schema.since_version == old_schema.since_version
+        ):
             return ""
-        if self._is_written_out(node, old):
+        if self._is_written_out(node, old_schema):
             return "" if self._writer(node).can_replace(node) else "its dtype or rank is not known"
-        if old is None:
+        if old_schema is None:
             return f"operator set {self.target_opset} has no {node.op_type}"
         if is_op(node, "GridSample") and rank_of(node.inputs[0]) != 4:
             return "GridSample took four axes before operator set 20"
-        if is_op(node, *_FLATTENED) and old.since_version < _ALONG_ONE_AXIS:
-            return f"{node.op_type} flattened before operator set {_ALONG_ONE_AXIS}"
+        if is_op(node, *_FLATTENING_OPERATORS) and old_schema.since_version < _ONE_AXIS_OPSET:
+            return f"{node.op_type} flattened before operator set {_ONE_AXIS_OPSET}"
         if is_op(node, "AveragePool") and "ceil_mode" in node.attributes:
             return "AveragePool counted padded cells differently before operator set 19"
         return (
-            _argument_obstacle(node, old)
-            or _attribute_obstacle(node, old)
-            or _dtype_obstacle(node, old)
+            _argument_obstacle(node, old_schema)
+            or _attribute_obstacle(node, old_schema)
+            or _dtype_obstacle(node, old_schema)
         )
 
-    def _is_written_out(self, node: ir.Node, old: onnx.defs.OpSchema | None) -> bool:
+    def _is_written_out(self, node: ir.Node, old_schema: onnx.defs.OpSchema | None) -> bool:
         kinds = WriteOutNorms.kinds | WriteOutActivations.kinds
         # GroupNormalization had a scale per group before operator set 21.
-        return node.op_type in kinds and (old is None or is_op(node, "GroupNormalization"))
+        return node.op_type in kinds and (old_schema is None or is_op(node, "GroupNormalization"))
 
     def _writer(self, node: ir.Node) -> WriteOutNorms | WriteOutActivations:
         rewrite = WriteOutNorms() if node.op_type in WriteOutNorms.kinds else WriteOutActivations()
         rewrite.opset = self.opset
         return rewrite
 
-    def _lower(self, node: ir.Node) -> None:
-        new, old = (_schema(node.op_type, opset) for opset in (self.opset, self.target_opset))
-        if new is None or (old is not None and new.since_version == old.since_version):
+    def _lower_node(self, node: ir.Node) -> None:
+        new_schema, old_schema = (
+            _schema(node.op_type, opset) for opset in (self.opset, self.target_opset)
+        )
+        if new_schema is None or (
+            old_schema is not None and new_schema.since_version == old_schema.since_version
+        ):
             return
         self.note(node)
-        if self._is_written_out(node, old):  # Case 3
+        if self._is_written_out(node, old_schema):  # Case 3
             self._writer(node).replace(node)
             return
-        assert old is not None
+        assert old_schema is not None
         if is_op(node, "GridSample") and "mode" in node.attributes:  # Case 2
             mode = node.attributes["mode"].as_string()
-            node.attributes["mode"] = ir.AttrString("mode", _RENAMED.get(mode, mode))
+            node.attributes["mode"] = ir.AttrString("mode", _OLD_MODE_NAMES.get(mode, mode))
         if is_op(node, *_REDUCTIONS) and self.target_opset < 18:
             _axes_as_attribute(node)
-        if is_op(node, "Split") and self.target_opset < _SPLIT_COUNTS and len(node.inputs) < 2:
+        if is_op(node, "Split") and self.target_opset < _SPLIT_COUNT_OPSET and len(node.inputs) < 2:
             sizes = split_sizes(node) or []
             node.resize_inputs(2)
             node.replace_input_with(1, InsertionPoint(node).int64(*sizes))
             node.attributes.pop("num_outputs", None)
         for name in list(node.attributes):
-            if name not in old.attributes:
+            if name not in old_schema.attributes:
                 del node.attributes[name]
 
 
@@ -169,7 +177,7 @@ def _axes_as_attribute(node: ir.Node) -> None:
     node.resize_inputs(1)
 
 
-def _argument_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
+def _argument_obstacle(node: ir.Node, old_schema: onnx.defs.OpSchema) -> str:
     """Return why an operator's older version does not accept a node's inputs; empty if it does."""
     if is_op(node, *_REDUCTIONS) and len(node.inputs) == 2:
         known = node.inputs[1] is None or constant_of(node.inputs[1]) is not None
@@ -178,32 +186,37 @@ def _argument_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
         return "" if split_sizes(node) is not None else "the sizes of its outputs are not known"
     count = len([value for value in node.inputs if value is not None])
     return (
-        f"it has {count} inputs, expected {old.max_input} at most" if count > old.max_input else ""
+        f"it has {count} inputs, expected {old_schema.max_input} at most"
+        if count > old_schema.max_input
+        else ""
     )
 
 
-def _attribute_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
+def _attribute_obstacle(node: ir.Node, old_schema: onnx.defs.OpSchema) -> str:
     """Return the first attribute that an operator's older version lacks, or an empty text."""
     for name, attribute in node.attributes.items():
-        idle = _NEW_ATTRIBUTES.get(name)
-        fresh = name not in old.attributes and name not in ("axes", "num_outputs")
-        if fresh and (idle is None or not idle(attribute)):
+        has_no_effect = _NEW_ATTRIBUTES.get(name)
+        is_new = name not in old_schema.attributes and name not in ("axes", "num_outputs")
+        if is_new and (has_no_effect is None or not has_no_effect(attribute)):
             return f"it had no attribute {name!r}"
-        banned = _NEW_VALUES.get((node.op_type, name))
-        if banned is not None and attribute.as_string() == banned:
-            return f"its {name} could not be {banned!r}"
+        new_value = _NEW_VALUES.get((node.op_type, name))
+        if new_value is not None and attribute.as_string() == new_value:
+            return f"its {name} could not be {new_value!r}"
     return ""
 
 
-def _dtype_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
+def _dtype_obstacle(node: ir.Node, old_schema: onnx.defs.OpSchema) -> str:
     """Return the first dtype that an operator's older version did not allow, or an empty text."""
-    for formal, values in ((old.inputs, node.inputs), (old.outputs, node.outputs)):
+    for formal_parameters, values in (
+        (old_schema.inputs, node.inputs),
+        (old_schema.outputs, node.outputs),
+    ):
         for index, value in enumerate(values):
-            if value is None or value.dtype is None or not formal:
+            if value is None or value.dtype is None or not formal_parameters:
                 continue
-            if value.dtype.name.startswith(_EIGHT_BITS):
+            if value.dtype.name.startswith(_SMALL_DTYPES):
                 return f"it did not take {value.dtype.name}"
-            allowed = formal[min(index, len(formal) - 1)].types
+            allowed = formal_parameters[min(index, len(formal_parameters) - 1)].types
             if str(value.type) and allowed and _type_name(value) not in allowed:
                 return f"it did not take {_type_name(value)}"
     return ""

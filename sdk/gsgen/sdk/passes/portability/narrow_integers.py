@@ -7,7 +7,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.model.value_ranges import Interval
-from gsgen.sdk.passes.framework.base import ByTables, is_op
+from gsgen.sdk.passes.framework.base import TableRewrite, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.gather_spans import fits_int32, spans_of
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
@@ -26,12 +26,12 @@ _COMPUTED_INPUTS: dict[str, tuple[int, ...] | None] = {
     "Where": (1, 2),
     "Cast": (0,),
 }
-_INDEXED = ("Gather", "GatherElements", "ScatterElements")
+_INDEXED_OPERATORS = ("Gather", "GatherElements", "ScatterElements")
 # float32 represents every integer up to this number.
 _EXACT_FLOAT = 1 << 24
 
 
-class NarrowIntegers(ByTables, CautiousRewrite):
+class NarrowIntegers(TableRewrite, CautiousRewrite):
     """Compute int64 values in int32 if they provably fit.
 
     WebGPU has no 64-bit integers. Few releases truncate them to 32 bits; in onnxruntime-web 1.22
@@ -64,7 +64,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         """Return whether a node computes in int64 where the target does not capture int64."""
         if not is_op(node, *_COMPUTED_INPUTS):
             return False
-        values = [*_computed(node), *node.outputs]
+        values = [*_computed_inputs(node), *node.outputs]
         if not any(value is not None and value.dtype == _INT64 for value in values):
             return False
         if self.target is None:
@@ -76,7 +76,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         return self.target.lacks_kernel(node, self.opset, variant) and not _is_integer_cast(node)
 
     def _narrow(self, node: ir.Node, spans: dict[str, Interval]) -> None:
-        values = [value for value in (*_computed(node), *node.outputs) if value is not None]
+        values = [value for value in (*_computed_inputs(node), *node.outputs) if value is not None]
         for value in values:
             if value.dtype == _INT64 and not fits_int32(spans.get(value.name or "")):
                 self.refuse(node, f"{value.name} may leave the range of int32")
@@ -85,7 +85,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         write = InsertionPoint(node)
         indices = _COMPUTED_INPUTS[node.op_type]
         inputs = [
-            _narrowed(write, value) if indices is None or index in indices else value
+            _cast_to_int32(write, value) if indices is None or index in indices else value
             for index, value in enumerate(node.inputs)
         ]
         attributes = attribute_values(node)
@@ -128,29 +128,33 @@ class NarrowIntegers(ByTables, CautiousRewrite):
 
     def _use_narrow_index(self, node: ir.Node) -> None:
         """Pass int32 indices to a node directly, without a Cast to int64."""
-        if not is_op(node, *_INDEXED) or node.inputs[1] is None:
+        if not is_op(node, *_INDEXED_OPERATORS) or node.inputs[1] is None:
             return
-        maker = node.inputs[1].producer()
-        if maker is None or not is_op(maker, "Cast") or maker.graph is not node.graph:
+        source_node = node.inputs[1].producer()
+        if (
+            source_node is None
+            or not is_op(source_node, "Cast")
+            or source_node.graph is not node.graph
+        ):
             return
-        inner = maker.inputs[0]
-        if inner is not None and inner.dtype == _INT32 and node.inputs[1].dtype == _INT64:
-            node.replace_input_with(1, inner)
+        source = source_node.inputs[0]
+        if source is not None and source.dtype == _INT32 and node.inputs[1].dtype == _INT64:
+            node.replace_input_with(1, source)
             self.note(node)
 
 
 def _frame_nodes(graph: ir.Graph) -> list[ir.Node]:
     """Return the graph nodes that depend on an input; others are computed once, at loading."""
-    varying = {value for value in graph.inputs if value.name not in graph.initializers}
+    varying_values = {value for value in graph.inputs if value.name not in graph.initializers}
     nodes = []
     for node in graph:
-        if varying.intersection(value for value in node.inputs if value is not None):
-            varying.update(node.outputs)
+        if varying_values.intersection(value for value in node.inputs if value is not None):
+            varying_values.update(node.outputs)
             nodes.append(node)
     return nodes
 
 
-def _computed(node: ir.Node) -> list[ir.Value | None]:
+def _computed_inputs(node: ir.Node) -> list[ir.Value | None]:
     indices = _COMPUTED_INPUTS[node.op_type]
     return [v for k, v in enumerate(node.inputs) if indices is None or k in indices]
 
@@ -162,7 +166,7 @@ def _is_integer_cast(node: ir.Node) -> bool:
     return is_op(node, "Cast") and kinds == {_INT64, _INT32}
 
 
-def _narrowed(write: InsertionPoint, value: ir.Value | None) -> ir.Value | None:
+def _cast_to_int32(write: InsertionPoint, value: ir.Value | None) -> ir.Value | None:
     if value is None or value.dtype != _INT64:
         return value
     known = constant_of(value)

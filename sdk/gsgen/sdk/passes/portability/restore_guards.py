@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.lower_bounds import is_never_zero, smallest_normal
 from gsgen.sdk.passes.framework.value_facts import constant_of, required
 
-_MOVES = (
+_MOVE_OPERATORS = (
     *("Cast", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Squeeze"),
     *("Transpose", "Unsqueeze"),
 )
@@ -52,7 +52,7 @@ class RestoreGuards(CautiousRewrite):
                 self.refuse(node, f"its divisor {divisor.name} may be zero, and is not a length")
                 continue
             self.note(node)
-            _guard(node, divisor_index)
+            _insert_guard(node, divisor_index)
 
 
 def _divisor_index(node: ir.Node) -> int | None:
@@ -61,63 +61,67 @@ def _divisor_index(node: ir.Node) -> int | None:
         return 1
     if is_op(node, "Reciprocal"):
         return 0
-    power = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
-    return 0 if power is not None and (power < 0).any() else None
+    exponent = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
+    return 0 if exponent is not None and (exponent < 0).any() else None
 
 
-def _guard(node: ir.Node, divisor_index: int) -> None:
+def _insert_guard(node: ir.Node, divisor_index: int) -> None:
     divisor = required(node.inputs[divisor_index])
     assert divisor.dtype is not None
-    substitute = _MIN_LENGTH if _is_length(divisor) else _MIN_SQUARE
-    least, dtype = max(substitute, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
+    minimum = _MIN_LENGTH if _is_length(divisor) else _MIN_SQUARE
+    smallest, dtype = max(minimum, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
     before = InsertionPoint(node)
-    zero, small = (before.constant(np.asarray(value, dtype)) for value in (0, least))
-    at_zero = before.op("Equal", divisor, zero, dtype=ir.DataType.BOOL, shape=divisor.shape)
-    guarded = before.op("Where", at_zero, small, divisor, dtype=divisor.dtype, shape=divisor.shape)
-    node.replace_input_with(divisor_index, guarded)
+    zero, smallest_value = (before.constant(np.asarray(value, dtype)) for value in (0, smallest))
+    is_zero = before.op("Equal", divisor, zero, dtype=ir.DataType.BOOL, shape=divisor.shape)
+    guarded_divisor = before.op(
+        "Where", is_zero, smallest_value, divisor, dtype=divisor.dtype, shape=divisor.shape
+    )
+    node.replace_input_with(divisor_index, guarded_divisor)
 
 
 def _is_length(value: ir.Value | None) -> bool:
-    maker = _producer_behind_guards(value)
-    if is_op(maker, "ReduceL2"):
+    source_node = _producer_behind_guards(value)
+    if is_op(source_node, "ReduceL2"):
         return True
-    if maker is None or not is_op(maker, "Sqrt", "Pow"):
+    if source_node is None or not is_op(source_node, "Sqrt", "Pow"):
         return False
-    power = constant_of(maker.inputs[1]) if is_op(maker, "Pow") else np.array(0.5)
-    return power is not None and bool((power == 0.5).all()) and _is_square(maker.inputs[0])
+    exponent = constant_of(source_node.inputs[1]) if is_op(source_node, "Pow") else np.array(0.5)
+    return (
+        exponent is not None and bool((exponent == 0.5).all()) and _is_square(source_node.inputs[0])
+    )
 
 
 def _is_square(value: ir.Value | None) -> bool:
     """Return whether a graph value is a sum or mean of squares, i.e. a squared length."""
-    maker = _producer_behind_guards(value)
-    if maker is None:
+    source_node = _producer_behind_guards(value)
+    if source_node is None:
         return False
-    if is_op(maker, "ReduceSumSquare") or _is_one_square(maker):
+    if is_op(source_node, "ReduceSumSquare") or _is_one_square(source_node):
         return True
-    if is_op(maker, "ReduceSum", "ReduceMean"):
-        return _is_square(maker.inputs[0])
-    if is_op(maker, "Add"):
-        return _is_square(maker.inputs[0]) and _is_square(maker.inputs[1])
+    if is_op(source_node, "ReduceSum", "ReduceMean"):
+        return _is_square(source_node.inputs[0])
+    if is_op(source_node, "Add"):
+        return _is_square(source_node.inputs[0]) and _is_square(source_node.inputs[1])
     return False
 
 
 def _is_one_square(node: ir.Node) -> bool:
     if is_op(node, "Mul"):
         return node.inputs[0] is node.inputs[1]
-    power = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
-    return power is not None and bool((power == 2).all())
+    exponent = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
+    return exponent is not None and bool((exponent == 2).all())
 
 
 def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
     """Return the node that computes a value, before reshapes and guards with a too small ε."""
     while value is not None:
-        maker = value.producer()
-        if maker is None:
+        source_node = value.producer()
+        if source_node is None:
             return None
-        input_index = 0 if is_op(maker, *_MOVES) else _guarded_input(maker)
+        input_index = 0 if is_op(source_node, *_MOVE_OPERATORS) else _guarded_input(source_node)
         if input_index is None:
-            return maker
-        value = maker.inputs[input_index]
+            return source_node
+        value = source_node.inputs[input_index]
     return None
 
 
@@ -129,6 +133,6 @@ def _guarded_input(node: ir.Node) -> int | None:
         floor = constant_of(node.inputs[1 - input_index])
         if floor is None or (is_op(node, "Clip") and input_index):
             continue
-        least = smallest_normal(node.outputs[0].dtype)
-        return input_index if ((floor >= 0) & (floor < least)).all() else None
+        smallest = smallest_normal(node.outputs[0].dtype)
+        return input_index if ((floor >= 0) & (floor < smallest)).all() else None
     return None

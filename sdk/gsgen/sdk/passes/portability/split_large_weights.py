@@ -19,7 +19,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     required,
 )
 
-_BINDING = 128 << 20  # every WebGPU device binds this many bytes
+_MAX_BINDING_BYTES = 128 << 20  # every WebGPU device binds this many bytes
 _BOOL = ir.DataType.BOOL
 
 
@@ -43,14 +43,14 @@ class SplitLargeWeights(CautiousRewrite):
     exactness = ErrorBudget(relative=2e-6)
     wanted_by = "targets that limit a binding"
 
-    def __init__(self, limit: int = _BINDING) -> None:
+    def __init__(self, limit: int = _MAX_BINDING_BYTES) -> None:
         super().__init__()
         self.limit = limit
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "SplitLargeWeights":
         """Return the rewrite that splits weights larger than the target GPU can bind."""
-        return cls(target.limits.get("binding_bytes", _BINDING))
+        return cls(target.limits.get("binding_bytes", _MAX_BINDING_BYTES))
 
     def rewrite(self, model: ir.Model) -> None:
         """Split weights that exceed the GPU's binding limit; report outputs that exceed it."""
@@ -63,7 +63,7 @@ class SplitLargeWeights(CautiousRewrite):
 
     def _split(self, graph: ir.Graph, value: ir.Value) -> None:
         uses = list(value.uses())
-        plans = [self._plan(value, node, input_index) for node, input_index in uses]
+        plans = [self._plan_split(value, node, input_index) for node, input_index in uses]
         if value.is_graph_input() or value.is_graph_output():
             self.refuse(value, "it is also an input or an output")
             return
@@ -80,12 +80,14 @@ class SplitLargeWeights(CautiousRewrite):
             plan()
         graph.initializers.pop(value.name or "")
 
-    def _plan(self, value: ir.Value, node: ir.Node, input_index: int) -> "str | Callable[[], None]":
+    def _plan_split(
+        self, value: ir.Value, node: ir.Node, input_index: int
+    ) -> "str | Callable[[], None]":
         """Return a function that divides a weight of a node, or why the weight is indivisible."""
-        splitting = _splitting_axis(value, node, input_index)
-        if isinstance(splitting, str):
-            return splitting
-        axis, write = splitting
+        split_axis_and_writer = _splitting_axis(value, node, input_index)
+        if isinstance(split_axis_and_writer, str):
+            return split_axis_and_writer
+        axis, write = split_axis_and_writer
         shape, tensor = required(fixed_shape(value)), required(value.const_value)
         slab = tensor.nbytes // shape[axis]
         if slab > self.limit:
@@ -108,18 +110,20 @@ class SplitLargeWeights(CautiousRewrite):
             return
         row = int(np.prod(shape[1:])) * kind.itemsize
         if row * shape[0] > self.limit:
-            fit = int(self.limit // row)
+            max_rows = int(self.limit // row)
             self.refuse(
                 value,
-                f"{int(row * shape[0])} bytes, and an output cannot be split: {fit} rows fit; "
+                f"{int(row * shape[0])} bytes, and an output cannot be split: {max_rows} rows fit; "
                 "float16 or a lower SH degree makes room for more",
             )
 
 
-Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
+WriteParts = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
-def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[int, Write] | str:
+def _splitting_axis(
+    value: ir.Value, node: ir.Node, input_index: int
+) -> tuple[int, WriteParts] | str:
     """Return the axis along which to split a weight, and a function that splits; else why not."""
     rank = rank_of(value) or 0
     # Case 1
@@ -130,8 +134,8 @@ def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[i
         return (1, _split_matmul_columns) if input_index == 1 else (0, _split_matmul_rows)
     # Case 3
     if is_op(node, "Gemm") and input_index == 1:
-        added = node.inputs[2] if len(node.inputs) > 2 else None
-        if added is None or constant_of(added, largest=1 << 62) is not None:
+        addend = node.inputs[2] if len(node.inputs) > 2 else None
+        if addend is None or constant_of(addend, largest=1 << 62) is not None:
             return (0 if int_attribute(node, "transB", 0) else 1), _split_gemm
     return f"{node.op_type} {node.name or ''} reads it whole".replace("  ", " ")
 
@@ -146,24 +150,24 @@ def _split_gather(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> No
         return before.constant(np.asarray(value, kind), "number")
 
     zero = number(0)
-    negative = before.op("Less", index, zero, dtype=_BOOL)
-    raised = before.op("Add", index, number(bounds[-1]))
-    index = before.op("Where", negative, raised, index, dtype=index.dtype)
-    behind = (rank_of(parts[0]) or 1) - 1 - axis
+    is_negative = before.op("Less", index, zero, dtype=_BOOL)
+    wrapped_index = before.op("Add", index, number(bounds[-1]))
+    index = before.op("Where", is_negative, wrapped_index, index, dtype=index.dtype)
+    trailing_axes = (rank_of(parts[0]) or 1) - 1 - axis
     rank = rank_of(node.inputs[1]) or 0
     result: ir.Value | None = None
     for part, (start, end) in zip(parts, pairwise(bounds), strict=True):
         from_here = before.op("GreaterOrEqual", index, number(start), dtype=_BOOL)
-        until = before.op("Less", index, number(end), dtype=_BOOL)
-        local = before.op("Sub", index, number(start))
-        local = before.op("Where", from_here, local, zero, dtype=index.dtype)
-        local = before.op("Where", until, local, zero, dtype=index.dtype)
-        gathered = before.op("Gather", part, local, axis=axis)
+        is_before_end = before.op("Less", index, number(end), dtype=_BOOL)
+        local_index = before.op("Sub", index, number(start))
+        local_index = before.op("Where", from_here, local_index, zero, dtype=index.dtype)
+        local_index = before.op("Where", is_before_end, local_index, zero, dtype=index.dtype)
+        gathered = before.op("Gather", part, local_index, axis=axis)
         if result is None:
             result = gathered
             continue
-        if behind:
-            axes = before.int64(*range(rank, rank + behind))
+        if trailing_axes:
+            axes = before.int64(*range(rank, rank + trailing_axes))
             from_here = before.op("Unsqueeze", from_here, axes)
         result = before.op("Where", from_here, gathered, result, dtype=part.dtype)
     assert result is not None

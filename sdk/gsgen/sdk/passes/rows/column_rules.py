@@ -35,7 +35,7 @@ _ELEMENTWISE = frozenset({
     "Not", "Or", "Reciprocal", "Relu", "Sigmoid", "Sin", "Sqrt", "Sub", "Tanh", "Where",
 })  # fmt: skip
 _REDUCTIONS = {"ReduceL2": "Add", "ReduceMax": "Max", "ReduceMin": "Min", "ReduceSum": "Add"}
-_SHAPERS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
+_RESHAPE_OPERATORS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 
 
 def works_on_columns(node: ir.Node, rows: int) -> bool:
@@ -49,7 +49,7 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
     if is_op(node, *_REDUCTIONS):
         axes = _axes(node, len(shape))
         return bool(axes) and 0 not in axes
-    if is_op(node, *_SHAPERS):
+    if is_op(node, *_RESHAPE_OPERATORS):
         return True
     if is_op(node, "Concat"):
         return int_attribute(node, "axis", 0) % len(shape) > 0
@@ -67,34 +67,34 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
 
 
 def columns_of(
-    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
+    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, lookup: ColumnLookup, emit: Emit
 ) -> list[Columns]:
     """Compute the columns of an ONNX node's outputs from the columns of its inputs.
 
-    ``look`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
+    ``lookup`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
     if is_op(node, *_ELEMENTWISE):
-        return [_elementwise(node, inputs, rows, look, emit)]
+        return [_elementwise(node, inputs, rows, lookup, emit)]
     first = required(inputs[0])
-    columns, shape = look(first), required(fixed_shape(node.outputs[0]))
+    columns, shape = lookup(first), required(fixed_shape(node.outputs[0]))
     if is_op(node, *_REDUCTIONS):
         return [_reduce(node, columns, emit).reshape(shape[1:])]
     if is_op(node, "Expand"):
         return [np.broadcast_to(columns, shape[1:])]
-    if is_op(node, *_SHAPERS):
+    if is_op(node, *_RESHAPE_OPERATORS):
         return [columns.reshape(shape[1:])]
     axis = int_attribute(node, "axis", 0) % (columns.ndim + 1) - 1
     if is_op(node, "Concat"):
-        return [np.concatenate([look(value) for value in inputs if value is not None], axis)]
+        return [np.concatenate([lookup(value) for value in inputs if value is not None], axis)]
     if is_op(node, "Transpose"):
         perm = node.attributes["perm"].as_ints()
         return [columns.transpose([axis_number - 1 for axis_number in list(perm)[1:]])]
     if is_op(node, "Gather"):
         indices = required(constant_of(inputs[1]))
         shape = required(fixed_shape(node.outputs[0]))
-        gathered = np.empty(shape[1:], object)
-        gathered[...] = np.take(columns, indices, axis)  # a single index returns no array
-        return [gathered]
+        gathered_columns = np.empty(shape[1:], object)
+        gathered_columns[...] = np.take(columns, indices, axis)  # a single index returns no array
+        return [gathered_columns]
     if is_op(node, "Slice"):
         slices = required(_slices(node, columns.ndim + 1))
         return [columns[slices]]
@@ -117,7 +117,7 @@ def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
 
 
 def _elementwise(
-    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
+    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, lookup: ColumnLookup, emit: Emit
 ) -> Columns:
     """Evaluate an elementwise ONNX operator once for each column of its operands."""
     shape = required(fixed_shape(node.outputs[0]))
@@ -125,7 +125,7 @@ def _elementwise(
     arrays = [
         np.full(trailing, None, object)
         if value is None
-        else np.broadcast_to(_operand(value, shape, rows, look), trailing)
+        else np.broadcast_to(_operand(value, shape, rows, lookup), trailing)
         for value in inputs
     ]
     attributes = attribute_values(node)
@@ -139,15 +139,15 @@ def _elementwise(
     return results
 
 
-def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, look: ColumnLookup) -> Columns:
+def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, lookup: ColumnLookup) -> Columns:
     value_shape = required(fixed_shape(value))
     if len(value_shape) == len(shape) and value_shape and value_shape[0] == rows:
-        return look(value)
+        return lookup(value)
     known = constant_of(value)
     if prod(value_shape) == 1:  # Case 2: one number, which may vary from frame to frame
-        single = np.empty((), object)
-        single[()] = value if known is None else known.reshape(-1)[0]
-        return single
+        single_column = np.empty((), object)
+        single_column[()] = value if known is None else known.reshape(-1)[0]
+        return single_column
     assert known is not None
     trailing = value_shape[1:] if len(value_shape) == len(shape) else value_shape
     numbers = np.empty(prod(trailing), object)

@@ -14,12 +14,12 @@ from gsgen.sdk.passes.framework.graph_builder import append_output, replace_valu
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, numpy_dtype, required
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import (
-    Blocked,
-    Fact,
-    Filler,
+    FillerRows,
     Index,
     Linear,
     Mask,
+    MaskBlocked,
+    RowFact,
     Rows,
     read_mask,
 )
@@ -81,10 +81,10 @@ class MaskRows(CautiousRewrite):
         """Rewrite all boolean row masks; each failed attempt excludes one more mask."""
         excluded: frozenset[Mask] = frozenset()
         while True:
-            attempt = _Attempt(model.graph, excluded, self.count)
+            attempt = _MaskingAttempt(model.graph, excluded, self.count)
             try:
                 outputs = attempt.run()
-            except Blocked as blocked:
+            except MaskBlocked as blocked:
                 attempt.draft.discard()
                 self.refuse(blocked.node, blocked.reason)
                 excluded |= {outer for mask in blocked.masks for outer in mask.chain}
@@ -99,24 +99,24 @@ class MaskRows(CautiousRewrite):
         RemoveUnusedNodesPass()(model)
 
 
-class _Attempt:
+class _MaskingAttempt:
     """One attempt to rewrite all boolean row masks of a graph except some excluded ones."""
 
     def __init__(self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None) -> None:
         self.graph, self.excluded, self.count = graph, excluded, count
         self.draft = RowDraft("masked_rows")
-        self.facts: dict[ir.Value, Fact] = {}
+        self.facts: dict[ir.Value, RowFact] = {}
         self.sources: list[ir.Node] = []
 
     def run(self) -> list[ir.Value | None]:
         """Create static-shape nodes for a whole graph; return each graph output's replacement.
 
-        Raises :class:`Blocked` if a node mixes rows, or its shape would still vary.
+        Raises :class:`MaskBlocked` if a node mixes rows, or its shape would still vary.
         """
         for node in self.graph:
             self._refuse_subgraphs(node)
             self.draft.anchor = node
-            self._visit(node)
+            self._propagate(node)
         self.draft.anchor = None
         return self._new_outputs()
 
@@ -140,81 +140,87 @@ class _Attempt:
             for inner in attribute.as_graph().all_nodes():
                 facts = [self.facts.get(value) for value in inner.inputs if value is not None]
                 if any(_varies(fact) for fact in facts):
-                    raise Blocked(inner, "a subgraph reads rows of a mask", _masks(facts))
+                    raise MaskBlocked(inner, "a subgraph reads rows of a mask", _masks(facts))
 
-    def _visit(self, node: ir.Node) -> None:
+    def _propagate(self, node: ir.Node) -> None:
         facts = [None if value is None else self.facts.get(value) for value in node.inputs]
         if not any(fact is not None for fact in facts):
             fact = self._source_fact(node)
         elif is_op(node, "Split"):
             parts = split_rows(node, facts, self.draft)
             if parts is None and any(_varies(fact) for fact in facts):
-                raise Blocked(node, "it may split the rows", _masks(facts))
+                raise MaskBlocked(node, "it may split the rows", _masks(facts))
             self.facts.update(zip(node.outputs, parts or (), strict=False))
             return
-        elif (fixed := self._fixed_size_value(node, facts)) is not None:
-            self.draft.results[node.outputs[0]] = fixed
+        elif (fixed_value := self._fixed_size_value(node, facts)) is not None:
+            self.draft.results[node.outputs[0]] = fixed_value
             return
         else:
             fact = self._propagated_fact(node, facts)
         if fact is not None:
             self.facts[node.outputs[0]] = fact
         elif not self._replace_counts(node, facts) and any(_varies(fact) for fact in facts):
-            raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
+            raise MaskBlocked(
+                node, "it may mix rows, or its shape depends on the count", _masks(facts)
+            )
 
-    def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
+    def _fixed_size_value(self, node: ir.Node, facts: Sequence[RowFact | None]) -> ir.Value | None:
         """Create a fixed-size value in place of a node's output, whose size depends on a mask."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
             return scatter_rows(node, facts, self.draft)
-        is_filled = any(isinstance(fact, Filler | Linear) for fact in facts[1:])
+        is_filled = any(isinstance(fact, FillerRows | Linear) for fact in facts[1:])
         if (
             is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_filled
         ):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
-    def _source_fact(self, node: ir.Node) -> Fact | None:
+    def _source_fact(self, node: ir.Node) -> RowFact | None:
         if is_op(node, "NonZero"):
-            fact: Fact | None = nonzero_index(node)
+            fact: RowFact | None = nonzero_index(node)
         elif is_op(node, "Compress"):
             mask = read_mask(node.inputs[1])
-            if mask is None or mask.unrepeated in self.excluded:
+            if mask is None or mask.without_repeats in self.excluded:
                 return None
             fact = compress_rows(node, mask, self.draft)
         else:
             fact = mask_count(node) if is_op(node, "ReduceSum") else None
-            return fact if fact is not None and fact.mask.unrepeated not in self.excluded else None
-        if fact is None or fact.mask.unrepeated in self.excluded:
+            return (
+                fact
+                if fact is not None and fact.mask.without_repeats not in self.excluded
+                else None
+            )
+        if fact is None or fact.mask.without_repeats in self.excluded:
             return None
         self.sources.append(node)
         return fact
 
-    def _propagated_fact(self, node: ir.Node, facts: Sequence[Fact | None]) -> Fact | None:
+    def _propagated_fact(self, node: ir.Node, facts: Sequence[RowFact | None]) -> RowFact | None:
         if is_op(node, "NonZero", "Compress", "Gather", "GatherND"):
             nested = self._nested_fact(node, facts)
             if nested is not None:
                 return nested
         if len(_masks(facts)) != 1:
             return None
-        first, kinds = facts[0], {type(fact) for fact in facts if fact is not None}
-        if is_op(node, "Shape") and first is not None:
-            return shape_fact(node, first)
-        if is_op(node, "Gather", "GatherND") and first is None and isinstance(facts[1], Index):
+        first_fact, kinds = facts[0], {type(fact) for fact in facts if fact is not None}
+        if is_op(node, "Shape") and first_fact is not None:
+            return shape_fact(node, first_fact)
+        if is_op(node, "Gather", "GatherND") and first_fact is None and isinstance(facts[1], Index):
             return gather_rows(node, facts[1], self.draft)
-        if isinstance(first, Index):
-            return transform_index(node, first)
+        if isinstance(first_fact, Index):
+            return transform_index(node, first_fact)
         if Rows in kinds:
             return propagate_rows(node, facts, self.draft)
-        if isinstance(first, Filler):
-            return first if is_op(node, "Identity") else None
+        if isinstance(first_fact, FillerRows):
+            return first_fact if is_op(node, "Identity") else None
         shape = facts[-1]
         if is_op(node, "ConstantOfShape", "Expand") and isinstance(shape, Linear):
             return constant_rows(node, shape, self.draft)
         return linear_numbers(node, facts)
 
-    def _nested_fact(self, node: ir.Node, facts: Sequence[Fact | None]) -> Fact | None:
+    def _nested_fact(self, node: ir.Node, facts: Sequence[RowFact | None]) -> RowFact | None:
         """Return the rows that a mask selects among the rows that an earlier mask selected."""
         rows, selector = facts[0], facts[-1]
         if not isinstance(rows, Rows):
@@ -228,14 +234,14 @@ class _Attempt:
                 return None
             mask = (
                 compose_masks(selector, self.draft)
-                if selector.mask.unrepeated == rows.mask.unrepeated
+                if selector.mask.without_repeats == rows.mask.without_repeats
                 else None
             )
-            along = axis.as_int() % len(fixed_shape(rows.value) or (1,)) == rows.axis
-            return Rows(mask, rows.value, rows.axis) if mask is not None and along else None
+            is_row_gather = axis.as_int() % len(fixed_shape(rows.value) or (1,)) == rows.axis
+            return Rows(mask, rows.value, rows.axis) if mask is not None and is_row_gather else None
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
-    def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
+    def _replace_counts(self, node: ir.Node, facts: Sequence[RowFact | None]) -> bool:
         """Replace inputs that count selected rows by the number of all rows; return whether done.
 
         Any node may read numbers from a shape if they do not depend on the count.
@@ -255,8 +261,8 @@ class _Attempt:
     def _new_outputs(self) -> list[ir.Value | None]:
         """Replace outputs of K mask-selected rows by all N rows, if the model also outputs K."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
-        counted = {
-            fact.mask.unrepeated
+        count_outputs = {
+            fact.mask.without_repeats
             for value, fact in zip(self.graph.outputs, facts, strict=True)
             if isinstance(fact, Linear)
             and self.count in (None, value.name)
@@ -267,15 +273,17 @@ class _Attempt:
         for value, fact in zip(self.graph.outputs, facts, strict=True):
             node = value.producer()
             if isinstance(fact, Rows) and node is not None:
-                if fact.axis or fact.flat or fact.mask.unrepeated not in counted:
+                if fact.axis or fact.flat or fact.mask.without_repeats not in count_outputs:
                     reason = "a mask decides its number of rows, and no count output is provably that number"
-                    raise Blocked(node, reason, frozenset({fact.mask.unrepeated}))
+                    raise MaskBlocked(node, reason, frozenset({fact.mask.without_repeats}))
                 replacements.append(self.draft.compact(fact))
             elif isinstance(fact, Linear):
                 replacements.append(self._count_output(fact, value) if fact.varies else None)
             elif fact is not None and node is not None:
-                raise Blocked(
-                    node, "the indices of a mask are an output", frozenset({fact.mask.unrepeated})
+                raise MaskBlocked(
+                    node,
+                    "the indices of a mask are an output",
+                    frozenset({fact.mask.without_repeats}),
                 )
             else:
                 replacements.append(None)
@@ -289,9 +297,9 @@ class _Attempt:
         )
 
 
-def _varies(fact: Fact | None) -> bool:
+def _varies(fact: RowFact | None) -> bool:
     return fact is not None and (not isinstance(fact, Linear) or fact.varies)
 
 
-def _masks(facts: Sequence[Fact | None]) -> frozenset[Mask]:
-    return frozenset(fact.mask.unrepeated for fact in facts if fact is not None)
+def _masks(facts: Sequence[RowFact | None]) -> frozenset[Mask]:
+    return frozenset(fact.mask.without_repeats for fact in facts if fact is not None)

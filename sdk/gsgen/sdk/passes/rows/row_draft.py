@@ -25,14 +25,14 @@ class RowDraft(DetachedGraph):
         super().__init__(stem)
         self.results: dict[ir.Value, ir.Value] = {}
         self.input_replacements: list[tuple[ir.Node, int, ir.Value]] = []
-        self._orders: dict[Mask, RowOrder] = {}
+        self._order_by_mask: dict[Mask, RowOrder] = {}
 
     def order(self, mask: Mask) -> RowOrder:
         """Return a row order that puts the rows selected by a mask first; created once per mask."""
-        mask = mask.unrepeated
-        if mask not in self._orders:
-            self._orders[mask] = draft_order(self, self.boolean_mask(mask), mask.size)
-        return self._orders[mask]
+        mask = mask.without_repeats
+        if mask not in self._order_by_mask:
+            self._order_by_mask[mask] = draft_order(self, self.boolean_mask(mask), mask.size)
+        return self._order_by_mask[mask]
 
     def boolean_mask(self, mask: Mask) -> ir.Value:
         """Create the graph nodes that compute a row mask as a boolean vector [N]."""
@@ -48,14 +48,14 @@ class RowDraft(DetachedGraph):
             return value
         return self.op("Reshape", value, self.constant(dims, np.int64), shape=dims)
 
-    def compact(self, rows: Rows, fill: np.ndarray | None = None) -> ir.Value:
+    def compact(self, rows: Rows, fill_row: np.ndarray | None = None) -> ir.Value:
         """Create N rows: first the K rows that a mask selects, then filler rows (default zeros)."""
         order, value, shape = self.order(rows.mask), rows.value, required(fixed_shape(rows.value))
         moved = self.op("Gather", value, order.rows, shape=shape, axis=rows.axis)
         dims = [1] * len(shape)
         dims[rows.axis] = rows.mask.size
         live = self.reshaped(order.live, dims)
-        filler = self.constant(0 if fill is None else fill, numpy_dtype(value))
+        filler = self.constant(0 if fill_row is None else fill_row, numpy_dtype(value))
         return self.op("Where", live, moved, filler, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:

@@ -1,6 +1,6 @@
 """Facts about tensors whose number of rows depends on a boolean mask."""
 
-__all__ = ["Blocked", "Fact", "Filler", "Index", "Linear", "Mask", "Rows", "read_mask"]
+__all__ = ["FillerRows", "Index", "Linear", "Mask", "MaskBlocked", "RowFact", "Rows", "read_mask"]
 
 from dataclasses import dataclass
 from math import prod
@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import fixed_shape
 
 
-class Blocked(Exception):
+class MaskBlocked(Exception):
     """Raised if a node prevents static shapes for rows that a mask selects."""
 
     def __init__(self, node: ir.Node, reason: str, masks: frozenset["Mask"]) -> None:
@@ -31,14 +31,14 @@ class Mask:
     parent: "Mask | None" = None  # the mask among whose rows this one selects
 
     @property
-    def unrepeated(self) -> "Mask":
+    def without_repeats(self) -> "Mask":
         """The row mask before it was repeated for each column; both select the same rows."""
         return Mask(self.root, self.dims, parent=self.parent)
 
     @property
     def chain(self) -> "tuple[Mask, ...]":
         """The mask and its parent masks; each mask selects among the rows of its parent."""
-        return (self.unrepeated, *(self.parent.chain if self.parent is not None else ()))
+        return (self.without_repeats, *(self.parent.chain if self.parent is not None else ()))
 
     @property
     def size(self) -> int:
@@ -75,7 +75,7 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True)
-class Filler:
+class FillerRows:
     """Equal filler rows that pad K selected rows to a fixed capacity."""
 
     mask: Mask  # the mask with K true elements
@@ -83,7 +83,7 @@ class Filler:
     row: np.ndarray  # the constant content of a row
 
 
-Fact = Index | Rows | Linear | Filler
+RowFact = Index | Rows | Linear | FillerRows
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:
@@ -95,20 +95,20 @@ def read_mask(value: ir.Value | None) -> Mask | None:
     producer = root.producer()
     if producer is None or not is_op(producer, "Expand"):
         return Mask(root, dims)
-    inner = fixed_shape(producer.inputs[0])
-    raised = producer.inputs[0].producer() if producer.inputs[0] is not None else None
-    if inner is None or raised is None or not is_op(raised, "Unsqueeze"):
+    inner_shape = fixed_shape(producer.inputs[0])
+    unsqueeze = producer.inputs[0].producer() if producer.inputs[0] is not None else None
+    if inner_shape is None or unsqueeze is None or not is_op(unsqueeze, "Unsqueeze"):
         return Mask(root, dims)
-    base = _truth_source(raised.inputs[0])
-    base_shape = fixed_shape(base)
+    base_mask = _truth_source(unsqueeze.inputs[0])
+    base_shape = fixed_shape(base_mask)
     if (
-        base is None
+        base_mask is None
         or base_shape is None
-        or inner != (*base_shape, *[1] * (len(inner) - len(base_shape)))
+        or inner_shape != (*base_shape, *[1] * (len(inner_shape) - len(base_shape)))
     ):
         return Mask(root, dims)
-    same_rank = len(dims) == len(inner) and dims[: len(base_shape)] == base_shape
-    return Mask(base, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
+    same_rank = len(dims) == len(inner_shape) and dims[: len(base_shape)] == base_shape
+    return Mask(base_mask, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
 
 
 def _truth_source(value: ir.Value | None) -> ir.Value | None:
@@ -127,5 +127,5 @@ def _keeps_truth(node: ir.Node, source: ir.Value, result: ir.Value) -> bool:
         return True
     if is_op(node, "Cast"):
         return source.dtype == ir.DataType.BOOL
-    same = fixed_shape(source) is not None and fixed_shape(source) == fixed_shape(result)
-    return is_op(node, "Reshape", "Expand") and same
+    is_same_shape = fixed_shape(source) is not None and fixed_shape(source) == fixed_shape(result)
+    return is_op(node, "Reshape", "Expand") and is_same_shape

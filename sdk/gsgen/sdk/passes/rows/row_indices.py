@@ -29,8 +29,8 @@ def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
     inner = rows.value
     if inner.dtype != kind:
         inner = draft.op("Cast", inner, dtype=kind, shape=shape, to=kind.value)
-    both = draft.op("And", draft.boolean_mask(rows.mask), inner, dtype=kind, shape=shape)
-    return Mask(both, shape, parent=rows.mask.unrepeated)
+    combined = draft.op("And", draft.boolean_mask(rows.mask), inner, dtype=kind, shape=shape)
+    return Mask(combined, shape, parent=rows.mask.without_repeats)
 
 
 def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
@@ -60,23 +60,25 @@ def transform_index(node: ir.Node, index: Index) -> Index | None:
     if is_op(node, "Gather") and index.form != "flat":
         # Case 1: element 0 along the axis of size one.
         zero, axis = constant_of(node.inputs[1]), int_attribute(node, "axis", 0) % 2
-        picks = zero is not None and zero.ndim == 0 and zero == 0
-        return Index(index.mask, "flat") if picks and _axis_of_size_one(index) == axis else None
+        is_row_axis = zero is not None and zero.ndim == 0 and zero == 0
+        return (
+            Index(index.mask, "flat") if is_row_axis and _axis_of_size_one(index) == axis else None
+        )
     if is_op(node, "Slice") and index.form != "flat":
         # Case 2: the only column (or row): torch separates indices by axes in this way.
         axes = constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
         start = constant_of(node.inputs[1])
-        single = (
+        is_single = (
             axes is not None and axes.size == 1 and int(axes[0]) % 2 == _axis_of_size_one(index)
         )
-        return index if single and start is not None and not start.any() else None
+        return index if is_single and start is not None and not start.any() else None
     rank = rank_of(node.outputs[0])
     if is_op(node, "Squeeze", "Reshape", "Expand") and rank == 1:
         return Index(index.mask, "flat")  # Case 3: K numbers of any layout
     if is_op(node, "Unsqueeze") and index.form == "flat":
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
-        behind = axes is not None and int(axes.reshape(-1)[0]) in (1, -1)
-        return Index(index.mask, "rows" if behind else "columns")
+        is_last_axis = axes is not None and int(axes.reshape(-1)[0]) in (1, -1)
+        return Index(index.mask, "rows" if is_last_axis else "columns")
     if is_op(node, "Reshape") and rank == 2:
         shape = constant_of(node.inputs[1])
         return Index(index.mask, "rows") if shape is not None and shape[1] == 1 else None
@@ -94,8 +96,8 @@ def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
         return None
     if is_op(node, "Gather"):
         axis = int_attribute(node, "axis", 0) % len(shape)
-        fits = index.form == "flat" and len(mask.dims) == 1 and shape[axis] == mask.size
-        return Rows(mask, value, axis) if fits else None
+        is_valid = index.form == "flat" and len(mask.dims) == 1 and shape[axis] == mask.size
+        return Rows(mask, value, axis) if is_valid else None
     axes = len(mask.dims)
     if index.form != "rows" or int_attribute(node, "batch_dims", 0) or shape[:axes] != mask.dims:
         return None
@@ -104,13 +106,13 @@ def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
 
 def gather_nested_rows(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
     """Return the rows that Gather or GatherND selects among rows that a mask selected."""
-    if rows.flat or index.mask.parent != rows.mask.unrepeated:
+    if rows.flat or index.mask.parent != rows.mask.without_repeats:
         return None
     rank = rank_of(rows.value) or 1
     if is_op(node, "Gather"):
-        along = int_attribute(node, "axis", 0) % rank
-        fits = index.form == "flat" and along == rows.axis
+        gather_axis = int_attribute(node, "axis", 0) % rank
+        is_valid = index.form == "flat" and gather_axis == rows.axis
     else:
-        fits = index.form == "rows" and rows.axis == 0
-        fits = fits and not int_attribute(node, "batch_dims", 0)
-    return Rows(index.mask, rows.value, rows.axis) if fits else None
+        is_valid = index.form == "rows" and rows.axis == 0
+        is_valid = is_valid and not int_attribute(node, "batch_dims", 0)
+    return Rows(index.mask, rows.value, rows.axis) if is_valid else None

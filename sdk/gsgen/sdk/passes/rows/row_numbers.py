@@ -11,17 +11,30 @@ from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.shape_arithmetic import evaluate
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import Fact, Filler, Index, Linear, Rows, read_mask
+from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, Rows, read_mask
 
-_WHOLE = (ir.DataType.INT32, ir.DataType.INT64)
-_MOVES = ("Cast", "Concat", "Gather", "Identity", "Reshape", "Slice", "Squeeze", "Unsqueeze")
+_INTEGER_DTYPES = (ir.DataType.INT32, ir.DataType.INT64)
+_MOVE_OPERATORS = (
+    "Cast",
+    "Concat",
+    "Gather",
+    "Identity",
+    "Reshape",
+    "Slice",
+    "Squeeze",
+    "Unsqueeze",
+)
 
 
 def mask_count(node: ir.Node) -> Linear | None:
     """Return the number K of rows that a mask selects if a node sums the mask's elements."""
     source = node.inputs[0].producer() if node.inputs[0] is not None else None
     result_shape = fixed_shape(node.outputs[0])
-    if not is_op(source, "Cast") or node.outputs[0].dtype not in _WHOLE or result_shape is None:
+    if (
+        not is_op(source, "Cast")
+        or node.outputs[0].dtype not in _INTEGER_DTYPES
+        or result_shape is None
+    ):
         return None
     mask = read_mask(node.inputs[0])
     if mask is None or mask.root.dtype != ir.DataType.BOOL or mask.repeats:
@@ -35,7 +48,7 @@ def mask_count(node: ir.Node) -> Linear | None:
     )
 
 
-def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
+def shape_fact(node: ir.Node, fact: RowFact) -> Linear | None:
     """Return a tensor's shape as formulas of K, the number of rows that a mask selects."""
     dims = _dims(fact)
     end = node.attributes.get("end")
@@ -48,7 +61,7 @@ def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
     return Linear(fact.mask, constant, factor, varies=True)
 
 
-def _dims(fact: Fact) -> list[int | None]:
+def _dims(fact: RowFact) -> list[int | None]:
     """Return the sizes of a tensor, with None for the number K of selected rows."""
     if isinstance(fact, Rows) and not fact.flat:
         shape: list[int | None] = list(fixed_shape(fact.value) or ())
@@ -56,39 +69,46 @@ def _dims(fact: Fact) -> list[int | None]:
         return shape
     if isinstance(fact, Index):
         axes = len(fact.mask.dims) + len(fact.mask.repeats)
-        forms: dict[str, list[int | None]]
-        forms = {"flat": [None], "rows": [None, axes], "columns": [axes, None]}
-        return [] if fact.mask.repeats else forms[fact.form]
+        dims_by_form: dict[str, list[int | None]]
+        dims_by_form = {"flat": [None], "rows": [None, axes], "columns": [axes, None]}
+        return [] if fact.mask.repeats else dims_by_form[fact.form]
     return []
 
 
-def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
+def linear_numbers(node: ir.Node, facts: Sequence[RowFact | None]) -> Linear | None:
     """Return the result of arithmetic on shapes if it is linear in the selected row count K."""
     known = [fact for fact in facts if isinstance(fact, Linear)]
-    if len({fact.mask.unrepeated for fact in known}) != 1 or node.outputs[0].dtype not in _WHOLE:
+    if (
+        len({fact.mask.without_repeats for fact in known}) != 1
+        or node.outputs[0].dtype not in _INTEGER_DTYPES
+    ):
         return None
     parts = [_parts(value, fact) for value, fact in zip(node.inputs, facts, strict=True)]
-    whole = [part for part in parts if part is not None]
-    if len(whole) != len(parts):
+    full_shape = [part for part in parts if part is not None]
+    if len(full_shape) != len(parts):
         return None
     varies = any(fact.varies for fact in known)
     if is_op(node, "Add", "Sub"):
-        (a, b), (c, d) = whole
+        (a, b), (c, d) = full_shape
         sign = 1 if is_op(node, "Add") else -1
         constant, factor = np.broadcast_arrays(a + sign * c, b + sign * d)
         return Linear(known[0].mask, constant, factor, varies)
     if is_op(node, "Mul"):
-        (a, b), (c, d) = whole
+        (a, b), (c, d) = full_shape
         if b.any() and d.any():
             return None
         constant, factor = np.broadcast_arrays(a * c, a * d + b * c)
         return Linear(known[0].mask, constant, factor, varies)
-    joins = is_op(node, "Concat")
-    if not is_op(node, *_MOVES) or not (joins or (len(known) == 1 and facts[0] is known[0])):
+    is_concat = is_op(node, "Concat")
+    if not is_op(node, *_MOVE_OPERATORS) or not (
+        is_concat or (len(known) == 1 and facts[0] is known[0])
+    ):
         return None
-    arguments = [constant for constant, _ in whole[1:]]
+    arguments = [constant for constant, _ in full_shape[1:]]
     terms = [
-        evaluate(node, [part[k] for part in whole] if joins else [whole[0][k], *arguments])
+        evaluate(
+            node, [part[k] for part in full_shape] if is_concat else [full_shape[0][k], *arguments]
+        )
         for k in (0, 1)
     ]
     if terms[0] is None or terms[1] is None:
@@ -97,14 +117,14 @@ def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None
     return Linear(known[0].mask, constant, factor, varies)
 
 
-def _parts(value: ir.Value | None, fact: Fact | None) -> tuple[np.ndarray, np.ndarray] | None:
+def _parts(value: ir.Value | None, fact: RowFact | None) -> tuple[np.ndarray, np.ndarray] | None:
     if isinstance(fact, Linear):
         return fact.constant, fact.factor
     known = constant_of(value)
     return None if known is None else (known, np.zeros_like(known))
 
 
-def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | None:
+def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | FillerRows | None:
     """Return the rows of a constant fill: one per selected row, or filler rows up to a capacity."""
     value = _constant_of_fill(node)
     sizes, factor = shape.constant, shape.factor
@@ -115,14 +135,14 @@ def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Fille
     if value.shape[axis] != 1 or np.abs(factor).sum() != 1:
         return None
     if factor[axis] == 1 and sizes[axis] == 0:
-        whole = [int(size) for size in sizes]
-        whole[axis] = shape.mask.size
+        full_shape = [int(size) for size in sizes]
+        full_shape[axis] = shape.mask.size
         source = draft.constant(value, value.dtype)
-        target = draft.constant(whole, np.int64)
-        return Rows(shape.mask, draft.op("Expand", source, target, shape=whole), axis)
+        target = draft.constant(full_shape, np.int64)
+        return Rows(shape.mask, draft.op("Expand", source, target, shape=full_shape), axis)
     if factor[0] == -1:
         row = np.broadcast_to(value[0], np.broadcast_shapes(value.shape[1:], tuple(sizes[1:])))
-        return Filler(shape.mask, int(sizes[0]), row)
+        return FillerRows(shape.mask, int(sizes[0]), row)
     return None
 
 

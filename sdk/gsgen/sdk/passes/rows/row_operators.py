@@ -21,7 +21,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     rank_of,
 )
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import Fact, Filler, Index, Linear, Rows
+from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, Rows
 
 _ELEMENTWISE = frozenset({
     "Abs", "Acos", "Acosh", "Add", "And", "Asin", "Asinh", "Atan", "Atanh", "Cast", "Ceil",
@@ -33,10 +33,10 @@ _ELEMENTWISE = frozenset({
 })  # fmt: skip
 _AXIS_OPERATORS = frozenset({"ArgMax", "ArgMin", "CumSum", "Hardmax", "LogSoftmax", "Softmax"})
 
-Facts = Sequence[Fact | None]
+RowFacts = Sequence[RowFact | None]
 
 
-def propagate_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+def propagate_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Return the node's output computed on all N rows; None if the node may mix the rows."""
     if any(isinstance(fact, Rows) and fact.flat for fact in facts):
         return None
@@ -77,19 +77,23 @@ def _full_shape(value: ir.Value, axis: int, rows: Rows) -> list[int] | None:
     return None
 
 
-def _full_inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
+def _full_inputs(node: ir.Node, facts: RowFacts) -> list[ir.Value | None]:
     return [
         fact.value if isinstance(fact, Rows) else value
         for value, fact in zip(node.inputs, facts, strict=True)
     ]
 
 
-def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+def _elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an elementwise operator on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
     rank = rank_of(node.outputs[0])
-    if len(negative_axes) != 1 or rank is None or any(isinstance(f, Index | Filler) for f in facts):
+    if (
+        len(negative_axes) != 1
+        or rank is None
+        or any(isinstance(f, Index | FillerRows) for f in facts)
+    ):
         return None
     (negative_axis,) = negative_axes
     inputs = _full_inputs(node, facts)
@@ -102,26 +106,26 @@ def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
             return None
         if len(value.shape) >= -negative_axis and value.shape[negative_axis] != 1:
             return None
-    divides = is_op(node, "Div", "Mod") and node.outputs[0].dtype not in FLOAT_TYPES
-    if divides:  # a masked row might divide an integer by zero, which stops the runtime
+    is_integer_division = is_op(node, "Div", "Mod") and node.outputs[0].dtype not in FLOAT_TYPES
+    if is_integer_division:  # a masked row might divide an integer by zero, which stops the runtime
         known = constant_of(node.inputs[1])
         if known is None or not known.all():
             return None
     return _draft_for_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
 
 
-def _concat(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+def _concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rows = facts[0]
     if not isinstance(rows, Rows) or not all(isinstance(fact, Rows) for fact in facts):
         return None
     axis = node.attributes["axis"].as_int() % (rank_of(rows.value) or 1)
-    same = all(isinstance(fact, Rows) and fact.axis == rows.axis for fact in facts)
-    if axis == rows.axis or not same:
+    is_compatible = all(isinstance(fact, Rows) and fact.axis == rows.axis for fact in facts)
+    if axis == rows.axis or not is_compatible:
         return None
     return _draft_for_all_rows(node, _full_inputs(node, facts), rows.axis, rows, draft)
 
 
-def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+def _matrix_product(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a MatMul or Gemm on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
@@ -132,16 +136,16 @@ def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None
     return _draft_for_all_rows(node, _full_inputs(node, facts), row_axis, row_facts[0], draft)
 
 
-def _gemm_row_axis(node: ir.Node, facts: Facts) -> int | None:
+def _gemm_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
     rows = facts[0]
-    added = node.inputs[2] if len(node.inputs) > 2 else None
-    same = added is None or rank_of(added) in (0, 1) or (added.shape or [0])[0] == 1
-    if not isinstance(rows, Rows) or any(facts[1:]) or rows.axis != 0 or not same:
+    bias = node.inputs[2] if len(node.inputs) > 2 else None
+    is_compatible = bias is None or rank_of(bias) in (0, 1) or (bias.shape or [0])[0] == 1
+    if not isinstance(rows, Rows) or any(facts[1:]) or rows.axis != 0 or not is_compatible:
         return None
     return None if int_attribute(node, "transA", 0) else 0
 
 
-def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
+def _matmul_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
     """Return the axis of the rows in a matrix product; batched operands must share the axis."""
     values = _full_inputs(node, facts)
     ranks, result_rank = [rank_of(value) for value in values], rank_of(node.outputs[0])
@@ -160,9 +164,9 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
         return None
     (axis,) = negative_axes
     if axis > -3:  # Case 2: rows of the left matrix, or columns of the right one
-        side = 0 if axis == -2 else 1
-        alone = isinstance(facts[side], Rows) and facts[1 - side] is None
-        return result_rank + axis if alone else None
+        operand_index = 0 if axis == -2 else 1
+        is_only_rows = isinstance(facts[operand_index], Rows) and facts[1 - operand_index] is None
+        return result_rank + axis if is_only_rows else None
     for value, fact in zip(values, facts, strict=True):
         shape = value.shape if value is not None else None
         if fact is None and (shape is None or (len(shape) >= -axis and shape[axis] != 1)):
@@ -170,7 +174,7 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
     return result_rank + axis
 
 
-def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an Einsum on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     input_terms, arrow, output_term = (
@@ -188,8 +192,8 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
     if len(letters) != 1 or any(fact is not None and fact not in row_facts for fact in facts):
         return None
     (letter,) = letters
-    once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
-    if not once or letter in other_letters:
+    is_used_once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
+    if not is_used_once or letter in other_letters:
         return None
     return _draft_for_all_rows(
         node, _full_inputs(node, facts), output_term.index(letter), row_facts[0], draft
@@ -199,7 +203,7 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 # -- Operators with one tensor of rows
 
 
-def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _slice(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a Slice of all N rows, not the K that a mask selects; None if it cuts the row axis."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
@@ -214,7 +218,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
     return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
 
 
-def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a Gather on all N rows, not the K that a mask selects; None if it gathers rows."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
@@ -232,7 +236,7 @@ def axes_of(node: ir.Node) -> list[int] | None:
     return None if known is None else [int(axis) for axis in known.reshape(-1)]
 
 
-def _reduce(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(rows.value) or 1
     if not axes:
         return None
@@ -247,7 +251,7 @@ def _reduce(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | 
     )
 
 
-def _along_axis(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     if is_op(node, "CumSum"):
         known = constant_of(node.inputs[1])
@@ -256,12 +260,12 @@ def _along_axis(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Row
         axis = int_attribute(node, "axis", 0 if is_op(node, "ArgMax", "ArgMin") else -1) % rank
     if axis is None or axis == rows.axis:
         return None
-    drops = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
-    row_axis = rows.axis - (1 if drops and axis < rows.axis else 0)
+    drops_axis = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
+    row_axis = rows.axis - (1 if drops_axis and axis < rows.axis else 0)
     return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _squeeze(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(rows.value) or 1
     if axes is None or rows.axis in {axis % rank for axis in axes}:
         return None
@@ -269,23 +273,23 @@ def _squeeze(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows |
     return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _unsqueeze(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(node.outputs[0])
     if axes is None or rank is None:
         return None
-    added = {axis % rank for axis in axes}
-    row_axis = [axis for axis in range(rank) if axis not in added][rows.axis]
+    bias = {axis % rank for axis in axes}
+    row_axis = [axis for axis in range(rank) if axis not in bias][rows.axis]
     return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _transpose(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _transpose(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     order = node.attributes.get("perm")
     axes = list(range(rank))[::-1] if order is None else list(order.as_ints())
     return _draft_for_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
 
 
-def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _reshape(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a Reshape of all N rows, not the K that a mask selects; None if it divides rows."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
@@ -306,12 +310,12 @@ def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows |
     return Rows(rows.mask, draft.reshaped(rows.value, [rows.mask.size, *row_shape]), 0)
 
 
-def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
+def _target_shape(node: ir.Node, facts: RowFacts) -> list[int] | None:
     """Return the target shape of a Reshape, with −1 for the axis of the rows; None if unknown."""
     target = facts[1] if len(facts) > 1 else None
     if isinstance(target, Linear):
-        front = target.factor[:1].tolist() == [1] and target.constant[0] == 0
-        if not front or target.factor[1:].any():
+        is_leading_one = target.factor[:1].tolist() == [1] and target.constant[0] == 0
+        if not is_leading_one or target.factor[1:].any():
             return None
         return [-1, *(int(size) for size in target.constant[1:])]
     known = constant_of(node.inputs[1])
@@ -329,7 +333,7 @@ def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
     return sizes
 
 
-def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _expand(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an Expand of all N rows, not the K that a mask selects; None if it repeats rows."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
@@ -350,13 +354,15 @@ def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | 
         ):
             return None
         sizes[target_axis] = rows.mask.size
-    whole = [int(size) for size in np.broadcast_shapes(shape, tuple(sizes))]
-    axis = rows.axis + len(whole) - len(shape)
-    expanded = draft.op("Expand", rows.value, draft.constant(whole, np.int64), shape=whole)
+    expanded_shape = [int(size) for size in np.broadcast_shapes(shape, tuple(sizes))]
+    axis = rows.axis + len(expanded_shape) - len(shape)
+    expanded = draft.op(
+        "Expand", rows.value, draft.constant(expanded_shape, np.int64), shape=expanded_shape
+    )
     return Rows(rows.mask, expanded, axis)
 
 
-_RowRule = Callable[[ir.Node, Rows, Facts, RowDraft], Rows | None]
+_RowRule = Callable[[ir.Node, Rows, RowFacts, RowDraft], Rows | None]
 _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
     "Expand": _expand,
     "Gather": _gather,
@@ -376,7 +382,7 @@ _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
 }
 
 
-def split_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> list[Rows] | None:
+def split_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> list[Rows] | None:
     """Return the outputs of a Split along an axis other than the row axis, with all N rows."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.flat or any(facts[1:]):

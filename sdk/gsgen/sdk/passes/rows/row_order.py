@@ -32,15 +32,15 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
     flags = draft.op("Cast", mask, dtype=_INT, shape=[size], to=_INT.value)
     axis = draft.constant(0, np.int64)
     sums = draft.op("CumSum", flags, axis, dtype=_INT, shape=[size])
-    last = draft.constant([size - 1], np.int32)
-    count = draft.op("Gather", sums, last, dtype=_INT, shape=[1], axis=0)
+    last_index = draft.constant([size - 1], np.int32)
+    count = draft.op("Gather", sums, last_index, dtype=_INT, shape=[1], axis=0)
     number = draft.constant(np.arange(size), np.int32)
     live = draft.op("Less", number, count, dtype=_BOOL, shape=[size])
     # Step 2: pad the prefix sum to a power of two; the padding compares as larger than any j.
     bits = size.bit_length()
     padding = (1 << bits) - size
     filler = draft.constant(np.full(padding, np.iinfo(np.int32).max), np.int32)
-    padded = draft.op("Concat", sums, filler, dtype=_INT, shape=[size + padding], axis=0)
+    padded_sums = draft.op("Concat", sums, filler, dtype=_INT, shape=[size + padding], axis=0)
     zero = draft.constant(0, np.int32)
     kept_rows = draft.constant(np.zeros(size), np.int32)
     # Step 3: set the bits of i from the highest to the lowest.
@@ -48,13 +48,13 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
         step = 1 << bit
         probe = kept_rows
         if step > 1:
-            ahead = draft.constant(step - 1, np.int32)
-            probe = draft.op("Add", kept_rows, ahead, dtype=_INT, shape=[size])
-        prefix = draft.op("Gather", padded, probe, dtype=_INT, shape=[size], axis=0)
-        below = draft.op("LessOrEqual", prefix, number, dtype=_BOOL, shape=[size])
-        advance = draft.op(
-            "Where", below, draft.constant(step, np.int32), zero, dtype=_INT, shape=[size]
+            before_first = draft.constant(step - 1, np.int32)
+            probe = draft.op("Add", kept_rows, before_first, dtype=_INT, shape=[size])
+        prefix = draft.op("Gather", padded_sums, probe, dtype=_INT, shape=[size], axis=0)
+        is_below = draft.op("LessOrEqual", prefix, number, dtype=_BOOL, shape=[size])
+        step_increment = draft.op(
+            "Where", is_below, draft.constant(step, np.int32), zero, dtype=_INT, shape=[size]
         )
-        kept_rows = draft.op("Add", kept_rows, advance, dtype=_INT, shape=[size])
+        kept_rows = draft.op("Add", kept_rows, step_increment, dtype=_INT, shape=[size])
     rows = draft.op("Where", live, kept_rows, zero, dtype=_INT, shape=[size])
     return RowOrder(count, rows, live)

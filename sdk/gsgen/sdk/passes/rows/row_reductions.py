@@ -15,16 +15,16 @@ from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import Fact, Filler, Index, Linear, Rows
+from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, Rows
 from gsgen.sdk.passes.rows.row_operators import axes_of
 
 # The neutral element of each reduction.
 _NEUTRAL = {"ReduceSum": 0.0, "ReduceMean": 0.0, "ReduceMax": -np.inf, "ReduceMin": np.inf}
 
-Facts = Sequence[Fact | None]
+RowFacts = Sequence[RowFact | None]
 
 
-def scatter_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
+def scatter_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
     """Create the output of a ScatterND that writes selected rows back to their positions."""
     data, shape = node.inputs[0], fixed_shape(node.inputs[0])
     _, index, rows = facts
@@ -51,7 +51,7 @@ def scatter_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | Non
     return draft.op("Where", row_mask, all_rows, data, dtype=data.dtype, shape=shape)
 
 
-def reduce_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
+def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
     """Create a reduction over selected rows; other rows contribute the neutral element.
 
     Without any row the sum and (in ONNX Runtime) the mean are zero, and the maximum is −∞.
@@ -63,19 +63,21 @@ def reduce_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None
     kind = node.outputs[0].dtype
     if not isinstance(rows, Rows) or shape is None or rows.flat or not axes or kind is None:
         return None
-    exact = is_op(node, "ReduceSum") or kind in FLOAT_TYPES
+    is_exact = is_op(node, "ReduceSum") or kind in FLOAT_TYPES
     reduced_axes = {axis % len(shape) for axis in axes}
-    if not exact or rows.axis not in reduced_axes:
+    if not is_exact or rows.axis not in reduced_axes:
         return None
     dims = [1] * len(shape)
     dims[rows.axis] = rows.mask.size
     row_mask = draft.reshaped(draft.boolean_mask(rows.mask), dims)
     filler = draft.constant(_NEUTRAL[node.op_type], kind.numpy())
-    whole = draft.op("Where", row_mask, rows.value, filler, dtype=kind, shape=shape)
+    masked_values = draft.op("Where", row_mask, rows.value, filler, dtype=kind, shape=shape)
     if not is_op(node, "ReduceMean"):
-        return draft.like(node, [whole, *node.inputs[1:]])[0]
-    along = draft.constant(sorted(reduced_axes), np.int64)
-    total = draft.op("ReduceSum", whole, along, keepdims=int_attribute(node, "keepdims", 1))
+        return draft.like(node, [masked_values, *node.inputs[1:]])[0]
+    reduction_axes = draft.constant(sorted(reduced_axes), np.int64)
+    total = draft.op(
+        "ReduceSum", masked_values, reduction_axes, keepdims=int_attribute(node, "keepdims", 1)
+    )
     minimum = draft.constant(1, np.int32)
     count = draft.op("Max", draft.order(rows.mask).count, minimum, shape=[1])
     number = draft.op("Cast", count, dtype=kind, shape=[1], to=kind.value)
@@ -84,7 +86,7 @@ def reduce_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None
     return draft.op("Div", total, draft.reshaped(number, []))
 
 
-def pad_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
+def pad_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
     """Create the output of a Concat or Pad that pads selected rows to a fixed capacity."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.axis != 0 or rows.flat:
@@ -105,8 +107,8 @@ def pad_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
     return draft.op("Concat", compacted, filler, shape=[capacity, *shape[1:]], axis=0)
 
 
-def _concat_padding(node: ir.Node, facts: Facts) -> tuple[int, np.ndarray] | None:
-    if len(facts) != 2 or not isinstance(facts[1], Filler):
+def _concat_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:
+    if len(facts) != 2 or not isinstance(facts[1], FillerRows):
         return None
     rank = rank_of(node.outputs[0])
     if rank is None or node.attributes["axis"].as_int() % rank != 0:
@@ -114,14 +116,14 @@ def _concat_padding(node: ir.Node, facts: Facts) -> tuple[int, np.ndarray] | Non
     return facts[1].capacity, facts[1].row
 
 
-def _pad_padding(node: ir.Node, facts: Facts) -> tuple[int, np.ndarray] | None:
-    mode, amounts = node.attributes.get("mode"), facts[1] if len(facts) > 1 else None
+def _pad_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:
+    mode, pad_sizes = node.attributes.get("mode"), facts[1] if len(facts) > 1 else None
     rank = rank_of(node.inputs[0]) or 0
     if (mode is not None and mode.as_string() != "constant") or len(facts) > 3:
         return None
-    if not isinstance(amounts, Linear) or amounts.factor.shape != (2 * rank,):
+    if not isinstance(pad_sizes, Linear) or pad_sizes.factor.shape != (2 * rank,):
         return None
-    factor, constant = amounts.factor.copy(), amounts.constant.copy()
+    factor, constant = pad_sizes.factor.copy(), pad_sizes.constant.copy()
     if factor[rank] != -1:
         return None
     capacity, factor[rank], constant[rank] = int(constant[rank]), 0, 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import SAFE_WIDTH, ErrorBudget, Rewrite, is_op
+from gsgen.sdk.passes.framework.base import SAFE_TENSOR_COUNT, ErrorBudget, Rewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, required
 from gsgen.sdk.passes.rows.column_rules import Columns, Emit, columns_of, works_on_columns
@@ -23,7 +23,7 @@ _MAX_WIDTH = 16
 _ELEMENTWISE_COST, _BROADCAST_COST, _JOIN_COST, _SPLIT_COST, _REDUCE_COST, _EXPAND_COST = (
     1.2, 3.2, 4.0, 2.0, 2.0, 5.5,
 )  # fmt: skip
-_COPIES = ("Reshape", "Squeeze", "Unsqueeze")
+_COPY_OPERATORS = ("Reshape", "Squeeze", "Unsqueeze")
 _MAX_COST_RATIO = 0.85
 
 
@@ -47,43 +47,45 @@ class WorkInColumns(Rewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Compute groups of nodes column by column where this is predicted to take less time."""
         for group in _groups(model.graph):
-            planned = _Plan(group)
-            if planned.cost_after() <= _MAX_COST_RATIO * planned.cost_before():
+            column_plan = _ColumnPlan(group)
+            if column_plan.cost_after() <= _MAX_COST_RATIO * column_plan.cost_before():
                 for node in group.nodes:
                     self.note(node)
-                planned.build()
+                column_plan.build()
 
 
 @dataclass
-class _Group:
+class _ColumnGroup:
     """Connected graph nodes that work on tensors with the same number of rows."""
 
     rows: int
     nodes: list[ir.Node] = field(default_factory=list)
 
 
-def _groups(graph: ir.Graph) -> Iterator[_Group]:
+def _groups(graph: ir.Graph) -> Iterator[_ColumnGroup]:
     """Yield groups of connected, input-dependent nodes on long, narrow tensors, in graph order."""
-    varying = {value for value in graph.inputs if value.name not in graph.initializers}
-    owner: dict[ir.Value, _Group] = {}
-    groups: list[_Group] = []
+    varying_values = {value for value in graph.inputs if value.name not in graph.initializers}
+    group_of_value: dict[ir.Value, _ColumnGroup] = {}
+    groups: list[_ColumnGroup] = []
     for node in graph:
-        if not varying.intersection(value for value in node.inputs if value is not None):
+        if not varying_values.intersection(value for value in node.inputs if value is not None):
             continue
-        varying.update(node.outputs)
+        varying_values.update(node.outputs)
         rows = _rows(node)
         if rows is None:
             continue
         neighbours = {
-            id(owner[v]): owner[v] for v in node.inputs if v in owner and owner[v].rows == rows
+            id(group_of_value[v]): group_of_value[v]
+            for v in node.inputs
+            if v in group_of_value and group_of_value[v].rows == rows
         }
-        merged = _Group(rows)
+        merged = _ColumnGroup(rows)
         for neighbour in neighbours.values():
             merged.nodes += neighbour.nodes
             groups.remove(neighbour)
         merged.nodes.append(node)
         groups.append(merged)
-        owner |= {value: merged for member in merged.nodes for value in member.outputs}
+        group_of_value |= {value: merged for member in merged.nodes for value in member.outputs}
     order = {node: index for index, node in enumerate(graph)}
     for group in groups:
         group.nodes.sort(key=order.__getitem__)
@@ -97,28 +99,29 @@ def _rows(node: ir.Node) -> int | None:
     if None in shapes or len(rows) != 1:
         return None
     (count,) = rows
-    narrow = all(shape and prod(shape[1:]) <= _MAX_WIDTH for shape in shapes)
-    return count if count >= _MIN_ROWS and narrow and works_on_columns(node, count) else None
+    is_narrow = all(shape and prod(shape[1:]) <= _MAX_WIDTH for shape in shapes)
+    return count if count >= _MIN_ROWS and is_narrow and works_on_columns(node, count) else None
 
 
-class _Plan:
+class _ColumnPlan:
     """A plan to compute nodes column by column, with the predicted times before and after."""
 
-    def __init__(self, group: _Group) -> None:
+    def __init__(self, group: _ColumnGroup) -> None:
         self.rows, self.nodes = group.rows, group.nodes
-        inside = set(self.nodes)
+        inner_nodes = set(self.nodes)
         self.inputs = {node: list(node.inputs) for node in self.nodes}
         self.results = {value for node in self.nodes for value in node.outputs}
         # Results that nodes outside the group read must be joined again.
-        self.outside_results = {
+        self.external_results = {
             value
             for value in self.results
-            if value.is_graph_output() or any(user not in inside for user in value.consumers())
+            if value.is_graph_output()
+            or any(consumer not in inner_nodes for consumer in value.consumers())
         }
 
     def cost_before(self) -> float:
         """Return the predicted time of a group's nodes as they are, in nanoseconds per row."""
-        return sum(_cost(node, self.rows) for node in self.nodes)
+        return sum(_operator_cost(node, self.rows) for node in self.nodes)
 
     def cost_after(self) -> float:
         """Return the predicted time of a group's nodes column by column, in nanoseconds per row."""
@@ -140,34 +143,36 @@ class _Plan:
         self._run(lambda _: (emit, leaf), lambda *_: None)
         widths = [_width(value) for value in split_values if value.producer() is not None]
         # A target with few bindings joins more than seven columns in two steps.
-        joined_widths = [_width(value) for value in self.outside_results if _width(value) > 1]
-        joined = [width * (2 if width > SAFE_WIDTH else 1) for width in joined_widths]
+        joined_widths = [_width(value) for value in self.external_results if _width(value) > 1]
+        total_widths = [width * (2 if width > SAFE_TENSOR_COUNT else 1) for width in joined_widths]
         return (
             _ELEMENTWISE_COST * len(numbers)
             + _SPLIT_COST * sum(w for w in widths if w > 1)
-            + _JOIN_COST * sum(joined)
+            + _JOIN_COST * sum(total_widths)
         )
 
     def build(self) -> None:
         """Replace connected nodes by nodes on single columns; join columns read elsewhere."""
-        written: dict[Hashable, ir.Value] = {}
+        columns_by_key: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
             def emit(kind: str, operands: Sequence[Any], attributes: dict[str, Any]) -> ir.Value:
                 key = (kind, tuple(operands), tuple(sorted(attributes.items())))
-                if key not in written:
-                    written[key] = _write_operator(write, kind, operands, attributes)
-                return written[key]
+                if key not in columns_by_key:
+                    columns_by_key[key] = _write_operator(write, kind, operands, attributes)
+                return columns_by_key[key]
 
             return emit, lambda value: _split_columns(write, value, self.rows)
 
         def finish(write: InsertionPoint, node: ir.Node, columns: list[Columns]) -> None:
             for value, value_columns in zip(node.outputs, columns, strict=True):
-                if value in self.outside_results:
-                    whole = _join_columns(write, value_columns, value, self.rows)
-                    ir.convenience.replace_all_uses_with(value, whole, replace_graph_outputs=True)
-                    if value.name is not None and whole.is_graph_output():
-                        whole.name, value.name = value.name, f"{value.name}_rows"
+                if value in self.external_results:
+                    joined_tensor = _join_columns(write, value_columns, value, self.rows)
+                    ir.convenience.replace_all_uses_with(
+                        value, joined_tensor, replace_graph_outputs=True
+                    )
+                    if value.name is not None and joined_tensor.is_graph_output():
+                        joined_tensor.name, value.name = value.name, f"{value.name}_rows"
 
         self._run(writers, finish)
         for node in reversed(self.nodes):
@@ -180,12 +185,12 @@ class _Plan:
             write = InsertionPoint(node)
             emit, leaf = writers(write)
 
-            def look(value: ir.Value, leaf: Callable[[ir.Value], Columns] = leaf) -> Columns:
+            def lookup(value: ir.Value, leaf: Callable[[ir.Value], Columns] = leaf) -> Columns:
                 if value not in known:
                     known[value] = leaf(value)
                 return known[value]
 
-            columns = columns_of(node, self.inputs[node], self.rows, look, emit)
+            columns = columns_of(node, self.inputs[node], self.rows, lookup, emit)
             known.update(zip(node.outputs, columns, strict=True))
             finish(write, node, columns)
 
@@ -194,14 +199,14 @@ def _width(value: ir.Value) -> int:
     return prod((fixed_shape(value) or (1,))[1:])
 
 
-def _cost(node: ir.Node, rows: int) -> float:
+def _operator_cost(node: ir.Node, rows: int) -> float:
     """Return the predicted execution time of a node, in nanoseconds per row."""
     result_width = sum(_width(value) for value in node.outputs)
     first = node.inputs[0]
     input_width = (
         _width(first) if first is not None and (fixed_shape(first) or (0,))[0] == rows else 1
     )
-    if is_op(node, *_COPIES):
+    if is_op(node, *_COPY_OPERATORS):
         return 0.0
     if node.op_type.startswith("Reduce"):
         return _REDUCE_COST * input_width
@@ -212,8 +217,8 @@ def _cost(node: ir.Node, rows: int) -> float:
     if is_op(node, "Expand"):
         return _EXPAND_COST * result_width
     shapes = [fixed_shape(value) for value in node.inputs if value is not None]
-    long = [shape for shape in shapes if shape and shape[0] == rows]
-    broadcasts = any(prod(shape[1:]) != result_width for shape in long)
+    long_shapes = [shape for shape in shapes if shape and shape[0] == rows]
+    broadcasts = any(prod(shape[1:]) != result_width for shape in long_shapes)
     return (_BROADCAST_COST if broadcasts else _ELEMENTWISE_COST) * result_width
 
 
@@ -265,8 +270,8 @@ def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows
     """Join separate columns to a tensor with the shape of a graph value."""
     shape = required(fixed_shape(value))
     parts = _restored_parts(write, list(columns.reshape(-1)), rows)
-    whole = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=1)
-    tensor = write.op("Reshape", whole, write.int64(*shape))
+    joined_tensor = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=1)
+    tensor = write.op("Reshape", joined_tensor, write.int64(*shape))
     tensor.type, tensor.shape = value.type, value.shape
     return tensor
 
@@ -278,8 +283,8 @@ def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -
     """
     parts: list[ir.Value] = []
     while columns:
-        run, whole = _split_run(columns)
-        parts.append(whole or write.op("Reshape", columns[0], write.int64(rows, 1)))
+        run, joined_tensor = _split_run(columns)
+        parts.append(joined_tensor or write.op("Reshape", columns[0], write.int64(rows, 1)))
         columns = columns[run:]
     return parts
 
@@ -287,13 +292,19 @@ def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -
 def _split_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
     """Return how many leading columns are outputs of the same Split, and the Split's input."""
     sources = [_reshape_source(column) for column in columns]
-    maker = sources[0].producer() if sources[0] is not None else None
-    if maker is None or not is_op(maker, "Split"):
+    source_node = sources[0].producer() if sources[0] is not None else None
+    if source_node is None or not is_op(source_node, "Split"):
         return 1, None
-    cut = list(maker.outputs)
-    return (len(cut), maker.inputs[0]) if sources[: len(cut)] == cut else (1, None)
+    split_outputs = list(source_node.outputs)
+    return (
+        (len(split_outputs), source_node.inputs[0])
+        if sources[: len(split_outputs)] == split_outputs
+        else (1, None)
+    )
 
 
 def _reshape_source(column: ir.Value) -> ir.Value | None:
-    maker = column.producer()
-    return maker.inputs[0] if maker is not None and is_op(maker, "Reshape") else None
+    source_node = column.producer()
+    return (
+        source_node.inputs[0] if source_node is not None and is_op(source_node, "Reshape") else None
+    )

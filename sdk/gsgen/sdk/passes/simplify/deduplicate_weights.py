@@ -33,14 +33,14 @@ class DeduplicateWeights(CautiousRewrite):
         """Let all nodes that read equal weights read the first copy that is in scope."""
         graphs = (model.graph, *model.graph.subgraphs())
         weights = [value for graph in graphs for value in graph.initializers.values()]
-        self._occurrences = Counter(_outline(value) for value in weights)
+        self._occurrences = Counter(_weight_key(value) for value in weights)
         self._digests: dict[Hashable, bytes] = {}
-        self._share(model.graph, ChainMap())
+        self._share_weights(model.graph, ChainMap())
 
-    def _share(self, graph: ir.Graph, known: "ChainMap[Hashable, ir.Value]") -> None:
+    def _share_weights(self, graph: ir.Graph, known: "ChainMap[Hashable, ir.Value]") -> None:
         """Merge equal weights of a graph, its subgraphs and the graphs around it."""
         for name, value in list(graph.initializers.items()):
-            if self._occurrences[_outline(value)] < 2 or not self._can_merge(value):
+            if self._occurrences[_weight_key(value)] < 2 or not self._can_merge(value):
                 continue
             first = known.setdefault(self._content(value), value)
             if first is not value and not value.is_graph_output():
@@ -48,8 +48,8 @@ class DeduplicateWeights(CautiousRewrite):
                 self.note(value)
                 del graph.initializers[name]
         for node in graph:
-            for body in _bodies(node):
-                self._share(body, known.new_child())
+            for body in _subgraphs(node):
+                self._share_weights(body, known.new_child())
 
     def _can_merge(self, value: ir.Value) -> bool:
         tensor = value.const_value
@@ -69,7 +69,7 @@ class DeduplicateWeights(CautiousRewrite):
         digest = self._digests.get(location) or _digest(tensor)
         if location is not None:
             self._digests[location] = digest
-        return _outline(value), digest
+        return _weight_key(value), digest
 
 
 def _digest(tensor: ir.TensorProtocol | None) -> bytes:
@@ -79,12 +79,12 @@ def _digest(tensor: ir.TensorProtocol | None) -> bytes:
     return digest.digest()
 
 
-def _outline(value: ir.Value) -> Hashable:
+def _weight_key(value: ir.Value) -> Hashable:
     tensor = value.const_value
     return None if tensor is None else (tensor.dtype, tuple(tensor.shape.numpy()))
 
 
-def _bodies(node: ir.Node) -> Iterator[ir.Graph]:
+def _subgraphs(node: ir.Node) -> Iterator[ir.Graph]:
     for attribute in node.attributes.values():
         if attribute.type == ir.AttributeType.GRAPH:
             yield attribute.as_graph()

@@ -15,9 +15,9 @@ from gsgen.sdk.passes.framework.shape_arithmetic import evaluate
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 # A shape has a few numbers; a table of row numbers, which no GPU kernel computes, may have many.
-_FEW = 1 << 12
-_MANY = 1 << 24
-_TABLES = ("ConstantOfShape", "Range")
+_SMALL_SIZE = 1 << 12
+_MAX_SIZE = 1 << 24
+_TABLE_OPERATORS = ("ConstantOfShape", "Range")
 
 
 class FoldShapes(CautiousRewrite):
@@ -38,19 +38,19 @@ class FoldShapes(CautiousRewrite):
 
     def rewrite(self, model: ir.Model) -> None:
         """Fold arithmetic on shapes and infer shapes, alternately, until nothing changes."""
-        while self._sweep(model):
+        while self._fold_once(model):
             ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
-    def _sweep(self, model: ir.Model) -> bool:
+    def _fold_once(self, model: ir.Model) -> bool:
         before = len(self.changed)
         self.refusals.clear()
         for node in list(every_node(model)):
             if len(node.outputs) != 1 or node.outputs[0].is_graph_output():
                 continue
-            folded = self._value_of(node)
-            if folded is not None:
+            folded_value = self._value_of(node)
+            if folded_value is not None:
                 self.note(node)
-                _replace(node, folded)
+                _replace(node, folded_value)
         return len(self.changed) > before
 
     def _value_of(self, node: ir.Node) -> np.ndarray | None:
@@ -61,7 +61,7 @@ class FoldShapes(CautiousRewrite):
         part = _part_of_shape(node)
         if part is not None:
             return part
-        inputs = [constant_of(value, _FEW) for value in node.inputs]
+        inputs = [constant_of(value, _SMALL_SIZE) for value in node.inputs]
         known = [
             value is None or array is not None
             for value, array in zip(node.inputs, inputs, strict=True)
@@ -69,11 +69,11 @@ class FoldShapes(CautiousRewrite):
         if not inputs or not all(known):
             return None
         size = _size_of_table(node, inputs)
-        if size > _MANY:
-            self.refuse(node, f"it would have {size} elements, expected {_MANY} at most")
+        if size > _MAX_SIZE:
+            self.refuse(node, f"it would have {size} elements, expected {_MAX_SIZE} at most")
             return None
         result = evaluate(node, inputs)
-        largest = _MANY if is_op(node, *_TABLES) else _FEW
+        largest = _MAX_SIZE if is_op(node, *_TABLE_OPERATORS) else _SMALL_SIZE
         return result if result is not None and result.size <= largest else None
 
 
@@ -105,7 +105,7 @@ def _part_of_shape(node: ir.Node) -> np.ndarray | None:
     if maker is None or not (is_op(maker, "Shape") and is_op(node, "Gather", "Slice")):
         return None
     axes = _shape_axes(maker)
-    arguments = [constant_of(value, _FEW) for value in node.inputs[1:]]
+    arguments = [constant_of(value, _SMALL_SIZE) for value in node.inputs[1:]]
     if axes is None or any(array is None for array in arguments):
         return None
     sizes = np.array([dim if isinstance(dim, int) else -1 for dim in axes], np.int64)
@@ -124,8 +124,8 @@ def _size_of_table(node: ir.Node, inputs: list[np.ndarray | None]) -> int:
     return 0
 
 
-def _replace(node: ir.Node, folded: np.ndarray) -> None:
+def _replace(node: ir.Node, folded_value: np.ndarray) -> None:
     graph, old = node.graph, node.outputs[0]
     assert isinstance(graph, ir.Graph)
-    replace_value(old, weight(graph, f"{old.name}_folded", np.array(folded, order="C")))
+    replace_value(old, weight(graph, f"{old.name}_folded", np.array(folded_value, order="C")))
     graph.remove(node, safe=True)

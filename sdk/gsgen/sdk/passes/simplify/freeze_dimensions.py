@@ -34,7 +34,7 @@ class FreezeDimensions(CautiousRewrite):
                     f"the size of {name} is {size}, expected 1 or more", where="--size"
                 )
         self.sizes = dict(sizes)
-        self._frozen: set[str] = set()
+        self._frozen_symbols: set[str] = set()
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "FreezeDimensions | None":
@@ -45,10 +45,10 @@ class FreezeDimensions(CautiousRewrite):
         """Replace each symbolic dimension for which the user gave a size."""
         names = {dim for value in _values(model) for dim in _symbols(value)}
         ends = {*model.graph.inputs, *model.graph.outputs}
-        for name in self.sizes.keys() - names - self._frozen:
-            declared = {dim for value in ends for dim in _symbols(value)}
-            raise UnknownName.among("dimension", name, declared, "--size")
-        self._frozen |= names & self.sizes.keys()
+        for name in self.sizes.keys() - names - self._frozen_symbols:
+            declared_symbols = {dim for value in ends for dim in _symbols(value)}
+            raise UnknownName.among("dimension", name, declared_symbols, "--size")
+        self._frozen_symbols |= names & self.sizes.keys()
         for value in _values(model):
             if value.shape is None:
                 continue

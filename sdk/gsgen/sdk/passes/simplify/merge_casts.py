@@ -30,13 +30,20 @@ class MergeCasts(NodeRewrite):
         inner = value.producer() if value is not None else None
         if value is None or inner is None or not is_op(inner, "Cast") or not inner.inputs[0]:
             return False
-        first, between = inner.inputs[0].dtype, value.dtype
-        last = node.outputs[0].dtype
-        if first is None or between is None or last is None or not holds_all(between, first):
+        first_dtype, middle_dtype = inner.inputs[0].dtype, value.dtype
+        last_dtype = node.outputs[0].dtype
+        if (
+            first_dtype is None
+            or middle_dtype is None
+            or last_dtype is None
+            or not holds_all(middle_dtype, first_dtype)
+        ):
             return False
         # The cast of a number that does not fit differs between dtypes.
-        truncates = between.is_integer() and last.is_integer()  # alike in one step or two
-        return holds_all(last, first) or first == ir.DataType.BOOL or truncates
+        truncates = (
+            middle_dtype.is_integer() and last_dtype.is_integer()
+        )  # alike in one step or two
+        return holds_all(last_dtype, first_dtype) or first_dtype == ir.DataType.BOOL or truncates
 
     def replace(self, node: ir.Node) -> None:
         """Cast the input of two consecutive Casts directly to the last dtype."""

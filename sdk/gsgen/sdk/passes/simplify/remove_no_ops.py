@@ -38,8 +38,8 @@ class RemoveNoOps(NodeRewrite):
         if any(output.is_graph_output() for output in node.outputs[1:]):
             return False
         producer = x.producer()
-        fresh = producer is not None and producer.graph is node.graph
-        if node.outputs[0].is_graph_output() and (not fresh or x.is_graph_output()):
+        is_own_graph = producer is not None and producer.graph is node.graph
+        if node.outputs[0].is_graph_output() and (not is_own_graph or x.is_graph_output()):
             return False
         return _unchanged_argument(node) is not None
 
@@ -49,8 +49,8 @@ class RemoveNoOps(NodeRewrite):
             _unchanged_argument(node)
         )  # not stored: another replacement may have changed it
         write = InsertionPoint(node)
-        for spare in node.outputs[1:]:
-            spare.name = None
+        for unused_output in node.outputs[1:]:
+            unused_output.name = None
         node.resize_outputs(1)
         write.replace(argument)
 
@@ -63,9 +63,9 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
     if is_op(node, "Identity", *_VARIADIC):
         return x if len(node.inputs) == 1 else None
     if is_op(node, "Dropout"):
-        training = node.inputs[2] if len(node.inputs) > 2 else None
-        mode = constant_of(training)
-        return x if training is None or (mode is not None and not mode.any()) else None
+        training_mode = node.inputs[2] if len(node.inputs) > 2 else None
+        mode = constant_of(training_mode)
+        return x if training_mode is None or (mode is not None and not mode.any()) else None
     if is_op(node, "Cast", "CastLike"):
         return x if x.dtype is not None and x.dtype == node.outputs[0].dtype else None
     if is_op(node, *_REDUCTIONS):
@@ -98,9 +98,9 @@ def _neutral_operand_partner(node: ir.Node) -> ir.Value | None:
     shape = fixed_shape(node.outputs[0])
     for operand, neutral in pairs:
         number = constant_of(neutral)
-        idle = number is not None and bool((number == _NEUTRAL[node.op_type]).all())
+        is_neutral = number is not None and bool((number == _NEUTRAL[node.op_type]).all())
         if (
-            idle
+            is_neutral
             and number is not None
             and number.size
             and shape == fixed_shape(operand) is not None
@@ -122,6 +122,6 @@ def _keeps_positions(node: ir.Node, rank: int) -> bool:
         steps = constant_of(step_input)
         return step_input is None or (steps is not None and bool((steps == 1).all()))
     if is_op(node, "Pad") and len(node.inputs) > 1:
-        pads = constant_of(node.inputs[1])
-        return pads is not None and not pads.any()
+        pad_sizes = constant_of(node.inputs[1])
+        return pad_sizes is not None and not pad_sizes.any()
     return False
