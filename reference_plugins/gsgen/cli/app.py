@@ -15,9 +15,9 @@ from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
 # Objects between two garbage collections: more than all imports of a command create.
-_COLLECT_AFTER = 500_000
+_COLLECTION_THRESHOLD = 500_000
 # Errors of a full or read-only disk.
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+_UNWRITABLE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def main() -> None:
@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def _run() -> None:
-    gc.set_threshold(_COLLECT_AFTER)  # imports create many objects and hardly any garbage
+    gc.set_threshold(_COLLECTION_THRESHOLD)  # imports create many objects and hardly any garbage
     atexit.register(gc.freeze)  # so that the interpreter's last collection has nothing to visit
     arguments = sys.argv[1:]
     if arguments[:1] == ["help"]:
@@ -51,9 +51,9 @@ def _run() -> None:
         sys.stderr.close()
         sys.exit(ExitCode.USAGE)
     except OSError as error:
-        if error.errno not in _DISK_FULL:
+        if error.errno not in _UNWRITABLE_ERRORS:
             _crash()
-        _fail_unwritten(error)
+        _fail_unwritable(error)
     except Exception:  # a crash is neither a verdict nor a wrong option
         _crash()
 
@@ -76,7 +76,7 @@ def _dispatch(arguments: list[str]) -> None:
     build()(arguments, prog_name="gsgen")
 
 
-def _fail_unwritten(error: OSError) -> Never:
+def _fail_unwritable(error: OSError) -> Never:
     try:
         sys.stdout.flush()
     except OSError:

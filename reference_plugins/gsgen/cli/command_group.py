@@ -1,6 +1,6 @@
 """The typer program behind `gsgen`: a group of commands that imports only the one that runs."""
 
-__all__ = ["ANY_WORDS", "build", "click_command", "refusing", "runnable"]
+__all__ = ["PASS_THROUGH_SETTINGS", "build", "click_command", "refusing", "runnable"]
 
 import os
 from collections.abc import Callable
@@ -15,14 +15,14 @@ from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import UnknownName
 
 # A command that only reports why it cannot run accepts all arguments.
-ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
+PASS_THROUGH_SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True}
 
 
 def build() -> typer.Typer:
     """Return the `gsgen` program as a typer app, whose commands are imported when they run."""
     app = typer.Typer(
         name="gsgen",
-        cls=_Commands,
+        cls=_CommandGroup,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
@@ -34,7 +34,7 @@ def _root() -> None:
     pass
 
 
-class _Commands(TyperGroup):
+class _CommandGroup(TyperGroup):
     """A click command group that loads a command when it is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -56,15 +56,15 @@ class _Commands(TyperGroup):
 def click_command(command: Command) -> Any:
     """Import a command, and return it as a click command."""
     app = typer.Typer(add_completion=False)
-    loaded, settings = runnable(command.code)
-    if isinstance(loaded, typer.Typer):
+    loaded_command, settings = runnable(command.code)
+    if isinstance(loaded_command, typer.Typer):
         from gsgen.cli.option_panels import arrange_options
 
-        app.add_typer(loaded, name=command.name)
+        app.add_typer(loaded_command, name=command.name)
         group = typer.main.get_group(app).commands[command.name]
         arrange_options(group)
         return group
-    app.command(command.name, cls=_Ordered, context_settings=settings)(loaded)
+    app.command(command.name, cls=_OrderedCommand, context_settings=settings)(loaded_command)
     return typer.main.get_group(app).commands[command.name]
 
 
@@ -73,7 +73,7 @@ def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:
     try:
         return extension.load(), {}
     except ExtensionUnusable as error:
-        return refusing(error), ANY_WORDS
+        return refusing(error), PASS_THROUGH_SETTINGS
 
 
 def refusing(error: ExtensionUnusable) -> Callable[..., None]:
@@ -86,7 +86,7 @@ def refusing(error: ExtensionUnusable) -> Callable[..., None]:
     return refuse
 
 
-class _Ordered(TyperCommand):
+class _OrderedCommand(TyperCommand):
     """A click command that records in which order the user typed its options."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -98,7 +98,7 @@ class _Ordered(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse command-line arguments, and record parameter names in the order typed."""
-        typed = list(args)
+        given_args = list(args)
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         try:
@@ -110,7 +110,7 @@ class _Ordered(TyperCommand):
             if not error.message and getattr(error.param, "name", None) == "output":
                 from gsgen.cli.output_hints import output_hint
 
-                error.message = output_hint(self.name or "", typed, values)
+                error.message = output_hint(self.name or "", given_args, values)
             error.param = self._missing_argument(error.param, values)
             raise
 
@@ -122,24 +122,26 @@ class _Ordered(TyperCommand):
         arguments = [item for item in self.params if item.param_type_name == "argument"]
         if missing not in arguments[:-1] or values[missing.name or ""]:
             return missing
-        last = arguments[-1]
-        return last if missing.nargs == -1 and values[last.name or ""] else missing
+        last_argument = arguments[-1]
+        return (
+            last_argument if missing.nargs == -1 and values[last_argument.name or ""] else missing
+        )
 
 
 def _number_hint(bounds: Any) -> str:
     """Return the type and the range of a numeric command-line option; empty for others."""
-    noun = {"int": "a whole number", "float": "a number"}.get(bounds.name.split()[0])
-    if noun is None:
+    type_name = {"int": "a whole number", "float": "a number"}.get(bounds.name.split()[0])
+    if type_name is None:
         return ""
-    least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
-    above = "" if least is None else f" from {least:g}"
-    return f" Give {noun}{above}{'' if most is None else f' to {most:g}'}."
+    minimum, maximum = getattr(bounds, "min", None), getattr(bounds, "max", None)
+    minimum_text = "" if minimum is None else f" from {minimum:g}"
+    return f" Give {type_name}{minimum_text}{'' if maximum is None else f' to {maximum:g}'}."
 
 
 def _unknown_command(name: str, commands: list[str]) -> UnknownName:
     error = UnknownName.among("command", name, commands)
     if os.path.exists(name):
         is_checked = name.endswith((".onnx", ".json")) or os.path.isdir(name)
-        to_draw = f"To draw the file, type `gsgen render {name} -o picture.png`."
-        error.hint = f"To validate it, type `gsgen validate {name}`." if is_checked else to_draw
+        draw_hint = f"To draw the file, type `gsgen render {name} -o picture.png`."
+        error.hint = f"To validate it, type `gsgen validate {name}`." if is_checked else draw_hint
     return error

@@ -26,9 +26,9 @@ class Command:
     code: Extension
 
 
-def _command(name: str, summary: str, place: str) -> Command:
-    """Return a command of ours; ``place`` is its module and function below gsgen.cli.commands."""
-    point = EntryPoint(name, f"gsgen.cli.commands.{place}", _GROUP)
+def _command(name: str, summary: str, module_path: str) -> Command:
+    """Return a command of ours; ``module_path`` is its module and function below gsgen.cli.commands."""
+    point = EntryPoint(name, f"gsgen.cli.commands.{module_path}", _GROUP)
     return Command(name, summary, Extension(name, point))
 
 
@@ -182,18 +182,20 @@ def find_command(name: str) -> Command | None:
 
     Other packages register theirs under the entry point group ``gsgen.commands``.
     """
-    ours = {command.name: command for commands in PANELS.values() for command in commands}
-    return ours.get(name) or _others().get(name)
+    own_commands = {command.name: command for commands in PANELS.values() for command in commands}
+    return own_commands.get(name) or _extension_commands().get(name)
 
 
 def panels() -> dict[str, tuple[Command, ...]]:
     """Return panel → commands of gsgen and of other packages, in the order of the help."""
-    ours = {command.name for commands in PANELS.values() for command in commands}
-    others = tuple(command for name, command in _others().items() if name not in ours)
-    return PANELS | ({"Other commands": others} if others else {})
+    own_commands = {command.name for commands in PANELS.values() for command in commands}
+    extension_commands = tuple(
+        command for name, command in _extension_commands().items() if name not in own_commands
+    )
+    return PANELS | ({"Other commands": extension_commands} if extension_commands else {})
 
 
-def _others() -> dict[str, Command]:
+def _extension_commands() -> dict[str, Command]:
     return {
         name: Command(name, f"A command of the package {code.owner}.", code)
         for name, code in find_extensions(_GROUP).items()

@@ -38,10 +38,10 @@ def copy_of(output: Path | None, *, dry_run: bool) -> Path | None:
 
 def sizes_of(entries: Iterable[str] | None) -> dict[str, int]:
     """Parse options ``--size SYMBOL=SIZE`` into a dict from symbolic dimension to size."""
-    return dict(map(_sized, entries or ()))
+    return dict(map(_parse_size, entries or ()))
 
 
-def _sized(entry: str) -> tuple[str, int]:
+def _parse_size(entry: str) -> tuple[str, int]:
     symbol, sign, size = entry.partition("=")
     if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
         raise ConfigInvalid(
@@ -70,7 +70,7 @@ def echo_json(document: object) -> None:
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
 
 
-def first_names(names: Sequence[str], most: int) -> str:
+def first_names(names: Sequence[str], max_names: int) -> str:
     """Join the first names of a list, followed by the number of the remaining ones."""
-    remainder = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + remainder
+    remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + remainder

@@ -39,8 +39,8 @@ def echo_error(error: GsgenError) -> None:
     clear()
     if not error.hint and "No such file" in error.message:
         error.hint = similar_file_hint(str(error).partition(": ")[0])
-    first, *others = str(error).split("\n")
-    lines = [line if line.startswith(" ") else f"  {line}" for line in others]
+    first, *other_lines = str(error).split("\n")
+    lines = [line if line.startswith(" ") else f"  {line}" for line in other_lines]
     typer.echo("\n".join((f"gsgen: {first}", *lines)), err=True)
 
 

@@ -26,12 +26,12 @@ def output_hint(command: str, words: Sequence[str], values: Mapping[str, Any]) -
     if command not in _SUFFIXES or not files:
         return ""
     suffix, output_suffixes = _SUFFIXES[command]
-    last, remaining = files[-1], list(words)
-    is_output = len(files) > 1 and Path(last).suffix.lower() in output_suffixes
-    if is_output and not Path(last).exists():
-        remaining.remove(last)
-        return _hint(command, remaining, last)
-    return _hint(command, remaining, f"{Path(files[0]).stem or command}{suffix}")
+    last_file, remaining_words = files[-1], list(words)
+    is_output = len(files) > 1 and Path(last_file).suffix.lower() in output_suffixes
+    if is_output and not Path(last_file).exists():
+        remaining_words.remove(last_file)
+        return _hint(command, remaining_words, last_file)
+    return _hint(command, remaining_words, f"{Path(files[0]).stem or command}{suffix}")
 
 
 def _flattened(values: Mapping[str, Any]) -> list[Any]:

@@ -12,29 +12,29 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
-_COUNT: Final = re.compile(r"(?P<done>\d+) of (?P<total>\d+)\b")
+_COUNT_PATTERN: Final = re.compile(r"(?P<done>\d+) of (?P<total>\d+)\b")
 
 
-class _Line:
+class _ProgressLine:
     """The progress line of a command: a rich display and its current task."""
 
     def __init__(self) -> None:
         self.display: Progress | None = None
-        self.counted = ("", 0)
+        self.shown_count = ("", 0)
 
     def show(self, words: str) -> None:
         """Show a text on the progress line, with a progress bar if it has a count such as 3/9."""
         if self.display is None:
             self.display = _open_display()
             self.display.start()
-        match = _COUNT.search(words)
-        counted = (_COUNT.sub("", words), int(match["total"])) if match else ("", 0)
+        match = _COUNT_PATTERN.search(words)
+        shown_count = (_COUNT_PATTERN.sub("", words), int(match["total"])) if match else ("", 0)
         task_ids = self.display.task_ids
-        if not task_ids or counted != self.counted or not match:
+        if not task_ids or shown_count != self.shown_count or not match:
             for task_id in task_ids:
                 self.display.remove_task(task_id)
-            self.display.add_task(words, total=counted[1] if match else None)
-            self.counted = counted
+            self.display.add_task(words, total=shown_count[1] if match else None)
+            self.shown_count = shown_count
         done = int(match["done"]) if match else None
         self.display.update(self.display.task_ids[0], description=f"{words} …", completed=done)
 
@@ -43,7 +43,7 @@ class _Line:
         if self.display is not None:
             self.display.stop()
             self.display = None
-            self.counted = ("", 0)
+            self.shown_count = ("", 0)
 
 
 def _open_display() -> "Progress":
@@ -94,15 +94,15 @@ def display_of(*columns: "ProgressColumn") -> "Progress":
     )
 
 
-_line: Final = _Line()
+_progress_line: Final = _ProgressLine()
 
 
 def progress(words: str) -> None:
     """Replace the text of the progress line on stderr."""
     if sys.stderr.isatty():
-        _line.show(words)
+        _progress_line.show(words)
 
 
 def clear() -> None:
     """Erase the progress line on stderr."""
-    _line.close()
+    _progress_line.close()

@@ -12,9 +12,9 @@ import unicodedata
 from io import TextIOWrapper
 from typing import Final, TextIO
 
-_HANDLER: Final = "gsgen-transliterate"
+_HANDLER_NAME: Final = "gsgen-transliterate"
 _ASCII: Final = "gsgen-ascii"
-_SUBSTITUTES: Final = {
+_ASCII_SUBSTITUTES: Final = {
     "→": "->", "←": "<-", "↔": "<->", "−": "-", "–": "-", "—": "-", "‑": "-", "…": "...",
     "×": "x", "·": "*", "÷": "/", "⁄": "/", "±": "+/-", "≤": "<=", "≥": ">=", "≠": "!=", "≈": "~",
     "√": "sqrt ", "∞": "inf", "∫": "integral ", "∈": "in", "‖": "||", "°": " deg", "′": "'",
@@ -24,12 +24,12 @@ _SUBSTITUTES: Final = {
     "╭": "+", "╮": "+", "╯": "+", "╰": "+", "╸": "-", "╺": "-", "█": "#", "▏": "|",
     "\xa0": " ", "\u202f": " ",
 }  # fmt: skip
-_MARKS: Final = {"<super>": "^", "<sub>": "_"}
+_TAG_MARKS: Final = {"<super>": "^", "<sub>": "_"}
 
 
 def accept_any_text() -> None:
     """Configure stdout and stderr so that printing any text never raises an encoding error."""
-    codecs.register_error(_HANDLER, transliterate)
+    codecs.register_error(_HANDLER_NAME, transliterate)
     codecs.register(_ascii_codec)
     for stream in (sys.stdout, sys.stderr):
         _accept_any_text(stream)
@@ -40,9 +40,9 @@ def _accept_any_text(stream: TextIO | None) -> None:
         return
     if codecs.lookup(stream.encoding).name == "ascii":
         # click writes UTF-8 into streams whose encoding is named ASCII.
-        stream.reconfigure(encoding=_ASCII, errors=_HANDLER)
+        stream.reconfigure(encoding=_ASCII, errors=_HANDLER_NAME)
     else:
-        stream.reconfigure(errors=_HANDLER)
+        stream.reconfigure(errors=_HANDLER_NAME)
 
 
 def transliterate(error: UnicodeError) -> tuple[str, int]:
@@ -58,17 +58,17 @@ def transliterate(error: UnicodeError) -> tuple[str, int]:
 
 
 def _substitute(character: str) -> str:
-    if character in _SUBSTITUTES:
-        return _SUBSTITUTES[character]
+    if character in _ASCII_SUBSTITUTES:
+        return _ASCII_SUBSTITUTES[character]
     name = unicodedata.name(character, "")
     if name.startswith("GREEK SMALL LETTER ") and name.count(" ") == 3:
         return name.rpartition(" ")[2].lower()
     if name.startswith("GREEK CAPITAL LETTER ") and name.count(" ") == 3:
         return name.rpartition(" ")[2].title()
     tag, _, points = unicodedata.decomposition(character).partition(" ")
-    base = chr(int(points, 16)) if tag in _MARKS and " " not in points else ""
+    base = chr(int(points, 16)) if tag in _TAG_MARKS and " " not in points else ""
     if base:
-        return _MARKS[tag] + (base if base.isascii() else _substitute(base))
+        return _TAG_MARKS[tag] + (base if base.isascii() else _substitute(base))
     if tag == "<fraction>":
         return unicodedata.normalize("NFKD", character).replace("⁄", "/")
     return _escape(character)

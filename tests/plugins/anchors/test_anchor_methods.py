@@ -8,7 +8,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCheckpoint, read_anchors
-from gsgen.reference_plugins.anchors.octree_gs import MODES, Levels, OctreeGS
+from gsgen.reference_plugins.anchors.octree_gs import LEVEL_ROUNDING, Levels, OctreeGS
 from gsgen.reference_plugins.anchors.prefilter import Prefilter
 from gsgen.reference_plugins.anchors.scaffold_gs import ScaffoldGS
 from gsgen.reference_plugins.anchors.selection import Frustum, Selection
@@ -57,7 +57,7 @@ def test_scaffold_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
         assert_like(rows, color, anchors(read, view, uid, octree=False))
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LEVEL_ROUNDING)
 @pytest.mark.parametrize("seed", range(ROUNDS // 3))
 def test_octree_does_what_the_method_does(seed: int, mode: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(100 + seed)

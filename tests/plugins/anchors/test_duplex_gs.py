@@ -17,7 +17,7 @@ from gsgen.reference_plugins.anchors import duplex_gs_plugin
 from gsgen.reference_plugins.anchors.anchor_checkpoint import Mlp
 from gsgen.reference_plugins.anchors.cell_checkpoint import CellCheckpoint, read_cells
 from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS
-from gsgen.reference_plugins.anchors.octree_gs import MODES, Levels
+from gsgen.reference_plugins.anchors.octree_gs import LEVEL_ROUNDING, Levels
 from gsgen.reference_plugins.anchors.selection import Selection
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_duplex
@@ -111,7 +111,7 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
     )
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LEVEL_ROUNDING)
 @pytest.mark.parametrize("seed", range(3))
 def test_cells_are_decoded_as_the_method_does(seed: int, mode: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsgen.reference_plugins.anchors import scaffold_gs_plugin
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, Printed, read_cfg_args
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs, PrintedObject, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.options import report_checkpoint
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_scaffold
@@ -126,8 +126,8 @@ def test_objects_within_others_are_their_option_s_text(
     printed = Namespace(**options, odd=Odd(printed_text), listed=[1, Odd(printed_text)])
     cfg = read_cfg(tmp_path_factory.getbasetemp(), repr(printed))
     assert cfg.printed() == {
-        "odd": Printed(f"<{printed_text}>"),
-        "listed": Printed(f"[1, <{printed_text}>]"),
+        "odd": PrintedObject(f"<{printed_text}>"),
+        "listed": PrintedObject(f"[1, <{printed_text}>]"),
     }
     literals = {name: value for name, value in cfg.values.items() if name in options}
     assert in_order(literals) == in_order(plain(options))

@@ -8,7 +8,7 @@ import pytest
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
-from gsgen.reference_plugins.anchors.octree_gs import MODES
+from gsgen.reference_plugins.anchors.octree_gs import LEVEL_ROUNDING
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.octree_anygs.anygs_checkpoint import read_anygs
 from gsgen.reference_plugins.octree_anygs.octree_anygs_plugin import build
@@ -28,7 +28,7 @@ def generator_of(folder: Path, **options: object) -> GaussianGenerator:
     return generator
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LEVEL_ROUNDING)
 @pytest.mark.parametrize("base", ["scaffoldgs", "3dgs", "2dgs"])
 def test_gaussians_of_every_level_are_those_of_the_method(
     base: str, mode: str, tmp_path: Path

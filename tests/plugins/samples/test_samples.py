@@ -14,7 +14,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.formats import open_splats
 from gsgen.reference_plugins.samples import write_samples
-from gsgen.reference_plugins.samples.files import SAMPLES
+from gsgen.reference_plugins.samples.files import SAMPLE_WRITERS
 from gsgen.reference_plugins.samples.sunflower import JOINTS
 from support.commands import gsgen_here
 
@@ -49,7 +49,7 @@ def test_the_command_writes_and_lists_every_file(tmp_path: Path) -> None:
     result = gsgen_here("samples", tmp_path / "new" / "folder", "--json")
     assert result.code == 0, result.err
     paths = [Path(path) for path in json.loads(result.out)]
-    assert [path.name for path in paths] == list(SAMPLES)
+    assert [path.name for path in paths] == list(SAMPLE_WRITERS)
     assert sum(path.stat().st_size for path in paths) < MOST_BYTES
 
 

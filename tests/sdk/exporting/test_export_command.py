@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from gsgen.cli.commands.exporting import export as export_command
 from gsgen.cli.commands.exporting.export import app
 from gsgen.cli.commands.exporting.export_options import ExportRequest, with_common_options
-from gsgen.cli.commands.exporting.export_report import Outcome, emit_report
+from gsgen.cli.commands.exporting.export_report import ExportOutcome, emit_report
 from gsgen.cli.commands.exporting.plugin_function import plugin_function
 from gsgen.conformance.fixtures import find
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
@@ -173,7 +173,7 @@ def test_report_states_the_parity_error() -> None:
         field="position", error=math.inf, excess=math.inf, probe="time=1", row=3
     )
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst_field,), 13))
-    outcome = Outcome(written=False, parity=error.parity, error=error)
+    outcome = ExportOutcome(written=False, parity=error.parity, error=error)
     request = ExportRequest(output=Path("m.onnx"), report=Path("r.json"))
     emit_report(request, "dots:Dots", outcome)
     document = json.loads(Path("r.json").read_text(encoding="utf-8"))

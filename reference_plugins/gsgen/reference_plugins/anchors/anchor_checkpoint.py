@@ -7,7 +7,7 @@ file each, or state dicts in one file: ``checkpoints.pth`` of the mode ``unite``
 """
 
 __all__ = [
-    "AnchorCheckpoint", "AnchorCloud", "AnchorNets", "Mlp", "States", "describe_anchors",
+    "AnchorCheckpoint", "AnchorCloud", "AnchorNets", "Mlp", "NetworkStates", "describe_anchors",
     "numbered", "read_anchors", "read_cloud", "read_nets", "require_appearance", "require_sizes",
 ]  # fmt: skip
 
@@ -36,16 +36,16 @@ from gsgen.reference_plugins.loading.states import (
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 _OFFSET = re.compile(r"f_offset_(\d+)")
-_FEATURE = re.compile(r"f_anchor_feat_(\d+)")
+_FEATURE_NAME = re.compile(r"f_anchor_feat_(\d+)")
 _SCALES = tuple(f"scale_{i}" for i in range(6))
 _ROTATION = tuple(f"rot_{i}" for i in range(4))
 _LEVELS = ("level", "extra_level", "info")
 # Both names of a file with all networks; the first versions of Scaffold-GS wrote the second.
-_UNITED = ("checkpoints.pth", "checkpoint.pth")
+_COMBINED_FILES = ("checkpoints.pth", "checkpoint.pth")
 _RENAMED = {"appearance": "embedding", "feature_bank_mlp": "bank", "mlp_feature_bank": "bank"}
-_UNUSED = ("vi_mlp",)  # Duplex-GS saves this network, but does not evaluate it
-_DIRECTION = 3
-_CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
+_UNUSED_NETWORKS = ("vi_mlp",)  # Duplex-GS saves this network, but does not evaluate it
+_DIRECTION_SIZE = 3
+_OUTPUT_CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +144,7 @@ def read_cloud(
     """
     with format_faults(path):
         names = ply_properties(path)
-        offsets, features = numbered(_OFFSET, names), numbered(_FEATURE, names)
+        offsets, features = numbered(_OFFSET, names), numbered(_FEATURE_NAME, names)
         groups = {"position": XYZ, "scale": _SCALES, "rotation": _ROTATION}
         groups |= {"offset": offsets} | ({"feature": features} if features else {})
         groups |= {name: (name,) for name in columns}
@@ -182,7 +182,7 @@ class _Sizes:
 
 
 def read_nets(
-    run: TrainingRun, cloud: AnchorCloud, *, octree: bool, direction: int = _DIRECTION
+    run: TrainingRun, cloud: AnchorCloud, *, octree: bool, direction: int = _DIRECTION_SIZE
 ) -> AnchorNets:
     """Read the networks from a checkpoint of an anchor-based method, such as Scaffold-GS.
 
@@ -208,7 +208,7 @@ def read_nets(
         octree=octree,
         direction=direction,
     )
-    heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _CHANNELS}
+    heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _OUTPUT_CHANNELS}
     bank = (
         _bank(states, iteration_folder, sizes) if _has_bank(states, iteration_folder, cfg) else None
     )
@@ -222,22 +222,26 @@ def read_nets(
     )
 
 
-States = Mapping[str, tuple[Path, Mapping[str, Any]]]
+NetworkStates = Mapping[str, tuple[Path, Mapping[str, Any]]]
 """Network → its file and state dict."""
 
 
-def _states(iteration_folder: Path) -> States:
+def _states(iteration_folder: Path) -> NetworkStates:
     """Read the state dict of each network of an anchor-based method, from one file or several."""
-    for united in (
-        iteration_folder / name for name in _UNITED if (iteration_folder / name).is_file()
+    for combined_file in (
+        iteration_folder / name for name in _COMBINED_FILES if (iteration_folder / name).is_file()
     ):
-        states = load_state(united, "the networks")
-        known = {*_CHANNELS, *_RENAMED, *_UNUSED}
-        if unknown := sorted(str(key) for key in states if states[key] and key not in known):
-            message = f"unexpected: {', '.join(unknown)}; expected only {', '.join(sorted(known))}"
-            raise CheckpointInvalid(message, where=str(united))
-        return {_RENAMED.get(key, key): (united, states[key]) for key in states if states[key]}
-    files = {name: f"{name}.pt" for name in _CHANNELS}
+        states = load_state(combined_file, "the networks")
+        input_size = {*_OUTPUT_CHANNELS, *_RENAMED, *_UNUSED_NETWORKS}
+        if unknown := sorted(str(key) for key in states if states[key] and key not in input_size):
+            message = (
+                f"unexpected: {', '.join(unknown)}; expected only {', '.join(sorted(input_size))}"
+            )
+            raise CheckpointInvalid(message, where=str(combined_file))
+        return {
+            _RENAMED.get(key, key): (combined_file, states[key]) for key in states if states[key]
+        }
+    files = {name: f"{name}.pt" for name in _OUTPUT_CHANNELS}
     files |= {"bank": "feature_bank_mlp.pt", "embedding": "embedding_appearance.pt"}
     paths = {name: iteration_folder / file for name, file in files.items()}
     return {name: (path, load_network(path)) for name, path in paths.items() if path.is_file()}
@@ -248,25 +252,32 @@ def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
     return require_tensors(path, state, {"embedding.weight": (None, length)})["embedding.weight"]
 
 
-def _head(name: str, states: States, iteration_folder: Path, cfg: CfgArgs, sizes: _Sizes) -> Mlp:
+def _head(
+    name: str, states: NetworkStates, iteration_folder: Path, cfg: CfgArgs, sizes: _Sizes
+) -> Mlp:
     if name not in states:
-        hint = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED[0]}."
+        hint = f"Networks are {', '.join(_OUTPUT_CHANNELS)} (.pt each), or all in {_COMBINED_FILES[0]}."
         raise CheckpointInvalid("is missing", where=str(iteration_folder / f"{name}.pt"), hint=hint)
     path, state = states[name]
-    known = sizes.width + sizes.direction + sizes.level
-    known += sizes.appearance if name == "color_mlp" else 0
+    input_size = sizes.width + sizes.direction + sizes.level
+    input_size += sizes.appearance if name == "color_mlp" else 0
     option = f"add_{name.removesuffix('_mlp')}_dist"
     if option in cfg.values:
         distance = cfg.flag(option)
     else:  # older code writes no flag; the number of inputs tells
         weight = state.get("0.weight")
-        distance = isinstance(weight, Tensor) and weight.shape[-1] == known + 1
+        distance = isinstance(weight, Tensor) and weight.shape[-1] == input_size + 1
     return _mlp(
-        path, state, known + distance, sizes, _CHANNELS[name] * sizes.per_anchor, distance=distance
+        path,
+        state,
+        input_size + distance,
+        sizes,
+        _OUTPUT_CHANNELS[name] * sizes.per_anchor,
+        distance=distance,
     )
 
 
-def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
+def _has_bank(states: NetworkStates, iteration_folder: Path, cfg: CfgArgs) -> bool:
     has_bank = cfg.flag("use_feat_bank", default="bank" in states)
     if has_bank and "bank" not in states:
         message = "is missing: use_feat_bank is True"
@@ -274,7 +285,7 @@ def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
     return has_bank
 
 
-def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
+def _bank(states: NetworkStates, iteration_folder: Path, sizes: _Sizes) -> Mlp:
     """Read the feature bank: a network that weights three resolutions of an anchor's features.
 
     Inputs are direction and distance; of Octree-GS, direction and, if trained with it, level.
@@ -286,8 +297,8 @@ def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
     if sizes.width % 4:
         message = f"feat_dim is {sizes.width}, expected a multiple of 4 for a feature bank"
         raise CheckpointInvalid(message, where=str(iteration_folder))
-    extra = int(sizes.level) if sizes.octree else 1
-    return _mlp(path, state, _DIRECTION + extra, sizes, 3, distance=not sizes.octree)
+    level_count = int(sizes.level) if sizes.octree else 1
+    return _mlp(path, state, _DIRECTION_SIZE + level_count, sizes, 3, distance=not sizes.octree)
 
 
 def _mlp(
@@ -297,7 +308,7 @@ def _mlp(
     read = require_tensors(path, state, expected)
     (hidden, hidden_bias), (out_weight, out_bias) = layer_of(read, "0"), layer_of(read, "2")
     if not sizes.direction:  # generators feed it, with weights of zero
-        ignored = hidden.new_zeros(len(hidden), _DIRECTION)
+        ignored = hidden.new_zeros(len(hidden), _DIRECTION_SIZE)
         hidden = torch.cat([hidden[:, : sizes.width], ignored, hidden[:, sizes.width :]], dim=1)
     return Mlp(
         hidden=hidden, hidden_bias=hidden_bias, out=out_weight, out_bias=out_bias, distance=distance

@@ -1,6 +1,6 @@
 """The base class of Scaffold-GS, Octree-GS and Duplex-GS: decodes anchors for a camera."""
 
-__all__ = ["MIN_SQUARED_DISTANCE", "AnchorGenerator", "Decoding"]
+__all__ = ["MIN_SQUARED_DISTANCE", "AnchorGenerator", "DecodedFrame"]
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from torch import Tensor, nn
 
 from gsgen.contract.errors import GsgenError
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud, AnchorNets
-from gsgen.reference_plugins.anchors.anchor_heads import AnchorHeads, AnchorViews, Decoded
+from gsgen.reference_plugins.anchors.anchor_heads import AnchorHeads, AnchorViews, DecodedAnchors
 from gsgen.reference_plugins.anchors.selection import Selection, culling
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 from gsgen.reference_plugins.tensors.layers import proportion
-from gsgen.reference_plugins.tensors.planes import covariance_planes, stacked
+from gsgen.reference_plugins.tensors.planes import covariance_planes, stack_planes
 from gsgen.sdk import Cells, GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import camera_centre, keep_rows
 
@@ -23,14 +23,14 @@ MIN_SQUARED_DISTANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Decoding:
+class DecodedFrame:
     """The anchors that are decoded for a frame, with their decoded values."""
 
     camera: Float[Tensor, "4 4"]  # World→camera matrix in column order
     views: AnchorViews  # direction and distance of each anchor
     anchor: Float[Tensor, "n 3"]  # centres of the anchors
     position: Float[Tensor, "n k3"]  # centres of the Gaussians, as x y z triples side by side
-    decoded: Decoded  # outputs of the networks
+    decoded: DecodedAnchors  # outputs of the networks
     # visible share of each anchor, 0 to 1; 1 for all if absent
     visible: Float[Tensor, "n 1"] | None = None
     rows: Int[Tensor, " n"] | None = None  # row numbers of the anchors; all in order if absent
@@ -125,7 +125,7 @@ class AnchorGenerator(GaussianGenerator):
         )
         views = _views(anchor, centre, extra_inputs, self.heads.appearances)
         decoded = self.heads(views, rows)
-        frame = Decoding(
+        frame = DecodedFrame(
             camera=camera,
             views=views,
             anchor=anchor,
@@ -142,7 +142,7 @@ class AnchorGenerator(GaussianGenerator):
         return Gaussians(
             position=position.reshape(-1, 3),
             opacity=(opacity if visible is None else opacity * visible).reshape(-1),
-            covariance=stacked(covariance_planes(scale, decoded.rotation)),
+            covariance=stack_planes(covariance_planes(scale, decoded.rotation)),
             rgb=torch.sigmoid(decoded.color),
             count=None if count is None else count * self.per_anchor,
             cells=self.cells(frame),
@@ -160,12 +160,12 @@ class AnchorGenerator(GaussianGenerator):
         return [proportion(factor) for factor in factors]
 
     def renderer_opacity(
-        self, opacity: Float[Tensor, "n k"], frame: Decoding
+        self, opacity: Float[Tensor, "n k"], frame: DecodedFrame
     ) -> Float[Tensor, "n k"]:
         """Convert the opacity that a network predicts to the opacity that the renderer expects."""
         return opacity
 
-    def cells(self, frame: Decoding) -> Cells | None:
+    def cells(self, frame: DecodedFrame) -> Cells | None:
         """Return the groups of Gaussians for blending by weighted sums; None for depth sorting."""
         return None
 
@@ -191,6 +191,6 @@ def _views(
 ) -> AnchorViews:
     """Return directions and distances of the anchors, finite even for a camera on an anchor."""
     offset = anchor - centre
-    square = (offset * offset).sum(dim=1, keepdim=True)
-    distance = torch.sqrt(square.clamp(min=MIN_SQUARED_DISTANCE))
+    squared_distance = (offset * offset).sum(dim=1, keepdim=True)
+    distance = torch.sqrt(squared_distance.clamp(min=MIN_SQUARED_DISTANCE))
     return AnchorViews(offset / distance, distance, extra_inputs[-1] if appearances else None)

@@ -5,7 +5,7 @@ depend on the camera. Here every anchor is decoded, and those not selected get
 opacity zero.
 """
 
-__all__ = ["AnchorHeads", "AnchorViews", "Decoded"]
+__all__ = ["AnchorHeads", "AnchorViews", "DecodedAnchors"]
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ _COVARIANCE = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Decoded:
+class DecodedAnchors:
     """The attributes that networks decoded for N anchors with K Gaussians each."""
 
     # tanh of the opacity head, [N, K]; Gaussians of at most 0 are invisible
@@ -49,10 +49,11 @@ class _Layers(nn.Module):
         super().__init__()
         self.hidden = Dense(hidden, mlp.hidden_bias)
         columns = mlp.out.shape[0] // (per_anchor * parts)
-        shaped = mlp.out.reshape(per_anchor, parts, columns, -1)
+        shaped_weight = mlp.out.reshape(per_anchor, parts, columns, -1)
         biases = mlp.out_bias.reshape(per_anchor, parts, columns)
         self.outs = nn.ModuleList(
-            Dense(shaped[:, part].flatten(0, 1), biases[:, part].flatten()) for part in range(parts)
+            Dense(shaped_weight[:, part].flatten(0, 1), biases[:, part].flatten())
+            for part in range(parts)
         )
 
     def forward(self, inputs: Tensor, bias: Tensor | None = None) -> list[Tensor]:
@@ -119,14 +120,14 @@ class AnchorHeads(nn.Module):
         weight = nets.color.hidden[:, -nets.embedding.shape[1] :]
         return rows @ weight.t() + nets.color.hidden_bias
 
-    def forward(self, views: AnchorViews, rows: Int[Tensor, " n"] | None = None) -> Decoded:
+    def forward(self, views: AnchorViews, rows: Int[Tensor, " n"] | None = None) -> DecodedAnchors:
         """Decode the features of anchors for one camera."""
         feature = self.feature
         levels = [] if self.level is None else [self.level]
         if rows is not None:
             feature = torch.index_select(feature, 0, rows)
             levels = [torch.index_select(level, 0, rows) for level in levels]
-        parts = [self._mixed(feature, levels, views), views.direction]
+        parts = [self._mix_banks(feature, levels, views), views.direction]
         parts += [views.distance] if self.distance else []
         inputs = torch.cat([*parts, *levels], dim=1)
         appearance_bias = self.appearance_bias
@@ -135,9 +136,9 @@ class AnchorHeads(nn.Module):
         (opacity,) = self.opacity(inputs)
         planes = tuple(self.covariance(inputs))
         (color,) = self.color(inputs, appearance_bias)
-        return Decoded(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
+        return DecodedAnchors(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
 
-    def _mixed(self, feature: Tensor, levels: list[Tensor], views: AnchorViews) -> Tensor:
+    def _mix_banks(self, feature: Tensor, levels: list[Tensor], views: AnchorViews) -> Tensor:
         """Mix three resolutions of a feature vector: every fourth number, every second, all.
 
         The coarse ones are repeated (a b a b), not stretched (a a b b).
@@ -146,7 +147,7 @@ class AnchorHeads(nn.Module):
             return feature
         extra_inputs = [views.distance] if self.bank_distance else levels
         (weight,) = self.bank(torch.cat([views.direction, *extra_inputs], dim=1))
-        share = torch.softmax(weight, dim=1)
-        mixed = feature[:, ::4].repeat(1, 4) * share[:, 0:1]
-        mixed = mixed + feature[:, ::2].repeat(1, 2) * share[:, 1:2]
-        return mixed + feature * share[:, 2:3]
+        bank_shares = torch.softmax(weight, dim=1)
+        mixed_feature = feature[:, ::4].repeat(1, 4) * bank_shares[:, 0:1]
+        mixed_feature = mixed_feature + feature[:, ::2].repeat(1, 2) * bank_shares[:, 1:2]
+        return mixed_feature + feature * bank_shares[:, 2:3]

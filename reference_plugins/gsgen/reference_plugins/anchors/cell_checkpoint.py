@@ -33,7 +33,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_fau
 from gsgen.reference_plugins.loading.folder import required_file
 from gsgen.reference_plugins.loading.training_run import open_run
 
-_COLUMNS = {
+_COLUMN_SHAPES = {
     "position": ("x", "y", "z"),
     "level": ("level",),
     "extra_level": ("extra_level",),
@@ -42,13 +42,13 @@ _COLUMNS = {
     "rotation": tuple(f"anchor_rot_{i}" for i in range(4)),
     "constant": ("anchor_shd_0",),
 }
-_NUMBERED = {
+_NUMBERED_COLUMNS = {
     "offset": re.compile(r"f_offset_(\d+)"),
     "feature": re.compile(r"f_anchor_feat_(\d+)"),
     "rest": re.compile(r"anchor_shv_(\d+)"),
 }
 # Voxel size, distance of level 0, sigma, background weight, transmittance grade.
-_INFO = 5
+_INFO_FIELDS = 5
 _MIN_BACKGROUND = 0.1
 
 
@@ -95,14 +95,14 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
 def _columns(path: Path) -> dict[str, Tensor]:
     with format_faults(path):
         names = ply_properties(path)
-        groups = {name: numbered(pattern, names) for name, pattern in _NUMBERED.items()}
+        groups = {name: numbered(pattern, names) for name, pattern in _NUMBERED_COLUMNS.items()}
         if not groups["offset"] or len(groups["offset"]) % 3 or not groups["feature"]:
             message = f"{len(groups['offset'])} properties f_offset and {len(groups['feature'])} "
             message += "f_anchor_feat, expected 3 K and F"
             raise CheckpointInvalid(message, where=str(path))
         harmonics = groups["rest"]
         groups = {name: group for name, group in groups.items() if group}
-        tables = read_ply_columns(path, _COLUMNS | groups)
+        tables = read_ply_columns(path, _COLUMN_SHAPES | groups)
     columns = {name: torch.from_numpy(table) for name, table in tables.items()}
     return columns if harmonics else columns | {"rest": columns["constant"][:, :0]}
 
@@ -128,13 +128,13 @@ def _degree(visibility: Tensor, path: Path) -> int:
 
 
 def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
-    if len(info) < _INFO:
-        message = f"has {len(info)} cells, expected at least {_INFO} for the numbers of info"
+    if len(info) < _INFO_FIELDS:
+        message = f"has {len(info)} cells, expected at least {_INFO_FIELDS} for the numbers of info"
         raise CheckpointInvalid(message, where=str(path))
-    sigma, background, grade = (_shortest_decimal(float(value)) for value in info[2:_INFO])
+    sigma, background, grade = (_shortest_decimal(float(value)) for value in info[2:_INFO_FIELDS])
     if not (sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))):
         message = (
-            f"info is {info[:_INFO].tolist()}, expected finite numbers, "
+            f"info is {info[:_INFO_FIELDS].tolist()}, expected finite numbers, "
             "and sigma and ET_grade above 0"
         )
         raise CheckpointInvalid(message, where=str(path))

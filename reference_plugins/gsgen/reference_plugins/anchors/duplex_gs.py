@@ -20,13 +20,13 @@ from torch import Tensor, nn
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud
-from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator, Decoding
+from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator, DecodedFrame
 from gsgen.reference_plugins.anchors.cell_checkpoint import CellCheckpoint
 from gsgen.reference_plugins.anchors.octree_gs import LevelGate, Levels
 from gsgen.reference_plugins.anchors.selection import Selection
 from gsgen.reference_plugins.tensors.harmonics import harmonic_sum
 from gsgen.reference_plugins.tensors.layers import proportion
-from gsgen.reference_plugins.tensors.planes import covariance_planes, stacked
+from gsgen.reference_plugins.tensors.planes import covariance_planes, stack_planes
 from gsgen.sdk import Cells
 
 # Lower limit of a quaternion's squared norm, so that zeros do not divide by zero.
@@ -38,7 +38,7 @@ Blend = Literal["alpha", "wsr"]
 BLENDS: tuple[Blend, ...] = ("alpha", "wsr")
 
 
-class _Bounded(nn.Module):
+class _BoundedOpacity(nn.Module):
     """Computes Gaussian centres inside ellipsoidal cells, and each Gaussian's largest scale."""
 
     offset: Tensor
@@ -52,9 +52,9 @@ class _Bounded(nn.Module):
         self, cell: Float[Tensor, "n 3"], size: Float[Tensor, "n 3"]
     ) -> tuple[Float[Tensor, "n k3"], Float[Tensor, "n k"]]:
         offset = self.offset.reshape(-1, self.per_anchor, 3)
-        square = (offset * offset).sum(dim=2)
+        squared_distance = (offset * offset).sum(dim=2)
         position = (cell[:, None] + offset * size[:, None]).flatten(1)
-        return position, (2 - torch.sqrt(square)) / 3
+        return position, (2 - torch.sqrt(squared_distance)) / 3
 
 
 @final
@@ -94,7 +94,7 @@ class DuplexGS(AnchorGenerator):
 
     def placement_module(self, cloud: AnchorCloud) -> nn.Module:
         """Return the module that computes the centres and largest scales of Gaussians."""
-        return _Bounded(cloud)
+        return _BoundedOpacity(cloud)
 
     @property
     def hides_anchors(self) -> bool:
@@ -115,7 +115,7 @@ class DuplexGS(AnchorGenerator):
         return [torch.minimum(proportion(factor), limit) for factor in factors]
 
     def renderer_opacity(
-        self, opacity: Float[Tensor, "n k"], frame: Decoding
+        self, opacity: Float[Tensor, "n k"], frame: DecodedFrame
     ) -> Float[Tensor, "n k"]:
         """In weighted blending, multiply opacities by depth falloff and ellipsoid visibility."""
         if not self.weighted:
@@ -127,7 +127,7 @@ class DuplexGS(AnchorGenerator):
         depth = (cells * frame.camera[:3, 2]).sum(dim=2) + frame.camera[3, 2]
         return opacity * (1 - depth / self.sigma).clamp(0.0, 1.0)
 
-    def cells(self, frame: Decoding) -> Cells | None:
+    def cells(self, frame: DecodedFrame) -> Cells | None:
         """Return an ellipsoid per group of Gaussians, with the mean rotation of these Gaussians."""
         if self.weighted_sum is None:
             return None
@@ -136,20 +136,20 @@ class DuplexGS(AnchorGenerator):
             visibility = visibility * (frame.visible > 0).to(visibility.dtype)
         size = frame.of(self.scale)
         planes = covariance_planes([size[:, i : i + 1] for i in range(3)], _cell_rotation(frame))
-        return Cells(frame.anchor, visibility, covariance=stacked(planes))
+        return Cells(frame.anchor, visibility, covariance=stack_planes(planes))
 
-    def _visibility(self, frame: Decoding) -> Float[Tensor, "n 1"]:
+    def _visibility(self, frame: DecodedFrame) -> Float[Tensor, "n 1"]:
         sh = frame.of(self.visibility)
         columns = [sh[:, index : index + 1] for index in range(sh.shape[1])]
         return torch.sigmoid(harmonic_sum(columns, frame.views.direction))
 
 
-def _cell_rotation(frame: Decoding) -> list[Float[Tensor, "n 1"]]:
+def _cell_rotation(frame: DecodedFrame) -> list[Float[Tensor, "n 1"]]:
     """Return the mean quaternion of each cell's Gaussians, weighted by their opacity.
 
     The published code also multiplies by the visibility, which is constant within a cell.
     """
     weight = torch.relu(frame.decoded.opacity)
-    square = torch.stack([part * part for part in frame.decoded.rotation]).sum(dim=0)
-    weight = weight / torch.sqrt(square.clamp(min=_MIN_SQUARED_NORM))
+    squared_distance = torch.stack([part * part for part in frame.decoded.rotation]).sum(dim=0)
+    weight = weight / torch.sqrt(squared_distance.clamp(min=_MIN_SQUARED_NORM))
     return [(part * weight).sum(dim=1, keepdim=True) for part in frame.decoded.rotation]

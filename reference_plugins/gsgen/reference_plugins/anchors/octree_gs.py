@@ -5,7 +5,7 @@ Gaussians": the level for a distance d is log(d_max / d) to the base of the fork
 shift of each anchor. Decoding is that of Scaffold-GS.
 """
 
-__all__ = ["MODES", "SUPPORTED_OPTIONS", "LevelGate", "Levels", "OctreeGS"]
+__all__ = ["LEVEL_ROUNDING", "SUPPORTED_OPTIONS", "LevelGate", "Levels", "OctreeGS"]
 
 import math
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ from gsgen.reference_plugins.tensors.baked_constants import Constants
 # Option of the training run → supported value, and the meaning of any other value.
 SUPPORTED_OPTIONS = {"resolution_scales": ([1.0], "levels are those of images at full resolution")}
 # Rounding of levels → how far a level may fall short of the whole number.
-MODES = {"round": 0.5, "floor": 0.0, "ceil": 1.0, "progressive": 1.0}
+LEVEL_ROUNDING = {"round": 0.5, "floor": 0.0, "ceil": 1.0, "progressive": 1.0}
 
 # The published code keeps a fading level below the next one by this factor.
 _MAX_FADE = 0.9999
-_ALWAYS = 1e30
-_NEVER = -1.0
+_ALWAYS_VISIBLE = 1e30
+_NEVER_VISIBLE = -1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ class Levels:
                 f"info is {cloud.info[:2].tolist()}, expected a voxel size and a distance above 0"
             )
             raise CheckpointInvalid(message, where=str(checkpoint.run.folder))
-        mode = cfg.word("dist2level", "round", MODES)
+        mode = cfg.word("dist2level", "round", LEVEL_ROUNDING)
         fork = cfg.number("fork", 2)
         if fork <= 1:
             message = f"fork is {fork:g}, expected a number above 1"
@@ -85,19 +85,25 @@ class _Limits(nn.Module):
         levels, level = self.levels, self.level
         logarithm = math.log(levels.fork)
         cell = 0.5 * levels.voxel * torch.exp(-logarithm * level)
-        middle = anchor + cell if self.half_cell else anchor
+        cell_center = anchor + cell if self.half_cell else anchor
         start = self.extra - level
-        growth = torch.exp(2 * logarithm * (start + MODES[levels.mode]))
-        square = (levels.standard**2 * growth).clamp(max=_ALWAYS)
-        first = (level <= 0).to(square.dtype)
-        square = square * (1 - first) + _ALWAYS * first
-        deep = (level > levels.top).to(square.dtype)
-        square = square * (1 - deep) + _NEVER * deep
+        growth = torch.exp(2 * logarithm * (start + LEVEL_ROUNDING[levels.mode]))
+        squared_distance = (levels.standard**2 * growth).clamp(max=_ALWAYS_VISIBLE)
+        first = (level <= 0).to(squared_distance.dtype)
+        squared_distance = squared_distance * (1 - first) + _ALWAYS_VISIBLE * first
+        is_too_deep = (level > levels.top).to(squared_distance.dtype)
+        squared_distance = squared_distance * (1 - is_too_deep) + _NEVER_VISIBLE * is_too_deep
         if levels.mode != "progressive":
-            return middle, square
+            return cell_center, squared_distance
         start = start + (1 + math.log(levels.standard) / logarithm)
-        last = (level >= levels.top).to(square.dtype)
-        return middle, square, start, _MAX_FADE * first, 1 - (1 - _MAX_FADE) * last
+        is_last_level = (level >= levels.top).to(squared_distance.dtype)
+        return (
+            cell_center,
+            squared_distance,
+            start,
+            _MAX_FADE * first,
+            1 - (1 - _MAX_FADE) * is_last_level,
+        )
 
 
 class LevelGate(nn.Module):
@@ -118,18 +124,18 @@ class LevelGate(nn.Module):
 
     def forward(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
         """Return 1 for visible anchors, 0 for too fine ones; the last level of detail fades in."""
-        middle, furthest, *fading = self.limits(self.anchor)
-        offset = middle - centre
-        square = (offset * offset).sum(dim=1, keepdim=True)
-        visible: Tensor = (square <= furthest).to(square.dtype)
-        if not fading:
+        cell_center, max_distance, *fading_limits = self.limits(self.anchor)
+        offset = cell_center - centre
+        squared_distance = (offset * offset).sum(dim=1, keepdim=True)
+        visible: Tensor = (squared_distance <= max_distance).to(squared_distance.dtype)
+        if not fading_limits:
             return visible
-        start, least, most = fading
-        logarithm = torch.log(square.clamp(min=MIN_SQUARED_DISTANCE))
+        start, least_fraction, most_fraction = fading_limits
+        logarithm = torch.log(squared_distance.clamp(min=MIN_SQUARED_DISTANCE))
         fraction = start - (0.5 * self.per_level) * logarithm
-        bounded = torch.minimum(torch.maximum(fraction, least), most)
-        faded: Tensor = visible * bounded
-        return faded
+        bounded_fraction = torch.minimum(torch.maximum(fraction, least_fraction), most_fraction)
+        faded_visibility: Tensor = visible * bounded_fraction
+        return faded_visibility
 
 
 @final

@@ -61,8 +61,8 @@ def build(
 
 def _recognises(run: Path, iteration: Path) -> bool:
     columns = set(point_columns(iteration))
-    is_other = "anchor_size_0" in columns or is_octree_anygs(iteration)
-    return {"f_offset_0", "level"} <= columns and not is_other
+    is_other_method = "anchor_size_0" in columns or is_octree_anygs(iteration)
+    return {"f_offset_0", "level"} <= columns and not is_other_method
 
 
 def _write_demo(folder: Path) -> list[str]:

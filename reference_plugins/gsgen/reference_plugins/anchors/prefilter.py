@@ -17,9 +17,9 @@ from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.scene.camera import DILATION
 
-_NEAR = 0.2
+_NEAR_DEPTH = 0.2
 # The slope beyond which the projection is linearised at the edge of the image.
-_GUARD = 1.3
+_GUARD_BAND = 1.3
 _MIN_SPREAD = 0.1
 
 
@@ -62,37 +62,41 @@ class Prefilter(nn.Module):
         """
         position = self.anchor @ camera[:3, :3] + camera[3:4, :3]
         depth = position[:, 2:3]
-        slope = position[:, :2] / depth.clamp(min=_NEAR)
+        slope = position[:, :2] / depth.clamp(min=_NEAR_DEPTH)
         focal = torch.cat([proj[0, 0:1], proj[1, 1:2]]).abs().reshape(1, 2)
         pixel = ((slope * focal + 1) * viewport.reshape(1, 2) - 1) * 0.5
         radius = self._radius(slope, depth, focal, viewport, camera[:3, :3])
-        beyond = torch.ceil(viewport.reshape(1, 2) / TILE) * TILE
+        viewport_end = torch.ceil(viewport.reshape(1, 2) / TILE) * TILE
         # An image without pixels, or a focal length of 0, shows no anchor.
-        usable = (beyond > 0).float() * (focal > 0).float()
-        touches = (pixel + radius >= 1).float() * (pixel - radius < beyond).float() * usable
-        return touches[:, 0:1] * touches[:, 1:2] * (depth > _NEAR).float()
+        usable = (viewport_end > 0).float() * (focal > 0).float()
+        is_visible = (
+            (pixel + radius >= 1).float() * (pixel - radius < viewport_end).float() * usable
+        )
+        return is_visible[:, 0:1] * is_visible[:, 1:2] * (depth > _NEAR_DEPTH).float()
 
     def _radius(
         self, slope: Tensor, depth: Tensor, focal: Tensor, viewport: Tensor, turn: Tensor
     ) -> Tensor:
         """Return three standard deviations of the projected ellipse, rounded up to pixels."""
-        edge = _GUARD / focal.clamp(min=1e-6)
-        bent = torch.minimum(torch.maximum(slope, -edge), edge)
-        pixels = 0.5 * focal * viewport.reshape(1, 2) / depth.clamp(min=_NEAR)
+        slope_limit = _GUARD_BAND / focal.clamp(min=1e-6)
+        clamped_slope = torch.minimum(torch.maximum(slope, -slope_limit), slope_limit)
+        pixels = 0.5 * focal * viewport.reshape(1, 2) / depth.clamp(min=_NEAR_DEPTH)
         zero = torch.zeros_like(depth)
-        across = torch.cat([pixels[:, 0:1], zero, -pixels[:, 0:1] * bent[:, 0:1]], dim=1)
-        down = torch.cat([zero, pixels[:, 1:2], -pixels[:, 1:2] * bent[:, 1:2]], dim=1)
-        u, v = self._along(across, turn), self._along(down, turn)
+        x_axis = torch.cat([pixels[:, 0:1], zero, -pixels[:, 0:1] * clamped_slope[:, 0:1]], dim=1)
+        y_axis = torch.cat([zero, pixels[:, 1:2], -pixels[:, 1:2] * clamped_slope[:, 1:2]], dim=1)
+        u, v = self._extent_along(x_axis, turn), self._extent_along(y_axis, turn)
         a = (u * u).sum(dim=1, keepdim=True) + DILATION
         b = (u * v).sum(dim=1, keepdim=True)
         c = (v * v).sum(dim=1, keepdim=True) + DILATION
-        middle = 0.5 * (a + c)
-        spread = (middle * middle - (a * c - b * b)).clamp(min=_MIN_SPREAD)
-        return torch.ceil(3 * torch.sqrt(middle + torch.sqrt(spread)))
+        mean_eigenvalue = 0.5 * (a + c)
+        eigenvalue_spread = (mean_eigenvalue * mean_eigenvalue - (a * c - b * b)).clamp(
+            min=_MIN_SPREAD
+        )
+        return torch.ceil(3 * torch.sqrt(mean_eigenvalue + torch.sqrt(eigenvalue_spread)))
 
-    def _along(self, direction: Tensor, turn: Tensor) -> Tensor:
+    def _extent_along(self, direction: Tensor, turn: Tensor) -> Tensor:
         """Return the component of each ellipsoid axis along a direction in camera space."""
-        local = direction @ turn.transpose(0, 1)
+        local_direction = direction @ turn.transpose(0, 1)
         (root,) = self.axes()
-        reach: Tensor = (root * local[:, :, None]).sum(dim=1)
+        reach: Tensor = (root * local_direction[:, :, None]).sum(dim=1)
         return reach

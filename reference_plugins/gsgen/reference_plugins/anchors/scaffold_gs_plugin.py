@@ -44,21 +44,25 @@ def build(
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of
 
-    saved = read_anchors(checkpoint, iteration)
-    report_checkpoint(describe_anchors(saved), saved.run.cfg)
-    if not saved.run.cfg.present:
-        note(f"note: {saved.run.cfg.path} is missing; its flags follow from the networks' shapes")
+    saved_anchors = read_anchors(checkpoint, iteration)
+    report_checkpoint(describe_anchors(saved_anchors), saved_anchors.run.cfg)
+    if not saved_anchors.run.cfg.present:
+        note(
+            f"note: {saved_anchors.run.cfg.path} is missing; its flags follow from the networks' shapes"
+        )
     selection = Selection(cull, max_anchors)
-    appearance = require_appearance(saved, appearance_id, "--appearance-id")
-    generator = ScaffoldGS(saved.cloud, saved.nets, appearance=appearance, selection=selection)
-    generator.producer = producer_of(_PUBLICATION.code, saved.run)
+    appearance = require_appearance(saved_anchors, appearance_id, "--appearance-id")
+    generator = ScaffoldGS(
+        saved_anchors.cloud, saved_anchors.nets, appearance=appearance, selection=selection
+    )
+    generator.producer = producer_of(_PUBLICATION.code, saved_anchors.run)
     return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
     columns = set(point_columns(iteration))
-    is_other = bool({"level", "anchor_size_0"} & columns) or is_octree_anygs(iteration)
-    return "f_offset_0" in columns and not is_other
+    is_other_method = bool({"level", "anchor_size_0"} & columns) or is_octree_anygs(iteration)
+    return "f_offset_0" in columns and not is_other_method
 
 
 def _write_demo(folder: Path) -> list[str]:

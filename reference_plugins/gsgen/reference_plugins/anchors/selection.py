@@ -19,7 +19,7 @@ Cull = Literal["none", "frustum", "published"]
 CULLS: tuple[Cull, ...] = ("none", "frustum", "published")
 
 # Visible radius of a Gaussian in standard deviations.
-_EXTENT = 3.0
+_EXTENT_DEVIATIONS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Frustum(nn.Module):
         # The networks shrink the anchor's scale and never stretch it.
         size = torch.exp(cloud.log_scale[:, 3:]).amax(dim=1)
         self.register_buffer("anchor", cloud.position)
-        self.register_buffer("reach", offset.norm(dim=2).amax(dim=1) + _EXTENT * size)
+        self.register_buffer("reach", offset.norm(dim=2).amax(dim=1) + _EXTENT_DEVIATIONS * size)
 
     def forward(
         self, camera: Float[Tensor, "4 4"], proj: Float[Tensor, "4 4"]

@@ -22,7 +22,7 @@ from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _HEADS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
-_HUES = 3
+_HUE_COUNT = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Pa
     columns = _positions(options) | {axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")}
     columns |= _payload(options, rng)
     cfg = _cfg(options) | {"voxel_size": 0.001, "lod": 0, "sh_degree": 3}
-    _write(folder, options, columns, cfg)
+    _write_run(folder, options, columns, cfg)
     return folder
 
 
@@ -71,7 +71,7 @@ def write_octree(
     rng = np.random.default_rng(options.seed)
     columns = _positions(options) | _levels(options, levels, rng) | _payload(options, rng)
     columns["info"][1] = distance
-    _write(folder, options, columns, _cfg(options) | _level_cfg(options, mode, fork))
+    _write_run(folder, options, columns, _cfg(options) | _level_cfg(options, mode, fork))
     return folder
 
 
@@ -95,9 +95,9 @@ def write_duplex(
     n = options.anchors
     columns = _positions(options) | _levels(options, levels, rng)
     columns["info"][2:5] = sigma, 0.05, 1.0  # sigma, background weight, transmittance grade
-    dropped = ("opacity", "scale_", "rot_")
+    dropped_columns = ("opacity", "scale_", "rot_")
     payload = _payload(options, rng)
-    columns |= {name: payload[name] for name in payload if not name.startswith(dropped)}
+    columns |= {name: payload[name] for name in payload if not name.startswith(dropped_columns)}
     columns |= {f"anchor_size_{i}": rng.normal(-2.2, 0.3, n) for i in range(3)}
     columns |= {f"anchor_rot_{i}": rng.normal(0, 1, n) for i in range(4)}
     columns["anchor_shd_0"] = rng.normal(6, 1, n)
@@ -105,7 +105,7 @@ def write_duplex(
     columns |= {f"anchor_shv_{i}": rng.normal(0, 0.5, n) for i in indices}
     cfg = _cfg(options) | _level_cfg(options, mode, fork)
     cfg |= {"max_sh_degree": degree, "depth_correct": depth, "add_vi_dist": False}
-    _write(folder, options, columns, cfg | {"ET_grade": 2.0, "ET_grade_final": 1.0})
+    _write_run(folder, options, columns, cfg | {"ET_grade": 2.0, "ET_grade_final": 1.0})
     return folder
 
 
@@ -133,8 +133,8 @@ def anchor_columns(
 
 
 def _positions(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
-    knot = torus_knot(options.anchors, degree=0, seed=options.seed)
-    return dict(zip("xyz", knot.position.T, strict=True))
+    knot_splats = torus_knot(options.anchors, degree=0, seed=options.seed)
+    return dict(zip("xyz", knot_splats.position.T, strict=True))
 
 
 def _payload(
@@ -145,7 +145,7 @@ def _payload(
     offset = rng.normal(0, 1, (n, k, 3)).transpose(0, 2, 1).reshape(n, 3 * k)
     feature = rng.normal(0, 0.5, (n, options.width))
     hue = torus_knot(n, degree=0, seed=options.seed).sh[:, 0]
-    feature[:, :_HUES] = 1 + hue / np.abs(hue).max()
+    feature[:, :_HUE_COUNT] = 1 + hue / np.abs(hue).max()
     scale = np.concatenate([rng.normal(-3, 0.3, (n, 3)), rng.normal(-2.5, 0.3, (n, 3))], axis=1)
     rotation = rng.normal(0, 1, (n, 4))
     columns = {f"f_offset_{i}": offset[:, i] for i in range(3 * k)}
@@ -168,7 +168,7 @@ def _cfg(options: AnchorOptions) -> dict[str, object]:
     }
 
 
-def _write(
+def _write_run(
     folder: Path,
     options: AnchorOptions,
     columns: Mapping[str, np.ndarray],
@@ -196,10 +196,10 @@ def write_networks(iteration_folder: Path, options: AnchorOptions, *, octree: bo
 
 def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
     generator = torch.Generator().manual_seed(options.seed)
-    known = options.width + options.direction + options.level
+    input_size = options.width + options.direction + options.level
     networks: dict[str, nn.Module] = {}
     for index, (name, outputs) in enumerate(_HEADS.items()):
-        inputs = known + options.distance[index]
+        inputs = input_size + options.distance[index]
         inputs += options.appearance if name == "color_mlp" else 0
         head = _network(inputs, options.width, outputs * options.per_anchor, generator)
         _shape_head(name, head, options.per_anchor)
@@ -230,8 +230,8 @@ def _network(inputs: int, width: int, outputs: int, generator: torch.Generator) 
     network = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
     with torch.no_grad():
         for parameter in network.parameters():
-            spread = 1.0 / max(1, parameter.shape[-1]) ** 0.5
-            parameter.normal_(0, spread, generator=generator)
+            weight_deviation = 1.0 / max(1, parameter.shape[-1]) ** 0.5
+            parameter.normal_(0, weight_deviation, generator=generator)
     return network
 
 
@@ -244,9 +244,9 @@ def _shape_head(name: str, head: nn.Sequential, per_anchor: int) -> None:
         if name == "opacity_mlp":
             last.bias.add_(0.7)
         if name == "color_mlp":
-            first.weight[:_HUES] *= 0.1
-            first.weight[:_HUES, :_HUES] += torch.eye(_HUES)
-            last.weight[:, :_HUES] += 3 * torch.eye(_HUES).repeat(per_anchor, 1)
+            first.weight[:_HUE_COUNT] *= 0.1
+            first.weight[:_HUE_COUNT, :_HUE_COUNT] += torch.eye(_HUE_COUNT)
+            last.weight[:, :_HUE_COUNT] += 3 * torch.eye(_HUE_COUNT).repeat(per_anchor, 1)
             last.bias.sub_(3)
 
 
@@ -261,5 +261,5 @@ def _save_script(network: nn.Module, path: Path) -> None:
         example = torch.zeros(1, dtype=torch.long)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # torch.jit.trace is deprecated
-        traced = torch.jit.trace(network.eval(), example)  # type: ignore[no-untyped-call]
-        traced.save(str(path))
+        traced_network = torch.jit.trace(network.eval(), example)  # type: ignore[no-untyped-call]
+        traced_network.save(str(path))

@@ -17,7 +17,7 @@ from gsgen.sdk import inputs
 Rotation = Literal["matrix", "axis-angle"]
 
 # Bound of the root translation, in metres: no person is expected farther from the origin.
-_FAR = 10.0
+_MAX_TRANSLATION = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,18 +58,22 @@ class ActorInputs:
         return (*input_list, *([inputs.shape(self.shape)] if self.shape else []))
 
     def _body_inputs(self, body: int) -> list[Input]:
-        tail = f"_{body}" if body else ""
-        far = (-_FAR, _FAR)
-        body_inputs = [inputs.pose(self.joints, f"pose{tail}", convention="smpl-axis-angle")]
+        suffix = f"_{body}" if body else ""
+        translation_range = (-_MAX_TRANSLATION, _MAX_TRANSLATION)
+        body_inputs = [inputs.pose(self.joints, f"pose{suffix}", convention="smpl-axis-angle")]
         if self.rotation is not None:
-            name = f"root_rotation{tail}"
+            name = f"root_rotation{suffix}"
             body_inputs.append(inputs.root_rotation(name, convention=self.rotation))
-        body_inputs.append(inputs.root_translation(f"root_translation{tail}", range=far))
+        body_inputs.append(
+            inputs.root_translation(f"root_translation{suffix}", range=translation_range)
+        )
         if self.expression:
-            body_inputs.append(inputs.expression(self.expression, f"expression{tail}"))
+            body_inputs.append(inputs.expression(self.expression, f"expression{suffix}"))
         if self.frames:
-            ends = [f"_{part}" for part in self.parts] or [tail]
-            body_inputs += [inputs.frame_index(self.frames, f"frame_index{end}") for end in ends]
+            part_suffixes = [f"_{part}" for part in self.parts] or [suffix]
+            body_inputs += [
+                inputs.frame_index(self.frames, f"frame_index{end}") for end in part_suffixes
+            ]
         return body_inputs
 
     def actor_from(self, tensors: Sequence[Tensor]) -> Actor:

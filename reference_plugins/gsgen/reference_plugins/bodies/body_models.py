@@ -21,13 +21,20 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk.math.skinning import NO_PARENT
 
 # Number of joints → name and website of the body model.
-KINDS = {
+BODY_FILES = {
     5: ("FLAME", "https://flame.is.tue.mpg.de"),
     24: ("SMPL", "https://smpl.is.tue.mpg.de"),
     55: ("SMPL-X", "https://smpl-x.is.tue.mpg.de"),
 }
-_NEEDED = ("v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table")
-_HANDS = ("hands_meanl", "hands_meanr")
+_REQUIRED_ARRAYS = (
+    "v_template",
+    "shapedirs",
+    "posedirs",
+    "weights",
+    "J_regressor",
+    "kintree_table",
+)
+_HAND_MEANS = ("hands_meanl", "hands_meanr")
 _FACES = "f"
 
 
@@ -56,7 +63,7 @@ class Body:
     @property
     def kind(self) -> str:
         """The name of the body model: SMPL or SMPL-X."""
-        return KINDS[self.joints][0]
+        return BODY_FILES[self.joints][0]
 
     def describe(self) -> str:
         """Describe the body model in one line: file, kind and sizes."""
@@ -66,27 +73,27 @@ class Body:
         )
 
 
-def required_body(requested: Path | None, candidates: Mapping[str, Path], joints: int) -> Path:
+def required_body(requested_file: Path | None, candidates: Mapping[str, Path], joints: int) -> Path:
     """Return the path of a body model: the requested file, or else the first existing candidate.
 
     ``candidates`` maps a label to the path at which the training code looks for the file. The hint
     of the error tells where to download it.
     """
-    for path in (requested,) if requested is not None else candidates.values():
+    for path in (requested_file,) if requested_file is not None else candidates.values():
         if path.is_file():
             return path
-    name, home = KINDS[joints]
-    searched = ", ".join(str(path) for path in candidates.values()) or "nowhere else"
-    where = str(requested) if requested is not None else "--body"
+    name, file_name = BODY_FILES[joints]
+    searched_paths = ", ".join(str(path) for path in candidates.values()) or "nowhere else"
+    where = str(requested_file) if requested_file is not None else "--body"
     message = f"the body model {name} is missing" + (
-        "" if requested else f" (searched: {searched})"
+        "" if requested_file else f" (searched: {searched_paths})"
     )
     suffix = ".pkl or .npz" if joints == 24 else ".npz"
     raise CheckpointInvalid(
         message,
         where=where,
-        hint=f"Register at {home}, accept the licence, download the model and give it: "
-        f"--body {name.replace('-', '')}_NEUTRAL{suffix}. Expected {', '.join(_NEEDED)} of "
+        hint=f"Register at {file_name}, accept the licence, download the model and give it: "
+        f"--body {name.replace('-', '')}_NEUTRAL{suffix}. Expected {', '.join(_REQUIRED_ARRAYS)} of "
         f"{joints} joints. Its licence forbids redistribution, so gsgen cannot download it.",
     )
 
@@ -95,19 +102,23 @@ def read_body(path: Path, joints: int) -> Body:
     """Read a body model with a given number of joints from a ``.pkl`` or ``.npz``."""
     required_body(path, {}, joints)
     read = _arrays(path)
-    missing = [name for name in _NEEDED if name not in read]
+    missing = [name for name in _REQUIRED_ARRAYS if name not in read]
     if missing:
-        hint = f"Expected {', '.join(_NEEDED)}, as in the file from {KINDS[joints][1]}."
+        hint = (
+            f"Expected {', '.join(_REQUIRED_ARRAYS)}, as in the file from {BODY_FILES[joints][1]}."
+        )
         raise CheckpointInvalid(f"lacks {', '.join(missing)}", where=str(path), hint=hint)
-    arrays = {name: _numbers(path, name, read[name]) for name in _NEEDED}
+    arrays = {name: _require_numbers(path, name, read[name]) for name in _REQUIRED_ARRAYS}
     _check_shapes(path, arrays, joints)
-    hands = [_numbers(path, name, read[name]).ravel() for name in _HANDS if name in read]
-    mean = np.concatenate(hands) if len(hands) == 2 else None
-    if mean is not None and mean.shape != (90,):
-        message = f"hands_meanl and hands_meanr hold {mean.size} numbers, expected 90"
+    hands = [
+        _require_numbers(path, name, read[name]).ravel() for name in _HAND_MEANS if name in read
+    ]
+    hand_mean_pose = np.concatenate(hands) if len(hands) == 2 else None
+    if hand_mean_pose is not None and hand_mean_pose.shape != (90,):
+        message = f"hands_meanl and hands_meanr hold {hand_mean_pose.size} numbers, expected 90"
         raise CheckpointInvalid(message, where=str(path))
-    faces = _numbers(path, _FACES, read[_FACES]) if _FACES in read else np.zeros((0, 3))
-    if faces.ndim != 2 or faces.shape[1] != 3 or not _within(faces, len(arrays["v_template"])):
+    faces = _require_numbers(path, _FACES, read[_FACES]) if _FACES in read else np.zeros((0, 3))
+    if faces.ndim != 2 or faces.shape[1] != 3 or not _is_within(faces, len(arrays["v_template"])):
         message = f"{_FACES} is {list(faces.shape)}, expected triangles of the vertices, [faces, 3]"
         raise CheckpointInvalid(message, where=str(path))
     return Body(
@@ -118,12 +129,12 @@ def read_body(path: Path, joints: int) -> Body:
         weights=arrays["weights"],
         regressor=arrays["J_regressor"],
         parents=_parents(path, arrays["kintree_table"][0]),
-        hand_mean=mean,
+        hand_mean=hand_mean_pose,
         faces=faces.astype(np.int64),
     )
 
 
-def _within(indices: Float[np.ndarray, "f 3"], count: int) -> bool:
+def _is_within(indices: Float[np.ndarray, "f 3"], count: int) -> bool:
     return bool(((indices >= 0) & (indices < count)).all())
 
 
@@ -137,10 +148,12 @@ def _arrays(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         zipped = file.read(4) == b"PK\x03\x04"
     # Read the known arrays only: the published files also hold other objects.
-    return (read_npz if zipped else read_array_pickle)(path, (*_NEEDED, *_HANDS, _FACES))
+    return (read_npz if zipped else read_array_pickle)(
+        path, (*_REQUIRED_ARRAYS, *_HAND_MEANS, _FACES)
+    )
 
 
-def _numbers(path: Path, name: str, value: Any) -> Float[np.ndarray, "..."]:
+def _require_numbers(path: Path, name: str, value: Any) -> Float[np.ndarray, "..."]:
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         message = f"{name} holds {array.dtype}, expected numbers"
@@ -165,7 +178,7 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], joints: int) -> 
     for name, shape in expected.items():
         if arrays[name].shape != shape:
             actual = list(arrays[name].shape)
-            hint = f"Give the {KINDS[joints][0]} model, from {KINDS[joints][1]}."
+            hint = f"Give the {BODY_FILES[joints][0]} model, from {BODY_FILES[joints][1]}."
             message = f"{name} is {actual}, expected {list(shape)}"
             raise CheckpointInvalid(message, where=str(path), hint=hint)
 

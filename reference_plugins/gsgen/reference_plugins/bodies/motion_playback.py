@@ -80,8 +80,8 @@ def _tables(actors: ActorInputs, motion: Motion) -> dict[str, np.ndarray]:
         "root_translation": motion.shift,
     }
     if actors.rotation is not None:
-        turn = np.eye(3)[None].repeat(frames, 0) if motion.turn is None else motion.turn
-        float_tables["root_rotation"] = turn.reshape(frames, 9)
+        root_rotations = np.eye(3)[None].repeat(frames, 0) if motion.turn is None else motion.turn
+        float_tables["root_rotation"] = root_rotations.reshape(frames, 9)
     if actors.expression:
         table = np.zeros((frames, actors.expression))
         if motion.expression is not None:

@@ -29,8 +29,8 @@ from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 # Numbers of a pose for root and body, which all body models share; and for both hands.
-_BODY = 66
-_HANDS = 90
+_BODY_POSE_SIZE = 66
+_HAND_POSE_SIZE = 90
 # Numbers of a pose: root and body alone, SMPL, SMPL+H, SMPL-X.
 _WIDTHS = (66, 72, 156, 165)
 _JSON = {
@@ -39,7 +39,10 @@ _JSON = {
 }  # fmt: skip
 UpAxis: TypeAlias = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 _UP_AXES: tuple[tuple[UpAxis, UpAxis], ...] = (("+x", "-x"), ("+y", "-y"), ("+z", "-z"))
-_KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh", "Th", "shapes"))
+_KNOWN_ARRAYS = (
+    *("poses", "trans", "mocap_framerate", "mocap_frame_rate"),
+    *("R", "Rh", "Th", "shapes"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,10 +64,10 @@ class Motion:
     @property
     def up(self) -> UpAxis:
         """The upward world axis of a body motion: where the body's y axis points on average."""
-        turns = rodrigues(self.pose[:, 0])
-        spine = (turns if self.turn is None else self.turn @ turns)[:, :, 1].mean(axis=0)
-        axis = int(np.abs(spine).argmax())
-        return _UP_AXES[axis][int(spine[axis] < 0)]
+        rotations = rodrigues(self.pose[:, 0])
+        up_axes = (rotations if self.turn is None else self.turn @ rotations)[:, :, 1].mean(axis=0)
+        axis = int(np.abs(up_axes).argmax())
+        return _UP_AXES[axis][int(up_axes[axis] < 0)]
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -125,9 +128,9 @@ def _frame_number(path: Path) -> tuple[int, str]:
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     if path.suffix == ".npy":
-        read = read_array_pickle(path, _KNOWN)
+        read = read_array_pickle(path, _KNOWN_ARRAYS)
     else:
-        read = read_npz(path, _KNOWN, _supported_motions())
+        read = read_npz(path, _KNOWN_ARRAYS, _supported_motions())
     for name, array in read.items():
         if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             message = f"{name} holds {array.dtype}, expected finite numbers"
@@ -181,13 +184,13 @@ def _convert_poses(
     if width not in _WIDTHS:
         message = f"a pose has {width} numbers, expected {', '.join(map(str, _WIDTHS))}"
         raise CheckpointInvalid(message, where=str(path))
-    converted = np.zeros((frames, 3 * joints))
-    converted[:, :_BODY] = poses[:, :_BODY]
+    converted_poses = np.zeros((frames, 3 * joints))
+    converted_poses[:, :_BODY_POSE_SIZE] = poses[:, :_BODY_POSE_SIZE]
     if 3 * joints == width:
-        converted = poses.copy()
+        converted_poses = poses.copy()
     elif joints == 55 and width == 156:
-        converted[:, -_HANDS:] = poses[:, -_HANDS:]
-    return converted.reshape(frames, joints, 3)
+        converted_poses[:, -_HAND_POSE_SIZE:] = poses[:, -_HAND_POSE_SIZE:]
+    return converted_poses.reshape(frames, joints, 3)
 
 
 def _json(path: Path) -> Any:
@@ -198,7 +201,7 @@ def _json(path: Path) -> Any:
 
 
 def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
-    poses, shifts, expressions = [], [], []
+    poses, translations, expressions = [], [], []
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
         if not isinstance(frame, dict):
@@ -208,7 +211,7 @@ def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
             raise CheckpointInvalid(message, where=where)
         parts = [_json_numbers(where, frame, name, size) for name, size in _JSON.items()]
         poses.append(np.concatenate(parts))
-        shifts.append(_json_numbers(where, frame, "trans", 3))
+        translations.append(_json_numbers(where, frame, "trans", 3))
         expressions.append(np.asarray(frame.get("expr", ()), np.float64).ravel())
     if not poses:
         raise CheckpointInvalid("has no frames of poses, expected at least one", where=str(path))
@@ -216,7 +219,7 @@ def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
     expression = None
     if len({len(values) for values in expressions}) == 1 and len(expressions[0]):
         expression = np.stack(expressions)
-    return Motion(path=path, pose=pose, shift=np.stack(shifts), expression=expression)
+    return Motion(path=path, pose=pose, shift=np.stack(translations), expression=expression)
 
 
 def _json_numbers(where: str, frame: Mapping[str, Any], name: str, size: int) -> np.ndarray:

@@ -68,23 +68,23 @@ def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
     if not cfg.present:
         note(f"note: {cfg.path} does not exist; a neutral {body.kind} body is assumed")
     if body.kind == "SMPL":
-        meaning = (
+        meaning_text = (
             "the published code always takes the training pose from SMPL_NEUTRAL.pkl; "
             "gsgen uses the body model that was read"
         )
-        warn_unsupported(cfg, {"actor_gender": ("neutral", meaning)})
+        warn_unsupported(cfg, {"actor_gender": ("neutral", meaning_text)})
 
 
-def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
+def read_shape(text: str | None, motion: "Motion | None", max_count: int) -> list[float] | None:
     """Return the body-shape coefficients to store as constants: of --shape, else of the motion file."""
-    coefficients = parse_numbers(text, most, "--shape")
+    coefficients = parse_numbers(text, max_count, "--shape")
     if coefficients is not None or motion is None:
         return coefficients
     if motion.shape is None:
         note("note: the motion has no shape coefficients: they are zero without --shape")
-        return [0.0] * most
-    motion_shape: Sequence[float] = motion.shape[:most].tolist()
-    return [*motion_shape, *[0.0] * (most - len(motion_shape))]
+        return [0.0] * max_count
+    motion_shape: Sequence[float] = motion.shape[:max_count].tolist()
+    return [*motion_shape, *[0.0] * (max_count - len(motion_shape))]
 
 
 def with_motion(
@@ -117,7 +117,7 @@ def with_motion(
     return avatar
 
 
-def parse_numbers(text: str | None, most: int, option: str) -> list[float] | None:
+def parse_numbers(text: str | None, max_count: int, option: str) -> list[float] | None:
     """Parse a comma-separated list of numbers, padded with zeros to a fixed length."""
     if text is None:
         return None
@@ -127,7 +127,7 @@ def parse_numbers(text: str | None, most: int, option: str) -> list[float] | Non
         hint = f"Write it as {option} 0.4,-1.2."
         message = f"{text!r} is not a list of numbers"
         raise ConfigInvalid(message, where=option, hint=hint) from error
-    if len(numbers) > most or not all(abs(number) < 1e6 for number in numbers):
-        message = f"gives {len(numbers)} numbers, expected up to {most}, all finite"
+    if len(numbers) > max_count or not all(abs(number) < 1e6 for number in numbers):
+        message = f"gives {len(numbers)} numbers, expected up to {max_count}, all finite"
         raise ConfigInvalid(message, where=option)
-    return numbers + [0.0] * (most - len(numbers))
+    return numbers + [0.0] * (max_count - len(numbers))

@@ -47,51 +47,55 @@ class PoseBlendshapes(nn.Module):
         """
         super().__init__()
         mean = body.hand_mean if add_hands else None
-        before = np.zeros(3 * body.joints - (0 if mean is None else len(mean)))
-        hands = None if mean is None else np.concatenate([before, mean]).reshape(1, -1, 3)
+        zero_pose = np.zeros(3 * body.joints - (0 if mean is None else len(mean)))
+        hands = None if mean is None else np.concatenate([zero_pose, mean]).reshape(1, -1, 3)
         self.register_buffer("hands", None if hands is None else _float(hands))
         self.parents = body.parents
         self.free = shape is None
-        fixed = np.zeros(0) if shape is None else np.asarray(shape, np.float64)
+        fixed_shape = np.zeros(0) if shape is None else np.asarray(shape, np.float64)
         dirs, pose_dirs = body.shape_dirs[vertices], body.pose_dirs[vertices]
         # The Gaussians were trained in the big pose: subtract its pose blendshapes.
-        turns = rest_pose.rodrigues(rest_pose.big_pose(body))
-        offsets = dirs[:, :, : len(fixed)] @ fixed - pose_dirs @ rest_pose.pose_feature(turns)
-        keep = self.register_buffer
-        keep("joints", _float(rest_pose.joints_of(body, fixed)))
-        keep("offset", _float(offsets.T)[None])
-        keep("pose_dirs", _float(pose_dirs.transpose(2, 1, 0)).flatten(1))
-        keep("unit", torch.eye(3)[None, None])
+        joint_matrices = rest_pose.rodrigues(rest_pose.big_pose(body))
+        offsets = dirs[:, :, : len(fixed_shape)] @ fixed_shape - pose_dirs @ rest_pose.pose_feature(
+            joint_matrices
+        )
+        register = self.register_buffer
+        register("joints", _float(rest_pose.joints_of(body, fixed_shape)))
+        register("offset", _float(offsets.T)[None])
+        register("pose_dirs", _float(pose_dirs.transpose(2, 1, 0)).flatten(1))
+        register("unit", torch.eye(3)[None, None])
         if self.free:
-            along = np.einsum("jv,vas->sja", body.regressor, body.shape_dirs)
-            keep("joint_dirs", _float(along).flatten(1))
-            keep("shape_dirs", _float(dirs.transpose(2, 1, 0)).flatten(1))
+            joint_shape_dirs = np.einsum("jv,vas->sja", body.regressor, body.shape_dirs)
+            register("joint_dirs", _float(joint_shape_dirs).flatten(1))
+            register("shape_dirs", _float(dirs.transpose(2, 1, 0)).flatten(1))
         layers = nets.pose if nets is not None else ()
         self.refiner = nn.ModuleList(Dense(*layer) for layer in layers)
 
     def forward(self, actor: Actor) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
         """Return joint transforms, and the offsets of each template vertex by pose and shape."""
         pose = actor.pose if self.hands is None else actor.pose + self.hands
-        turns = self._joint_rotations(pose)
-        bodies = turns.shape[0]
-        feature = (turns[:, 1:] - self.unit).reshape(bodies, -1)
-        added = (feature @ self.pose_dirs).reshape(bodies, 3, -1) + self.offset
+        joint_matrices = self._joint_rotations(pose)
+        bodies = joint_matrices.shape[0]
+        feature = (joint_matrices[:, 1:] - self.unit).reshape(bodies, -1)
+        pose_offsets = (feature @ self.pose_dirs).reshape(bodies, 3, -1) + self.offset
         joints = self.joints
         if actor.shape is not None:
             shape = actor.shape.reshape(1, -1)
-            added = added + (shape @ self.shape_dirs).reshape(1, 3, -1)
+            pose_offsets = pose_offsets + (shape @ self.shape_dirs).reshape(1, 3, -1)
             joints = joints + (shape @ self.joint_dirs).reshape(-1, 3)
-        return posed_transforms(turns, joints, self.parents, actor.turn, actor.shift), added
+        return posed_transforms(
+            joint_matrices, joints, self.parents, actor.turn, actor.shift
+        ), pose_offsets
 
     def _joint_rotations(self, pose: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-        turns = rotation_matrices(pose)
+        joint_matrices = rotation_matrices(pose)
         if not len(self.refiner):
-            return turns
+            return joint_matrices
         hidden = pose[:, 1:].reshape(pose.shape[0], -1)
         for index, layer in enumerate(self.refiner):
             hidden = layer(torch.relu(hidden) if index else hidden)
         corrections = gauhuman_rotation_matrices(hidden.reshape(pose.shape[0], -1, 3))
-        return torch.cat([turns[:, :1], turns[:, 1:] @ corrections], dim=1)
+        return torch.cat([joint_matrices[:, :1], joint_matrices[:, 1:] @ corrections], dim=1)
 
 
 def _float(array: Float[np.ndarray, "..."]) -> Tensor:

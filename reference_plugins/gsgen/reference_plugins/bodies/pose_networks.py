@@ -4,7 +4,7 @@
 offsets of the logarithms of its skinning weights (skhu101/GauHuman, ``nets/``).
 """
 
-__all__ = ["SKIP", "PoseNets", "read_pose_nets", "weight_offsets"]
+__all__ = ["SKIP_LAYER", "PoseNets", "read_pose_nets", "weight_offsets"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ from gsgen.reference_plugins.tensors.positional_encoding import (
     positional_encoding,
 )
 
-_EMBEDDED = encoded_size(3, POINT_OCTAVES)
+_EMBEDDED_SIZE = encoded_size(3, POINT_OCTAVES)
 # Index of the layer whose input includes the encoded point again.
-SKIP = 3
+SKIP_LAYER = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,25 +45,25 @@ def read_pose_nets(
     path: Path, pose: Mapping[str, Any], weights: Mapping[str, Any], joints: int
 ) -> PoseNets:
     """Extract GauHuman's two correction networks from their state dicts, and check all shapes."""
-    turns = 3 * (joints - 1)
+    rotation_count = 3 * (joints - 1)
     width = _width(pose.get("block_mlps.0.weight"))
-    sizes = [(turns, width), (width, width), (width, turns)]
+    sizes = [(rotation_count, width), (width, width), (width, rotation_count)]
     names = [f"block_mlps.{2 * index}" for index in range(3)]
     expected: dict[str, Shape] = {}
     for name, (inputs, outputs) in zip(names, sizes, strict=True):
         expected |= linear_shapes(name, inputs, outputs)
     read = require_tensors(path, pose, expected)
-    first = tuple(layer_of(read, name) for name in names)
+    first_layers = tuple(layer_of(read, name) for name in names)
     width = _width(weights.get("bw_linears.0.weight"))
-    inputs_of = [_EMBEDDED, width, width, width and _EMBEDDED + width]
+    inputs_of = [_EMBEDDED_SIZE, width, width, width and _EMBEDDED_SIZE + width]
     names = [f"bw_linears.{index}" for index in range(4)] + ["bw_fc"]
     expected = {}
     for name, inputs in zip(names, [*inputs_of, width], strict=True):
         outputs = joints if name == "bw_fc" else width
         expected |= {f"{name}.weight": (outputs, inputs, 1), f"{name}.bias": (outputs,)}
     read = require_tensors(path, weights, expected)
-    second = tuple((read[f"{n}.weight"][:, :, 0], read[f"{n}.bias"]) for n in names)
-    return PoseNets(first, second)
+    second_layers = tuple((read[f"{n}.weight"][:, :, 0], read[f"{n}.bias"]) for n in names)
+    return PoseNets(first_layers, second_layers)
 
 
 def _width(weight: Any) -> int | None:
@@ -72,11 +72,11 @@ def _width(weight: Any) -> int | None:
 
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
     """Return GauHuman's learnt offsets to the log of skinning weights at points, in float64."""
-    first = hidden = positional_encoding(points.double(), POINT_OCTAVES)
-    *inner, last = nets.weights
-    for index, (weight, bias) in enumerate(inner):
-        if index == SKIP:
-            hidden = torch.cat([first, hidden], dim=1)
+    first_layers = hidden = positional_encoding(points.double(), POINT_OCTAVES)
+    *hidden_layers, output_layer = nets.weights
+    for index, (weight, bias) in enumerate(hidden_layers):
+        if index == SKIP_LAYER:
+            hidden = torch.cat([first_layers, hidden], dim=1)
         hidden = torch.relu(hidden @ weight.double().t() + bias.double())
-    offsets: Tensor = hidden @ last[0].double().t() + last[1].double()
+    offsets: Tensor = hidden @ output_layer[0].double().t() + output_layer[1].double()
     return offsets

@@ -16,9 +16,9 @@ from gsgen.reference_plugins.tensors.planes import rotation_columns
 from gsgen.sdk.math.rotations import SMALL_ANGLE
 
 # Added under the root by the published RodriguesModule: its axes are not of unit length.
-_UNDER_ROOT = 1e-5
+_MIN_SQUARED_ANGLE = 1e-5
 # The cross product matrices of the axes x, y and z.
-_CROSS = (
+_CROSS_MATRICES = (
     (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0),
     (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0),
     (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -30,12 +30,14 @@ def rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"
 
     It uses few operators on small matrices: for a few dozen joints, launches are the only cost.
     """
-    square = (vector * vector).sum(dim=2, keepdim=True)
-    angle = torch.sqrt(square.clamp(min=SMALL_ANGLE))[:, :, :, None]
-    cross = _cross(vector)
-    half = torch.sin(0.5 * angle) / angle
-    whole = torch.sin(angle) / angle * cross + (2 * half * half) * (cross @ cross)
-    return torch.eye(3) + whole
+    squared_length = (vector * vector).sum(dim=2, keepdim=True)
+    angle = torch.sqrt(squared_length.clamp(min=SMALL_ANGLE))[:, :, :, None]
+    cross_matrices = _cross(vector)
+    half_sine = torch.sin(0.5 * angle) / angle
+    full_rotation = torch.sin(angle) / angle * cross_matrices + (2 * half_sine * half_sine) * (
+        cross_matrices @ cross_matrices
+    )
+    return torch.eye(3) + full_rotation
 
 
 def gauhuman_rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
@@ -44,22 +46,22 @@ def gauhuman_rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, 
     With θ = √(r² + 1e-5) and u = r/θ, which is not exactly of unit length, the result is
     cos θ I + (1 − cos θ) u uᵀ + sin θ [u]×.
     """
-    square = (vector * vector).sum(dim=2, keepdim=True)
-    angle = torch.sqrt(square + _UNDER_ROOT)
+    squared_length = (vector * vector).sum(dim=2, keepdim=True)
+    angle = torch.sqrt(squared_length + _MIN_SQUARED_ANGLE)
     axis = vector / angle
     cosine, sine = torch.cos(angle)[:, :, :, None], torch.sin(angle)[:, :, :, None]
-    outer = axis[:, :, :, None] * axis[:, :, None, :]
-    return cosine * torch.eye(3) + (1 - cosine) * outer + sine * _cross(axis)
+    outer_products = axis[:, :, :, None] * axis[:, :, None, :]
+    return cosine * torch.eye(3) + (1 - cosine) * outer_products + sine * _cross(axis)
 
 
 def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-    return (vector @ torch.tensor(_CROSS)).reshape(*vector.shape[:2], 3, 3)
+    return (vector @ torch.tensor(_CROSS_MATRICES)).reshape(*vector.shape[:2], 3, 3)
 
 
 def nearest_rotation(
-    matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
+    matrix: Float[Tensor, "k 3 3 n"], is_rigid: Float[Tensor, "1 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1."""
+    """Return the rotation nearest to each matrix; the identity where ``is_rigid`` is 1."""
     rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
@@ -72,19 +74,21 @@ def nearest_rotation(
         (wz, bxz, byz, squares[3]),
     ]
     stacked = [torch.stack(components, dim=1) for components in candidates]
-    best, first = _larger(squares[0], squares[1], stacked[0], stacked[1])
-    second_best, second = _larger(squares[2], squares[3], stacked[2], stacked[3])
-    _, quaternion = _larger(best, second_best, first, second)
+    best_norm, first_best = _choose_larger(squares[0], squares[1], stacked[0], stacked[1])
+    second_best, second_best_quaternion = _choose_larger(
+        squares[2], squares[3], stacked[2], stacked[3]
+    )
+    _, quaternion = _choose_larger(best_norm, second_best, first_best, second_best_quaternion)
     w, x, y, z = quaternion.unbind(dim=1)
-    free = 1 - stiff
-    columns = rotation_columns((w * free + stiff, x * free, y * free, z * free))
+    is_free = 1 - is_rigid
+    columns = rotation_columns((w * is_free + is_rigid, x * is_free, y * is_free, z * is_free))
     return torch.stack([torch.stack(column, dim=1) for column in columns], dim=2)
 
 
-def _larger(
+def _choose_larger(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return in each row the higher of two scores, and the quaternion that has this score."""
-    first = a >= b
-    quaternion = torch.where(first[:, None], quaternion_a, quaternion_b)
+    first_best = a >= b
+    quaternion = torch.where(first_best[:, None], quaternion_a, quaternion_b)
     return torch.maximum(a, b), quaternion

@@ -21,26 +21,26 @@ from gsgen.sdk.math import skinning_transforms
 
 
 def posed_transforms(
-    turns: Float[Tensor, "k j 3 3"],
+    rotations: Float[Tensor, "k j 3 3"],
     joints: Float[Tensor, "j 3"],
     parents: Sequence[int],
-    turn: Float[Tensor, "k 3 3"] | None,
-    shift: Float[Tensor, "k 3"],
+    root_rotation: Float[Tensor, "k 3 3"] | None,
+    root_translation: Float[Tensor, "k 3"],
 ) -> Float[Tensor, "k j 3 4"]:
     """Return the rigid transforms of all joints, followed by root rotation and translation.
 
-    ``turns`` are in the parent's frame, and ``joints`` in the rest pose. Without ``turn``, the root
+    ``rotations`` are in the parent's frame, and ``joints`` in the rest pose. Without ``root_rotation``, the root
     joint's rotation is the only one.
     """
-    bodies, count = turns.shape[:2]
+    bodies, count = rotations.shape[:2]
     # All bodies form one forest, so their chains are multiplied in the same rounds.
     forest = [p if p < 0 else p + count * body for body in range(bodies) for p in parents]
-    rest = joints if bodies == 1 else torch.cat([joints] * bodies, dim=0)
-    transforms = skinning_transforms(turns.reshape(-1, 3, 3), rest, forest)
+    rest_joints = joints if bodies == 1 else torch.cat([joints] * bodies, dim=0)
+    transforms = skinning_transforms(rotations.reshape(-1, 3, 3), rest_joints, forest)
     transforms = transforms.reshape(bodies, count, 3, 4)
-    if turn is not None:
-        transforms = turn[:, None] @ transforms
-    translation = transforms[:, :, :, 3:] + shift[:, None, :, None]
+    if root_rotation is not None:
+        transforms = root_rotation[:, None] @ transforms
+    translation = transforms[:, :, :, 3:] + root_translation[:, None, :, None]
     return torch.cat([transforms[:, :, :, :3], translation], dim=3)
 
 
@@ -49,27 +49,27 @@ def blend_transforms(
 ) -> Float[Tensor, "k 3 4 n"]:
     """Return each Gaussian's blended transform: the joint transforms, averaged by weights."""
     bodies, joints = transforms.shape[:2]
-    flat = transforms.reshape(bodies, joints, 12).transpose(1, 2)
-    return (flat @ weights).reshape(bodies, 3, 4, -1)
+    flat_transforms = transforms.reshape(bodies, joints, 12).transpose(1, 2)
+    return (flat_transforms @ weights).reshape(bodies, 3, 4, -1)
 
 
 def transform_points(
     transform: Float[Tensor, "k 3 4 n"], point: Float[Tensor, "*k 3 n"]
 ) -> Float[Tensor, "k 3 n"]:
     """Apply a transform [R | t] to each point."""
-    moved = transform[:, :, 3]
+    translation_part = transform[:, :, 3]
     for axis in range(3):
-        moved = moved + transform[:, :, axis] * point[:, axis : axis + 1]
-    return moved
+        translation_part = translation_part + transform[:, :, axis] * point[:, axis : axis + 1]
+    return translation_part
 
 
 def multiply_matrices(
-    first: Float[Tensor, "k 3 c n"], second: Float[Tensor, "*k 3 3 n"]
+    left_matrix: Float[Tensor, "k 3 c n"], right_matrix: Float[Tensor, "*k 3 3 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Multiply two 3×3 matrices per Gaussian; a translation column in ``first`` is ignored."""
-    product = first[:, :, 0:1] * second[:, 0:1]
+    """Multiply two 3×3 matrices per Gaussian; a translation column in ``left_matrix`` is ignored."""
+    product = left_matrix[:, :, 0:1] * right_matrix[:, 0:1]
     for axis in (1, 2):
-        product = product + first[:, :, axis : axis + 1] * second[:, axis : axis + 1]
+        product = product + left_matrix[:, :, axis : axis + 1] * right_matrix[:, axis : axis + 1]
     return product
 
 

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.bodies.pose_networks import SKIP, PoseNets
+from gsgen.reference_plugins.bodies.pose_networks import SKIP_LAYER, PoseNets
 from gsgen.reference_plugins.bodies.skinning import multiply_matrices
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
@@ -33,11 +33,11 @@ class _WeightOffsets(nn.Module):
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
         first = hidden = positional_encoding(points, POINT_OCTAVES)
-        *inner, last = self.layers
-        for index, layer in enumerate(inner):
-            features = torch.cat([first, hidden], dim=1) if index == SKIP else hidden
+        *hidden_layers, output_layer = self.layers
+        for index, layer in enumerate(hidden_layers):
+            features = torch.cat([first, hidden], dim=1) if index == SKIP_LAYER else hidden
             hidden = torch.relu(layer(features))
-        offsets: Tensor = last(hidden)
+        offsets: Tensor = output_layer(hidden)
         return offsets
 
 
@@ -81,10 +81,10 @@ class BigPoseGaussians(nn.Module):
             logarithm = torch.log(weights) + self.offsets(self.position)
             weights = torch.softmax(logarithm, dim=1)
         big_pose = (weights @ self.transforms).transpose(0, 1).reshape(1, 3, 4, -1)
-        back = inverse(big_pose)
-        shifted = self.position.transpose(0, 1)[None, None] - big_pose[:, :, 3][:, None]
-        position = (back * shifted).sum(dim=2)
-        root = multiply_matrices(back, _root(self.rotation, self.scale))
+        inverse_transforms = inverse(big_pose)
+        translated = self.position.transpose(0, 1)[None, None] - big_pose[:, :, 3][:, None]
+        position = (inverse_transforms * translated).sum(dim=2)
+        root = multiply_matrices(inverse_transforms, _root(self.rotation, self.scale))
         return weights.transpose(0, 1), position, root
 
 
@@ -125,15 +125,17 @@ class SurfaceGaussians(nn.Module):
 
         The shape is rotation times scale, a square root of the covariance.
         """
-        back = (self.near @ self.transforms).transpose(0, 1)
-        back = torch.index_select(back, 1, self.vertex).reshape(1, 3, 4, -1)
+        inverse_transforms = (self.near @ self.transforms).transpose(0, 1)
+        inverse_transforms = torch.index_select(inverse_transforms, 1, self.vertex).reshape(
+            1, 3, 4, -1
+        )
         point = self.position.transpose(0, 1)[None, None]
-        position = (back[:, :, :3] * point).sum(dim=2) + back[:, :, 3]
+        position = (inverse_transforms[:, :, :3] * point).sum(dim=2) + inverse_transforms[:, :, 3]
         added = torch.index_select(self.added.transpose(0, 1), 1, self.vertex)
         weights = torch.index_select(self.near.transpose(0, 1), 1, self.vertex)
         stiff = torch.index_select(self.stiff.transpose(0, 1), 1, self.vertex)
         root = _root(self.rotation, self.scale)
-        return weights, position + added[None], back[:, :, :3], stiff, root
+        return weights, position + added[None], inverse_transforms[:, :, :3], stiff, root
 
 
 def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:

@@ -24,7 +24,7 @@ _FINGERS = tuple(
 )
 _PARENTS = {24: _SMPL, 55: (*_SMPL[:22], 15, 15, 15, *_FINGERS)}
 # Offset of each joint from its parent: a stick figure of 1.7 m, y up, arms apart.
-_BONES = (
+_BONE_TABLE = (
     *((0, 0, 0), (0.09, -0.09, 0), (-0.09, -0.09, 0), (0, 0.12, 0)),
     *((0.02, -0.4, 0), (-0.02, -0.4, 0), (0, 0.14, 0), (0, -0.42, -0.02), (0, -0.42, -0.02)),
     *((0, 0.06, 0), (0.02, -0.06, 0.13), (-0.02, -0.06, 0.13), (0, 0.21, 0)),
@@ -32,17 +32,17 @@ _BONES = (
     *((0.26, 0, 0), (-0.26, 0, 0), (0.25, 0, 0), (-0.25, 0, 0)),
 )
 _PALMS = ((0.08, 0, 0), (-0.08, 0, 0))
-_FACE = ((0, 0, 0.05), (0.03, 0.06, 0.07), (-0.03, 0.06, 0.07))
-_HEAD = 15
-_CROWN = (0.0, 0.13, 0.02)  # top of the head, from its joint
+_FACE_POINTS = ((0, 0, 0.05), (0.03, 0.06, 0.07), (-0.03, 0.06, 0.07))
+_HEAD_JOINT = 15
+_CROWN_OFFSET = (0.0, 0.13, 0.02)  # top of the head, from its joint
 # Radius of the tube that ends at a joint, in metres; the head's tube begins at its joint.
-_RADIUS = (
+_BONE_RADII = (
     *(0.12, 0.1, 0.1, 0.12, 0.075, 0.075, 0.12, 0.055, 0.055, 0.13, 0.045, 0.045, 0.07),
     *(0.09, 0.09, 0.095, 0.075, 0.075, 0.05, 0.05, 0.04, 0.04),
 )
-_PALM, _FINGER = 0.03, 0.012
+_PALM_RADIUS, _FINGER_RADIUS = 0.03, 0.012
 # Garment → joints whose tubes it covers; skin elsewhere.
-_CLOTHES = {
+_CLOTHING = {
     "shirt": (0, 3, 6, 9, 13, 14, 16, 17, 18, 19),
     "trousers": (1, 2, 4, 5, 7, 8),
     "shoes": (10, 11),
@@ -54,7 +54,7 @@ _COLORS = {
     "shoes": (0.6, 0.13, 0.12),
     "hair": (0.23, 0.12, 0.06),
 }
-_REACH = 0.06  # metres over which a bone's skinning weight falls off
+_SKINNING_FALLOFF = 0.06  # metres over which a bone's skinning weight falls off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,21 +87,21 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
     count, joints = options.vertices, options.joints
     joint_positions = _joint_positions(joints)
     # The first vertices surround one joint each, so that the joint is their mean.
-    tube = np.concatenate([np.arange(joints), _chosen_tubes(joint_positions, count - joints, rng)])
+    tube = np.concatenate([np.arange(joints), _choose_tubes(joint_positions, count - joints, rng)])
     # Most others are on the tube to the parent and do not define a joint.
-    outside = (np.arange(count) >= joints) & (rng.random(count) < 0.8)
-    inside = joint_positions[tube] + rng.normal(0, 0.03, (count, 3))
-    template = np.where(outside[:, None], _tube_points(joint_positions, tube, rng), inside)
-    weights = np.exp(-((_bone_distances(template, joint_positions) / _REACH) ** 2))
+    is_outer = (np.arange(count) >= joints) & (rng.random(count) < 0.8)
+    inner_points = joint_positions[tube] + rng.normal(0, 0.03, (count, 3))
+    template = np.where(is_outer[:, None], _tube_points(joint_positions, tube, rng), inner_points)
+    weights = np.exp(-((_bone_distances(template, joint_positions) / _SKINNING_FALLOFF) ** 2))
     weights[weights < 0.02 * weights.max(axis=1, keepdims=True)] = 0
     weights /= weights.sum(axis=1, keepdims=True)
-    regressor = ((tube[None] == np.arange(joints)[:, None]) & ~outside).astype(float)
+    regressor = ((tube[None] == np.arange(joints)[:, None]) & ~is_outer).astype(float)
     regressor /= regressor.sum(axis=1, keepdims=True)
     table = np.array([_PARENTS[joints], range(joints)], np.int64) % (NO_PARENT + 1)
-    grown = np.einsum("vi,ijk->vjk", template, rng.normal(0, 0.02, (3, 3, options.shapes)))
+    scaled_joints = np.einsum("vi,ijk->vjk", template, rng.normal(0, 0.02, (3, 3, options.shapes)))
     arrays = {
         "v_template": template,
-        "shapedirs": grown + rng.normal(0, 0.001, grown.shape),
+        "shapedirs": scaled_joints + rng.normal(0, 0.001, scaled_joints.shape),
         "posedirs": rng.normal(0, 0.001, (count, 3, 9 * (joints - 1))),
         "weights": weights,
         "J_regressor": regressor,
@@ -116,7 +116,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
 
 
 def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
-    bones = _BONES + (_PALMS if joints == 24 else _FACE)
+    bones = _BONE_TABLE + (_PALMS if joints == 24 else _FACE_POINTS)
     positions = np.zeros((joints, 3))
     for joint, parent in enumerate(_PARENTS[joints][1:], start=1):
         if joint < len(bones):
@@ -133,22 +133,28 @@ def _tubes(
     joint_positions: Float[np.ndarray, "j 3"],
 ) -> tuple[Float[np.ndarray, "j 3"], Float[np.ndarray, "j 3"], Float[np.ndarray, " j"]]:
     """Return begin, end and radius of the tube (limb) around each bone of the stick figure."""
-    begin = joint_positions[np.maximum(np.array(_PARENTS[len(joint_positions)]), 0)]
+    tube_start = joint_positions[np.maximum(np.array(_PARENTS[len(joint_positions)]), 0)]
     end = joint_positions.copy()
-    begin[_HEAD], end[_HEAD] = joint_positions[_HEAD], joint_positions[_HEAD] + _CROWN
-    extra_joints = len(joint_positions) - len(_RADIUS)
-    radius = np.array(
-        [*_RADIUS, *[_PALM if extra_joints == len(_PALMS) else _FINGER] * extra_joints]
+    tube_start[_HEAD_JOINT], end[_HEAD_JOINT] = (
+        joint_positions[_HEAD_JOINT],
+        joint_positions[_HEAD_JOINT] + _CROWN_OFFSET,
     )
-    return begin, end, radius
+    extra_joints = len(joint_positions) - len(_BONE_RADII)
+    radius = np.array(
+        [
+            *_BONE_RADII,
+            *[_PALM_RADIUS if extra_joints == len(_PALMS) else _FINGER_RADIUS] * extra_joints,
+        ]
+    )
+    return tube_start, end, radius
 
 
-def _chosen_tubes(
+def _choose_tubes(
     joint_positions: Float[np.ndarray, "j 3"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, " n"]:
     """Choose random limbs (tubes) of the synthetic body, in proportion to their surface."""
-    begin, end, radius = _tubes(joint_positions)
-    surface = radius * (np.linalg.norm(end - begin, axis=1) + 0.3 * radius)
+    tube_start, end, radius = _tubes(joint_positions)
+    surface = radius * (np.linalg.norm(end - tube_start, axis=1) + 0.3 * radius)
     return rng.choice(len(joint_positions), count, p=surface / surface.sum())
 
 
@@ -156,21 +162,23 @@ def _tube_points(
     joint_positions: Float[np.ndarray, "j 3"], tube: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
     """Sample random points on the surface of the limbs (tubes) of a synthetic body."""
-    begin, end, radius = (values[tube] for values in _tubes(joint_positions))
-    along = end - begin
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    axis = along / np.maximum(length, 1e-9)
-    out = rng.normal(size=(len(tube), 3))
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    share = rng.random((len(tube), 1))
+    tube_start, end, radius = (values[tube] for values in _tubes(joint_positions))
+    segment = end - tube_start
+    length = np.linalg.norm(segment, axis=1, keepdims=True)
+    axis = segment / np.maximum(length, 1e-9)
+    direction = rng.normal(size=(len(tube), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    fraction = rng.random((len(tube), 1))
     # The ends are round: there the normal keeps its component along the bone.
-    ended = (share < 0.2) & ((out * axis).sum(axis=1, keepdims=True) < 0)
-    ended |= (share > 0.8) & ((out * axis).sum(axis=1, keepdims=True) > 0)
-    flat = out - (out * axis).sum(axis=1, keepdims=True) * axis
-    flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
-    share = np.where(ended, np.round(share), share)
+    is_cap = (fraction < 0.2) & ((direction * axis).sum(axis=1, keepdims=True) < 0)
+    is_cap |= (fraction > 0.8) & ((direction * axis).sum(axis=1, keepdims=True) > 0)
+    perpendicular = direction - (direction * axis).sum(axis=1, keepdims=True) * axis
+    perpendicular /= np.maximum(np.linalg.norm(perpendicular, axis=1, keepdims=True), 1e-9)
+    fraction = np.where(is_cap, np.round(fraction), fraction)
     points: Float[np.ndarray, "n 3"] = (
-        begin + share * along + radius[:, None] * np.where(ended, out, flat)
+        tube_start
+        + fraction * segment
+        + radius[:, None] * np.where(is_cap, direction, perpendicular)
     )
     return points
 
@@ -184,20 +192,24 @@ def _bone_distances(
     )
     for child, parent in enumerate(_PARENTS[len(joint_positions)]):
         if parent >= 0:
-            near = _segment_distance(points, joint_positions[parent], joint_positions[child])
-            distance[:, parent] = np.minimum(distance[:, parent], near)
-    crown = _segment_distance(points, joint_positions[_HEAD], joint_positions[_HEAD] + _CROWN)
-    distance[:, _HEAD] = np.minimum(distance[:, _HEAD], crown)
+            distances = _segment_distance(points, joint_positions[parent], joint_positions[child])
+            distance[:, parent] = np.minimum(distance[:, parent], distances)
+    crown_distance = _segment_distance(
+        points, joint_positions[_HEAD_JOINT], joint_positions[_HEAD_JOINT] + _CROWN_OFFSET
+    )
+    distance[:, _HEAD_JOINT] = np.minimum(distance[:, _HEAD_JOINT], crown_distance)
     return distance
 
 
 def _segment_distance(
-    points: Float[np.ndarray, "n 3"], begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "n 3"],
+    tube_start: Float[np.ndarray, "3"],
+    end: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, " n"]:
-    along = end - begin
-    share = np.clip((points - begin) @ along / max(along @ along, 1e-12), 0, 1)
+    segment = end - tube_start
+    fraction = np.clip((points - tube_start) @ segment / max(segment @ segment, 1e-12), 0, 1)
     distance: Float[np.ndarray, " n"] = np.linalg.norm(
-        points - begin - share[:, None] * along, axis=1
+        points - tube_start - fraction[:, None] * segment, axis=1
     )
     return distance
 
@@ -207,25 +219,27 @@ def clothing_colors(
 ) -> Float[np.ndarray, "n 3"]:
     """Return colours in [0, 1] for points around a body: skin, hair and clothes, lit from above."""
     joint_positions = _joint_positions(options.joints)
-    begin, end, radius = _tubes(joint_positions)
+    tube_start, end, radius = _tubes(joint_positions)
     distance = np.stack(
         [
-            _segment_distance(points, *ends) - thick
-            for *ends, thick in zip(begin, end, radius, strict=True)
+            _segment_distance(points, *end_points) - tube_radius
+            for *end_points, tube_radius in zip(tube_start, end, radius, strict=True)
         ],
         axis=1,
     )
     tube = distance.argmin(axis=1)
     worn = np.tile(_COLORS["skin"], (options.joints, 1))
-    for name, tubes in _CLOTHES.items():
+    for name, tubes in _CLOTHING.items():
         worn[list(tubes)] = _COLORS[name]
     colors = worn[tube]
-    head = points - joint_positions[_HEAD]
-    hair = (tube == _HEAD) & (head[:, 1] - 0.8 * head[:, 2] > 0.1)
+    head = points - joint_positions[_HEAD_JOINT]
+    hair = (tube == _HEAD_JOINT) & (head[:, 1] - 0.8 * head[:, 2] > 0.1)
     colors[hair] = _COLORS["hair"]
-    middle = begin[tube] + 0.5 * (end - begin)[tube]
-    light = np.clip((points - middle)[:, 1:] @ [0.6, 0.8] / radius[tube], -1, 1)
-    lit_colors: Float[np.ndarray, "n 3"] = np.clip(colors * (0.85 + 0.3 * light[:, None]), 0, 1)
+    tube_center = tube_start[tube] + 0.5 * (end - tube_start)[tube]
+    brightness = np.clip((points - tube_center)[:, 1:] @ [0.6, 0.8] / radius[tube], -1, 1)
+    lit_colors: Float[np.ndarray, "n 3"] = np.clip(
+        colors * (0.85 + 0.3 * brightness[:, None]), 0, 1
+    )
     return lit_colors
 
 

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 # Joints of SMPL; the left one of each pair is at +x.
 _HIPS, _KNEES, _SHOULDERS, _ELBOWS = (1, 2), (4, 5), (16, 17), (18, 19)
-_STRIDE, _BEND, _SWING = 0.55, 0.9, 0.6
-_DOWN, _ELBOW = 1.25, 0.5  # arms hang down, slightly bent
+_STRIDE_ANGLE, _BEND_ANGLE, _SWING_ANGLE = 0.55, 0.9, 0.6
+_ARM_DOWN_ANGLE, _ELBOW_ANGLE = 1.25, 0.5  # arms hang down, slightly bent
 
 
 def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0) -> Path:
@@ -25,10 +25,12 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     for side, sign in enumerate((1.0, -1.0)):
         step = sign * np.sin(along)
         lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
-        _turn(poses, _HIPS[side], np.stack([-_STRIDE * step - 0.3 * lift, 0 * step, 0 * step]))
-        _turn(poses, _KNEES[side], np.stack([0.1 + _BEND * lift, 0 * step, 0 * step]))
-        _turn(poses, _SHOULDERS[side], _arm(_SWING * step, sign))
-        _turn(poses, _ELBOWS[side], np.stack([0 * step, 0 * step - sign * _ELBOW, 0 * step]))
+        _turn(
+            poses, _HIPS[side], np.stack([-_STRIDE_ANGLE * step - 0.3 * lift, 0 * step, 0 * step])
+        )
+        _turn(poses, _KNEES[side], np.stack([0.1 + _BEND_ANGLE * lift, 0 * step, 0 * step]))
+        _turn(poses, _SHOULDERS[side], _arm(_SWING_ANGLE * step, sign))
+        _turn(poses, _ELBOWS[side], np.stack([0 * step, 0 * step - sign * _ELBOW_ANGLE, 0 * step]))
     np.savez(
         path,
         poses=poses,
@@ -52,7 +54,7 @@ def _turn(poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "
 
 def _arm(swing: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
     """Return the axis-angle of a shoulder for a hanging arm that swings about x."""
-    half_swing, half_down = swing / 2, -sign * _DOWN / 2
+    half_swing, half_down = swing / 2, -sign * _ARM_DOWN_ANGLE / 2
     # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).
     w = np.cos(half_swing) * np.cos(half_down)
     vector = np.stack(

@@ -18,7 +18,7 @@ from gsgen.reference_plugins.deformation.deformation_checkpoint import Deformati
 from gsgen.reference_plugins.deformation.deformation_network import DeformationNetwork
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.tensors.layers import Dense
-from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stacked
+from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stack_planes
 from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, positional_encoding
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
@@ -66,7 +66,7 @@ class Deformable3DGS(GaussianGenerator):
         moment = self.network.moment(time)
         count = self.position.shape[0]
         parts = [
-            self._deformed(slice(start, start + self.rows), moment)
+            self._deform_part(slice(start, start + self.rows), moment)
             for start in range(0, count, self.rows)
         ]
         position, covariance = (
@@ -75,7 +75,7 @@ class Deformable3DGS(GaussianGenerator):
         )
         return Gaussians(position=position, opacity=self.opacity, covariance=covariance, sh=self.sh)
 
-    def _deformed(self, part: slice, moment: Tensor) -> tuple[Tensor, Tensor]:
+    def _deform_part(self, part: slice, moment: Tensor) -> tuple[Tensor, Tensor]:
         """Return centres and covariances of a range of Gaussians after the deformation."""
         position = self.position[part]
         hidden = self.network(positional_encoding(position, POINT_OCTAVES), moment)
@@ -83,12 +83,12 @@ class Deformable3DGS(GaussianGenerator):
         # Not normalised, as in the published rasteriser.
         rotation = self.rotation[part] + self.turn(hidden)
         covariance = covariance_planes(planes_of(scale), planes_of(rotation), normalise=False)
-        return self._position(position, hidden), stacked(covariance)
+        return self._position(position, hidden), stack_planes(covariance)
 
     def _position(self, position: Tensor, hidden: Tensor) -> Tensor:
         if len(self.warp) == 1:
-            shifted: Tensor = position + self.warp[0](hidden)
-            return shifted
+            shifted_position: Tensor = position + self.warp[0](hidden)
+            return shifted_position
         axis, moment = self.warp
         return _screw_motion(position, axis(hidden), moment(hidden))
 
@@ -105,10 +105,17 @@ def _screw_motion(
     theta = torch.sqrt((axis * axis).sum(dim=1, keepdim=True).clamp(min=_MIN_SQUARED_ANGLE))
     w = axis / theta + _AXIS_SHIFT
     v = moment / theta + _AXIS_SHIFT
-    sine, versine = torch.sin(theta), 1 - torch.cos(theta)
-    across, along = _cross_product(w, point), _cross_product(w, v)
-    turned = point + sine * across + versine * _cross_product(w, across)
-    return turned + theta * v + versine * along + (theta - sine) * _cross_product(w, along)
+    sine, one_minus_cosine = torch.sin(theta), 1 - torch.cos(theta)
+    axis_cross_point, axis_cross_velocity = _cross_product(w, point), _cross_product(w, v)
+    rotated_point = (
+        point + sine * axis_cross_point + one_minus_cosine * _cross_product(w, axis_cross_point)
+    )
+    return (
+        rotated_point
+        + theta * v
+        + one_minus_cosine * axis_cross_velocity
+        + (theta - sine) * _cross_product(w, axis_cross_velocity)
+    )
 
 
 def _cross_product(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

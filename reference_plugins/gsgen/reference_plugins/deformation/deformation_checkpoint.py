@@ -32,7 +32,7 @@ BLENDER_TIME_OCTAVES = 6
 _POINT_INPUTS = encoded_size(3, POINT_OCTAVES)
 _TIME = encoded_size(1, POINT_OCTAVES)
 _BLENDER_TIME = encoded_size(1, BLENDER_TIME_OCTAVES)
-_LAYER = re.compile(r"linear\.(\d+)\.weight")
+_LAYER_NAME = re.compile(r"linear\.(\d+)\.weight")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +103,7 @@ def read_layers(
     path: Path,
     state: Mapping[str, Tensor],
     warp: Mapping[str, int],
-    further: Callable[[int, int], Mapping[str, Shape]] = lambda _, __: {},
+    further_shapes: Callable[[int, int], Mapping[str, Shape]] = lambda _, __: {},
 ) -> tuple[Deformation, dict[str, Tensor]]:
     """Return the layers of a deformation network, and all tensors of its state dict.
 
@@ -111,11 +111,11 @@ def read_layers(
         path: The file, for messages.
         state: The state dict.
         warp: Heads of the translation, with their outputs.
-        further: Returns the shapes of further tensors, for the width of the encoded point and
+        further_shapes: Returns the shapes of further tensors, for the width of the encoded point and
             time, and that of the layers.
     """
     first = state.get("linear.0.weight")
-    layers = {int(match[1]) for name in state if (match := _LAYER.fullmatch(name))}
+    layers = {int(match[1]) for name in state if (match := _LAYER_NAME.fullmatch(name))}
     if not isinstance(first, Tensor) or first.ndim != 2 or layers != set(range(len(layers))):
         message = f"layers linear.N are {sorted(layers)}, expected 0 to 7"
         raise CheckpointInvalid(message, where=str(path))
@@ -132,14 +132,16 @@ def read_layers(
         expected |= linear_shapes("timenet.2", None, embedded - _POINT_INPUTS)
     for name, outputs in {**warp, "gaussian_rotation": 4, "gaussian_scaling": 3}.items():
         expected |= linear_shapes(name, width, outputs)
-    expected |= further(embedded, width)
+    expected |= further_shapes(embedded, width)
     read = require_tensors(path, state, expected)
-    moves = [layer_of(read, name) for name in warp]
+    translation_layers = [layer_of(read, name) for name in warp]
     net = Deformation(
         layers=tuple(layer_of(read, f"linear.{i}") for i in range(count)),
         skip=skip,
         time=(layer_of(read, "timenet.0"), layer_of(read, "timenet.2")) if blender else None,
-        warp=(moves[0], moves[1]) if len(moves) == 2 else (moves[0],),
+        warp=(translation_layers[0], translation_layers[1])
+        if len(translation_layers) == 2
+        else (translation_layers[0],),
         rotation=layer_of(read, "gaussian_rotation"),
         scaling=layer_of(read, "gaussian_scaling"),
     )

@@ -15,22 +15,22 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.spec.manifest import Input
-from gsgen.reference_plugins.deformation.hexplane_checkpoint import Flags, HexPlaneNets
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import DeformationFlags, HexPlaneNets
 from gsgen.reference_plugins.deformation.hexplane_field import HexPlaneField
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.loading.states import Layer
 from gsgen.reference_plugins.tensors.baked_constants import Bake
 from gsgen.reference_plugins.tensors.layers import Dense
-from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stacked
+from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stack_planes
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 
-class _Head(nn.Module):
+class _DeformationHead(nn.Module):
     """Two dense layers with ReLU between them, for features that already passed a ReLU."""
 
-    def __init__(self, pair: tuple[Layer, Layer]) -> None:
+    def __init__(self, layer_pair: tuple[Layer, Layer]) -> None:
         super().__init__()
-        self.first, self.second = Dense(*pair[0]), Dense(*pair[1])
+        self.first, self.second = Dense(*layer_pair[0]), Dense(*layer_pair[1])
 
     def forward(self, hidden: Tensor) -> Tensor:
         result: Tensor = self.second(torch.relu(self.first(hidden)))
@@ -54,7 +54,7 @@ class HexPlane4DGS(GaussianGenerator):
         self,
         canonical: Canonical,
         nets: HexPlaneNets,
-        flags: Flags,
+        flags: DeformationFlags,
         time: Input | None = None,
         *,
         bake: Bake = "auto",
@@ -65,8 +65,10 @@ class HexPlane4DGS(GaussianGenerator):
         self.apply_rotation = flags.apply_rotation
         self.field = HexPlaneField(nets, canonical.position, bake)
         self.feature = nn.ModuleList(Dense(*layer) for layer in nets.feature)
-        self.heads = nn.ModuleDict({name: _Head(pair) for name, pair in nets.heads.items()})
-        self.static = _Head(nets.static) if nets.static is not None else None
+        self.heads = nn.ModuleDict(
+            {name: _DeformationHead(layer_pair) for name, layer_pair in nets.heads.items()}
+        )
+        self.static = _DeformationHead(nets.static) if nets.static is not None else None
         static_share = _static_share(canonical, nets) if nets.voxels is not None else None
         self.register_buffer("static_share", static_share)
         self.register_buffer("position", canonical.position)
@@ -81,34 +83,38 @@ class HexPlane4DGS(GaussianGenerator):
         for index, layer in enumerate(self.feature):
             hidden = layer(torch.relu(hidden) if index else hidden)
         hidden = torch.relu(hidden)
-        share = self.static(hidden) if self.static is not None else self.static_share
-        scale = torch.exp(self._deformed("scales", self.log_scale, hidden, share))
+        static_fraction = self.static(hidden) if self.static is not None else self.static_share
+        scale = torch.exp(self._deform_field("scales", self.log_scale, hidden, static_fraction))
         return Gaussians(
-            position=self._deformed("pos", self.position, hidden, share),
-            opacity=torch.sigmoid(self._deformed("opacity", self.logit_opacity, hidden, share)),
-            covariance=stacked(covariance_planes(planes_of(scale), self._rotation(hidden))),
-            sh=self._deformed("shs", self.sh, hidden, share).reshape(self.rows, -1, 3),
+            position=self._deform_field("pos", self.position, hidden, static_fraction),
+            opacity=torch.sigmoid(
+                self._deform_field("opacity", self.logit_opacity, hidden, static_fraction)
+            ),
+            covariance=stack_planes(covariance_planes(planes_of(scale), self._rotation(hidden))),
+            sh=self._deform_field("shs", self.sh, hidden, static_fraction).reshape(
+                self.rows, -1, 3
+            ),
         )
 
-    def _deformed(
-        self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
+    def _deform_field(
+        self, head: str, canonical: Tensor, hidden: Tensor, static_fraction: Tensor | None
     ) -> Tensor:
         """Return canonical attributes times a voxel grid's factor, plus predicted changes."""
         if head not in self.heads:
             return canonical
-        masked = canonical if share is None else canonical * share
-        moved: Tensor = masked + self.heads[head](hidden)
-        return moved
+        masked_field = canonical if static_fraction is None else canonical * static_fraction
+        deformed: Tensor = masked_field + self.heads[head](hidden)
+        return deformed
 
     def _rotation(self, hidden: Tensor) -> list[Tensor]:
         """Return the deformed quaternions, one tensor per component; no voxel grid scales them."""
         rotation = planes_of(self.rotation)
         if "rotations" not in self.heads:
             return rotation
-        change = planes_of(self.heads["rotations"](hidden))
+        rotation_change = planes_of(self.heads["rotations"](hidden))
         if self.apply_rotation:
-            return _quaternion_product(rotation, change)
-        return [a + b for a, b in zip(rotation, change, strict=True)]
+            return _quaternion_product(rotation, rotation_change)
+        return [a + b for a, b in zip(rotation, rotation_change, strict=True)]
 
 
 def _quaternion_product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor]:
@@ -129,7 +135,7 @@ def _static_share(canonical: Canonical, nets: HexPlaneNets) -> Float[Tensor, "n 
     grid, low, high = nets.voxels
     position = (canonical.position - low) / (high - low) * 2 - 1
     samples = position.flip(-1)[None, :, None, None]
-    sampled = torch.nn.functional.grid_sample(
+    sampled_mask = torch.nn.functional.grid_sample(
         grid[None, None], samples, mode="bilinear", padding_mode="zeros", align_corners=True
     )
-    return sampled.reshape(-1, 1)
+    return sampled_mask.reshape(-1, 1)

@@ -5,7 +5,7 @@
 ``cfg_args`` tells which parts are active.
 """
 
-__all__ = ["HEADS", "Flags", "HexPlaneCheckpoint", "HexPlaneNets", "read_hexplanes"]
+__all__ = ["HEAD_SIZES", "DeformationFlags", "HexPlaneCheckpoint", "HexPlaneNets", "read_hexplanes"]
 
 import re
 from collections.abc import Mapping
@@ -32,17 +32,17 @@ from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 from gsgen.reference_plugins.tensors.hexplane import PLANES
 
 # Head, named after the values that it changes → number of its outputs.
-HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
+HEAD_SIZES = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
 
-_NET = "deformation_net."
-_GRID = re.compile(r"grid\.grids\.(\d+)\.(\d+)")
-_OUT = re.compile(r"feature_out\.(\d+)\.weight")
+_NETWORK_PREFIX = "deformation_net."
+_GRID_NAME = re.compile(r"grid\.grids\.(\d+)\.(\d+)")
+_OUTPUT_NAME = re.compile(r"feature_out\.(\d+)\.weight")
 # Tensors of an earlier encoding of time; inference does not need them.
-_UNUSED = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
+_UNUSED_PREFIXES = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
 
 @dataclass(frozen=True, slots=True)
-class Flags:
+class DeformationFlags:
     """The parts of the 4DGaussians networks that are active."""
 
     active: tuple[str, ...]  # names of the active heads, in the order of ``HEADS``
@@ -50,7 +50,7 @@ class Flags:
     mask: str  # factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty
 
     @classmethod
-    def of(cls, cfg: CfgArgs) -> "Flags":
+    def of(cls, cfg: CfgArgs) -> "DeformationFlags":
         """Read from 4DGaussians' training options which parts of its networks are active.
 
         An absent option has the default of the published code.
@@ -65,14 +65,14 @@ class Flags:
         if cfg.integer("grid_pe", 0) > 1:
             message = f"grid_pe is {cfg.values['grid_pe']}, expected 0 or 1"
             raise CheckpointInvalid(message, where=str(cfg.path))
-        off = {
+        is_disabled = {
             "pos": cfg.flag("no_dx"),
             "scales": cfg.flag("no_ds"),
             "rotations": cfg.flag("no_dr"),
             "opacity": cfg.flag("no_do", default=True),
             "shs": cfg.flag("no_dshs", default=True),
         }
-        active = tuple(head for head in HEADS if not off[head])
+        active = tuple(head for head in HEAD_SIZES if not is_disabled[head])
         if not active:
             message = "no_dx, no_ds, no_dr, no_do and no_dshs are all True: nothing moves"
             hint = "Export the PLY with `gsgen export static`."
@@ -103,7 +103,7 @@ class HexPlaneCheckpoint:
     """The Gaussians, hexplane and networks of a 4DGaussians checkpoint."""
 
     run: TrainingRun
-    flags: Flags  # the active parts of the networks
+    flags: DeformationFlags  # the active parts of the networks
     canonical: Canonical  # the canonical Gaussians
     nets: HexPlaneNets  # the hexplane and its networks
 
@@ -132,7 +132,7 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     Without ``iteration``, the last one of the fine stage is read.
     """
     run = open_run("hexplane-4dgs", folder, iteration, needs_cfg=True)
-    flags = Flags.of(run.cfg)
+    flags = DeformationFlags.of(run.cfg)
     canonical = read_canonical(run.files / "point_cloud.ply")
     if "shs" in flags.active and canonical.degree != 3:
         message = f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
@@ -141,31 +141,38 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     return HexPlaneCheckpoint(run, flags, canonical, nets)
 
 
-def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
+def _read_nets(path: Path, flags: DeformationFlags) -> HexPlaneNets:
     state = load_state(path, "the deformation network")
-    net = entries_below(state, _NET)
+    net = entries_below(state, _NETWORK_PREFIX)
     scales, layers = _counts(path, net)
     expected = _expected_shapes(path, net, flags, scales, layers)
     # Inactive heads and masks are saved, too.
-    idle = [f"{_NET}{head}_deform." for head in HEADS if head not in flags.active]
-    idle += [f"{_NET}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask]
+    unused_prefixes = [
+        f"{_NETWORK_PREFIX}{head}_deform." for head in HEAD_SIZES if head not in flags.active
+    ]
+    unused_prefixes += [
+        f"{_NETWORK_PREFIX}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask
+    ]
     read = require_tensors(
-        path, state, {_NET + k: v for k, v in expected.items()}, (*_UNUSED, *idle)
+        path,
+        state,
+        {_NETWORK_PREFIX + k: v for k, v in expected.items()},
+        (*_UNUSED_PREFIXES, *unused_prefixes),
     )
-    read = entries_below(read, _NET)
+    read = entries_below(read, _NETWORK_PREFIX)
     grids = tuple(
         tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(PLANES)) for s in range(scales)
     )
     _require_sizes(path, grids)
     if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
-        message = f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, expected a box with a volume"
+        message = f"{_NETWORK_PREFIX}grid.aabb is {read['grid.aabb'].tolist()}, expected a box with a volume"
         raise CheckpointInvalid(message, where=str(path))
-    static = _pair(read, "static_mlp") if flags.mask == "static_mlp" else None
+    static = _layer_pair(read, "static_mlp") if flags.mask == "static_mlp" else None
     return HexPlaneNets(
         aabb=read["grid.aabb"],
         grids=grids,
         feature=tuple(layer_of(read, f"feature_out.{2 * i}") for i in range(layers)),
-        heads={head: _pair(read, f"{head}_deform") for head in flags.active},
+        heads={head: _layer_pair(read, f"{head}_deform") for head in flags.active},
         static=static,
         voxels=_voxels(read) if flags.mask == "empty_voxel" else None,
     )
@@ -173,8 +180,8 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
 
 def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
     """Return the number of a hexplane's resolutions, and of the feature network's layers."""
-    scales = {int(match[1]) for name in net if (match := _GRID.fullmatch(name))}
-    layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
+    scales = {int(match[1]) for name in net if (match := _GRID_NAME.fullmatch(name))}
+    layers = {int(match[1]) for name in net if (match := _OUTPUT_NAME.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
         message = f"{len(scales)} resolutions of planes, {len(layers)} layers behind them"
         hint = "Expected deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
@@ -183,7 +190,7 @@ def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def _expected_shapes(
-    path: Path, net: Mapping[str, Any], flags: Flags, scales: int, layers: int
+    path: Path, net: Mapping[str, Any], flags: DeformationFlags, scales: int, layers: int
 ) -> dict[str, Shape]:
     first = net.get("feature_out.0.weight")
     plane = net.get("grid.grids.0.0")
@@ -199,11 +206,11 @@ def _expected_shapes(
         expected |= linear_shapes(
             f"feature_out.{2 * layer}", channels * scales if layer == 0 else width, width
         )
-    outs = {f"{head}_deform": HEADS[head] for head in flags.active}
-    outs |= {"static_mlp": 1} if flags.mask == "static_mlp" else {}
-    for name, out in outs.items():
+    output_sizes = {f"{head}_deform": HEAD_SIZES[head] for head in flags.active}
+    output_sizes |= {"static_mlp": 1} if flags.mask == "static_mlp" else {}
+    for name, output_size in output_sizes.items():
         expected |= linear_shapes(f"{name}.1", width, width) | linear_shapes(
-            f"{name}.3", width, out
+            f"{name}.3", width, output_size
         )
     if flags.mask == "empty_voxel":
         expected["empty_voxel.grid"] = (1, 1, None, None, None)
@@ -213,15 +220,15 @@ def _expected_shapes(
     return expected
 
 
-def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
+def _layer_pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
     return layer_of(read, f"{name}.1"), layer_of(read, f"{name}.3")
 
 
 def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """Return a checkpoint's voxel grid and its two corners, by default those of the hexplane."""
-    upper, lower = read["grid.aabb"]
-    low = read.get("empty_voxel.xyz_min", lower)
-    return read["empty_voxel.grid"][0, 0], low, read.get("empty_voxel.xyz_max", upper)
+    upper_corner, lower_corner = read["grid.aabb"]
+    low_corner = read.get("empty_voxel.xyz_min", lower_corner)
+    return read["empty_voxel.grid"][0, 0], low_corner, read.get("empty_voxel.xyz_max", upper_corner)
 
 
 def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
@@ -232,5 +239,5 @@ def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
         for index, (first, second) in enumerate(pairs):
             actual, expected = tuple(planes[index].shape[1:]), (size[second], size[first])
             if actual != expected or min(actual) < 2:
-                message = f"{_NET}grid.grids.{scale}.{index} is {actual}, expected {expected} with sizes of at least 2"
+                message = f"{_NETWORK_PREFIX}grid.grids.{scale}.{index} is {actual}, expected {expected} with sizes of at least 2"
                 raise CheckpointInvalid(message, where=str(path))

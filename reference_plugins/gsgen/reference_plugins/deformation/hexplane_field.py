@@ -24,12 +24,12 @@ from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 
 
 def _cell_below(
-    along: Float[Tensor, " n"], cells: int
+    positions: Float[Tensor, " n"], cells: int
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 1"]]:
     """Split coordinates in [0, 1] into the lower grid index and the interpolation weight."""
-    coordinate = (along * float(cells - 1)).clamp(0.0, float(cells - 1))
-    below = torch.floor(coordinate).clamp(max=float(cells - 2))
-    return below, (coordinate - below)[:, None]
+    coordinate = (positions * float(cells - 1)).clamp(0.0, float(cells - 1))
+    cell_below = torch.floor(coordinate).clamp(max=float(cells - 2))
+    return cell_below, (coordinate - cell_below)[:, None]
 
 
 class _CellIndex(nn.Module):
@@ -39,9 +39,9 @@ class _CellIndex(nn.Module):
         super().__init__()
         self.cells = cells
 
-    def forward(self, along: Float[Tensor, " n"]) -> tuple[Tensor, Tensor]:
-        below, share = _cell_below(along, self.cells)
-        return below.to(torch.int32), share
+    def forward(self, positions: Float[Tensor, " n"]) -> tuple[Tensor, Tensor]:
+        cell_below, fraction = _cell_below(positions, self.cells)
+        return cell_below.to(torch.int32), fraction
 
 
 class _TimePlane(nn.Module):
@@ -51,28 +51,30 @@ class _TimePlane(nn.Module):
     ticks: Tensor
 
     def __init__(
-        self, plane: Float[Tensor, "c t x"], along: Float[Tensor, " n"], bake: Bake
+        self, plane: Float[Tensor, "c t x"], positions: Float[Tensor, " n"], bake: Bake
     ) -> None:
         super().__init__()
-        channels, moments, cells = plane.shape
+        channels, time_count, cells = plane.shape
         # Time from 0 to 1 is the upper half of a coordinate from −1 to 1.
-        self.start, self.moments = (moments - 1) // 2, moments
+        self.start, self.moments = (time_count - 1) // 2, time_count
         self.shape = (cells, channels)
         table = plane.permute(1, 2, 0)[self.start :]
         self.register_buffer("table", table.reshape(len(table), -1).contiguous())
         self.register_buffer("ticks", torch.arange(len(table), dtype=torch.float32)[None])
-        self.cell = Constants(_CellIndex(cells), (along,), bake)
+        self.cell = Constants(_CellIndex(cells), (positions,), bake)
 
-    def forward(self, time: Float[Tensor, "1"], along: Float[Tensor, " n"]) -> Float[Tensor, "n c"]:
-        last = float(self.table.shape[0] - 1)
+    def forward(
+        self, time: Float[Tensor, "1"], positions: Float[Tensor, " n"]
+    ) -> Float[Tensor, "n c"]:
+        last_row = float(self.table.shape[0] - 1)
         moment = (time + 1) * (0.5 * (self.moments - 1)) - float(self.start)
-        weight = torch.relu(1 - (self.ticks - moment.clamp(0.0, last).reshape(1, 1)).abs())
+        weight = torch.relu(1 - (self.ticks - moment.clamp(0.0, last_row).reshape(1, 1)).abs())
         row = (weight @ self.table).reshape(self.shape)
         # Differences of the few cells, rather than of the features of many points.
         slope = row[1:] - row[:-1]
-        below, share = self.cell(along)
-        low = torch.index_select(row, 0, below)
-        features: Tensor = low + torch.index_select(slope, 0, below) * share
+        cell_below, fraction = self.cell(positions)
+        row_below = torch.index_select(row, 0, cell_below)
+        features: Tensor = row_below + torch.index_select(slope, 0, cell_below) * fraction
         return features
 
 
@@ -89,16 +91,18 @@ class _SpacePlane(nn.Module):
         self.register_buffer("table", table.contiguous())
 
     def forward(self, position: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
-        across, down = self.axes
-        column, right = _cell_below(position[:, across], self.width)
-        row, lower = _cell_below(position[:, down], self.height)
+        column_axis, row_axis = self.axes
+        column, column_fraction = _cell_below(position[:, column_axis], self.width)
+        row, row_fraction = _cell_below(position[:, row_axis], self.height)
         corner = row * float(self.width) + column
         # One gather per corner: a gather of all four would be four times the largest tensor.
         parts = []
-        for below, right_cell in product((0, 1), repeat=2):
-            share = (lower if below else 1 - lower) * (right if right_cell else 1 - right)
-            index = (corner + float(below * self.width + right_cell)).to(torch.int32)
-            parts.append(torch.index_select(self.table, 0, index) * share)
+        for cell_below, right_cell in product((0, 1), repeat=2):
+            fraction = (row_fraction if cell_below else 1 - row_fraction) * (
+                column_fraction if right_cell else 1 - column_fraction
+            )
+            index = (corner + float(cell_below * self.width + right_cell)).to(torch.int32)
+            parts.append(torch.index_select(self.table, 0, index) * fraction)
         return (parts[0] + parts[1]) + (parts[2] + parts[3])
 
 
@@ -112,8 +116,8 @@ class _SpacePlanes(nn.Module):
         )
 
     def forward(self, position: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n c"]]:
-        first, second, third = (plane(position) for plane in self.planes)
-        return (first * second * third,)
+        first_planes, second_planes, third_planes = (plane(position) for plane in self.planes)
+        return (first_planes * second_planes * third_planes,)
 
 
 class _Resolution(nn.Module):
@@ -156,15 +160,23 @@ class HexPlaneField(nn.Module):
         """
         super().__init__()
         # The first row of the box is its upper corner, so coordinates are mirrored.
-        corner, opposite = nets.aabb
+        corner, opposite_corner = nets.aabb
         self.register_buffer("corner", corner[None].clone())
-        self.register_buffer("per_size", (1 / (opposite.double() - corner.double())).float()[None])
-        scaled = (position.double() - corner.double()) / (opposite.double() - corner.double())
-        self.resolutions = nn.ModuleList(_Resolution(six, scaled, bake) for six in nets.grids)
+        self.register_buffer(
+            "per_size", (1 / (opposite_corner.double() - corner.double())).float()[None]
+        )
+        scaled_position = (position.double() - corner.double()) / (
+            opposite_corner.double() - corner.double()
+        )
+        self.resolutions = nn.ModuleList(
+            _Resolution(six, scaled_position, bake) for six in nets.grids
+        )
 
     def forward(
         self, time: Float[Tensor, "1"], position: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n f"]:
         """Return the hexplane features of fixed points at a given time, at all resolutions."""
-        scaled = (position - self.corner) * self.per_size
-        return torch.cat([resolution(time, scaled) for resolution in self.resolutions], dim=1)
+        scaled_position = (position - self.corner) * self.per_size
+        return torch.cat(
+            [resolution(time, scaled_position) for resolution in self.resolutions], dim=1
+        )

@@ -23,14 +23,14 @@ from gsgen.reference_plugins.tensors.planes import (
     covariance_planes,
     planes_of,
     rotation_columns,
-    stacked,
+    stack_planes,
 )
 from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, positional_encoding
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 # The published code adds this to each weight before they are normalised.
 _LEAST_WEIGHT = 1e-7
-_ROWS = 8192  # rows whose distances to all nodes are in memory at once
+_CHUNK_ROWS = 8192  # rows whose distances to all nodes are in memory at once
 
 
 def node_weights(
@@ -39,12 +39,14 @@ def node_weights(
     """Return the nearest control nodes of points, and the float64 weights, which sum to 1."""
     centres = torch.cat([nodes.position, nodes.hyper], dim=1).double()
     radius = torch.exp(nodes.log_radius.double())
-    share = torch.sigmoid(nodes.logit_weight.double())
+    weight_share = torch.sigmoid(nodes.logit_weight.double())
     indices, weights = [], []
-    for part in points.double().split(_ROWS):  # type: ignore[no-untyped-call]
-        square = (part[:, None] - centres[None]).square().sum(dim=2)
-        nearest, index = square.topk(neighbours, dim=1, largest=False)
-        weight = torch.exp(-nearest / (2 * radius[index].square())) * share[index] + _LEAST_WEIGHT
+    for part in points.double().split(_CHUNK_ROWS):  # type: ignore[no-untyped-call]
+        squared_distance = (part[:, None] - centres[None]).square().sum(dim=2)
+        nearest, index = squared_distance.topk(neighbours, dim=1, largest=False)
+        weight = (
+            torch.exp(-nearest / (2 * radius[index].square())) * weight_share[index] + _LEAST_WEIGHT
+        )
         indices.append(index)
         weights.append(weight / weight.sum(dim=1, keepdim=True))
     return torch.cat(indices), torch.cat(weights)
@@ -68,9 +70,11 @@ class ScGs(GaussianGenerator):
         self.inputs = (time or inputs.time(),)
         self.nodes = _NodeMotion(read.nodes, read.options.max_scale)
         canonical = read.canonical
-        hyper = read.hyper.expand(len(canonical), -1)
+        hyper_coordinates = read.hyper.expand(len(canonical), -1)
         index, weight = node_weights(
-            torch.cat([canonical.position, hyper], dim=1), read.nodes, read.options.neighbours
+            torch.cat([canonical.position, hyper_coordinates], dim=1),
+            read.nodes,
+            read.options.neighbours,
         )
         self.neighbours = index.shape[1]
         for neighbour in range(self.neighbours):
@@ -91,33 +95,38 @@ class ScGs(GaussianGenerator):
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
         """Return the Gaussians at a given time, as moved by the control nodes around them."""
         table = self.nodes(time)
-        blended = sum(
-            (self._weighted(table, neighbour) for neighbour in range(1, self.neighbours)),
-            start=self._weighted(table, 0),
+        blended_motion = sum(
+            (self._weighted_columns(table, neighbour) for neighbour in range(1, self.neighbours)),
+            start=self._weighted_columns(table, 0),
         )
-        parts = dict(zip(self.nodes.widths, _columns(blended, self.nodes.widths), strict=True))
-        shift = parts["translation"]
+        parts = dict(
+            zip(self.nodes.widths, _columns(blended_motion, self.nodes.widths), strict=True)
+        )
+        translation = parts["translation"]
         if "turn" in parts:
             turn, x = parts["turn"], self.position
             rows = [(turn[:, i : i + 3] * x).sum(dim=1, keepdim=True) for i in (0, 3, 6)]
-            shift = shift + torch.cat(rows, dim=1) - x
+            translation = translation + torch.cat(rows, dim=1) - x
         if self.has_mask:
-            shift = self.mask * shift
+            translation = self.mask * translation
             parts = {name: self.mask * part for name, part in parts.items()}
         opacity, sh = self.opacity, self.sh
         if "opacity" in parts:
             opacity = (opacity + parts["opacity"]).clamp(0.0, 1.0)
         if "color" in parts:
-            constant = sh[:, :1] + parts["color"][:, None]
-            sh = constant if sh.shape[1] == 1 else torch.cat([constant, sh[:, 1:]], dim=1)
+            constant_sh = sh[:, :1] + parts["color"][:, None]
+            sh = constant_sh if sh.shape[1] == 1 else torch.cat([constant_sh, sh[:, 1:]], dim=1)
         covariance = covariance_planes(
             planes_of(self.scale + parts["scaling"]), planes_of(self.rotation + parts["rotation"])
         )
         return Gaussians(
-            position=self.position + shift, opacity=opacity, covariance=stacked(covariance), sh=sh
+            position=self.position + translation,
+            opacity=opacity,
+            covariance=stack_planes(covariance),
+            sh=sh,
         )
 
-    def _weighted(self, table: Tensor, neighbour: int) -> Tensor:
+    def _weighted_columns(self, table: Tensor, neighbour: int) -> Tensor:
         index, weight = (getattr(self, f"{name}_{neighbour}") for name in ("index", "weight"))
         weighted: Tensor = weight * table.index_select(0, index)
         return weighted
@@ -178,18 +187,24 @@ class _NodeMotion(nn.Module):
             columns["color"] = value
         if self.local is not None:
             quaternion = planes_of(self.local(hidden))
-            first, second, third = rotation_columns([quaternion[0] + 1, *quaternion[1:]])
-            turn = [plane for row in zip(first, second, third, strict=True) for plane in row]
-            columns["turn"] = stacked(turn)
+            first_column, second_column, third_column = rotation_columns(
+                [quaternion[0] + 1, *quaternion[1:]]
+            )
+            turn = [
+                plane
+                for row in zip(first_column, second_column, third_column, strict=True)
+                for plane in row
+            ]
+            columns["turn"] = stack_planes(turn)
             x, y, z = planes_of(self.centre)
-            rotated = stacked(
+            rotated = stack_planes(
                 [a * x + b * y + c * z for a, b, c in (turn[:3], turn[3:6], turn[6:])]
             )
             columns["translation"] = columns["translation"] + self.centre - rotated
-        return _joined([columns[name] for name in self.widths])
+        return _concatenate([columns[name] for name in self.widths])
 
 
-def _joined(parts: Sequence[Tensor]) -> Tensor:
+def _concatenate(parts: Sequence[Tensor]) -> Tensor:
     """Concatenate tensors along their columns, at most four tensors at once."""
     while len(parts) > 1:
         parts = [torch.cat(tuple(parts[i : i + 4]), dim=1) for i in range(0, len(parts), 4)]

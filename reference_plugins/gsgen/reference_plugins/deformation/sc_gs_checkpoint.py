@@ -33,7 +33,7 @@ from gsgen.reference_plugins.loading.states import (
 )
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
-_FEATURE = re.compile(r"fea_(\d+)")
+_FEATURE_NAME = re.compile(r"fea_(\d+)")
 _NETWORK = "network."
 _COLOR_LAYERS = ("gaussian_color.0", "gaussian_color.2", "gaussian_color.4")
 # Option → head of the network that it adds, by its first weight.
@@ -43,7 +43,7 @@ _HEADS = {
     "pred_color": "gaussian_color.0.weight",
 }
 # Options with which the published code computes something else, and their only value here.
-_REQUIRED: dict[str, object] = {
+_REQUIRED_SETTINGS: dict[str, object] = {
     "use_hash": False, "skinning": False, "is_scene_static": False,
     "progressive_brand_time": False, "deform_type": "node",
 }  # fmt: skip
@@ -60,7 +60,7 @@ class NodeOptions:
     @classmethod
     def of(cls, cfg: CfgArgs) -> "NodeOptions":
         """Read the SC-GS options from ``cfg_args``; raise for variants that cannot be exported."""
-        for name, expected in _REQUIRED.items():
+        for name, expected in _REQUIRED_SETTINGS.items():
             if cfg.values.get(name, expected) != expected:
                 message = f"{name} is {cfg.values[name]!r}, expected {expected!r}"
                 hint = "Other variants of SC-GS cannot be exported."
@@ -147,9 +147,9 @@ def read_sc_gs(folder: Path, iteration: int | None = None) -> ScGsCheckpoint:
 
 def _read_features(path: Path, count: int) -> Float[Tensor, "n f"]:
     with format_faults(path):
-        stored = [name for name in ply_properties(path) if _FEATURE.fullmatch(name)]
-        if len(stored) != count:
-            message = f"has {len(stored)} properties fea_N, expected {count}"
+        stored_names = [name for name in ply_properties(path) if _FEATURE_NAME.fullmatch(name)]
+        if len(stored_names) != count:
+            message = f"has {len(stored_names)} properties fea_N, expected {count}"
             hint = "hyper coordinates of the nodes, and one more with gs_with_motion_mask"
             raise CheckpointInvalid(message, where=str(path), hint=f"They are the {hint}.")
         names = [f"fea_{index}" for index in range(count)]
@@ -169,7 +169,7 @@ def _read_nodes(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> ControlNo
     expected: dict[str, Shape] = {
         "nodes": (count, size), "_node_radius": (count,), "_node_weight": (count, 1),
     }  # fmt: skip
-    control = require_tensors(path, state, expected, ignored=(_NETWORK, "gs_", "inited"))
+    control_nodes = require_tensors(path, state, expected, ignored=(_NETWORK, "gs_", "inited"))
     network = entries_below(state, _NETWORK)
     heads = {option for option, weight in _HEADS.items() if weight in network}
     for option in _HEADS:
@@ -179,29 +179,31 @@ def _read_nodes(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> ControlNo
     net, tensors = read_layers(
         path, network, {"gaussian_warp": 3}, lambda *sizes: _head_shapes(heads, *sizes)
     )
-    first, second, third = (
+    first_columns, second_columns, third_columns = (
         layer_of(tensors, name) if "pred_color" in heads else None for name in _COLOR_LAYERS
     )
     return ControlNodes(
-        position=control["nodes"][:, :3],
-        hyper=control["nodes"][:, 3:],
-        log_radius=control["_node_radius"],
-        logit_weight=control["_node_weight"][:, 0],
+        position=control_nodes["nodes"][:, :3],
+        hyper=control_nodes["nodes"][:, 3:],
+        log_radius=control_nodes["_node_radius"],
+        logit_weight=control_nodes["_node_weight"][:, 0],
         net=net,
         local_rotation=layer_of(tensors, "local_rotation") if "local_frame" in heads else None,
         opacity=layer_of(tensors, "gaussian_opacity") if "pred_opacity" in heads else None,
-        color=(first, second, third) if first and second and third else None,
+        color=(first_columns, second_columns, third_columns)
+        if first_columns and second_columns and third_columns
+        else None,
     )
 
 
-def _head_shapes(heads: set[str], embedded: int, width: int) -> dict[str, Shape]:
+def _head_shapes(heads: set[str], embedded_size: int, width: int) -> dict[str, Shape]:
     shapes: dict[str, Shape] = {}
     if "local_frame" in heads:
         shapes |= linear_shapes("local_rotation", width, 4)
     if "pred_opacity" in heads:
         shapes |= linear_shapes("gaussian_opacity", width, 1)
     if "pred_color" in heads:
-        sizes = (embedded + width, None, None, 3)
+        sizes = (embedded_size + width, None, None, 3)
         for index, name in enumerate(_COLOR_LAYERS):
             shapes |= linear_shapes(name, sizes[index], sizes[index + 1])
     return shapes

@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 
 from gsgen.formats import write_ply
-from gsgen.reference_plugins.deformation.hexplane_checkpoint import HEADS
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import HEAD_SIZES
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.reference_plugins.writing.random_layers import random_linear
 from gsgen.reference_plugins.writing.run_files import splat_columns, write_cfg_args, write_columns
 
-_UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
+_UNUSED_PREFIXES = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,7 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
     for layer in range(max(1, options.depth)):
         inputs = options.channels * len(options.multires) if layer == 0 else width
         state |= random_linear(f"{net}feature_out.{2 * layer}", inputs, width, noise)
-    for name, outputs in HEADS.items():
+    for name, outputs in HEAD_SIZES.items():
         state |= random_linear(f"{net}{name}_deform.1", width, width, noise)
         gain = options.sway if name == "pos" else 0.15
         state |= random_linear(f"{net}{name}_deform.3", width, outputs, noise, gain)
@@ -96,7 +96,7 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
         state |= random_linear(f"{net}static_mlp.3", width, 1, noise)
     if options.flags.get("empty_voxel"):
         state[f"{net}empty_voxel.grid"] = torch.rand((1, 1, 5, 6, 7), generator=noise)
-    return state | {name: torch.ones(4) for name in _UNUSED}
+    return state | {name: torch.ones(4) for name in _UNUSED_PREFIXES}
 
 
 def write_deformable(
@@ -147,11 +147,11 @@ def write_sc_gs(
     """
     noise = torch.Generator().manual_seed(seed)
     cfg = {"is_blender": blender, "K": 3, "deform_type": "node", "hyper_dim": 2, **(options or {})}
-    knot = torus_knot(count, seed=seed)
-    hyper = int(str(cfg["hyper_dim"]))
+    knot_splats = torus_knot(count, seed=seed)
+    hyper_size = int(str(cfg["hyper_dim"]))
     centres = torch.from_numpy(torus_knot(nodes, seed=seed + 1).position)
-    embedded = 63 + (30 if blender else 21)
-    state = _time_network("network.", embedded, width, noise)
+    embedded_size = 63 + (30 if blender else 21)
+    state = _time_network("network.", embedded_size, width, noise)
     state |= random_linear("network.gaussian_warp", width, 3, noise, sway)
     state |= random_linear("network.gaussian_rotation", width, 4, noise, 0.2)
     state |= random_linear("network.gaussian_scaling", width, 3, noise, 0.004)
@@ -160,36 +160,40 @@ def write_sc_gs(
     if cfg.get("pred_opacity"):
         state |= random_linear("network.gaussian_opacity", width, 1, noise, 0.1)
     if cfg.get("pred_color"):
-        sizes = (embedded + width, width, width, 3)
+        sizes = (embedded_size + width, width, width, 3)
         for index, layer in enumerate((0, 2, 4)):
             inputs, outputs = sizes[index], sizes[index + 1]
             state |= random_linear(f"network.gaussian_color.{layer}", inputs, outputs, noise)
-    state["nodes"] = torch.cat([centres, 0.1 * torch.randn((nodes, hyper), generator=noise)], dim=1)
+    state["nodes"] = torch.cat(
+        [centres, 0.1 * torch.randn((nodes, hyper_size), generator=noise)], dim=1
+    )
     state["_node_radius"] = -1.5 + 0.2 * torch.randn(nodes, generator=noise)
     state["_node_weight"] = torch.randn((nodes, 1), generator=noise)
     state["inited"] = torch.tensor(True)
     write_cfg_args(folder, cfg)
-    features = hyper + bool(cfg.get("gs_with_motion_mask"))
+    features = hyper_size + bool(cfg.get("gs_with_motion_mask"))
     table = 0.1 * torch.randn((count, features), generator=noise)
     for subfolder in ("point_cloud/iteration_80000", "deform/iteration_80000"):
         (folder / subfolder).mkdir(parents=True, exist_ok=True)
-    columns = splat_columns(knot) | {f"fea_{i}": table[:, i].numpy() for i in range(features)}
+    columns = splat_columns(knot_splats) | {
+        f"fea_{i}": table[:, i].numpy() for i in range(features)
+    }
     write_columns(folder / "point_cloud/iteration_80000/point_cloud.ply", columns)
     torch.save(state, folder / "deform/iteration_80000/deform.pth")
     return folder
 
 
 def _time_network(
-    prefix: str, embedded: int, width: int, noise: torch.Generator
+    prefix: str, embedded_size: int, width: int, noise: torch.Generator
 ) -> dict[str, Tensor]:
     """Return random weights of a deformation MLP: eight layers; Blender scenes have two more."""
     state: dict[str, Tensor] = {}
     for layer in range(8):
-        inputs = {0: embedded, 5: width + embedded}.get(layer, width)
+        inputs = {0: embedded_size, 5: width + embedded_size}.get(layer, width)
         state |= random_linear(f"{prefix}linear.{layer}", inputs, width, noise, 1.5)
     for layer in (0, 5):  # weaken high frequencies in space, so that neighbours move alike
         state[f"{prefix}linear.{layer}.weight"][:, 3:63] *= 0.4 ** (torch.arange(60) // 6)
-    if embedded == 63 + 30:
+    if embedded_size == 63 + 30:
         state |= random_linear(f"{prefix}timenet.0", 13, width, noise)
         state |= random_linear(f"{prefix}timenet.2", width, 30, noise)
     return state

@@ -4,7 +4,7 @@ The skip connections lead from the levels of the encoder to those of the decoder
 take them from Parmar et al. 2024, "One-Step Image Translation with Text-to-Image Models").
 """
 
-__all__ = ["SKIP", "Autoencoder", "autoencoder_of"]
+__all__ = ["SKIP_PREFIX", "Autoencoder", "autoencoder_of"]
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +17,7 @@ from gsgen.reference_plugins.diffusion.model_config import ModelConfig, argument
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions
 
 # Name of the convolutions of skip connections; a number follows, from 1 for the coarsest.
-SKIP = "skip_conv_"
+SKIP_PREFIX = "skip_conv_"
 
 
 class Autoencoder(AutoencoderKL, nn.Module):  # type: ignore[misc]
@@ -33,20 +33,20 @@ class Autoencoder(AutoencoderKL, nn.Module):  # type: ignore[misc]
         self, image: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b l i j"], list[Tensor]]:
         """Return the latent of an image, scaled for the U-Net, and the skip connections."""
-        encoder, entered = self.encoder, []
+        encoder, skip_features = self.encoder, []
         features = encoder.conv_in(image)
         for level in encoder.down_blocks:
-            entered.append(features)
+            skip_features.append(features)
             features = level(features)
         features = encoder.conv_norm_out(encoder.mid_block(features))
         moments: Tensor = encoder.conv_out(encoder.conv_act(features))
         if self.quant_conv is not None:
             moments = self.quant_conv(moments)
         mean = moments[:, : self.options.latent]
-        return (mean - self.options.shift) * self.options.scale, entered
+        return (mean - self.options.shift) * self.options.scale, skip_features
 
     def decode(
-        self, latent: Float[Tensor, "b l i j"], entered: Sequence[Tensor] = ()
+        self, latent: Float[Tensor, "b l i j"], skip_features: Sequence[Tensor] = ()
     ) -> Float[Tensor, "b c h w"]:
         """Decode a latent, with the skip connections of the encoder, to an image."""
         decoder = self.decoder
@@ -56,8 +56,8 @@ class Autoencoder(AutoencoderKL, nn.Module):  # type: ignore[misc]
         features = decoder.mid_block(decoder.conv_in(unscaled))
         for index, level in enumerate(decoder.up_blocks):
             if self.options.skips is not None:
-                skip = getattr(decoder, f"{SKIP}{index + 1}")
-                features = features + skip(entered[-1 - index] * self.options.skips)
+                skip = getattr(decoder, f"{SKIP_PREFIX}{index + 1}")
+                features = features + skip(skip_features[-1 - index] * self.options.skips)
             features = level(features)
         image: Tensor = decoder.conv_out(decoder.conv_act(decoder.conv_norm_out(features)))
         return image
@@ -73,7 +73,10 @@ def autoencoder_of(config: ModelConfig, *, skips: bool = False) -> Autoencoder:
     autoencoder.options = options
     channels = options.channels[::-1]
     for index in range(len(channels) if skips else 0):
-        before, entered = channels[max(index - 1, 0)], channels[min(index + 1, len(channels) - 1)]
-        skip = nn.Conv2d(entered, before, 1, bias=False)
-        setattr(autoencoder.decoder, f"{SKIP}{index + 1}", skip)
+        previous_channels, skip_features = (
+            channels[max(index - 1, 0)],
+            channels[min(index + 1, len(channels) - 1)],
+        )
+        skip = nn.Conv2d(skip_features, previous_channels, 1, bias=False)
+        setattr(autoencoder.decoder, f"{SKIP_PREFIX}{index + 1}", skip)
     return autoencoder

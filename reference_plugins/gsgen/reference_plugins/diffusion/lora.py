@@ -8,7 +8,7 @@ Names of the tensors are those of peft (``layer.lora_A.weight``), of diffusers
 kohya (``lora_unet_layer.lora_down.weight``, ``lora_unet_layer.alpha``).
 """
 
-__all__ = ["Adapter", "Pair", "merge", "read_lora", "split_pairs"]
+__all__ = ["Adapter", "LoraPair", "merge", "read_lora", "split_pairs"]
 
 import json
 import math
@@ -32,24 +32,24 @@ from gsgen.reference_plugins.loading.safetensors import (
 )
 from gsgen.reference_plugins.loading.states import first_names, load_state
 
-_FILES = tuple(
+_FILE_NAMES = tuple(
     f"{name}.{kind}"
     for name in ("pytorch_lora_weights", "adapter_model")
     for kind in ("safetensors", "bin")
 )
-_CONFIG = "adapter_config.json"
+_CONFIG_FILE = "adapter_config.json"
 _METADATA = "lora_adapter_metadata"
-_WRAPPED = "base_model.model."
+_PEFT_PREFIX = "base_model.model."
 # The layer, then A (down) or B (up), with an adapter name in between.
-_THIN = re.compile(
+_PAIR_NAME = re.compile(
     r"(?P<layer>.+?)\.(?:lora_(?P<peft>[AB])(?:\.(?P<adapter>\w+))?"
     r"|(?:lora_|lora\.|lora_linear_layer\.)(?P<plain>down|up))\.weight"
 )
-_PROCESSOR = re.compile(
+_PROCESSOR_NAME = re.compile(
     r"(?P<block>.+?)(?:\.processor)?\.(?P<what>to_q|to_k|to_v|to_out)_lora\."
     r"(?P<plain>down|up)\.weight"
 )
-_ALPHA = re.compile(r"(?P<layer>.+)\.alpha")
+_ALPHA_NAME = re.compile(r"(?P<layer>.+)\.alpha")
 _TEXT = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
 # Part of a tensor's name → the kind of adapter that it belongs to.
 _UNSUPPORTED = {
@@ -59,7 +59,7 @@ _UNSUPPORTED = {
 
 
 @dataclass(slots=True)
-class Pair:
+class LoraPair:
     """The two low-rank matrices of a LoRA that change one layer, and their scale."""
 
     down: Tensor | None = None  # A, [r, i] or [r, i, h, w]
@@ -72,22 +72,24 @@ class Adapter:
     """The contents of a LoRA file: a pair of matrices for each changed layer."""
 
     path: Path
-    pairs: Mapping[str, Pair]  # name of a layer in the file → its change
+    pairs: Mapping[str, LoraPair]  # name of a layer in the file → its change
     # names of tensors of text encoders, which are not part of these networks
     text: tuple[str, ...] = ()
     alpha: float | None = None  # α of layers without their own; their rank by default
     alphas: Mapping[str, float] = field(default_factory=dict)  # suffix of a layer's name → α
-    by_root: bool = False  # α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA")
+    divides_by_root: bool = False  # α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA")
 
-    def share(self, layer: str, pair: Pair, rank: int) -> float:
+    def alpha_share(self, layer: str, pair: LoraPair, rank: int) -> float:
         """Return the factor α/r that scales a LoRA's change of a layer."""
         alpha = pair.alpha
         if alpha is None:
             matches = (
-                value for ending, value in self.alphas.items() if f".{layer}".endswith(f".{ending}")
+                value
+                for layer_suffix, value in self.alphas.items()
+                if f".{layer}".endswith(f".{layer_suffix}")
             )
             alpha = next(matches, rank if self.alpha is None else self.alpha)
-        return alpha / (math.sqrt(rank) if self.by_root else rank)
+        return alpha / (math.sqrt(rank) if self.divides_by_root else rank)
 
 
 def read_lora(path: Path) -> Adapter:
@@ -97,8 +99,8 @@ def read_lora(path: Path) -> Adapter:
     that peft or diffusers gives it.
     """
     path = _adapter_file(path)
-    safe = is_safetensors(path)
-    state = read_safetensors(path) if safe else load_state(path, "a LoRA")
+    uses_safetensors = is_safetensors(path)
+    state = read_safetensors(path) if uses_safetensors else load_state(path, "a LoRA")
     pairs, unpaired = split_pairs(state, path)
     text = tuple(name for name in unpaired if name.startswith(_TEXT))
     unknown = [name for name in unpaired if name not in text]
@@ -109,28 +111,37 @@ def read_lora(path: Path) -> Adapter:
             where=str(path),
             hint=" ".join(f"{kind} is not supported." for kind in sorted(kinds)),
         )
-    settings, where = _settings(path, read_metadata(path) if safe else {})
+    settings, where = _settings(path, read_metadata(path) if uses_safetensors else {})
     pattern = _checked_settings(settings, where)
     alpha = settings.get("lora_alpha")
-    by_root = settings.get("use_rslora") is True
-    return Adapter(path=path, pairs=pairs, text=text, alpha=alpha, alphas=pattern, by_root=by_root)
+    divides_by_root = settings.get("use_rslora") is True
+    return Adapter(
+        path=path,
+        pairs=pairs,
+        text=text,
+        alpha=alpha,
+        alphas=pattern,
+        divides_by_root=divides_by_root,
+    )
 
 
 def _adapter_file(path: Path) -> Path:
     if not path.is_dir():
         return required_file(path, "a LoRA")
-    for name in _FILES:
+    for name in _FILE_NAMES:
         if (path / name).is_file():
             return path / name
-    raise CheckpointInvalid(f"holds no LoRA: expected one of {', '.join(_FILES)}", where=str(path))
+    raise CheckpointInvalid(
+        f"holds no LoRA: expected one of {', '.join(_FILE_NAMES)}", where=str(path)
+    )
 
 
-def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], dict[str, Any]]:
+def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, LoraPair], dict[str, Any]]:
     """Separate the LoRA tensors of a state dict from all others.
 
     Returns layer → its change, and all other entries, those of text encoders included.
     """
-    pairs: dict[str, Pair] = {}
+    pairs: dict[str, LoraPair] = {}
     unpaired: dict[str, Any] = {}
     for name, value in state.items():
         location = None if name.startswith(_TEXT) else _parse_name(name)
@@ -141,7 +152,7 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], 
         if not isinstance(value, Tensor) or not torch.isfinite(value.double()).all():
             message = f"{name} is not a tensor, or holds NaN or infinity"
             raise CheckpointInvalid(message, where=str(path))
-        pair = pairs.setdefault(layer, Pair())
+        pair = pairs.setdefault(layer, LoraPair())
         if getattr(pair, part) is not None:
             message = f"{name} is a second tensor of its kind for {layer}"
             hint = "Give a file that holds one adapter."
@@ -155,23 +166,23 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], 
 
 def _parse_name(name: str) -> tuple[str, str] | None:
     """Parse the name of a LoRA tensor into its layer and its kind: down, up or alpha."""
-    unwrapped = name.replace(_WRAPPED, "")
-    if match := _PROCESSOR.fullmatch(unwrapped):
+    unwrapped = name.replace(_PEFT_PREFIX, "")
+    if match := _PROCESSOR_NAME.fullmatch(unwrapped):
         projection = "to_out.0" if match["what"] == "to_out" else match["what"]
         return f"{match['block']}.{projection}", match["plain"]
-    if match := _THIN.fullmatch(unwrapped):
+    if match := _PAIR_NAME.fullmatch(unwrapped):
         layer = match["layer"].replace(".processor.", ".")
         return layer, match["plain"] or {"A": "down", "B": "up"}[match["peft"]]
-    if match := _ALPHA.fullmatch(unwrapped):
+    if match := _ALPHA_NAME.fullmatch(unwrapped):
         return match["layer"], "alpha"
     return None
 
 
 def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], Path]:
     """Return the LoRA settings that peft saved, and their file: a config or the adapter file."""
-    config_file = path.parent / _CONFIG
+    config_file = path.parent / _CONFIG_FILE
     if path.name.startswith("adapter_model") and config_file.is_file():
-        return dict(read_model_config(path.parent, _CONFIG).values), config_file
+        return dict(read_model_config(path.parent, _CONFIG_FILE).values), config_file
     try:
         settings = json.loads(metadata.get(_METADATA, "{}"))
     except (ValueError, RecursionError) as error:
@@ -185,9 +196,9 @@ def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], 
 
 def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, float]:
     """Raise if a LoRA setting is not supported; return α for each suffix of a layer name."""
-    for name, usual in {"use_dora": False, "fan_in_fan_out": False}.items():
-        if settings.get(name, usual) not in (usual, None):
-            message = f"{name} is {settings[name]!r}, supported: {usual!r}"
+    for name, usual_names in {"use_dora": False, "fan_in_fan_out": False}.items():
+        if settings.get(name, usual_names) not in (usual_names, None):
+            message = f"{name} is {settings[name]!r}, supported: {usual_names!r}"
             raise CheckpointInvalid(message, where=str(where))
     if str(settings.get("peft_type", "LORA")).upper().rpartition(".")[2] != "LORA":
         message = f"peft_type is {settings['peft_type']!r}, supported: 'LORA'"
@@ -205,39 +216,41 @@ def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, flo
     return {name: float(value) for name, value in pattern.items()}
 
 
-def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
+def merge(adapter: Adapter, scale: float, layers_of_unet: Mapping[str, nn.Module]) -> str:
     """Add a LoRA to the layers of networks in place, and return a summary.
 
-    ``homes`` are the layers by each of their names. The error lists the first tensors without a
+    ``layers_of_unet`` are the layers by each of their names. The error lists the first tensors without a
     layer, a partner or a fitting shape; no layer is changed then.
     """
-    troubles = [
-        f"{name} {trouble}"
+    mismatches = [
+        f"{name} {mismatch}"
         for name, pair in adapter.pairs.items()
-        if (trouble := _mismatch(pair, homes.get(name)))
+        if (mismatch := _mismatch(pair, layers_of_unet.get(name)))
     ]
-    if troubles or not adapter.pairs:
+    if mismatches or not adapter.pairs:
         raise CheckpointInvalid(
-            f"{len(troubles)} of {len(adapter.pairs)} LoRA layers do not fit the networks: "
-            f"{first_names(troubles, '; ')}",
+            f"{len(mismatches)} of {len(adapter.pairs)} LoRA layers do not fit the networks: "
+            f"{first_names(mismatches, '; ')}",
             where=str(adapter.path),
             hint="The LoRA may have been trained for another network.",
         )
-    shares = set()
+    alpha_shares = set()
     for name, pair in adapter.pairs.items():
-        layer, down = homes[name], pair.down
+        layer, down = layers_of_unet[name], pair.down
         assert down is not None
-        shares.add(share := adapter.share(name, pair, len(down)))
+        alpha_shares.add(alpha_share := adapter.alpha_share(name, pair, len(down)))
         weight = layer.weight
         assert isinstance(weight, Tensor)
         # A new tensor, because those of a file may share memory.
-        merged = (weight.double() + scale * share * _product(pair, weight)).to(weight.dtype)
+        merged = (weight.double() + scale * alpha_share * _pair_product(pair, weight)).to(
+            weight.dtype
+        )
         layer.weight = nn.Parameter(merged, requires_grad=False)
-    words = f"{min(shares):g}" + f" to {max(shares):g}" * (len(shares) > 1)
+    words = f"{min(alpha_shares):g}" + f" to {max(alpha_shares):g}" * (len(alpha_shares) > 1)
     return f"{adapter.path.name} × {scale:g} in {len(adapter.pairs)} layers, α/r {words}"
 
 
-def _mismatch(pair: Pair, layer: nn.Module | None) -> str:
+def _mismatch(pair: LoraPair, layer: nn.Module | None) -> str:
     """Return the reason why a LoRA change does not fit a layer; empty if it fits."""
     if layer is None:
         return "is not a layer of the networks"
@@ -253,7 +266,7 @@ def _mismatch(pair: Pair, layer: nn.Module | None) -> str:
     return f"has {actual}, which does not fit the weight {list(weight.shape)}"
 
 
-def _product(pair: Pair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+def _pair_product(pair: LoraPair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     """Return the product B A of the LoRA matrices in float64, in the layer's weight shape."""
     assert pair.down is not None
     assert pair.up is not None

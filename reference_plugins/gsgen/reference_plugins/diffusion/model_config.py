@@ -31,7 +31,7 @@ class ModelConfig:
         """Return an option of a neural network that must be one of the supported values."""
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
-            words = ", ".join(json.dumps(allowed) for allowed in values)
+            words = ", ".join(json.dumps(allowed_value) for allowed_value in values)
             raise self.option_error(f"is {json.dumps(value)}; supported: {words}", where=name)
         return value
 
@@ -69,19 +69,19 @@ class ModelConfig:
             )
         return tuple(value or ())
 
-    def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
+    def kinds(self, name: str, known_kinds: Mapping[str, str], levels: int) -> tuple[str, ...]:
         """Convert the block type of each network resolution level to the name that gsgen uses."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
             raise self.option_error(
                 f"is {names!r}, expected a list of {levels} block types", where=name
             )
-        unknown = [kind for kind in names if not isinstance(kind, str) or kind not in known]
+        unknown = [kind for kind in names if not isinstance(kind, str) or kind not in known_kinds]
         if unknown:
             raise self.option_error(
-                f"has {unknown[0]!r}; supported: {', '.join(known)}", where=name
+                f"has {unknown[0]!r}; supported: {', '.join(known_kinds)}", where=name
             )
-        return tuple(known[kind] for kind in names)
+        return tuple(known_kinds[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
         """Return a network's size option as height and width; a single number means both."""
@@ -91,20 +91,20 @@ class ModelConfig:
         if isinstance(value, list) and len(value) == 2:
             height, width = self.integers(name)
             return height, width
-        side = self.integer(name, 1)
-        return side, side
+        image_side = self.integer(name, 1)
+        return image_side, image_side
 
 
 def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
     """Read the options of a network from a ``config.json`` of diffusers."""
     path = folder / name
     if not path.is_file():
-        near = likely_folders(
+        nearby_folders = likely_folders(
             folder,
             lambda candidate: (candidate / name).is_file() or (candidate / "unet" / name).is_file(),
         )
         message = "is missing: expected the options of a network"
-        raise CheckpointInvalid(message, where=str(path), hint=near)
+        raise CheckpointInvalid(message, where=str(path), hint=nearby_folders)
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ValueError(
@@ -121,5 +121,5 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
 
 def arguments_of(network: Callable[..., object], config: ModelConfig) -> dict[str, Any]:
     """Return the options of a ``config.json`` that are arguments of a network."""
-    known = inspect.signature(network).parameters
-    return {name: value for name, value in config.values.items() if name in known}
+    known_kinds = inspect.signature(network).parameters
+    return {name: value for name, value in config.values.items() if name in known_kinds}

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from gsgen.reference_plugins.diffusion.model_config import ModelConfig
 
-_DOWN = {"DownBlock2D": "", "AttnDownBlock2D": "image", "CrossAttnDownBlock2D": "context"}
-_UP = {"UpBlock2D": "", "AttnUpBlock2D": "image", "CrossAttnUpBlock2D": "context"}
-_MID = {"UNetMidBlock2D": "image", "UNetMidBlock2DCrossAttn": "context", None: None}
-_UNCONDITIONAL, _CONDITIONAL = "UNet2DModel", "UNet2DConditionModel"
+_DOWN_BLOCKS = {"DownBlock2D": "", "AttnDownBlock2D": "image", "CrossAttnDownBlock2D": "context"}
+_UP_BLOCKS = {"UpBlock2D": "", "AttnUpBlock2D": "image", "CrossAttnUpBlock2D": "context"}
+_MID_BLOCKS = {"UNetMidBlock2D": "image", "UNetMidBlock2DCrossAttn": "context", None: None}
+_UNCONDITIONAL_CLASS, _CONDITIONAL_CLASS = "UNet2DModel", "UNet2DConditionModel"
 
 # Option → its supported values, the default first.
-_REQUIRED = {
+_REQUIRED_SETTINGS = {
     "act_fn": ("silu",),
     "time_embedding_type": ("positional",),
     "resnet_time_scale_shift": ("default", "scale_shift"),
@@ -84,16 +84,16 @@ class UNetOptions:
     @classmethod
     def of(cls, config: ModelConfig) -> "UNetOptions":
         """Parse the options of a U-Net from a ``config.json`` of diffusers."""
-        kind = config.choice("_class_name", (_UNCONDITIONAL, _CONDITIONAL))
-        for name, values in _REQUIRED.items():
+        kind = config.choice("_class_name", (_UNCONDITIONAL_CLASS, _CONDITIONAL_CLASS))
+        for name, values in _REQUIRED_SETTINGS.items():
             config.choice(name, values, values[0])
-        conditional = kind == _CONDITIONAL
+        conditional = kind == _CONDITIONAL_CLASS
         channels = config.integers("block_out_channels")
         levels = len(channels)
-        down = config.kinds("down_block_types", _DOWN, levels)
-        up = config.kinds("up_block_types", _UP, levels)
+        down = config.kinds("down_block_types", _DOWN_BLOCKS, levels)
+        up = config.kinds("up_block_types", _UP_BLOCKS, levels)
         usual = "UNetMidBlock2DCrossAttn" if conditional else "UNetMidBlock2D"
-        middle = _MID[config.choice("mid_block_type", tuple(_MID), usual)]
+        middle = _MID_BLOCKS[config.choice("mid_block_type", tuple(_MID_BLOCKS), usual)]
         context = config.integer("cross_attention_dim", 1280) if conditional else None
         if context is None and "context" in (*down, *up, middle):
             problem = "has blocks with cross-attention, but the network is unconditional"

@@ -15,20 +15,20 @@ from gsgen.reference_plugins.diffusion.model_config import ModelConfig, argument
 from gsgen.reference_plugins.diffusion.options import UNetOptions
 
 
-class _Unconditional(UNet2DModel, nn.Module):  # type: ignore[misc]
+class _UnconditionalUNet(UNet2DModel, nn.Module):  # type: ignore[misc]
     """A U-Net without conditioning; its parameters are those of diffusers."""
 
     options: UNetOptions
 
     def forward(
-        self, image: Float[Tensor, "b i h w"], moment: Float[Tensor, " b"], *_: None
+        self, image: Float[Tensor, "b i h w"], timesteps: Float[Tensor, " b"], *_: None
     ) -> Float[Tensor, "b o h w"]:
         """Return the prediction of the U-Net, such as noise."""
-        predicted: Tensor = super().forward(image, moment, return_dict=False)[0]
+        predicted: Tensor = super().forward(image, timesteps, return_dict=False)[0]
         return predicted
 
 
-class _Conditional(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
+class _ConditionalUNet(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
     """A U-Net with conditioning vectors; its parameters are those of diffusers."""
 
     options: UNetOptions
@@ -37,14 +37,14 @@ class _Conditional(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
     def forward(
         self,
         image: Float[Tensor, "b i h w"],
-        moment: Float[Tensor, " b"],
+        timesteps: Float[Tensor, " b"],
         context: Float[Tensor, "b m d"],
         vector: Float[Tensor, "b v"] | None = None,
     ) -> Float[Tensor, "b o h w"]:
         """Return the prediction of the U-Net; :func:`added_vector` gives ``vector``."""
         added = {"vector": vector}
         predicted: Tensor = super().forward(
-            image, moment, context, added_cond_kwargs=added, return_dict=False
+            image, timesteps, context, added_cond_kwargs=added, return_dict=False
         )[0]
         return predicted
 
@@ -56,7 +56,7 @@ class _Conditional(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
         return None if vector is None else self.add_embedding(vector)
 
 
-UNet: TypeAlias = _Unconditional | _Conditional
+UNet: TypeAlias = _UnconditionalUNet | _ConditionalUNet
 """A U-Net: levels down, a middle block, and levels up with skip connections."""
 
 
@@ -66,7 +66,7 @@ def unet_of(config: ModelConfig) -> UNet:
     The sides of its images are multiples of the options' stride.
     """
     options = UNetOptions.of(config)
-    kind = _Unconditional if options.context is None else _Conditional
+    kind = _UnconditionalUNet if options.context is None else _ConditionalUNet
     unet: UNet = kind(**arguments_of(kind, config))
     unet.options = options
     return unet

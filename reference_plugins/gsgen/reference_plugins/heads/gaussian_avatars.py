@@ -16,7 +16,7 @@ from torch import Tensor
 from gsgen.contract.spec.manifest import Joint, Space
 from gsgen.reference_plugins.bodies.rotations import rotation_matrices
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import GaussianAvatarsCheckpoint
-from gsgen.reference_plugins.heads.teeth import SHAPES
+from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import (
     covariance_upper,
@@ -57,7 +57,7 @@ class GaussianAvatars(GaussianGenerator):
         super().__init__()
         body, canonical = read.body, read.canonical
         dirs = body.shape_dirs
-        expression_dirs = dirs[:, :, SHAPES : SHAPES + read.expressions]
+        expression_dirs = dirs[:, :, SHAPE_COUNT : SHAPE_COUNT + read.expressions]
         rest = body.template + dirs[:, :, : len(read.shape)] @ read.shape + read.offset
         joints = body.regressor @ rest
         self.parents = body.parents
@@ -97,8 +97,8 @@ class GaussianAvatars(GaussianGenerator):
             self.register_buffer(f"corner_{corner}", index)
         self.register_buffer("binding", torch.from_numpy(binding.reshape(-1).astype(np.int32)))
         scale = torch.exp(canonical.log_scale.double())
-        local = covariance_upper(scale, canonical.rotation.double())
-        self.register_buffer("covariance", local.float())
+        local_covariance = covariance_upper(scale, canonical.rotation.double())
+        self.register_buffer("covariance", local_covariance.float())
         self.register_buffer("position", canonical.position)
         self.register_buffer("opacity", torch.sigmoid(canonical.logit_opacity))
         self.register_buffer("sh", canonical.sh)
@@ -126,11 +126,11 @@ class GaussianAvatars(GaussianGenerator):
         """Return FLAME's vertices before translation, by blendshapes and linear skinning."""
         row = expression.reshape(1, -1)
         joints = self.joints + (row @ self.joint_dirs).reshape(-1, 3)
-        turns = rotation_matrices(pose[None])[0]
-        feature = (turns[1:] - self.unit).reshape(1, -1)
-        added = row @ self.expression_dirs + feature @ self.pose_dirs
-        transforms = skinning_transforms(turns, joints, self.parents)
-        return skin(self.rest + added.reshape(-1, 3), self.weights, transforms)[0]
+        joint_matrices = rotation_matrices(pose[None])[0]
+        feature = (joint_matrices[1:] - self.unit).reshape(1, -1)
+        vertex_offsets = row @ self.expression_dirs + feature @ self.pose_dirs
+        transforms = skinning_transforms(joint_matrices, joints, self.parents)
+        return skin(self.rest + vertex_offsets.reshape(-1, 3), self.weights, transforms)[0]
 
     def _triangles(
         self, vertices: Float[Tensor, "u 3"]
@@ -140,13 +140,13 @@ class GaussianAvatars(GaussianGenerator):
             vertices.index_select(0, index)
             for index in (self.corner_0, self.corner_1, self.corner_2)
         )
-        along, across = b - a, c - a
-        first = safe_normalize(along)
-        second = safe_normalize(_cross(first, across))
-        third = -safe_normalize(_cross(second, first))
-        length = torch.sqrt((along * along).sum(dim=1, keepdim=True))
-        height = (third * across).sum(dim=1, keepdim=True).abs()
-        columns = torch.stack([first, second, third], dim=2)
+        edge_ab, edge_ac = b - a, c - a
+        first_axis = safe_normalize(edge_ab)
+        second_axis = safe_normalize(_cross(first_axis, edge_ac))
+        third_axis = -safe_normalize(_cross(second_axis, first_axis))
+        length = torch.sqrt((edge_ab * edge_ab).sum(dim=1, keepdim=True))
+        height = (third_axis * edge_ac).sum(dim=1, keepdim=True).abs()
+        columns = torch.stack([first_axis, second_axis, third_axis], dim=2)
         return columns * ((length + height) / 2)[:, :, None], (a + b + c) / 3
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.reference_plugins.bodies.body_models import Body, read_body, required_body
-from gsgen.reference_plugins.heads.teeth import SHAPES, TEETH, add_teeth
+from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT, TOOTH_VERTICES, add_teeth
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
@@ -24,7 +24,7 @@ from gsgen.reference_plugins.loading.folder import required_file
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 _JOINTS = 5
-_REST = re.compile(r"f_rest_\d+")
+_REST_NAME = re.compile(r"f_rest_\d+")
 _FLAME_FILES = ("flame2023.pkl", "flame2023_no_jaw.pkl", "generic_model.pkl")
 
 
@@ -67,22 +67,22 @@ def read_gaussian_avatars(
     flame = read_body(required_body(body, candidates, _JOINTS), _JOINTS)
     offset = arrays["static_offset"].astype(np.float64)
     offset = offset[0] if offset.ndim == 3 and len(offset) == 1 else offset
-    if offset.shape == (len(flame.template) + TEETH, 3):
+    if offset.shape == (len(flame.template) + TOOTH_VERTICES, 3):
         flame = add_teeth(flame)
     shape = arrays["shape"].astype(np.float64).ravel()
     expr = arrays["expr"]
     expressions = expr.shape[1] if expr.ndim == 2 else 0
-    stored = flame.shape_dirs.shape[2]
+    stored_shapes = flame.shape_dirs.shape[2]
     if offset.shape != (len(flame.template), 3):
         message = (
             f"static_offset is {list(offset.shape)}, but FLAME has {len(flame.template)} vertices"
         )
         hint = "Give the FLAME model that the training used: --body FILE."
         raise CheckpointInvalid(message, where=str(path), hint=hint)
-    if not expressions or len(shape) > SHAPES or stored < SHAPES + expressions:
+    if not expressions or len(shape) > SHAPE_COUNT or stored_shapes < SHAPE_COUNT + expressions:
         raise CheckpointInvalid(
-            f"has {len(shape)} shapes and {expressions} expressions; expected at most {SHAPES} "
-            f"shapes and 1 to {max(0, stored - SHAPES)} expressions, as FLAME has",
+            f"has {len(shape)} shapes and {expressions} expressions; expected at most {SHAPE_COUNT} "
+            f"shapes and 1 to {max(0, stored_shapes - SHAPE_COUNT)} expressions, as FLAME has",
             where=str(path),
         )
     if binding.min() < 0 or binding.max() >= len(flame.faces):
@@ -103,19 +103,19 @@ def _read_bound(path: Path) -> tuple[Canonical, Int[np.ndarray, " n"]]:
     """Read PLY splats bound to mesh triangles; plain PLY readers refuse such files."""
     required_file(path, "the Gaussians")
     with format_faults(path):
-        rest = sum(1 for name in ply_properties(path) if _REST.fullmatch(name))
+        rest_count = sum(1 for name in ply_properties(path) if _REST_NAME.fullmatch(name))
         groups = {
             "position": ["x", "y", "z"],
             "dc": [f"f_dc_{i}" for i in range(3)],
-            "rest": [f"f_rest_{i}" for i in range(rest)],
+            "rest": [f"f_rest_{i}" for i in range(rest_count)],
             "opacity": ["opacity"],
             "scale": [f"scale_{i}" for i in range(3)],
             "rotation": [f"rot_{i}" for i in range(4)],
             "binding": ["binding_0"],
         }
         tables = read_ply_columns(path, groups)
-    if rest not in (0, 9, 24, 45):
-        message = f"has {rest} properties f_rest_N, expected 0, 9, 24 or 45"
+    if rest_count not in (0, 9, 24, 45):
+        message = f"has {rest_count} properties f_rest_N, expected 0, 9, 24 or 45"
         raise CheckpointInvalid(message, where=str(path))
     binding = tables["binding"][:, 0]
     if not (binding == np.rint(binding)).all():

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gsgen.formats.shared.quantities import SH_C0
-from gsgen.reference_plugins.heads.teeth import SHAPES
+from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _ITERATION = 600_000
-_SIZE = np.array([0.09, 0.13, 0.11])  # half axes, in metres
+_HALF_AXES = np.array([0.09, 0.13, 0.11])  # half axes, in metres
 
 
 def write_gaussian_avatar(
@@ -43,7 +43,7 @@ def write_gaussian_avatar(
     frames = 3
     np.savez(
         files / "flame_param.npz",
-        shape=rng.normal(0, 0.5, SHAPES).astype(np.float32),
+        shape=rng.normal(0, 0.5, SHAPE_COUNT).astype(np.float32),
         expr=rng.normal(size=(frames, expressions)).astype(np.float32),
         rotation=np.zeros((frames, 3), np.float32),
         neck_pose=np.zeros((frames, 3), np.float32),
@@ -57,7 +57,7 @@ def write_gaussian_avatar(
     binding = rng.integers(0, triangles, count)
     direction = np.zeros((count, 3))
     face = binding < len(faces)
-    direction[face] = (vertices[faces[binding[face]]].mean(axis=1)) / _SIZE
+    direction[face] = (vertices[faces[binding[face]]].mean(axis=1)) / _HALF_AXES
     color = np.where(face[:, None], _skin_color(direction), [0.9, 0.88, 0.82])
     columns = dict(zip("xyz", rng.normal(0, 0.3, (3, count)), strict=True))
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(count))
@@ -79,13 +79,13 @@ def _ellipsoid(rings: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f
     """Return vertices and triangles of an ellipsoid, which looks along +z with y up."""
     columns = 2 * rings
     height = np.cos(np.pi * (np.arange(rings) + 0.5) / rings)
-    around = 2 * np.pi * np.arange(columns) / columns
+    angles = 2 * np.pi * np.arange(columns) / columns
     radius = np.sqrt(1 - height**2)
     unit = np.stack(
         [
-            radius[:, None] * np.sin(around),
+            radius[:, None] * np.sin(angles),
             np.broadcast_to(height[:, None], (rings, columns)),
-            radius[:, None] * np.cos(around),
+            radius[:, None] * np.cos(angles),
         ],
         axis=2,
     ).reshape(-1, 3)
@@ -95,7 +95,7 @@ def _ellipsoid(rings: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f
     faces = np.concatenate(
         [np.stack([a, c, b], axis=2).reshape(-1, 3), np.stack([b, c, d], axis=2).reshape(-1, 3)]
     )
-    return unit * _SIZE, faces
+    return unit * _HALF_AXES, faces
 
 
 def _write_face_model(
@@ -105,11 +105,13 @@ def _write_face_model(
     expressions: int,
     rng: np.random.Generator,
 ) -> None:
-    count, unit = len(vertices), vertices / _SIZE
+    count, unit = len(vertices), vertices / _HALF_AXES
     # Coefficients are smooth fields over the head.
-    waves = rng.normal(size=(3, SHAPES + expressions))
-    field = np.sin(2 * unit @ waves)[:, None] * rng.normal(0, 2e-3, (1, 3, SHAPES + expressions))
-    field[:, :, :SHAPES] *= 0.1
+    waves = rng.normal(size=(3, SHAPE_COUNT + expressions))
+    wave_field = np.sin(2 * unit @ waves)[:, None] * rng.normal(
+        0, 2e-3, (1, 3, SHAPE_COUNT + expressions)
+    )
+    wave_field[:, :, :SHAPE_COUNT] *= 0.1
     jaw = 1 / (1 + np.exp(12 * (unit[:, 1] + 0.35))) * (unit[:, 2] > 0)
     neck = 1 - jaw
     joints = np.array(
@@ -127,7 +129,7 @@ def _write_face_model(
     model = {
         "v_template": vertices,
         "f": faces.astype(np.uint32),
-        "shapedirs": field,
+        "shapedirs": wave_field,
         "posedirs": rng.normal(0, 1e-3, (count, 3, 36)),
         "J_regressor": regressor,
         "weights": np.stack([0 * neck, neck, jaw, 0 * neck, 0 * neck], axis=1),

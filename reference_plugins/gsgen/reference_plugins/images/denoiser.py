@@ -22,11 +22,11 @@ from gsgen.reference_plugins.images.diffusion_checkpoint import DiffusionCheckpo
 from gsgen.sdk import PostProcess, inputs
 
 # Black and white in diffusion networks, and in renderers.
-_SIGNED, _UNIT = (-1.0, 1.0), (0.0, 1.0)
+_SIGNED_RANGE, _UNIT_RANGE = (-1.0, 1.0), (0.0, 1.0)
 # Number of timesteps of a checkpoint without a schedule.
 _STEPS = 1000
 
-Share = Tensor | float
+SignalShare = Tensor | float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,17 +71,17 @@ class Denoiser(PostProcess):
         self.stride, self.step = read.stride, step
         self.noise = None if step.returns_prediction else read.noise
         if self.noise is not None:
-            shares = _signal_and_noise(self.noise)
-            signal, noise = shares[math.floor(step.timestep + 0.5)].tolist()
-            self.fixed: tuple[Share, Share] = (signal, noise)
-            self.table = shares.float()  # not a buffer: it stays float32 in a float16 model
-        self.image_range = self.output_range = _UNIT if step.is_unit_range else _SIGNED
-        outer = read.unet.options if read.autoencoder is None else read.autoencoder.options
-        self.channels = 4 if outer.inputs == 4 else 3
-        declared = [inputs.image(outer.inputs, step.size, range=self.image_range)]
+            signal_shares = _signal_and_noise(self.noise)
+            signal, noise = signal_shares[math.floor(step.timestep + 0.5)].tolist()
+            self.fixed: tuple[SignalShare, SignalShare] = (signal, noise)
+            self.table = signal_shares.float()  # not a buffer: it stays float32 in a float16 model
+        self.image_range = self.output_range = _UNIT_RANGE if step.is_unit_range else _SIGNED_RANGE
+        outer_options = read.unet.options if read.autoencoder is None else read.autoencoder.options
+        self.channels = 4 if outer_options.inputs == 4 else 3
+        declared = [inputs.image(outer_options.inputs, step.size, range=self.image_range)]
         if step.timestep_is_input:
-            last = _last_timestep(read)
-            declared.append(inputs.timestep(step.timestep, range=(0, last)))
+            last_timestep = _last_timestep(read)
+            declared.append(inputs.timestep(step.timestep, range=(0, last_timestep)))
         self.inputs = declared
         self.register_buffer("context", context)
         self.register_buffer("vector", vector)
@@ -97,33 +97,35 @@ class Denoiser(PostProcess):
         result = result[:, :, :height, :width]
         if self.step.returns_prediction:
             return result
-        result = result.clamp(*_SIGNED)
+        result = result.clamp(*_SIGNED_RANGE)
         return result * 0.5 + 0.5 if self.step.is_unit_range else result
 
     def _pad(self, image: Tensor) -> Tensor:
-        below, right = -image.shape[2] % self.stride, -image.shape[3] % self.stride
-        if self.step.size is not None and not below and not right:
+        bottom_padding, right_padding = -image.shape[2] % self.stride, -image.shape[3] % self.stride
+        if self.step.size is not None and not bottom_padding and not right_padding:
             return image
-        return F.pad(image, (0, right, 0, below), mode="replicate")
+        return F.pad(image, (0, right_padding, 0, bottom_padding), mode="replicate")
 
     def _denoise(self, image: Tensor, timestep: Tensor | None) -> Tensor:
-        coded, entered = image, list[Tensor]()
+        encoded, skip_features = image, list[Tensor]()
         if self.autoencoder is not None:
-            coded, entered = self.autoencoder.encode(image)
-        moment = torch.tensor([self.step.timestep]) if timestep is None else timestep
-        predicted: Tensor = self.unet(coded, moment, self.context, self.vector)
+            encoded, skip_features = self.autoencoder.encode(image)
+        timestep_tensor = torch.tensor([self.step.timestep]) if timestep is None else timestep
+        predicted: Tensor = self.unet(encoded, timestep_tensor, self.context, self.vector)
         result = predicted
         if self.noise is not None:
             # √ᾱ is small at late timesteps, so this is computed in float32.
             signal, noise = self._signal_and_noise_at(timestep)
             prediction = self.noise.prediction
-            clean = _clean(prediction, coded.float(), predicted.float(), signal, noise)
-            result = clean.to(image.dtype)
+            clean_image = _clean_image(
+                prediction, encoded.float(), predicted.float(), signal, noise
+            )
+            result = clean_image.to(image.dtype)
         if self.autoencoder is not None:
-            result = self.autoencoder.decode(result, entered)
+            result = self.autoencoder.decode(result, skip_features)
         return result
 
-    def _signal_and_noise_at(self, timestep: Tensor | None) -> tuple[Share, Share]:
+    def _signal_and_noise_at(self, timestep: Tensor | None) -> tuple[SignalShare, SignalShare]:
         """Return √ᾱ and √(1 − ᾱ) at a timestep, rounded to the nearest step of the schedule."""
         if timestep is None:
             return self.fixed
@@ -136,8 +138,8 @@ def _signal_and_noise(noise: Noise) -> Float[Tensor, "steps 2"]:
     return torch.stack([noise.signal.sqrt(), (1 - noise.signal).sqrt()], dim=1)
 
 
-def _clean(
-    prediction: str, noisy: Tensor, predicted: Tensor, signal: Share, noise: Share
+def _clean_image(
+    prediction: str, noisy: Tensor, predicted: Tensor, signal: SignalShare, noise: SignalShare
 ) -> Tensor:
     """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for the clean image x₀."""
     if prediction == "epsilon":
@@ -161,11 +163,9 @@ def _check_step(
         )
         hint = "Give the folder that holds unet/ and vae/, or --vae DIR."
         raise ConfigInvalid(message, where=str(read.folder), hint=hint)
-    outer = options if read.autoencoder is None else read.autoencoder.options
-    if not {outer.inputs, outer.outputs} <= set(IMAGE_CHANNELS):
-        message = (
-            f"takes {outer.inputs} channels and returns {outer.outputs}, expected 3 or 4 of each"
-        )
+    outer_options = options if read.autoencoder is None else read.autoencoder.options
+    if not {outer_options.inputs, outer_options.outputs} <= set(IMAGE_CHANNELS):
+        message = f"takes {outer_options.inputs} channels and returns {outer_options.outputs}, expected 3 or 4 of each"
         raise ConfigInvalid(message, where=str(read.folder))
     if not 0 <= step.timestep <= _last_timestep(read):
         message = f"{step.timestep:g} is not a timestep: expected 0 to {_last_timestep(read)}"
@@ -176,7 +176,7 @@ def _check_step(
         raise ConfigInvalid(message, where=str(read.folder), hint=hint)
     if options.context is None and context is not None:
         raise ConfigInvalid("the network takes no conditioning", where="--embeddings")
-    if options.context is not None and not _fits(context, options.context):
+    if options.context is not None and not _has_width(context, options.context):
         actual = (
             "--embeddings is missing"
             if context is None
@@ -186,11 +186,11 @@ def _check_step(
         hint = "Give --embeddings FILE.npz: the text encoder's embeddings of the prompt."
         raise ConfigInvalid(message, where="--embeddings", hint=hint)
     if (options.vector is None) != (vector is None):
-        needs = "takes no" if options.vector is None else "needs a"
-        raise ConfigInvalid(f"the network {needs} pooled prompt vector", where="--embeddings")
+        needs_text = "takes no" if options.vector is None else "needs a"
+        raise ConfigInvalid(f"the network {needs_text} pooled prompt vector", where="--embeddings")
 
 
-def _fits(context: Tensor | None, width: int) -> bool:
+def _has_width(context: Tensor | None, width: int) -> bool:
     if context is None or context.ndim != 3:
         return False
     return context.shape[0] == 1 and context.shape[2] == width

@@ -109,24 +109,26 @@ def build(
     from gsgen.reference_plugins.images.denoiser import Denoiser, Step
     from gsgen.reference_plugins.images.diffusion_checkpoint import read_diffusion
 
-    requested = None if size is None else read_size(size)
+    requested_size = None if size is None else read_size(size)
     loras = [_parse_lora(word) for word in lora or ()]
     read = read_diffusion(checkpoint, vae, difix=difix, loras=loras)
     note(read.describe())
     for warning in read.warnings:
         note(f"warning: {warning}")
-    sides = _trained_size(read) if size is None else requested
-    if sides and (sides[0] % read.stride or sides[1] % read.stride):
+    image_size = _trained_size(read) if size is None else requested_size
+    if image_size and (image_size[0] % read.stride or image_size[1] % read.stride):
         note(f"note: sides are not multiples of {read.stride}; images are padded by their edge")
     step = Step(
         timestep=timestep,
         timestep_is_input=timestep_input,
-        size=sides,
+        size=image_size,
         is_unit_range=values == "unit",
         returns_prediction=result == "network",
     )
     prompt = _conditioning(read, checkpoint, embeddings)
-    denoiser = Denoiser(read, step, prompt.context, _vector(read, prompt, time_ids, sides))
+    denoiser = Denoiser(
+        read, step, prompt.context, _vector_input(read, prompt, time_ids, image_size)
+    )
     denoiser.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=read.digest)
     return denoiser
 
@@ -173,7 +175,7 @@ def _conditioning(
     return prompt
 
 
-def _vector(
+def _vector_input(
     read: "DiffusionCheckpoint", prompt: "Embeddings", ids: str | None, size: tuple[int, int] | None
 ) -> "Tensor | None":
     """Return the conditioning vector of SDXL: the pooled prompt embedding and image sizes."""
@@ -185,14 +187,14 @@ def _vector(
         return None
     if prompt.pooled is None:
         return None  # the error about missing embeddings covers this
-    time_ids = prompt.time_ids if ids is None else _numbers(ids)
+    time_ids = prompt.time_ids if ids is None else _parse_numbers(ids)
     if time_ids is None:
         if size is None:
             hint = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
             message = "time_ids cannot be derived from images of any size"
             raise ConfigInvalid(message, where="--time-ids", hint=hint)
         time_ids = (*map(float, size), 0.0, 0.0, *map(float, size))
-        note(f"time_ids: {','.join(f'{side:g}' for side in time_ids)}, from the image size")
+        note(f"time_ids: {','.join(f'{time_id:g}' for time_id in time_ids)}, from the image size")
     try:
         return added_vector(prompt.pooled, time_ids, read.unet.options)
     except ValueError as error:
@@ -200,7 +202,7 @@ def _vector(
         raise ConfigInvalid(message, where="--time-ids") from error
 
 
-def _numbers(text: str) -> tuple[float, ...]:
+def _parse_numbers(text: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -231,8 +233,8 @@ def _with_noise(picture: "np.ndarray") -> "np.ndarray":
     beta = np.linspace(first, last, SCHEDULE["num_train_timesteps"]) ** 2
     signal = float(np.prod(1 - beta[: _DEMO_TIMESTEP + 1]))
     noise = np.random.default_rng(0).normal(size=picture.shape)
-    signed = math.sqrt(signal) * (picture / 127.5 - 1) + math.sqrt(1 - signal) * noise
-    return (np.clip(0.5 * signed + 0.5, 0, 1) * 255 + 0.5).astype(np.uint8)
+    signed_image = math.sqrt(signal) * (picture / 127.5 - 1) + math.sqrt(1 - signal) * noise
+    return (np.clip(0.5 * signed_image + 0.5, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 PLUGIN = Plugin(

@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.diffusion.autoencoder import SKIP, Autoencoder, autoencoder_of
+from gsgen.reference_plugins.diffusion.autoencoder import SKIP_PREFIX, Autoencoder, autoencoder_of
 from gsgen.reference_plugins.diffusion.lora import Adapter, merge, read_lora
 from gsgen.reference_plugins.diffusion.lora_homes import layers_by_name
 from gsgen.reference_plugins.diffusion.model_config import ModelConfig, read_model_config
@@ -29,7 +29,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.safetensors import read_safetensors
 from gsgen.reference_plugins.loading.states import load_state, require_tensors
 
-_Net = TypeVar("_Net", bound=nn.Module)
+_Network = TypeVar("_Network", bound=nn.Module)
 
 Prediction = Literal["epsilon", "v_prediction", "sample"]
 
@@ -37,7 +37,7 @@ _PREDICTIONS = ("epsilon", "v_prediction", "sample")
 _WEIGHTS = "diffusion_pytorch_model"
 _SCHEDULE = "scheduler_config.json"
 # Name of an attention layer in files from before 2023 → its name today.
-_OLD = {"query": "to_q", "key": "to_k", "value": "to_v", "proj_attn": "to_out.0"}
+_OLD_ATTENTION_NAMES = {"query": "to_q", "key": "to_k", "value": "to_v", "proj_attn": "to_out.0"}
 _LARGEST_BETA = 0.999
 
 
@@ -84,12 +84,12 @@ class DiffusionCheckpoint:
         if self.autoencoder is not None:
             pixels = self.autoencoder.options.stride
             skips = self.autoencoder.options.skips is not None
-            coder = "autoencoder" + " with skip connections" * skips
-            parts.append(f"{coder}, 1/{pixels} of the size")
+            autoencoder_network = "autoencoder" + " with skip connections" * skips
+            parts.append(f"{autoencoder_network}, 1/{pixels} of the size")
         if self.noise is not None:
             steps = f"{len(self.noise.signal)} timesteps"
             parts.append(f"{steps}, predicts {self.noise.prediction}")
-        parts += [f"LoRA {merged}" for merged in self.added]
+        parts += [f"LoRA {lora_text}" for lora_text in self.added]
         return f"{self.folder}: {', '.join(parts)}; sides are multiples of {self.stride}"
 
 
@@ -107,16 +107,18 @@ def read_diffusion(
     """
     change = Difix() if difix is None else read_difix(difix)
     unet_folder = folder / "unet" if (folder / "unet").is_dir() else folder
-    unet: _Read[UNet] = _network(unet_folder, lambda config, _: unet_of(config), change.unet, difix)
-    read: list[_Read[Any]] = [unet]
+    unet: _LoadedNetwork[UNet] = _network(
+        unet_folder, lambda config, _: unet_of(config), change.unet, difix
+    )
+    read: list[_LoadedNetwork[Any]] = [unet]
     autoencoder = None
     if vae is not None or (folder / "vae").is_dir():
-        home = vae or folder / "vae"
-        home = home / "vae" if (home / "vae").is_dir() else home
-        coder = _network(home, _autoencoder, change.vae, difix)
-        _require_latents(unet.network, coder.network, unet_folder)
-        read.append(coder)
-        autoencoder = coder.network
+        vae_folder = vae or folder / "vae"
+        vae_folder = vae_folder / "vae" if (vae_folder / "vae").is_dir() else vae_folder
+        autoencoder_network = _network(vae_folder, _autoencoder, change.vae, difix)
+        _require_latents(unet.network, autoencoder_network.network, unet_folder)
+        read.append(autoencoder_network)
+        autoencoder = autoencoder_network.network
     elif change.vae:
         message = "changes an autoencoder, but the checkpoint has no vae/"
         raise CheckpointInvalid(message, where=str(difix), hint="Give --vae DIR.")
@@ -124,7 +126,7 @@ def read_diffusion(
     noise = _noise(read_model_config(schedule.parent, _SCHEDULE)) if schedule.is_file() else None
     adapters = [(part.inside, 1.0) for part in read if part.inside is not None]
     adapters += [(read_lora(path), scale) for path, scale in loras]
-    homes = layers_by_name(unet.network, autoencoder)
+    layers_of_name = layers_by_name(unet.network, autoencoder)
     files = [part.path for part in read] + ([] if difix is None else [difix])
     files += [adapter.path for adapter, _ in adapters if adapter.path not in files]
     return DiffusionCheckpoint(
@@ -133,26 +135,26 @@ def read_diffusion(
         autoencoder=autoencoder,
         noise=noise,
         digest=_digest(files),
-        added=tuple(merge(adapter, scale, homes) for adapter, scale in adapters),
+        added=tuple(merge(adapter, scale, layers_of_name) for adapter, scale in adapters),
         warnings=tuple(_text_encoder_warning(adapter) for adapter, _ in adapters if adapter.text),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Read(Generic[_Net]):
+class _LoadedNetwork(Generic[_Network]):
     """A diffusion network read from a file, the file's path, and the LoRA in the file, if any."""
 
-    network: _Net
+    network: _Network
     path: Path
     inside: Adapter | None
 
 
 def _network(
     folder: Path,
-    network: Callable[[ModelConfig, Mapping[str, Any]], _Net],
+    network: Callable[[ModelConfig, Mapping[str, Any]], _Network],
     change: Mapping[str, Any],
     changed_by: Path | None,
-) -> _Read[_Net]:
+) -> _LoadedNetwork[_Network]:
     config = read_model_config(folder)
     path, state = _weights(folder)
     weights, inside = split_fused_lora(state | dict(change), changed_by or path)
@@ -167,11 +169,11 @@ def _network(
     expected = {name: tuple(value.shape) for name, value in module.state_dict().items()}
     read = require_tensors(changed_by or path, _rename_attention(weights, expected), expected)
     module.load_state_dict(read, strict=True, assign=True)
-    return _Read(module.eval().requires_grad_(False), path, inside)
+    return _LoadedNetwork(module.eval().requires_grad_(False), path, inside)
 
 
 def _autoencoder(config: ModelConfig, state: Mapping[str, Any]) -> Autoencoder:
-    skips = any(name.startswith(f"decoder.{SKIP}") for name in state)
+    skips = any(name.startswith(f"decoder.{SKIP_PREFIX}") for name in state)
     return autoencoder_of(config, skips=skips)
 
 
@@ -194,8 +196,8 @@ def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
     path = folder / f"{_WEIGHTS}.safetensors"
     pickled = folder / f"{_WEIGHTS}.bin"
     if path.is_file() or not pickled.is_file():
-        if not path.is_file() and (half := folder / f"{_WEIGHTS}.fp16.safetensors").is_file():
-            path = half
+        if not path.is_file() and (half_file := folder / f"{_WEIGHTS}.fp16.safetensors").is_file():
+            path = half_file
         return path, dict(read_safetensors(path))
     return pickled, load_state(pickled, "the weights")
 
@@ -204,14 +206,18 @@ def _rename_attention(
     state: dict[str, Any], expected: dict[str, tuple[int, ...]]
 ) -> dict[str, Any]:
     """Rename attention weights of old diffusers files to the current names and shapes."""
-    renamed = {}
+    renamed_tensors = {}
     for name, value in state.items():
         *parents, layer, kind = name.split(".") if name.count(".") else ("", "", name)
-        new = ".".join([*parents, _OLD[layer], kind]) if layer in _OLD else name
-        if layer in _OLD and isinstance(value, Tensor) and value.ndim == 4:
+        new = (
+            ".".join([*parents, _OLD_ATTENTION_NAMES[layer], kind])
+            if layer in _OLD_ATTENTION_NAMES
+            else name
+        )
+        if layer in _OLD_ATTENTION_NAMES and isinstance(value, Tensor) and value.ndim == 4:
             value = value[:, :, 0, 0]
-        renamed[new if new in expected else name] = value
-    return renamed
+        renamed_tensors[new if new in expected else name] = value
+    return renamed_tensors
 
 
 def _noise(config: ModelConfig) -> Noise:
@@ -234,8 +240,8 @@ def _noise(config: ModelConfig) -> Noise:
     elif kind == "scaled_linear":
         beta = torch.linspace(low**0.5, high**0.5, steps, dtype=torch.float64).square()
     else:  # Nichol and Dhariwal 2021, equation 17
-        along = torch.arange(steps + 1, dtype=torch.float64) / steps
-        signal = torch.cos((along + 0.008) / 1.008 * math.pi / 2).square()
+        step_fractions = torch.arange(steps + 1, dtype=torch.float64) / steps
+        signal = torch.cos((step_fractions + 0.008) / 1.008 * math.pi / 2).square()
         beta = (1 - signal[1:] / signal[:-1]).clamp(max=_LARGEST_BETA)
     return Noise(torch.cumprod(1 - beta, dim=0), prediction)
 

@@ -21,9 +21,9 @@ from gsgen.reference_plugins.loading.states import load_state
 
 # α of a network that was saved with its LoRA inside: such files do not record it, and the tools
 # that write them keep the default of peft.
-_ALPHA = 8.0
-_BASE = ".base_layer."
-_PARTS = ("state_dict_unet", "state_dict_vae")
+_DIFIX_ALPHA = 8.0
+_BASE_LAYER = ".base_layer."
+_STATE_NAMES = ("state_dict_unet", "state_dict_vae")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +43,11 @@ def read_difix(path: Path) -> Difix:
             "is a safetensors file, expected a pickle file", where=str(path), hint=hint
         )
     state = load_state(path, "the model.pkl of Difix")
-    if not all(isinstance(state.get(part), dict) for part in _PARTS):
+    if not all(isinstance(state.get(part), dict) for part in _STATE_NAMES):
         actual = ", ".join(map(str, list(state)[:4])) or "no entries"
-        message = f"holds {actual}; expected {' and '.join(_PARTS)}"
+        message = f"holds {actual}; expected {' and '.join(_STATE_NAMES)}"
         raise CheckpointInvalid(message, where=str(path), hint=hint)
-    unet, vae = (state[part] for part in _PARTS)
+    unet, vae = (state[part] for part in _STATE_NAMES)
     return Difix(unet, vae)
 
 
@@ -56,8 +56,8 @@ def split_fused_lora(state: Mapping[str, Any], path: Path) -> tuple[dict[str, An
 
     Returns the weights, named as without the LoRA, and the LoRA, if any.
     """
-    if not any(_BASE in name or ".lora_" in name for name in state):
+    if not any(_BASE_LAYER in name or ".lora_" in name for name in state):
         return dict(state), None
     pairs, unpaired = split_pairs(state, path)
-    weights = {name.replace(_BASE, "."): value for name, value in unpaired.items()}
-    return weights, Adapter(path=path, pairs=pairs, alpha=_ALPHA) if pairs else None
+    weights = {name.replace(_BASE_LAYER, "."): value for name, value in unpaired.items()}
+    return weights, Adapter(path=path, pairs=pairs, alpha=_DIFIX_ALPHA) if pairs else None

@@ -18,9 +18,9 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.loading.array_archives import read_npz
 
 # Names of the arrays in pipelines of diffusers, as results and as arguments.
-_CONTEXT = ("encoder_hidden_states", "prompt_embeds")
-_POOLED = ("text_embeds", "pooled_prompt_embeds")
-_TIME_IDS = ("time_ids", "add_time_ids")
+_CONTEXT_NAMES = ("encoder_hidden_states", "prompt_embeds")
+_POOLED_NAMES = ("text_embeds", "pooled_prompt_embeds")
+_TIME_ID_NAMES = ("time_ids", "add_time_ids")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def read_embeddings(path: Path, *, pooled: bool = False) -> Embeddings:
     by name: ``prompt_embeds`` [1, L, D], ``pooled_prompt_embeds`` [1, P], and ``time_ids`` to
     override the image size.
     """
-    arrays = {name: _numbers(name, array, path) for name, array in read_npz(path).items()}
+    arrays = {name: _require_numbers(name, array, path) for name, array in read_npz(path).items()}
     if pooled:
         return _named_embeddings(arrays, path)
     if len(arrays) != 1:
@@ -56,7 +56,7 @@ def read_embeddings(path: Path, *, pooled: bool = False) -> Embeddings:
     return Embeddings(torch.from_numpy(context))
 
 
-def _numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.ndarray, "..."]:
+def _require_numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.ndarray, "..."]:
     if array.dtype.kind not in "fiu":
         message = f"{name} holds {array.dtype}, expected numbers"
         raise ConfigInvalid(message, where=str(path))
@@ -69,10 +69,12 @@ def _numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.ndarray, ".
 
 def _named_embeddings(arrays: Mapping[str, np.ndarray], path: Path) -> Embeddings:
     """Find the two prompt embeddings of SDXL among the arrays of an npz file, by their names."""
-    known = (*_CONTEXT, *_POOLED, *_TIME_IDS)
-    unknown = [name for name in arrays if name not in known]
-    matches = [[name for name in names if name in arrays] for names in (_CONTEXT, _POOLED)]
-    time_ids = [name for name in _TIME_IDS if name in arrays]
+    known_names = (*_CONTEXT_NAMES, *_POOLED_NAMES, *_TIME_ID_NAMES)
+    unknown = [name for name in arrays if name not in known_names]
+    matches = [
+        [name for name in names if name in arrays] for names in (_CONTEXT_NAMES, _POOLED_NAMES)
+    ]
+    time_ids = [name for name in _TIME_ID_NAMES if name in arrays]
     if unknown or len(time_ids) > 1 or any(len(names) != 1 for names in matches):
         message = f"has the arrays {', '.join(arrays) or '(none)'}"
         hint = (

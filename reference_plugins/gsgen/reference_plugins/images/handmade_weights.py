@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.diffusion.unet import UNet
 
 COLORS = 3
-_LIMIT = 1.2  # standard deviations of fine detail; stronger contrasts are edges and stay
-_STEEP = 3.0  # factor before SiLU, so that it approximates a ReLU
-_LIGHT = torch.tensor([0.3, 0.6, 0.1])
+_MAX_DETAIL = 1.2  # standard deviations of fine detail; stronger contrasts are edges and stay
+_SILU_FACTOR = 3.0  # factor before SiLU, so that it approximates a ReLU
+_LUMA_WEIGHTS = torch.tensor([0.3, 0.6, 0.1])
 BINOMIAL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
 
 
@@ -45,18 +45,21 @@ def set_denoising_weights(unet: "UNet") -> None:
     weights("down_blocks.0.downsamplers.0.conv", _blur)
     weights("down_blocks.1.resnets.0.conv_shortcut", _centre)
     for name in ("up_blocks.0.resnets.0", "up_blocks.0.resnets.1", "up_blocks.1.resnets.1"):
-        weights(f"{name}.conv_shortcut", _all_on)  # the skip connections are ignored
+        weights(f"{name}.conv_shortcut", _set_to_one)  # the skip connections are ignored
     weights("up_blocks.0.upsamplers.0.conv", _blur)
     blurred = options.channels[1]
     difference = weights["up_blocks.1.resnets.0.conv_shortcut.weight"]
     norm = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
-    out = weights["conv_out.weight"]
+    output_weight = weights["conv_out.weight"]
     for color in range(COLORS):  # a group of two for each colour: both are the difference
-        pair = slice(2 * color, 2 * color + 2)
-        difference[pair, blurred + color], difference[pair, color] = 1.0, -1.0
-        norm[0][pair], norm[1][pair] = _STEEP, _STEEP * torch.tensor([_LIMIT, -_LIMIT])
-        out[color, pair, 1, 1] = torch.tensor([1.0, -1.0]) / _STEEP
-    weights["conv_out.bias"][:] = -_LIMIT
+        channel_pair = slice(2 * color, 2 * color + 2)
+        difference[channel_pair, blurred + color], difference[channel_pair, color] = 1.0, -1.0
+        norm[0][channel_pair], norm[1][channel_pair] = (
+            _SILU_FACTOR,
+            _SILU_FACTOR * torch.tensor([_MAX_DETAIL, -_MAX_DETAIL]),
+        )
+        output_weight[color, channel_pair, 1, 1] = torch.tensor([1.0, -1.0]) / _SILU_FACTOR
+    weights["conv_out.bias"][:] = -_MAX_DETAIL
 
 
 def set_outline_weights(network: Stylise) -> None:
@@ -77,10 +80,10 @@ def set_outline_weights(network: Stylise) -> None:
         weights[f"{name}.norm.weight"][:6] = 1.0
         weights[f"{name}.norm.bias"][:4] = 2.0  # few values are below −2 deviations
     weights["down.0.norm.bias"][4:6] = -0.5  # strong contrasts only
-    out, bias = weights["last.weight"], weights["last.bias"]
+    output_weight, bias = weights["last.weight"], weights["last.bias"]
     for color in range(COLORS):
-        out[color, color, 4, 4], out[color, COLORS, 4, 4] = 4.0, -4.0
-        out[color, 4:6, 4, 4] = -1.2
+        output_weight[color, color, 4, 4], output_weight[color, COLORS, 4, 4] = 4.0, -4.0
+        output_weight[color, 4:6, 4, 4] = -1.2
     bias[:] = 3.0
 
 
@@ -106,7 +109,7 @@ def _centre(weight: Float[Tensor, "o i h w"]) -> None:
         weight[color, color, weight.shape[2] // 2, weight.shape[3] // 2] = 1.0
 
 
-def _all_on(weight: Float[Tensor, "o i 1 1"]) -> None:
+def _set_to_one(weight: Float[Tensor, "o i 1 1"]) -> None:
     weight[:, : len(weight), 0, 0] = torch.eye(len(weight))
 
 
@@ -117,10 +120,10 @@ def _blur(weight: Float[Tensor, "o i 3 3"]) -> None:
 
 def _color_and_contrast(weight: Float[Tensor, "o 3 9 9"]) -> None:
     _centre(weight)
-    weight[COLORS, :, 4, 4] = _LIGHT
+    weight[COLORS, :, 4, 4] = _LUMA_WEIGHTS
     distance = torch.arange(9.0) - 4
     square = distance[:, None] ** 2 + distance[None] ** 2
-    fine, coarse = torch.exp(-square / 2), torch.exp(-square / 8)
-    contrast = fine / fine.sum() - coarse / coarse.sum()
-    weight[4] = _LIGHT[:, None, None] * contrast
+    fine_kernel, coarse_kernel = torch.exp(-square / 2), torch.exp(-square / 8)
+    contrast = fine_kernel / fine_kernel.sum() - coarse_kernel / coarse_kernel.sum()
+    weight[4] = _LUMA_WEIGHTS[:, None, None] * contrast
     weight[5] = -weight[4]

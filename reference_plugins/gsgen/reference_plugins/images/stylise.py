@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from gsgen.sdk import PostProcess, inputs
 
-_STRIDE = 4
+_PADDING_STRIDE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,26 +72,26 @@ class Stylise(PostProcess):
         self.up = nn.ModuleList([_Block(4 * c, 2 * c, 3), _Block(2 * c, c, 3)])
         self.last = nn.Conv2d(c, 3, 9)
         self.size = size
-        share = inputs.control("style", range=(0.0, 1.0), default=1.0, label="Style")
-        self.inputs = [inputs.image(3, size), *([share] if slider else [])]
+        style_share = inputs.control("style", range=(0.0, 1.0), default=1.0, label="Style")
+        self.inputs = [inputs.image(3, size), *([style_share] if slider else [])]
 
     def forward(
         self, image: Float[Tensor, "1 3 h w"], style: Float[Tensor, "1"] | None = None
     ) -> Float[Tensor, "1 3 h w"]:
         """Return the image in the style that the network was trained for."""
         height, width = image.shape[2], image.shape[3]
-        below, right = -height % _STRIDE, -width % _STRIDE
+        bottom_padding, right_padding = -height % _PADDING_STRIDE, -width % _PADDING_STRIDE
         features = 2 * image - 1
-        if self.size is None or below or right:
-            features = F.pad(features, (0, right, 0, below), mode="replicate")
+        if self.size is None or bottom_padding or right_padding:
+            features = F.pad(features, (0, right_padding, 0, bottom_padding), mode="replicate")
         for block in self.down:
             features = torch.relu(block(features))
         for block in self.middle:
             features = block(features)
         for block in self.up:
             features = torch.relu(block(F.interpolate(features, scale_factor=2.0, mode="nearest")))
-        drawn = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
-        drawn = drawn[:, :, :height, :width]
+        styled = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
+        styled = styled[:, :, :height, :width]
         if style is None:
-            return drawn
-        return image + style.to(image.dtype).reshape(1, 1, 1, 1) * (drawn - image)
+            return styled
+        return image + style.to(image.dtype).reshape(1, 1, 1, 1) * (styled - image)

@@ -40,10 +40,10 @@ def build(checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True) 
     from gsgen.reference_plugins.loading.safetensors import read_safetensors
     from gsgen.reference_plugins.loading.states import require_tensors
 
-    sides = read_size(size)
+    image_size = read_size(size)
     config = read_model_config(checkpoint)
     options = StyliseOptions(config.integer("channels", 16), config.integer("blocks", 3, least=0))
-    network = Stylise(options, sides, slider=slider)
+    network = Stylise(options, image_size, slider=slider)
     path = checkpoint / "stylise.safetensors"
     expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     network.load_state_dict(require_tensors(path, read_safetensors(path), expected), strict=True)

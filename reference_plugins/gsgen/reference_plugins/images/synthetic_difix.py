@@ -31,19 +31,19 @@ from gsgen.reference_plugins.images.diffusers_writer import (
 )
 from gsgen.reference_plugins.images.handmade_weights import BINOMIAL, COLORS, Weights
 
-_WIDTH = 24
-_LARGE = 16.0  # K
+_CHANNEL_COUNT = 24
+_LARGE_FACTOR = 16.0  # K
 # Contrasts in −1 … 1 up to this are artifacts; those of twice as much are edges.
-_SOFT = 0.3
-_STEEP = 16.0  # factor before SiLU, so that it approximates a ReLU
+_SOFTNESS = 0.3
+_SILU_FACTOR = 16.0  # factor before SiLU, so that it approximates a ReLU
 # Knots of f(d), in units of _SOFT, and the change of its slope there: f(d) = d up to 1, back to 0
 # at 2, and odd.
-_BENDS = ((2, -1), (1, 2), (-1, -2), (-2, 1))
-_RANK = 4
-_SHARE = 8 / _RANK  # α/r, with the α that peft sets
+_BEND_CHANNELS = ((2, -1), (1, 2), (-1, -2), (-2, 1))
+_LORA_RANK = 4
+_ALPHA_SHARE = 8 / _LORA_RANK  # α/r, with the α that peft sets
 _UNET: dict[str, Any] = {
     "_class_name": "UNet2DConditionModel",
-    "block_out_channels": [_WIDTH, _WIDTH],
+    "block_out_channels": [_CHANNEL_COUNT, _CHANNEL_COUNT],
     # Only the middle block attends to the prompt.
     "down_block_types": ["DownBlock2D", "DownBlock2D"],
     "up_block_types": ["UpBlock2D", "UpBlock2D"],
@@ -55,7 +55,7 @@ _UNET: dict[str, Any] = {
 }
 _VAE: dict[str, Any] = {
     "_class_name": "AutoencoderKL",
-    "block_out_channels": [_WIDTH, _WIDTH],
+    "block_out_channels": [_CHANNEL_COUNT, _CHANNEL_COUNT],
     "down_block_types": ["DownEncoderBlock2D", "DownEncoderBlock2D"],
     "up_block_types": ["UpDecoderBlock2D", "UpDecoderBlock2D"],
     "layers_per_block": 1,
@@ -66,10 +66,10 @@ _TIMESTEP = 199
 
 def write_difix(folder: Path) -> Path:
     """Write a synthetic Difix checkpoint, a diffusers base and a ``model.pkl``, to the folder."""
-    coder = autoencoder_of(config_of(_VAE))
-    scale = coder.options.scale
-    _set_identity(coder)
-    write_network(folder / "vae", _VAE, coder)
+    autoencoder_model = autoencoder_of(config_of(_VAE))
+    scale = autoencoder_model.options.scale
+    _set_identity(autoencoder_model)
+    write_network(folder / "vae", _VAE, autoencoder_model)
     torch.manual_seed(0)
     unet = unet_of(config_of(_UNET))
     # The base has random weights, as if trained for another task.
@@ -78,36 +78,36 @@ def write_difix(folder: Path) -> Path:
     write_schedule(folder)
     prompt = np.random.default_rng(0).normal(size=(1, 5, _UNET["cross_attention_dim"]))
     np.savez(folder / "prompt_embeds.npz", prompt_embeds=prompt.astype(np.float32))
-    changed = {
+    changed_weights = {
         "vae_lora_target_modules": ["decoder.skip_conv_1", "decoder.skip_conv_2"],
-        "rank_vae": _RANK,
+        "rank_vae": _LORA_RANK,
         "state_dict_unet": unet.state_dict(),
         "state_dict_vae": dict(_skips()),
     }
-    torch.save(changed, folder / "model.pkl")
+    torch.save(changed_weights, folder / "model.pkl")
     return folder
 
 
-def _set_identity(coder: Autoencoder) -> None:
+def _set_identity(autoencoder_model: Autoencoder) -> None:
     """Set the weights so that the encoder halves the image size and the decoder doubles it."""
-    weights = Weights(coder)
-    first, down = weights["encoder.conv_in.weight"], weights[_sampler("encoder", "down")]
+    weights = Weights(autoencoder_model)
+    first, down_weight = weights["encoder.conv_in.weight"], weights[_sampler("encoder", "down")]
     for color in range(COLORS):
-        _pair(first, color, color)
-        _fix(weights["encoder.conv_in.bias"], color)
-    for channel in range(_WIDTH):  # the mean of four pixels; the padding is not used
-        down[channel, channel, :2, :2] = 0.25
-    _read_out(weights, "encoder")
+        _set_difference(first, color, color)
+        _set_bias(weights["encoder.conv_in.bias"], color)
+    for channel in range(_CHANNEL_COUNT):  # the mean of four pixels; the padding is not used
+        down_weight[channel, channel, :2, :2] = 0.25
+    _set_output(weights, "encoder")
     for name, count in (("quant_conv", 8), ("post_quant_conv", 4)):
         weights[f"{name}.weight"][:, :, 0, 0] = torch.eye(count)
-    up, bias = weights[_sampler("decoder", "up")], weights["decoder.conv_in.bias"]
+    up_weight, bias = weights[_sampler("decoder", "up")], weights["decoder.conv_in.bias"]
     for color in range(COLORS):
-        _pair(weights["decoder.conv_in.weight"], color, color)
-        _fix(bias, color)
-        _fix(weights[_sampler("decoder", "up").replace("weight", "bias")], color)
+        _set_difference(weights["decoder.conv_in.weight"], color, color)
+        _set_bias(bias, color)
+        _set_bias(weights[_sampler("decoder", "up").replace("weight", "bias")], color)
         for channel in range(4 * color, 4 * color + 2):
-            up[channel, channel] = BINOMIAL
-    _read_out(weights, "decoder")
+            up_weight[channel, channel] = BINOMIAL
+    _set_output(weights, "decoder")
 
 
 def _set_blotch_removal(unet: UNet, scale: float) -> None:
@@ -129,53 +129,67 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
         weights["up_blocks.0.upsamplers.0.conv.weight"][color, color, 1, 1] = 1.0
     for level, index in ((0, 0), (0, 1), (1, 1)):
         name = f"up_blocks.{level}.resnets.{index}.conv_shortcut.weight"
-        weights[name][:, :_WIDTH, 0, 0] = torch.eye(_WIDTH)
+        weights[name][:, :_CHANNEL_COUNT, 0, 0] = torch.eye(_CHANNEL_COUNT)
     name = "up_blocks.1.resnets.0.conv_shortcut"
-    joined, fixed = weights[f"{name}.weight"][:, :, 0, 0], weights[f"{name}.bias"]
+    joined_weight, fixed_bias = weights[f"{name}.weight"][:, :, 0, 0], weights[f"{name}.bias"]
     gamma, beta = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
     for color in range(COLORS):
         weights["conv_in.weight"][color, color, 1, 1] = 1 / scale
         # Channels of the skip connection, and of the lower level.
-        x, fine, coarse = 8 * color, _WIDTH + color, color
-        joined[x, fine], joined[x + 1, fine] = 1.0, -1.0
-        joined[x + 2 : x + 6, fine], joined[x + 2 : x + 6, coarse] = 1.0, -1.0
-        fixed[x + 6], fixed[x + 7] = _LARGE, -_LARGE
-        gamma[x : x + 2] = _LARGE / 2  # the standard deviation of K and −K in a group of eight
-        gamma[x + 2 : x + 6] = _STEEP * _LARGE / 2
-        out = weights["conv_out.weight"][color, :, 1, 1]
-        out[x], out[x + 1] = image_gain, -image_gain
-        for channel, (bend, change) in enumerate(_BENDS, x + 2):
-            beta[channel], out[channel] = (_STEEP * _SOFT * bend, contrast_gain * change / _STEEP)
+        x, fine_channel, coarse_channel = 8 * color, _CHANNEL_COUNT + color, color
+        joined_weight[x, fine_channel], joined_weight[x + 1, fine_channel] = 1.0, -1.0
+        joined_weight[x + 2 : x + 6, fine_channel], joined_weight[x + 2 : x + 6, coarse_channel] = (
+            1.0,
+            -1.0,
+        )
+        fixed_bias[x + 6], fixed_bias[x + 7] = _LARGE_FACTOR, -_LARGE_FACTOR
+        gamma[x : x + 2] = (
+            _LARGE_FACTOR / 2
+        )  # the standard deviation of K and −K in a group of eight
+        gamma[x + 2 : x + 6] = _SILU_FACTOR * _LARGE_FACTOR / 2
+        output_weight = weights["conv_out.weight"][color, :, 1, 1]
+        output_weight[x], output_weight[x + 1] = image_gain, -image_gain
+        for channel, (bend_channel, change) in enumerate(_BEND_CHANNELS, x + 2):
+            beta[channel], output_weight[channel] = (
+                _SILU_FACTOR * _SOFTNESS * bend_channel,
+                contrast_gain * change / _SILU_FACTOR,
+            )
 
 
 def _skips() -> Iterator[tuple[str, Tensor]]:
     """Yield weights of Difix's skip connections: zeros, and a LoRA that adds the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"
-        down, up = torch.zeros(_RANK, _WIDTH, 1, 1), torch.zeros(_WIDTH, _RANK, 1, 1)
+        down_weight, up_weight = (
+            torch.zeros(_LORA_RANK, _CHANNEL_COUNT, 1, 1),
+            torch.zeros(_CHANNEL_COUNT, _LORA_RANK, 1, 1),
+        )
         for color in range(COLORS):
-            down[color, 4 * color] = 1.0
+            down_weight[color, 4 * color] = 1.0
             if index == 2:  # the connection of the image's full resolution
-                up[4 * color, color], up[4 * color + 1, color] = 1 / _SHARE, -1 / _SHARE
-        yield f"{name}.base_layer.weight", torch.zeros(_WIDTH, _WIDTH, 1, 1)
-        yield f"{name}.lora_A.vae_skip.weight", down
-        yield f"{name}.lora_B.vae_skip.weight", up
+                up_weight[4 * color, color], up_weight[4 * color + 1, color] = (
+                    1 / _ALPHA_SHARE,
+                    -1 / _ALPHA_SHARE,
+                )
+        yield f"{name}.base_layer.weight", torch.zeros(_CHANNEL_COUNT, _CHANNEL_COUNT, 1, 1)
+        yield f"{name}.lora_A.vae_skip.weight", down_weight
+        yield f"{name}.lora_B.vae_skip.weight", up_weight
 
 
-def _pair(weight: Float[Tensor, "o i 3 3"], color: int, source: int) -> None:
+def _set_difference(weight: Float[Tensor, "o i 3 3"], color: int, source: int) -> None:
     weight[4 * color, source, 1, 1], weight[4 * color + 1, source, 1, 1] = 1.0, -1.0
 
 
-def _fix(bias: Float[Tensor, " o"], color: int) -> None:
-    bias[4 * color + 2], bias[4 * color + 3] = _LARGE, -_LARGE
+def _set_bias(bias: Float[Tensor, " o"], color: int) -> None:
+    bias[4 * color + 2], bias[4 * color + 3] = _LARGE_FACTOR, -_LARGE_FACTOR
 
 
-def _read_out(weights: Weights, part: str) -> None:
+def _set_output(weights: Weights, part: str) -> None:
     """Set the output layer to recover each colour x from the SiLU of two channels, x and −x."""
     for color in range(COLORS):
-        pair = slice(4 * color, 4 * color + 2)
-        weights[f"{part}.conv_norm_out.weight"][pair] = _LARGE / math.sqrt(2)
-        weights[f"{part}.conv_out.weight"][color, pair, 1, 1] = torch.tensor([1.0, -1.0])
+        channel_pair = slice(4 * color, 4 * color + 2)
+        weights[f"{part}.conv_norm_out.weight"][channel_pair] = _LARGE_FACTOR / math.sqrt(2)
+        weights[f"{part}.conv_out.weight"][color, channel_pair, 1, 1] = torch.tensor([1.0, -1.0])
 
 
 def _sampler(part: str, way: str) -> str:

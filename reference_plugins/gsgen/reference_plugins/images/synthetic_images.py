@@ -57,14 +57,14 @@ def write_denoiser(
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
     config = {**_UNET, **channels, **(unet or {})}
     network = unet_of(config_of(config))
-    _disturb(network)
+    _randomize_weights(network)
     if smoothing:
         set_denoising_weights(network)
     write_network(folder / "unet", config, network)
     if latent:
-        coder = autoencoder_of(config_of(_VAE))
-        _disturb(coder)
-        write_network(folder / "vae", _VAE, coder)
+        autoencoder_model = autoencoder_of(config_of(_VAE))
+        _randomize_weights(autoencoder_model)
+        write_network(folder / "vae", _VAE, autoencoder_model)
     write_schedule(folder, schedule)
     if config["_class_name"] == "UNet2DConditionModel":
         rows = np.random.default_rng(seed).normal(size=(1, 5, config["cross_attention_dim"]))
@@ -81,14 +81,14 @@ def write_stylise(
     """
     torch.manual_seed(seed)
     network = Stylise(StyliseOptions(channels, blocks), (16, 16))
-    _disturb(network)
+    _randomize_weights(network)
     if drawing:
         set_outline_weights(network)
     write_network(folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors")
     return folder
 
 
-def _disturb(network: nn.Module) -> None:
+def _randomize_weights(network: nn.Module) -> None:
     """Add noise to all weights of a network, so that norms and biases differ from 1 and 0."""
     with torch.no_grad():
         for weight in network.parameters():

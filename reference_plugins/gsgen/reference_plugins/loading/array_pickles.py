@@ -18,7 +18,7 @@ from jaxtyping import Shaped
 from gsgen.formats.checkpoints.pickled_data import OpaqueObject, pickled_data
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
-_RECONSTRUCT, _SCALAR, _FROM_BUFFER = (
+_RECONSTRUCT_NAMES, _SCALAR_NAMES, _FROM_BUFFER_NAMES = (
     tuple(f"numpy.{core}.{name}" for core in ("core", "_core"))
     for name in ("multiarray._reconstruct", "multiarray.scalar", "numeric._frombuffer")
 )
@@ -41,7 +41,11 @@ def read_array_pickle(path: Path, names: Iterable[str]) -> dict[str, _Array]:
             if path.suffix == ".npy" and not _holds_object(file):
                 raise ValueError("the .npy file holds an array, expected a dict of arrays")
             read = pickled_data(file.read())
-        if isinstance(read, OpaqueObject) and read.name in _RECONSTRUCT and read.state[1] == ():
+        if (
+            isinstance(read, OpaqueObject)
+            and read.name in _RECONSTRUCT_NAMES
+            and read.state[1] == ()
+        ):
             (read,) = read.state[-1]
         decoder = _Decoder()
         if not isinstance(read, dict):
@@ -74,7 +78,7 @@ class _Decoder:
 
     def __init__(self) -> None:
         self._arrays: dict[int, _Array] = {}
-        self._numbers = 0
+        self._number_count = 0
 
     def array(self, value: Any) -> _Array:
         """Return the array that a value of a pickle stands for."""
@@ -89,27 +93,27 @@ class _Decoder:
 
     def _decode(self, record: OpaqueObject) -> _Array:
         name, arguments, state = record.name, record.arguments, record.state
-        if name in _RECONSTRUCT and arguments[0].name == "numpy.ndarray":
-            _, shape, dtype, in_columns, data = state
-            return self._stored(data, dtype, shape, "F" if in_columns else "C")
-        if name in _SCALAR:
+        if name in _RECONSTRUCT_NAMES and arguments[0].name == "numpy.ndarray":
+            _, shape, dtype, is_column_major, data = state
+            return self._decode_stored(data, dtype, shape, "F" if is_column_major else "C")
+        if name in _SCALAR_NAMES:
             dtype, data = arguments
-            return self._stored(data, dtype, (), "C")
-        if name in _FROM_BUFFER:
+            return self._decode_stored(data, dtype, (), "C")
+        if name in _FROM_BUFFER_NAMES:
             data, dtype, shape, order = arguments
-            return self._stored(data, dtype, shape, "F" if order == "F" else "C")
+            return self._decode_stored(data, dtype, shape, "F" if order == "F" else "C")
         kind = arguments[0].name if name in _OLD_OBJECTS else name
         if re.fullmatch(r"scipy\.sparse\..*\bcs[cr]_(matrix|array)", kind):
-            return self._dense(state, by_columns="csc_" in kind)
+            return self._decode_sparse(state, by_columns="csc_" in kind)
         if kind == "chumpy.reordering.Select":
-            return self._selected(state)
+            return self._decode_selection(state)
         if kind.startswith("chumpy."):  # an array as it is, under the name x
             if "x" not in state:
                 raise ValueError("a pickled array of chumpy has no attribute x")
             return self.array(state["x"])
         raise ValueError(f"the pickle names {kind}, which is not an array")
 
-    def _stored(self, data: Any, dtype: Any, shape: tuple[int, ...], order: Any) -> _Array:
+    def _decode_stored(self, data: Any, dtype: Any, shape: tuple[int, ...], order: Any) -> _Array:
         """Return an array of stored bytes, whose number has to be that of dtype and shape."""
         code = dtype.arguments[0]
         if code.startswith("O"):
@@ -129,34 +133,38 @@ class _Decoder:
             )
         return np.ndarray(shape, kind, buffer=content, order=order)
 
-    def _dense(self, state: dict[str, Any], *, by_columns: bool) -> _Array:
+    def _decode_sparse(self, state: dict[str, Any], *, by_columns: bool) -> _Array:
         """Return a sparse matrix of SciPy, compressed by columns or by rows, with its zeros."""
         rows, columns = map(int, state["_shape" if "_shape" in state else "shape"])
-        starts, minor, data = (self.array(state[name]) for name in ("indptr", "indices", "data"))
-        major = columns if by_columns else rows
-        counts = np.diff(starts)
-        fits = starts.shape == (major + 1,) and minor.shape == data.shape == (counts.sum(),)
-        if not fits or starts[0] != 0 or (counts < 0).any():
+        row_starts, minor_indices, data = (
+            self.array(state[name]) for name in ("indptr", "indices", "data")
+        )
+        major_count = columns if by_columns else rows
+        counts = np.diff(row_starts)
+        fits = row_starts.shape == (major_count + 1,) and minor_indices.shape == data.shape == (
+            counts.sum(),
+        )
+        if not fits or row_starts[0] != 0 or (counts < 0).any():
             raise ValueError(f"a sparse matrix does not fit its shape {rows} × {columns}")
-        self._spend(rows * columns)
+        self._count_numbers(rows * columns)
         array = np.zeros((rows, columns), data.dtype)
-        major_index = np.repeat(np.arange(major), counts)
-        index = (minor, major_index) if by_columns else (major_index, minor)
+        major_index = np.repeat(np.arange(major_count), counts)
+        index = (minor_indices, major_index) if by_columns else (major_index, minor_indices)
         np.add.at(array, index, data)  # entries of equal index add up
         return array
 
-    def _selected(self, state: dict[str, Any]) -> _Array:
+    def _decode_selection(self, state: dict[str, Any]) -> _Array:
         """Return selected entries of another array of chumpy, such as the first ten shapes."""
         source, index = self.array(state["a"]).ravel(), self.array(state["idxs"])
-        self._spend(source.size + index.size)  # both may be copied
+        self._count_numbers(source.size + index.size)  # both may be copied
         entries: _Array = source[index]
         return np.reshape(entries, state.get("preferred_shape", entries.shape))
 
-    def _spend(self, numbers: int) -> None:
-        self._numbers += numbers
-        if self._numbers > _MAX_NUMBERS:
+    def _count_numbers(self, numbers: int) -> None:
+        self._number_count += numbers
+        if self._number_count > _MAX_NUMBERS:
             raise ValueError(
-                f"the pickle describes arrays of {self._numbers:,} numbers, "
+                f"the pickle describes arrays of {self._number_count:,} numbers, "
                 f"expected at most {_MAX_NUMBERS:,}"
             )
 

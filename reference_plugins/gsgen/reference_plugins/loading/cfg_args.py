@@ -6,7 +6,7 @@ which pathlib prints as ``PosixPath('…')``, becomes its text. Any other value 
 Python printed, and is an error only if a plugin reads that option.
 """
 
-__all__ = ["CfgArgs", "Printed", "read_cfg_args"]
+__all__ = ["CfgArgs", "PrintedObject", "read_cfg_args"]
 
 import ast
 import keyword
@@ -18,24 +18,24 @@ from typing import Any
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
-_NAME = "cfg_args"
+_FILE_NAME = "cfg_args"
 _MAX_BYTES = 1 << 20
 _MAX_SHOWN = 80
 # The class names in pathlib's printed paths.
 _PATHS = frozenset(
-    f"{pure}{kind}Path" for pure in ("", "Pure") for kind in ("", "Posix", "Windows")
+    f"{pure_prefix}{kind}Path" for pure_prefix in ("", "Pure") for kind in ("", "Posix", "Windows")
 )
 # Quoted texts, and printed values that Python cannot parse: objects, as <function main at 0x7f…>,
 # and options named like a keyword of Python, as --lambda.
-_WORDS = "|".join(keyword.kwlist)
+_KEYWORD_PATTERN = "|".join(keyword.kwlist)
 _TEXT_OR_NOT_PYTHON = re.compile(
     r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|"""
-    rf"(?P<other><[^<>\n]*>|\b(?:{_WORDS}|__debug__)(?==))"
+    rf"(?P<other><[^<>\n]*>|\b(?:{_KEYWORD_PATTERN}|__debug__)(?==))"
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Printed:
+class PrintedObject:
     """A training option's value that is not a Python literal: kept as text, never evaluated."""
 
     text: str
@@ -56,21 +56,21 @@ class CfgArgs:
         """Return a boolean training option."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
-            raise self._unlike(name, "True or False")
+            raise self._wrong_value_error(name, "True or False")
         return value
 
     def integer(self, name: str, default: int) -> int:
         """Return an integer training option."""
         value = self.values.get(name, default)
         if not isinstance(value, int) or isinstance(value, bool):
-            raise self._unlike(name, "a whole number")
+            raise self._wrong_value_error(name, "a whole number")
         return value
 
     def number(self, name: str, default: float) -> float:
         """Return a numeric training option as float."""
         value = self.values.get(name, default)
         if not isinstance(value, int | float) or isinstance(value, bool):
-            raise self._unlike(name, "a number")
+            raise self._wrong_value_error(name, "a number")
         return float(value)
 
     def word(self, name: str, default: str, known: Iterable[str] = ()) -> str:
@@ -78,37 +78,39 @@ class CfgArgs:
         value = self.values.get(name, default)
         choices = tuple(known)
         if not isinstance(value, str) or (choices and value not in choices):
-            raise self._unlike(name, " or ".join(map(repr, choices)) or "a word")
+            raise self._wrong_value_error(name, " or ".join(map(repr, choices)) or "a word")
         return value
 
-    def printed(self) -> dict[str, Printed]:
+    def printed(self) -> dict[str, PrintedObject]:
         """Return the training options whose values are not literals, and so cannot be read."""
-        return {name: value for name, value in self.values.items() if isinstance(value, Printed)}
+        return {
+            name: value for name, value in self.values.items() if isinstance(value, PrintedObject)
+        }
 
-    def _unlike(self, name: str, expected: str) -> CheckpointInvalid:
+    def _wrong_value_error(self, name: str, expected: str) -> CheckpointInvalid:
         actual = repr(self.values[name])[:_MAX_SHOWN]
         return CheckpointInvalid(f"{name} is {actual}, expected {expected}", where=str(self.path))
 
 
 def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
     """Read the training options from ``cfg_args`` of the training run in ``folder``."""
-    path = folder / _NAME
+    path = folder / _FILE_NAME
     if not path.is_file():
         if required:
-            hint = f"Copy {_NAME} from the folder that training wrote: its flags change the result."
+            hint = f"Copy {_FILE_NAME} from the folder that training wrote: its flags change the result."
             raise CheckpointInvalid("is missing", where=str(path), hint=hint)
         return CfgArgs(path, {}, present=False)
-    return CfgArgs(path, _parsed(path))
+    return CfgArgs(path, _parse_file(path))
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def _parse_file(path: Path) -> dict[str, Any]:
     hint = "Expected one line: Namespace(name=literal, …), as the training code writes it."
     if path.stat().st_size > _MAX_BYTES:
         message = f"has {path.stat().st_size:,} bytes, expected at most {_MAX_BYTES:,}"
         raise CheckpointInvalid(message, where=str(path), hint=hint)
     try:
         text = path.read_text("utf-8").strip()
-        tree = _tree(text)
+        tree = _parse_expression(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = getattr(error, "msg", str(error))
         message = f"cannot be parsed: {reason}"
@@ -124,7 +126,7 @@ def _parsed(path: Path) -> dict[str, Any]:
     return {name: _value(node, text) for name, node in _options(tree, text)}
 
 
-def _tree(text: str) -> ast.expr:
+def _parse_expression(text: str) -> ast.expr:
     try:
         return ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError):  # a ValueError: Python < 3.11.4 so refuses null characters
@@ -162,12 +164,12 @@ def _options(tree: ast.Call, text: str) -> Iterator[tuple[str, ast.expr]]:
 def _value(node: ast.expr, text: str) -> Any:
     source = ast.get_source_segment(text, node) or ""
     try:
-        return ast.literal_eval(_Plain().visit(node))
+        return ast.literal_eval(_PlainValues().visit(node))
     except (ValueError, TypeError, RecursionError, MemoryError):
-        return Printed(source)
+        return PrintedObject(source)
 
 
-class _Plain(ast.NodeTransformer):
+class _PlainValues(ast.NodeTransformer):
     """Rewrites ``inf``, ``nan`` and printed paths in the tree of ``cfg_args`` as literals."""
 
     def visit_Name(self, node: ast.Name) -> ast.expr:

@@ -39,5 +39,5 @@ def reason_of(error: Exception) -> str:
     the refused name comes later.
     """
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    telling = [line for line in lines if "GLOBAL" in line or "Unsupported" in line]
-    return (telling or lines or [type(error).__name__])[0][:_MAX_CHARACTERS]
+    informative_lines = [line for line in lines if "GLOBAL" in line or "Unsupported" in line]
+    return (informative_lines or lines or [type(error).__name__])[0][:_MAX_CHARACTERS]

@@ -11,7 +11,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheck
 
 _ITERATION = re.compile(r"iteration_(\d+)")
 _CLOUD = "point_cloud"
-_LAST = -1
+_LAST_ITERATION = -1
 # Folders of a run that hold a folder for each iteration.
 _PARENTS = (_CLOUD, "deform", "mlp_ckpt")
 # Files of a run that may be given in place of its folder.
@@ -27,7 +27,7 @@ def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | No
     ``path`` is the run, an iteration, or a file in either; iteration −1 is the last, as in training
     code. Raises :class:`NotInCheckpoint` if the path is of another iteration.
     """
-    iteration = None if iteration == _LAST else iteration
+    iteration = None if iteration == _LAST_ITERATION else iteration
     file = path.is_file() and _RUN_FILE.fullmatch(path.name) is not None
     folder = path.parent if file else path
     absolute = folder.absolute()
@@ -86,12 +86,15 @@ def last_iteration(folder: Path) -> Path:
     return iterations[max(iterations)] if iterations else folder
 
 
-def likely_folders(folder: Path, is_right: Callable[[Path], bool]) -> str:
-    """Return a hint with the folders for which ``is_right`` is true, up to two levels away."""
-    candidates = [*folder.absolute().parents[:_LEVELS], *islice(_below(folder), _MOST_LOOKED_AT)]
+def likely_folders(folder: Path, is_wanted: Callable[[Path], bool]) -> str:
+    """Return a hint with the folders for which ``is_wanted`` is true, up to two levels away."""
+    candidates = [
+        *folder.absolute().parents[:_LEVELS],
+        *islice(_folders_below(folder), _MOST_LOOKED_AT),
+    ]
     matches: list[Path] = []
     for candidate in candidates:
-        if _is(is_right, candidate) and not set(matches) & set(candidate.parents):
+        if _matches(is_wanted, candidate) and not set(matches) & set(candidate.parents):
             matches.append(candidate)
     if not matches:
         return ""
@@ -99,42 +102,44 @@ def likely_folders(folder: Path, is_right: Callable[[Path], bool]) -> str:
     return f"Did you mean {' or '.join(map(str, matches[:_MOST_NAMED]))}?{remainder}"
 
 
-def _is(is_right: Callable[[Path], bool], folder: Path) -> bool:
+def _matches(is_wanted: Callable[[Path], bool], folder: Path) -> bool:
     try:
-        return is_right(folder)
+        return is_wanted(folder)
     except OSError:  # the folder cannot be listed
         return False
 
 
-def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
+def _folders_below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
     """Yield the readable subfolders of ``folder``, down to a depth of ``levels``."""
     try:
-        inner = sorted(child for child in folder.iterdir() if child.is_dir())
+        subfolders = sorted(child for child in folder.iterdir() if child.is_dir())
     except OSError:  # the folder cannot be listed
         return
-    yield from inner
+    yield from subfolders
     if levels > 1:
-        for child in inner:
-            yield from _below(child, levels - 1)
+        for child in subfolders:
+            yield from _folders_below(child, levels - 1)
 
 
 def required_file(path: Path, content: str) -> Path:
     """Return the path of a required file; if missing, raise and name iterations that have it."""
     if not path.is_file():
-        hint = _elsewhere(path)
+        hint = _elsewhere_hint(path)
         raise CheckpointInvalid(f"is missing: {content}", where=str(path), hint=hint)
     return path
 
 
-def _elsewhere(path: Path) -> str:
+def _elsewhere_hint(path: Path) -> str:
     """Return a hint that lists the other iterations of a training run where the file exists."""
-    home = path.parent.parent
-    if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
+    training_folder = path.parent.parent
+    if not _ITERATION.fullmatch(path.parent.name) or not training_folder.is_dir():
         return ""
-    numbers = [n for n, folder in _iterations(home).items() if (folder / path.name).is_file()]
+    numbers = [
+        n for n, folder in _iterations(training_folder).items() if (folder / path.name).is_file()
+    ]
     return f"There is one of iteration {', '.join(map(str, sorted(numbers)))}." if numbers else ""
 
 
-def _iterations(home: Path) -> dict[int, Path]:
-    matches = ((_ITERATION.fullmatch(child.name), child) for child in home.iterdir())
+def _iterations(training_folder: Path) -> dict[int, Path]:
+    matches = ((_ITERATION.fullmatch(child.name), child) for child in training_folder.iterdir())
     return {int(match[1]): child for match, child in matches if match and child.is_dir()}

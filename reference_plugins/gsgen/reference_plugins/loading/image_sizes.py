@@ -6,7 +6,7 @@ import re
 
 from gsgen.contract.errors import ConfigInvalid
 
-_SIZE = re.compile(r"(\d{1,6})[x×](\d{1,6})")
+_SIZE_PATTERN = re.compile(r"(\d{1,6})[x×](\d{1,6})")
 
 
 def read_size(size: str) -> tuple[int, int] | None:
@@ -14,7 +14,7 @@ def read_size(size: str) -> tuple[int, int] | None:
     word = size.strip().lower()
     if word == "any":
         return None
-    match = _SIZE.fullmatch(word)
+    match = _SIZE_PATTERN.fullmatch(word)
     if match is None or not (int(match[1]) and int(match[2])):
         hint = "Write it as 576x1024, height first, or any."
         raise ConfigInvalid(f"{size!r} is not an image size", where="--size", hint=hint)

@@ -14,13 +14,13 @@ def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
 
     The hint has the command of the plugin that recognises the run.
     """
-    recognising = {
+    recognising_plugins = {
         plugin.name: plugin
         for plugin in installed_plugins()
         if plugin.recognises is not None and plugin.recognises(run, iteration)
     }
-    if recognising and name not in recognising:
-        match = next(iter(recognising.values()))
+    if recognising_plugins and name not in recognising_plugins:
+        match = next(iter(recognising_plugins.values()))
         message = f"is a checkpoint of {match.title or match.name}"
         hint = f"Export it with `gsgen export {match.name}`."
         raise CheckpointInvalid(message, where=str(run), hint=hint)

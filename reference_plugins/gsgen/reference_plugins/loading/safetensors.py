@@ -16,7 +16,7 @@ from torch import Tensor
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import required_file
 
-_LENGTH = 8
+_LENGTH_BYTES = 8
 
 
 def read_safetensors(path: Path) -> dict[str, Tensor]:
@@ -34,7 +34,7 @@ def is_safetensors(path: Path) -> bool:
     if path.suffix == ".safetensors":
         return True
     with path.open("rb") as stream:
-        return stream.read(_LENGTH + 1)[_LENGTH:] == b"{"
+        return stream.read(_LENGTH_BYTES + 1)[_LENGTH_BYTES:] == b"{"
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -52,6 +52,8 @@ def write_safetensors(
 ) -> None:
     """Write tensors to a safetensors file."""
     # Copies: the library refuses tensors that share memory.
-    copies = {name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()}
+    cpu_tensors = {
+        name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(save(copies, {"format": "pt", **(metadata or {})}))
+    path.write_bytes(save(cpu_tensors, {"format": "pt", **(metadata or {})}))

@@ -48,7 +48,7 @@ def load_state(path: Path, content: str) -> dict[str, Any]:
     if not isinstance(state, dict):
         message = f"holds a {type(state).__name__}, expected a state dict"
         raise CheckpointInvalid(message, where=str(path))
-    return {name: _unwrapped(value) for name, value in _unwrapped(state).items()}
+    return {name: _unwrap(value) for name, value in _unwrap(state).items()}
 
 
 def load_network(path: Path) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def load_network(path: Path) -> dict[str, Any]:
     return load_state(path, "a network")
 
 
-def _unwrapped(value: Any) -> Any:
+def _unwrap(value: Any) -> Any:
     """Remove wrapper prefixes from the names in a state dict; return any other object unchanged."""
     for prefix in 2 * _WRAPPERS if isinstance(value, dict) and value else ():
         if all(str(name).startswith(prefix) for name in value):
@@ -81,17 +81,19 @@ def require_tensors(
     ``ignored`` are prefixes of names that inference does not use; the message lists all faults.
     """
     ignored_prefixes = tuple(ignored)
-    extra = [
+    unknown_names = [
         name
         for name in state
         if name not in expected and not (ignored_prefixes and name.startswith(ignored_prefixes))
     ]
-    troubles = [f"missing: {first_names(n for n in expected if n not in state)}"]
-    troubles += [f"unexpected: {first_names(extra)}"]
-    troubles += [
-        _trouble(name, state[name], shape) for name, shape in expected.items() if name in state
+    tensor_problems = [f"missing: {first_names(n for n in expected if n not in state)}"]
+    tensor_problems += [f"unexpected: {first_names(unknown_names)}"]
+    tensor_problems += [
+        _tensor_problem(name, state[name], shape)
+        for name, shape in expected.items()
+        if name in state
     ]
-    problems = [text for text in troubles if text and not text.endswith(": ")]
+    problems = [text for text in tensor_problems if text and not text.endswith(": ")]
     if problems:
         hint = "Its cfg_args may come from another training run."
         raise CheckpointInvalid("; ".join(problems[:_MAX_SHOWN]), where=str(path), hint=hint)
@@ -108,14 +110,18 @@ def layer_of(state: Mapping[str, Tensor], name: str) -> Layer:
     return state[f"{name}.weight"], state[f"{name}.bias"]
 
 
-def first_names(names: Iterable[str], between: str = ", ") -> str:
+def first_names(names: Iterable[str], separator: str = ", ") -> str:
     """Join the first few names of a list, and append the number of the others."""
-    shown = list(names)
-    remainder = f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
-    return between.join(shown[:_MAX_SHOWN]) + remainder
+    listed_names = list(names)
+    remainder = (
+        f"{separator}and {len(listed_names) - _MAX_SHOWN} more"
+        if len(listed_names) > _MAX_SHOWN
+        else ""
+    )
+    return separator.join(listed_names[:_MAX_SHOWN]) + remainder
 
 
-def _trouble(name: str, value: Any, shape: Shape) -> str:
+def _tensor_problem(name: str, value: Any, shape: Shape) -> str:
     if not isinstance(value, Tensor):
         return f"{name} is a {type(value).__name__}, expected a tensor"
     fits = value.ndim == len(shape) and all(
@@ -160,15 +166,17 @@ def read_script_state(path: Path) -> dict[str, Tensor]:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path), hint=hint) from error
 
 
-def _tensors(value: Any, prefix: str, seen: set[int]) -> Iterator[tuple[str, TensorReference]]:
+def _tensors(value: Any, prefix: str, seen_ids: set[int]) -> Iterator[tuple[str, TensorReference]]:
     """Yield the tensors of a module and of the modules in it, by their dotted names."""
     if isinstance(value, TensorReference):
         yield prefix, value
     elif isinstance(value, OpaqueObject):
         if not value.name.startswith("__torch__."):
             raise ValueError(f"the pickle refers to {value.name}, which is not a tensor")
-        if id(value) in seen:  # modules that share modules may have more names than can be listed
+        if (
+            id(value) in seen_ids
+        ):  # modules that share modules may have more names than can be listed
             raise ValueError("a module of the pickle is part of two others, expected a tree")
-        seen.add(id(value))
+        seen_ids.add(id(value))
         for name, child in value.state.items():
-            yield from _tensors(child, f"{prefix}.{name}" if prefix else str(name), seen)
+            yield from _tensors(child, f"{prefix}.{name}" if prefix else str(name), seen_ids)

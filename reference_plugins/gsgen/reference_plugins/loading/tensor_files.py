@@ -1,6 +1,6 @@
 """Reads files that ``torch.save`` wrote, without running code that a pickle names."""
 
-__all__ = ["Inert", "load_tensors"]
+__all__ = ["InertObject", "load_tensors"]
 
 import pickle
 import struct
@@ -15,7 +15,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid, reason_of
 
 # Training computes learning rates and scene sizes with NumPy, and saves them with the tensors.
 # They are not used here.
-_NUMPY = (
+_NUMPY_NAMES = (
     "numpy.dtype",
     "numpy.ndarray",
     *(
@@ -26,13 +26,13 @@ _NUMPY = (
 )
 
 # Errors of reading a file that torch did not write.
-_DAMAGED = (
+_DAMAGE_ERRORS = (
     pickle.UnpicklingError, struct.error, AttributeError, EOFError, LookupError, OSError,
     RuntimeError, TypeError, ValueError,
 )  # fmt: skip
 
 
-class Inert:
+class InertObject:
     """Placeholder for a class that a pickle names: keeps the object's state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
@@ -47,12 +47,12 @@ def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) 
 
     ``known`` pairs a class with the name of a class in the file that it replaces.
     """
-    inert: list[Any] = [*((Inert, name) for name in _NUMPY), *known]
+    inert: list[Any] = [*((InertObject, name) for name in _NUMPY_NAMES), *known]
     try:
         with torch.serialization.safe_globals(inert), warnings.catch_warnings():
             # torch warns of other protocols of pickle than its own, and reads them.
             warnings.simplefilter("ignore")
             return torch.load(path, map_location="cpu", weights_only=True)
-    except _DAMAGED as error:
+    except _DAMAGE_ERRORS as error:
         message = f"cannot be read: {reason_of(error)}"
         raise CheckpointInvalid(message, where=str(path), hint=hint) from error

@@ -38,13 +38,13 @@ def open_run(
 
 
 def open_cloud(
-    method: str, path: Path, iteration: int | None, content: str
+    method: str, path: Path, iteration: int | None, content_text: str
 ) -> tuple[TrainingRun, Path]:
     """Find the point cloud in a training run's folder; a PLY path is the point cloud itself.
 
-    ``content`` describes the point cloud, for the error if it is missing.
+    ``content_text`` describes the point cloud, for the error if it is missing.
     """
     if path.is_file() and path.suffix == ".ply" and path.name != "point_cloud.ply":
         return TrainingRun(path.parent, 0, path.parent, read_cfg_args(path.parent)), path
     run = open_run(method, path, iteration)
-    return run, required_file(run.files / "point_cloud.ply", content)
+    return run, required_file(run.files / "point_cloud.ply", content_text)

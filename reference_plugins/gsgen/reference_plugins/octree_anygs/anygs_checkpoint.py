@@ -27,15 +27,15 @@ from gsgen.reference_plugins.anchors.anchor_checkpoint import (
     read_nets,
     require_sizes,
 )
-from gsgen.reference_plugins.anchors.octree_gs import MODES, Levels
+from gsgen.reference_plugins.anchors.octree_gs import LEVEL_ROUNDING, Levels
 from gsgen.reference_plugins.loading.cfg_args import CfgArgs
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
 from gsgen.reference_plugins.loading.folder import required_file
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
-_NEURAL = "scaffoldgs"
-_BASES = (_NEURAL, "3dgs", "2dgs")
-_LEVELED = {"GaussianModel": False, "GaussianLoDModel": True}
+_NEURAL_BASE = "scaffoldgs"
+_BASE_MODELS = (_NEURAL_BASE, "3dgs", "2dgs")
+_CLASS_HAS_LEVELS = {"GaussianModel": False, "GaussianLoDModel": True}
 _COLORS = ("logit_opacity", "sh")
 
 
@@ -63,14 +63,14 @@ def read_anygs(folder: Path, iteration: int | None = None) -> AnyGSCheckpoint:
     """Read a checkpoint of Octree-AnyGS: the folder that training wrote."""
     run = open_run("octree-anygs", folder, iteration, needs_cfg=True)
     run = replace(run, cfg=_model_options(run.cfg))
-    base = run.cfg.word("base_model", "", _BASES)
-    has_levels = _LEVELED[run.cfg.word("name", "", _LEVELED)]
+    base = run.cfg.word("base_model", "", _BASE_MODELS)
+    has_levels = _CLASS_HAS_LEVELS[run.cfg.word("name", "", _CLASS_HAS_LEVELS)]
     ply = required_file(run.files / "point_cloud.ply", "the anchors")
     names = ("level", "extra_level") if has_levels else ()
-    cloud = read_cloud(ply, columns=names, has_features=base == _NEURAL)
+    cloud = read_cloud(ply, columns=names, has_features=base == _NEURAL_BASE)
     require_sizes(run.cfg, cloud, ply)
     levels = _levels(run.cfg, ply) if has_levels else None
-    if base == _NEURAL:
+    if base == _NEURAL_BASE:
         view_dim = run.cfg.integer("view_dim", 3)
         if view_dim not in (0, 3):
             message = f"view_dim is {view_dim}, expected 0 or 3"
@@ -113,7 +113,7 @@ def _levels(cfg: CfgArgs, ply: Path) -> Levels:
         message = f"standard_dist is {standard:g}, levels {count} and fork {fork:g}"
         hint = "Expected a distance above 0, at least one level, and a fork above 1."
         raise CheckpointInvalid(message, where=str(ply), hint=hint)
-    mode = cfg.word("dist2level", "round", MODES)
+    mode = cfg.word("dist2level", "round", LEVEL_ROUNDING)
     # Distances reach to the anchor itself, so the size of a cell is not needed.
     return Levels(mode=mode, fork=fork, voxel=0.0, standard=standard, top=count - 1)
 

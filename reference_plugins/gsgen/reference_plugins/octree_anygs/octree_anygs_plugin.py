@@ -58,7 +58,7 @@ def build(
         note("note: renderers of 3D Gaussians draw the discs with an affine projection")
     generator: GaussianGenerator
     if read.colors is None:
-        generator = _neural(read, appearance_id, Selection(cull, max_anchors))
+        generator = _neural_generator(read, appearance_id, Selection(cull, max_anchors))
     else:
         _require_neural({"appearance_id": appearance_id, "max_anchors": max_anchors, "cull": cull})
         if read.levels is None:
@@ -69,7 +69,7 @@ def build(
     return generator
 
 
-def _neural(
+def _neural_generator(
     read: "AnyGSCheckpoint", appearance_id: int | None, selection: "Selection"
 ) -> "GaussianGenerator":
     from gsgen.reference_plugins.anchors.anchor_checkpoint import require_appearance

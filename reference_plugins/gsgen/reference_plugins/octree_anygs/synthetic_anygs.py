@@ -48,14 +48,14 @@ def write_anygs(
     if is_neural:
         columns, kwargs = _anchors(options, rng)
     else:
-        columns, kwargs = _explicit(count, degree, rng)
+        columns, kwargs = _explicit_columns(count, degree, rng)
     infos: tuple[str, ...] = ()
     if levels:
         level = rng.integers(0, levels, len(columns["x"]))
         level[:2] = 0, levels - 1
-        extra = rng.normal(0, 0.3, len(level))
+        extra_levels = rng.normal(0, 0.3, len(level))
         xyz = {axis: columns.pop(axis) for axis in "xyz"}
-        columns = xyz | {"level": level, "extra_level": extra} | columns
+        columns = xyz | {"level": level, "extra_level": extra_levels} | columns
         infos = (f"standard_dist {distance:.6f}", f"levels {levels:.6f}")
         kwargs |= {"fork": fork, "dist2level": mode, "levels": -1, "init_level": -1}
         kwargs |= {"progressive": True, "base_layer": 11, "visible_threshold": 0.9}
@@ -75,10 +75,12 @@ def write_anygs(
     return folder
 
 
-Columns = dict[str, Float[np.ndarray, " n"]]
+PlyColumns = dict[str, Float[np.ndarray, " n"]]
 
 
-def _anchors(options: AnchorOptions, rng: np.random.Generator) -> tuple[Columns, dict[str, object]]:
+def _anchors(
+    options: AnchorOptions, rng: np.random.Generator
+) -> tuple[PlyColumns, dict[str, object]]:
     columns = anchor_columns(options, rng)
     del columns["opacity"]
     kwargs: dict[str, object] = {
@@ -91,17 +93,17 @@ def _anchors(options: AnchorOptions, rng: np.random.Generator) -> tuple[Columns,
     return columns, kwargs
 
 
-def _explicit(
+def _explicit_columns(
     count: int, degree: int, rng: np.random.Generator
-) -> tuple[Columns, dict[str, object]]:
+) -> tuple[PlyColumns, dict[str, object]]:
     """Return Gaussians along a torus knot, moved by their anchor offsets."""
     columns = splat_columns(torus_knot(count, degree=degree))
-    offset, reach = rng.normal(0, 1, (3, count)), rng.normal(-4, 0.3, (3, count))
+    offset, extents = rng.normal(0, 1, (3, count)), rng.normal(-4, 0.3, (3, count))
     scale = {f"scale_{axis + 3}": columns[f"scale_{axis}"] + 0.7 for axis in range(3)}
-    scale = {f"scale_{axis}": reach[axis] for axis in range(3)} | scale
-    moved = {f"f_offset_{axis}": offset[axis] for axis in range(3)}
+    scale = {f"scale_{axis}": extents[axis] for axis in range(3)} | scale
+    offset_columns = {f"f_offset_{axis}": offset[axis] for axis in range(3)}
     colors = {name: columns[name] for name in columns if name.startswith(("f_", "opacity"))}
     xyz = {axis: columns[axis] for axis in "xyz"}
     rotation = {f"rot_{index}": columns[f"rot_{index}"] for index in range(4)}
     kwargs: dict[str, object] = {"max_sh_degree": degree, "n_offsets": 1}
-    return xyz | moved | colors | scale | rotation, kwargs
+    return xyz | offset_columns | colors | scale | rotation, kwargs

@@ -25,11 +25,11 @@ class _TimePlane(nn.Module):
     below: Tensor
     share: Tensor
 
-    def __init__(self, plane: Float[Tensor, "c t x"], along: Float[Tensor, " n"]) -> None:
+    def __init__(self, plane: Float[Tensor, "c t x"], positions: Float[Tensor, " n"]) -> None:
         super().__init__()
         cells = plane.shape[2]
         self.shape = (cells, plane.shape[0])
-        coordinate = ((along + 1) / 2 * (cells - 1)).clamp(0, cells - 1)
+        coordinate = ((positions + 1) / 2 * (cells - 1)).clamp(0, cells - 1)
         below = coordinate.floor().clamp(max=cells - 2)
         self.register_buffer("table", plane.permute(1, 2, 0).flatten(1).contiguous())
         self.register_buffer("below", below.to(torch.int32))
@@ -59,8 +59,10 @@ class _Resolution(nn.Module):
         self.register_buffer("spatial", (parts[0] * parts[1] * parts[2]).float().contiguous())
         count = planes[TIME_PLANES[0]].shape[1]
         coordinate = ((time + 1) / 2 * (count - 1)).clamp(0, count - 1)[:, None]
-        hats = torch.relu(1 - (torch.arange(count, dtype=torch.float64)[None] - coordinate).abs())
-        self.register_buffer("moments", hats.float())
+        hat_weights = torch.relu(
+            1 - (torch.arange(count, dtype=torch.float64)[None] - coordinate).abs()
+        )
+        self.register_buffer("moments", hat_weights.float())
         self.x, self.y, self.z = (
             _TimePlane(planes[plane], position[:, axis]) for axis, plane in enumerate(TIME_PLANES)
         )
@@ -86,7 +88,9 @@ class Appearance(nn.Module):
         self.grids = nn.ModuleList(_Resolution(six, position, time) for six in read.grids)
         self.inner = nn.ModuleList(Dense(*layer) for layer in read.inner)
         heads = [read.heads[name] for name in ("warp", "scaling", "rotation", "opacity")]
-        weight, bias = (torch.cat(both) for both in zip(*heads, strict=True))
+        weight, bias = (
+            torch.cat(weights_and_biases) for weights_and_biases in zip(*heads, strict=True)
+        )
         self.heads = Dense(weight, bias)
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "11 n"]:

@@ -65,30 +65,32 @@ class GauHuman(GaussianGenerator):
         SMPL-X's hands to poses; ``bake`` stores the baked values, or the tables behind them.
         """
         super().__init__()
-        free = body.shape_dirs.shape[2] if shape is None else 0
-        self.actors = ActorInputs(joints=body.joints, rotation=rotation, shape=free, bodies=bodies)
+        free_shape_count = body.shape_dirs.shape[2] if shape is None else 0
+        self.actors = ActorInputs(
+            joints=body.joints, rotation=rotation, shape=free_shape_count, bodies=bodies
+        )
         self.inputs = self.actors.declared()
         xyz = canonical.position.double().numpy()
         vertices = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
         used, vertex = np.unique(rest_pose.nearest(xyz, vertices), return_inverse=True)
-        baked = None if shape is None else np.asarray(shape)
-        self.limbs = PoseBlendshapes(body, used, baked, nets, add_hands=add_hands)
+        baked_shape = None if shape is None else np.asarray(shape)
+        self.limbs = PoseBlendshapes(body, used, baked_shape, nets, add_hands=add_hands)
         self.register_buffer("vertex", torch.from_numpy(vertex.astype(np.int32)))
         scale = torch.exp(canonical.log_scale.double()).float()
         gaussians = (canonical.position, scale, canonical.rotation)
-        hanging = BigPoseGaussians(
+        big_pose_gaussians = BigPoseGaussians(
             body.weights[used], self.vertex, big_pose_transforms(body), gaussians, nets
         )
-        self.rest = Constants(hanging, (), bake)
+        self.rest = Constants(big_pose_gaussians, (), bake)
         self.register_buffer("opacity", torch.sigmoid(canonical.logit_opacity))
         self.register_buffer("sh", canonical.sh)
 
     def forward(self, *tensors: Tensor) -> Gaussians:
         """Return the posed Gaussians of all bodies, body after body."""
         joints, added = self.limbs(self.actors.actor_from(tensors))
-        weights, rest_place, root = self.rest()
+        weights, rest_position, root = self.rest()
         transforms = blend_transforms(joints, weights)
-        position = rest_place + torch.index_select(added, 2, self.vertex)
+        position = rest_position + torch.index_select(added, 2, self.vertex)
         bodies = self.actors.bodies
         return Gaussians(
             position=planes_to_rows(transform_points(transforms, position)),
@@ -100,5 +102,7 @@ class GauHuman(GaussianGenerator):
 
 def big_pose_transforms(body: Body) -> Float[np.ndarray, "j 3 4"]:
     """Return the joint transforms from the rest pose to the big pose, for the mean shape."""
-    turns = rest_pose.rodrigues(rest_pose.big_pose(body))
-    return rest_pose.joint_transforms(turns, rest_pose.joints_of(body, np.zeros(0)), body.parents)
+    rotations = rest_pose.rodrigues(rest_pose.big_pose(body))
+    return rest_pose.joint_transforms(
+        rotations, rest_pose.joints_of(body, np.zeros(0)), body.parents
+    )

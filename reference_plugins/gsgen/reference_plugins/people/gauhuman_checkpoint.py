@@ -25,7 +25,7 @@ from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 JOINTS = {"smpl": 24, "smplx": 55}
 # Number of shape coefficients in training. For SMPL-X these are ten, and ten more that the published
 # code calls expressions, but takes from the same array.
-SHAPES = {"smpl": 10, "smplx": 20}
+SHAPE_COUNTS = {"smpl": 10, "smplx": 20}
 _GENDERS = ("neutral", "male", "female")
 # Levels from a run up to the training code: output/DATA/NAME.
 _LEVELS = 3
@@ -57,18 +57,18 @@ def read_gauhuman(
     run = open_run("gauhuman", folder, iteration)
     model = read_body_of(run.folder, run.cfg, body)
     path = run.folder / "mlp_ckpt" / f"iteration_{run.iteration}" / "ckpt.pth"
-    trained = run.cfg.flag("motion_offset_flag", default=path.is_file())
-    if not trained and path.is_file():
+    has_motion_offsets = run.cfg.flag("motion_offset_flag", default=path.is_file())
+    if not has_motion_offsets and path.is_file():
         message = f"motion_offset_flag is False, but {path} exists"
         raise CheckpointInvalid(message, where=str(run.cfg.path))
-    nets = _read_nets(path, model.joints) if trained else None
+    nets = _read_nets(path, model.joints) if has_motion_offsets else None
     canonical = read_canonical(run.files / "point_cloud.ply")
     return GauHumanCheckpoint(run, canonical, model, nets)
 
 
 def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     """Read the body model that a training run used, by its options."""
-    kind = cfg.word("smpl_type", _kind_of(body))
+    kind = cfg.word("smpl_type", _body_kind(body))
     if kind not in JOINTS:
         hint = "The published code reads this kind of body, but its model has no branch for it."
         message = f"smpl_type is {kind!r}, expected {' or '.join(map(repr, JOINTS))}"
@@ -77,14 +77,17 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
     # Training reads assets from the folder of its code, and writes runs to output/NAME there.
-    homes = [folder, *folder.absolute().parents[:_LEVELS]]
-    candidates = {f"assets {level}": home / "assets" / file for level, home in enumerate(homes)}
+    parent_folders = [folder, *folder.absolute().parents[:_LEVELS]]
+    candidates = {
+        f"assets {level}": parent_folder / "assets" / file
+        for level, parent_folder in enumerate(parent_folders)
+    }
     path = required_body(body, candidates, joints)
     read = read_body(path, joints)
-    return replace(read, shape_dirs=read.shape_dirs[:, :, : SHAPES[kind]])
+    return replace(read, shape_dirs=read.shape_dirs[:, :, : SHAPE_COUNTS[kind]])
 
 
-def _kind_of(body: Path | None) -> str:
+def _body_kind(body: Path | None) -> str:
     """Return SMPL or SMPL-X by the number of joints in a body model file; SMPL without a file."""
     if body is None or not body.is_file():
         return "smpl"

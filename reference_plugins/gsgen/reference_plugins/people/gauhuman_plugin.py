@@ -54,18 +54,18 @@ def build(
     read = read_gauhuman(checkpoint, iteration, body)
     report_checkpoint(read.describe(), read.run.cfg)
     warn_about_body(read.run.cfg, read.body)
-    recording = read_motion(motion, read.body.joints) if motion else None
+    motion_recording = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(
         read.canonical,
         read.body,
         read.nets,
-        shape=read_shape(shape, recording, read.body.shape_dirs.shape[2]),
-        rotation="matrix" if recording else root_rotation,
+        shape=read_shape(shape, motion_recording, read.body.shape_dirs.shape[2]),
+        rotation="matrix" if motion_recording else root_rotation,
         bodies=instances,
         add_hands=hands == "raw",
     )
     return with_motion(
-        avatar, avatar.actors, recording, read.body, fps=fps, loop=loop, spacing=spacing
+        avatar, avatar.actors, motion_recording, read.body, fps=fps, loop=loop, spacing=spacing
     )
 
 

@@ -76,39 +76,41 @@ class LHM(GaussianGenerator):
         used, vertex = np.unique(
             rest_pose.nearest(read.samples, body.template), return_inverse=True
         )
-        keep = self.register_buffer
+        register = self.register_buffer
         joints = rest_pose.joints_of(body, betas)
-        keep("joints", torch.from_numpy(joints.astype(np.float32)))
-        keep("vertex", torch.from_numpy(vertex.astype(np.int32)))
-        neutral = read.neutral.double().numpy()[:, :3]
-        hanging = SurfaceGaussians(
+        register("joints", torch.from_numpy(joints.astype(np.float32)))
+        register("vertex", torch.from_numpy(vertex.astype(np.int32)))
+        neutral_transforms = read.neutral.double().numpy()[:, :3]
+        surface_gaussians = SurfaceGaussians(
             body.weights[used],
             self.vertex,
             body.shape_dirs[used][:, :, : len(betas)] @ betas,
             read.stiff[used],
-            neutral,
+            neutral_transforms,
             (read.position, read.scale, read.rotation),
         )
-        self.rest = Constants(hanging, (), bake)
-        keep("opacity", read.opacity)
-        keep("rgb", read.rgb)
+        self.rest = Constants(surface_gaussians, (), bake)
+        register("opacity", read.opacity)
+        register("rgb", read.rgb)
         if expression:
-            back = np.einsum("uj,jab->uab", body.weights[used], neutral[:, :, :3])
-            self._register_face(expression_dirs(read, face)[used], back)
+            inverse_rotations = np.einsum(
+                "uj,jab->uab", body.weights[used], neutral_transforms[:, :, :3]
+            )
+            self._register_face(expression_dirs(read, face)[used], inverse_rotations)
 
     def _register_face(
-        self, dirs: Float[np.ndarray, "u 3 e"], back: Float[np.ndarray, "u 3 3"]
+        self, dirs: Float[np.ndarray, "u 3 e"], inverse_rotations: Float[np.ndarray, "u 3 3"]
     ) -> None:
         """Store the expression offsets of the body vertices that any expression moves."""
         faces = np.flatnonzero(np.abs(dirs).max(axis=(1, 2)) > 0)
         # All Gaussians of a vertex share its weights, and so its transform to the neutral pose.
-        neutral_dirs = np.einsum("fab,fbe->fae", back[faces], dirs[faces])
+        neutral_dirs = np.einsum("fab,fbe->fae", inverse_rotations[faces], dirs[faces])
         zeros = np.zeros((1, 3, EXPRESSIONS))  # for the Gaussians of all other vertices
         table = np.concatenate([neutral_dirs, zeros]).transpose(2, 1, 0)
         number = np.full(len(dirs), len(faces), np.int32)
         number[faces] = np.arange(len(faces))
-        flat = np.ascontiguousarray(table.reshape(EXPRESSIONS, -1), np.float32)
-        self.register_buffer("face", torch.from_numpy(flat))
+        flat_table = np.ascontiguousarray(table.reshape(EXPRESSIONS, -1), np.float32)
+        self.register_buffer("face", torch.from_numpy(flat_table))
         self.register_buffer("number", torch.from_numpy(number))
 
     def forward(self, *tensors: Tensor) -> Gaussians:
@@ -117,13 +119,13 @@ class LHM(GaussianGenerator):
         joints = posed_transforms(
             rotation_matrices(actor.pose), self.joints, self.parents, None, actor.shift
         )
-        weights, position, neutral, stiff, root = self.rest()
+        weights, position, neutral_transforms, stiff, root = self.rest()
         transforms = blend_transforms(joints, weights)
         if actor.expression is not None:
             moved = (actor.expression @ self.face).reshape(bodies, 3, -1)
             number = torch.index_select(self.number, 0, self.vertex)
             position = position + torch.index_select(moved, 2, number)
-        turn = nearest_rotation(multiply_matrices(transforms, neutral), stiff)
+        turn = nearest_rotation(multiply_matrices(transforms, neutral_transforms), stiff)
         return Gaussians(
             position=planes_to_rows(transform_points(transforms, position)),
             opacity=repeat_rows(self.opacity, bodies),
@@ -134,8 +136,8 @@ class LHM(GaussianGenerator):
 
 def expression_dirs(read: LHMCheckpoint, face: Face | None) -> Float[np.ndarray, "v 3 e"]:
     """Return the offset of each body vertex per expression coefficient."""
-    last = FIRST_EXPRESSION + EXPRESSIONS
-    dirs = read.body.shape_dirs[:, :, FIRST_EXPRESSION:last]
+    last_expression = FIRST_EXPRESSION + EXPRESSIONS
+    dirs = read.body.shape_dirs[:, :, FIRST_EXPRESSION:last_expression]
     if face is not None:
         dirs = dirs.copy()
         dirs[face.vertices] = face.dirs

@@ -31,12 +31,12 @@ BETAS = 10
 # Index of the first expression in a full SMPL-X file, and the number of those that LHM uses.
 FIRST_EXPRESSION = 300
 EXPRESSIONS = 100
-_FIELDS = (
+_TENSOR_NAMES = (
     "offset_xyz", "query_points", "rgb", "opacity", "scaling", "rotation",
     "transform_mat_neutral_pose", "betas", "body_ratio", "have_face",
 )  # fmt: skip
 _POINTS = "pretrained_models/dense_sample_points"
-_PRIOR = "pretrained_models/voxel_grid/human_prior_constrain.npz"
+_PRIOR_FILE = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,10 +77,12 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
     ``body``, the SMPL-X file is searched there.
     """
     path = _avatar_file(folder)
-    home = path.parent
+    avatar_folder = path.parent
     tensors = _tensors(path)
-    candidates = {"beside": home / "SMPLX_NEUTRAL.npz"}
-    candidates["models"] = home / "pretrained_models/human_model_files/smplx/SMPLX_NEUTRAL.npz"
+    candidates = {"beside": avatar_folder / "SMPLX_NEUTRAL.npz"}
+    candidates["models"] = (
+        avatar_folder / "pretrained_models/human_model_files/smplx/SMPLX_NEUTRAL.npz"
+    )
     model = read_body(required_body(body, candidates, JOINTS), JOINTS)
     if model.shape_dirs.shape[2] < FIRST_EXPRESSION + EXPRESSIONS:
         message = f"has {model.shape_dirs.shape[2]} shape coefficients, expected 400"
@@ -96,8 +98,8 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
         rotation=tensors["rotation"],
         neutral=tensors["transform_mat_neutral_pose"],
         betas=tensors["betas"],
-        samples=_samples(home / _POINTS, count),
-        stiff=_stiff(home / _PRIOR, len(model.template)),
+        samples=_samples(avatar_folder / _POINTS, count),
+        stiff=_rigid_vertices(avatar_folder / _PRIOR_FILE, len(model.template)),
         body=model,
     )
 
@@ -115,8 +117,8 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
         vertices = np.asarray(np.load(ids, allow_pickle=False))
     except (ValueError, OSError, EOFError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(ids)) from error
-    last = FIRST_EXPRESSION + EXPRESSIONS
-    if dirs.ndim != 3 or dirs.shape[1] != 3 or dirs.shape[2] < last:
+    last_expression = FIRST_EXPRESSION + EXPRESSIONS
+    if dirs.ndim != 3 or dirs.shape[1] != 3 or dirs.shape[2] < last_expression:
         message = f"shapedirs is {list(dirs.shape)}, expected [5023, 3, 400]"
         raise CheckpointInvalid(message, where=str(flame))
     whole = vertices.ndim == 1 and vertices.dtype.kind in "iu"
@@ -125,7 +127,7 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
             f"holds {vertices.dtype} {list(vertices.shape)}, expected {len(dirs)} vertex indices"
         )
         raise CheckpointInvalid(message, where=str(ids))
-    expressions = dirs[:, :, FIRST_EXPRESSION:last].astype(np.float64)
+    expressions = dirs[:, :, FIRST_EXPRESSION:last_expression].astype(np.float64)
     return Face(vertices.astype(np.int64), expressions)
 
 
@@ -145,24 +147,24 @@ def _avatar_file(folder: Path) -> Path:
     if len(files) != 1:
         names = ", ".join(path.name for path in files) or "no file"
         hint = "Give the file itself, or a folder with exactly one .pth file."
-        near = (
+        nearby_files = (
             "" if files else likely_folders(folder, lambda candidate: any(candidate.glob("*.pth")))
         )
         message = f"holds {len(files)} .pth files ({names}), expected one"
-        raise CheckpointInvalid(message, where=str(folder), hint=near or hint)
+        raise CheckpointInvalid(message, where=str(folder), hint=nearby_files or hint)
     return files[0]
 
 
 def _tensors(path: Path) -> dict[str, Tensor]:
-    hint = f"Expected the list {', '.join(_FIELDS)}, as Visionary's fork of LHM saves it."
+    hint = f"Expected the list {', '.join(_TENSOR_NAMES)}, as Visionary's fork of LHM saves it."
     read = load_tensors(path, hint)
-    if not isinstance(read, list | tuple) or len(read) != len(_FIELDS):
+    if not isinstance(read, list | tuple) or len(read) != len(_TENSOR_NAMES):
         actual = f"a {type(read).__name__}"
         if isinstance(read, list | tuple):
             actual = f"{len(read)} values"
-        message = f"holds {actual}, expected {len(_FIELDS)} values"
+        message = f"holds {actual}, expected {len(_TENSOR_NAMES)} values"
         raise CheckpointInvalid(message, where=str(path), hint=hint)
-    fields = dict(zip(_FIELDS, read, strict=True))
+    fields = dict(zip(_TENSOR_NAMES, read, strict=True))
     first = fields["offset_xyz"]
     # LHM squeezes tensors before saving: those of a single Gaussian have no rows.
     count = first.numel() // 3 if isinstance(first, Tensor) else 0
@@ -208,7 +210,7 @@ def _points(path: Path) -> Float[np.ndarray, "n 3"]:
         return read_ply_columns(path, {"position": ("x", "y", "z")})["position"].astype(np.float64)
 
 
-def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
+def _rigid_vertices(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
     required_file(path, "the vertices that do not rotate; it comes with LHM's weights")
     masks = read_npz(path, ("masks",)).get("masks", np.zeros(0))
     if masks.shape != (vertices,):

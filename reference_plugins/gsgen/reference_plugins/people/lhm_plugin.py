@@ -67,10 +67,10 @@ def build(
             "warning: expressions are those of SMPL-X, but LHM uses those of FLAME: "
             "give --flame and --flame-ids, or --no-expression"
         )
-    recording = read_motion(motion, read.body.joints) if motion else None
+    motion_recording = read_motion(motion, read.body.joints) if motion else None
     avatar = LHM(read, face, expression=not no_expression, bodies=instances)
     return with_motion(
-        avatar, avatar.actors, recording, read.body, fps=fps, loop=loop, spacing=spacing
+        avatar, avatar.actors, motion_recording, read.body, fps=fps, loop=loop, spacing=spacing
     )
 
 

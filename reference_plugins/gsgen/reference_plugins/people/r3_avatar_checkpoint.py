@@ -31,21 +31,26 @@ from gsgen.reference_plugins.loading.states import (
     linear_shapes,
     require_tensors,
 )
-from gsgen.reference_plugins.loading.tensor_files import Inert, load_tensors
+from gsgen.reference_plugins.loading.tensor_files import InertObject, load_tensors
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_body_of
 from gsgen.reference_plugins.tensors.hexplane import PLANES
 
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
 DATASETS = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
 # Part of the path by which training selects the reader, in its order (its scene/__init__.py).
-_MARKS = {"zju_mocap": "zju", "DNA-Rendering": "dna", "HiFi4G": "hifi4g", "MVHumanNet": "mvhuman"}
+_DATASET_NAMES = {
+    "zju_mocap": "zju",
+    "DNA-Rendering": "dna",
+    "HiFi4G": "hifi4g",
+    "MVHumanNet": "mvhuman",
+}
 # Body model that each data set is fitted with (its scripts).
-_BODIES = {"dna": "smplx", "zju": "smpl", "hifi4g": "smpl", "mvhuman": "smplx"}
+_BODY_MODEL_OF_DATASET = {"dna": "smplx", "zju": "smpl", "hifi4g": "smpl", "mvhuman": "smplx"}
 
-_FILE = re.compile(r"chkpnt(\d+)\.pth")
-_FIELDS = 19
+_FILE_PATTERN = re.compile(r"chkpnt(\d+)\.pth")
+_FIELD_COUNT = 19
 _HEADS = {"warp": 3, "opacity": 1, "rotation": 4, "scaling": 3}
-_CLASSES = (
+_TRAINING_CLASSES = (
     "nets.gaussian_decoder.GaussianDecoder",
     "nets.mlp_delta_body_pose.BodyPoseRefiner",
     "nets.mlp_delta_body_pose.RodriguesModule",
@@ -64,7 +69,7 @@ _CLASSES = (
 )
 
 
-class _Shell(Inert):
+class _InertModule(InertObject):
     """Inert stand-in for a pickled network; it gives access to the network's tensors."""
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
@@ -73,7 +78,7 @@ class _Shell(Inert):
             if isinstance(value, Tensor):
                 yield prefix + name, value
         for name, child in dict(self.given.get("_modules", {})).items():
-            if isinstance(child, _Shell):
+            if isinstance(child, _InertModule):
                 yield from child.tensors(f"{prefix}{name}.")
 
 
@@ -118,7 +123,7 @@ def read_r3(
     fields = _fields(path)
     nets = read_pose_nets(path, _state(path, fields[12]), _state(path, fields[13]), model.joints)
     grids = _grids(path, _state(path, fields[16]))
-    features = sum(six[0].shape[0] for six in grids)
+    features = sum(planes[0].shape[0] for planes in grids)
     inner, heads = _decoder(path, _state(path, fields[18]), features)
     aabb = require_tensors(path, {"aabb": fields[14]}, {"aabb": (2, 3)})["aabb"]
     if not (aabb[0] < aabb[1]).all():
@@ -140,7 +145,7 @@ def read_r3(
 
 
 def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
-    name_match = _FILE.fullmatch(folder.name) if folder.is_file() else None
+    name_match = _FILE_PATTERN.fullmatch(folder.name) if folder.is_file() else None
     if name_match and iteration in (None, -1, int(name_match[1])):
         return folder
     folder, iteration = within_run(folder, iteration)
@@ -148,7 +153,7 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
         message = "is not a folder" if folder.exists() else "does not exist"
         hint = "Give the folder of a training run, or its chkpntN.pth."
         raise CheckpointInvalid(message, where=str(folder), hint=hint)
-    matches = ((_FILE.fullmatch(child.name), child) for child in folder.iterdir())
+    matches = ((_FILE_PATTERN.fullmatch(child.name), child) for child in folder.iterdir())
     files = {int(match[1]): child for match, child in matches if match}
     if not files:
         refuse_other_method("r3-avatar", folder, last_iteration(folder))
@@ -167,14 +172,20 @@ def guess_dataset(cfg: CfgArgs) -> str:
     """Guess the data set of a training run from the path of its data, or from the run's name."""
     source, name = cfg.word("source_path", ""), cfg.word("exp_name", "")
     body = cfg.word("smpl_type", "smpl")
-    for mark, dataset in _MARKS.items():
+    for mark, dataset in _DATASET_NAMES.items():
         if mark in source:
             return dataset
     for text in (source, name):
-        mentioned = [dataset_name for dataset_name in DATASETS if dataset_name in text.lower()]
-        fitting = [dataset_name for dataset_name in mentioned if _BODIES[dataset_name] == body]
-        if len(mentioned) == 1 or len(fitting) == 1:
-            return (mentioned if len(mentioned) == 1 else fitting)[0]
+        mentioned_datasets = [
+            dataset_name for dataset_name in DATASETS if dataset_name in text.lower()
+        ]
+        matching_datasets = [
+            dataset_name
+            for dataset_name in mentioned_datasets
+            if _BODY_MODEL_OF_DATASET[dataset_name] == body
+        ]
+        if len(mentioned_datasets) == 1 or len(matching_datasets) == 1:
+            return (mentioned_datasets if len(mentioned_datasets) == 1 else matching_datasets)[0]
     known = ", ".join(DATASETS)
     message = f"source_path is {source!r}, which names no known data set"
     hint = f"Give the data set of training: --dataset, one of {known}."
@@ -183,19 +194,19 @@ def guess_dataset(cfg: CfgArgs) -> str:
 
 def _fields(path: Path) -> Any:
     hint = "Expected a checkpoint of R3-Avatar's training; code in files is not executed."
-    read = load_tensors(path, hint, [(_Shell, name) for name in _CLASSES])
+    read = load_tensors(path, hint, [(_InertModule, name) for name in _TRAINING_CLASSES])
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
-    if not isinstance(fields, tuple) or len(fields) != _FIELDS:
-        message = f"is not a pair of {_FIELDS} fields and an iteration"
+    if not isinstance(fields, tuple) or len(fields) != _FIELD_COUNT:
+        message = f"is not a pair of {_FIELD_COUNT} fields and an iteration"
         raise CheckpointInvalid(message, where=str(path), hint=hint)
     return fields
 
 
-def _state(path: Path, shell: Any) -> dict[str, Tensor]:
-    if not isinstance(shell, _Shell):
-        message = f"holds a {type(shell).__name__}, expected a network"
+def _state(path: Path, module: Any) -> dict[str, Tensor]:
+    if not isinstance(module, _InertModule):
+        message = f"holds a {type(module).__name__}, expected a network"
         raise CheckpointInvalid(message, where=str(path))
-    return dict(shell.tensors())
+    return dict(module.tensors())
 
 
 def _canonical(path: Path, fields: Any) -> Canonical:

@@ -94,24 +94,24 @@ def build(
     if dataset is None:
         note(f"note: {read.cfg.path} names the data set {guess_dataset(read.cfg)}")
     warn_about_body(read.cfg, read.body)
-    recording = read_motion(motion, read.body.joints) if motion else None
+    motion_recording = read_motion(motion, read.body.joints) if motion else None
     # Each frame of a motion shows one training frame, so it needs no more of them.
-    known = min(2 * read.origin, len(recording)) if recording else 2 * read.origin
+    known = min(2 * read.origin, len(motion_recording)) if motion_recording else 2 * read.origin
     poses = parse_pose_ids(pose_ids) if pose_ids else list(range(known))
     table = 4 * len(poses) * len(read.canonical) / 2**20
     note(f"{len(poses)} frames; the table of nearest vertices takes {table:.1f} MiB")
     avatar = R3Avatar(
         read,
         poses,
-        shape=read_shape(shape, recording, read.body.shape_dirs.shape[2]),
-        rotation="matrix" if recording else root_rotation,
+        shape=read_shape(shape, motion_recording, read.body.shape_dirs.shape[2]),
+        rotation="matrix" if motion_recording else root_rotation,
         bodies=instances,
         add_hands=hands == "raw",
         novel=novel_poses,
         progress=lambda frame: _show_progress(frame, len(poses)),
     )
     return with_motion(
-        avatar, avatar.actors, recording, read.body, fps=fps, loop=loop, spacing=spacing
+        avatar, avatar.actors, motion_recording, read.body, fps=fps, loop=loop, spacing=spacing
     )
 
 
@@ -126,17 +126,17 @@ def parse_pose_ids(text: str) -> list[int]:
     """Parse a list of pose ids such as ``0-9,17``."""
     ids: list[int] = []
     for word in text.split(","):
-        first, dash, last = word.strip().partition("-")
-        if not (first.isdecimal() and (last.isdecimal() if dash else True)):
+        first, separator, last = word.strip().partition("-")
+        if not (first.isdecimal() and (last.isdecimal() if separator else True)):
             hint = "Write it as 0-99 or 0,17,50."
             raise ConfigInvalid(
                 f"{word!r} is no number or range of poses", where="--pose-ids", hint=hint
             )
-        listed = range(int(first), int(last or first) + 1)
-        if not listed or listed.stop > _MOST_POSES:
+        listed_ids = range(int(first), int(last or first) + 1)
+        if not listed_ids or listed_ids.stop > _MOST_POSES:
             message = f"{word!r} is not an ascending range of pose ids below {_MOST_POSES:,}"
             raise ConfigInvalid(message, where="--pose-ids")
-        ids += listed
+        ids += listed_ids
     return ids
 
 

@@ -6,7 +6,7 @@ import zipfile
 from pathlib import Path
 
 # A module of R3-Avatar's training code, whose classes are in its checkpoints.
-_MODULE = b"gaussian_decoder"
+_DECODER_MODULE = b"gaussian_decoder"
 _MAX_PICKLE_BYTES = 1 << 26
 
 
@@ -20,7 +20,7 @@ def _is_r3_checkpoint(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
                 if entry.filename.endswith("/data.pkl") and entry.file_size < _MAX_PICKLE_BYTES:
-                    return _MODULE in archive.read(entry)
+                    return _DECODER_MODULE in archive.read(entry)
     except (zipfile.BadZipFile, OSError, ValueError, RuntimeError):
         return False  # the reader of the file reports the error
     return False

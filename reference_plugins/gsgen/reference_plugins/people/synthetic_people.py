@@ -31,8 +31,8 @@ from gsgen.reference_plugins.bodies.synthetic_body import (
 from gsgen.reference_plugins.writing.random_layers import random_linear
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
-_UNCORRECTED = PersonOptions()
-_CORRECTED = PersonOptions(nets=True)
+_UNCORRECTED_OPTIONS = PersonOptions()
+_CORRECTED_OPTIONS = PersonOptions(nets=True)
 
 
 def _assets(folder: Path, options: PersonOptions) -> Body:
@@ -44,11 +44,11 @@ def _splats(options: PersonOptions, body: Body) -> Splats:
     """Return Gaussians of the training pose near random vertices, coloured as skin and clothes."""
     rng = np.random.default_rng([options.seed, 2])
     count = options.count
-    near = rng.integers(0, options.vertices, count)
-    spread = posed_vertices(body, big_pose(body), np.zeros(0))
-    position = spread[near] + rng.normal(0, 0.012, (count, 3))
+    nearest_vertices = rng.integers(0, options.vertices, count)
+    posed_points = posed_vertices(body, big_pose(body), np.zeros(0))
+    position = posed_points[nearest_vertices] + rng.normal(0, 0.012, (count, 3))
     sh = rng.normal(0, 0.03, (count, (options.degree + 1) ** 2, 3))
-    sh[:, 0] += (clothing_colors(body.template[near], options) - 0.5) / SH_C0
+    sh[:, 0] += (clothing_colors(body.template[nearest_vertices], options) - 0.5) / SH_C0
     return Splats(
         position=position.astype(np.float32),
         rotation=rng.normal(size=(count, 4)).astype(np.float32),
@@ -58,7 +58,7 @@ def _splats(options: PersonOptions, body: Body) -> Splats:
     )
 
 
-def write_gauhuman(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
+def write_gauhuman(folder: Path, options: PersonOptions = _UNCORRECTED_OPTIONS) -> Path:
     """Write a checkpoint of GauHuman with a body model in ``assets``, and return the folder."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"motion_offset_flag": options.nets})
@@ -92,7 +92,7 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
     return pose, convolved
 
 
-def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
+def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED_OPTIONS) -> Path:
     """Write a synthetic LHM avatar with the files that it needs, and return the folder.
 
     The body is always an SMPL-X of 400 shape coefficients; ``kind`` and ``shapes`` are ignored.
@@ -111,14 +111,16 @@ def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
     arrays["shapedirs"][options.vertices // 3 :, :, 300:] = 0
     folder.mkdir(parents=True, exist_ok=True)
     np.savez(folder / "SMPLX_NEUTRAL.npz", **arrays)  # type: ignore[arg-type]
-    near = arrays["v_template"][rng.integers(0, options.vertices, options.count)]
-    samples = (near + rng.normal(0, 0.01, near.shape)).astype(np.float32)
+    nearest_vertices = arrays["v_template"][rng.integers(0, options.vertices, options.count)]
+    samples = (nearest_vertices + rng.normal(0, 0.01, nearest_vertices.shape)).astype(np.float32)
     points = folder / "pretrained_models/dense_sample_points/1_40000.ply"
     write_columns(points, {axis: samples[:, index] for index, axis in enumerate("xyz")})
-    prior = folder / "pretrained_models/voxel_grid/human_prior_constrain.npz"
-    prior.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(prior, masks=(rng.random(options.vertices) < 0.3).astype(np.float32))
-    torch.save(_lhm_tensors(samples, clothing_colors(near, body), rng), folder / "avatar.pth")
+    prior_file = folder / "pretrained_models/voxel_grid/human_prior_constrain.npz"
+    prior_file.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(prior_file, masks=(rng.random(options.vertices) < 0.3).astype(np.float32))
+    torch.save(
+        _lhm_tensors(samples, clothing_colors(nearest_vertices, body), rng), folder / "avatar.pth"
+    )
     return folder
 
 
@@ -149,7 +151,7 @@ def _lhm_tensors(
     ]
 
 
-def write_r3(folder: Path, options: PersonOptions = _CORRECTED) -> Path:
+def write_r3(folder: Path, options: PersonOptions = _CORRECTED_OPTIONS) -> Path:
     """Write a checkpoint of R3-Avatar trained on ZJU-MoCap, and return the folder."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"source_path": "/data/zju_mocap/my_377"})
@@ -220,22 +222,22 @@ def _with_tensors(module: nn.Module, state: Mapping[str, Tensor]) -> nn.Module:
 @contextmanager
 def _training_classes() -> Iterator[dict[str, type[nn.Module]]]:
     """Define classes whose pickles have the class names of R3-Avatar's training code."""
-    homes = {
+    module_files = {
         "GaussianDecoder": "gaussian_decoder",
         "BodyPoseRefiner": "mlp_delta_body_pose",
         "LBSOffsetDecoder": "mlp_delta_weight_lbs",
     }
     classes, modules = {}, {"nets": ModuleType("nets")}
-    for name, home in homes.items():
-        module = modules.setdefault(f"nets.{home}", ModuleType(f"nets.{home}"))
+    for name, module_file in module_files.items():
+        module = modules.setdefault(f"nets.{module_file}", ModuleType(f"nets.{module_file}"))
         classes[name] = type(name, (nn.Module,), {"__module__": module.__name__})
         setattr(module, name, classes[name])
-    before = {name: sys.modules.get(name) for name in modules}
+    old_modules = {name: sys.modules.get(name) for name in modules}
     sys.modules.update(modules)
     try:
         yield classes
     finally:
-        for name, module_before in before.items():
+        for name, module_before in old_modules.items():
             if module_before is None:
                 del sys.modules[name]
             else:

@@ -1,6 +1,6 @@
 """Writes the files of `gsgen samples`: a scene, cameras, an ONNX generator and a motion."""
 
-__all__ = ["SAMPLES", "write_samples"]
+__all__ = ["SAMPLE_WRITERS", "write_samples"]
 
 import json
 from collections.abc import Callable
@@ -19,13 +19,13 @@ from gsgen.reference_plugins.samples.garden import garden
 from gsgen.reference_plugins.samples.sunflower import sunflower_model, write_nods
 from gsgen.runtime.scene.camera import Camera
 
-_SIZE = {"width": 960, "height": 540}  # pixels of each camera
-_SCENE = {
+_IMAGE_SIZE = {"width": 960, "height": 540}  # pixels of each camera
+_SCENE_DOCUMENT = {
     "gsgen_scene": "1.0",
     "models": ["garden.ply", {"path": "sunflower.onnx", "translate": [1.2, 0, 0.9], "scale": 0.9}],
     "background": "#b9d3ea",
     "camera": "look-at:-1.0,-1.75,3.7,0.1,-0.75,0",
-    **_SIZE,
+    **_IMAGE_SIZE,
 }
 
 
@@ -37,10 +37,12 @@ def _write_cameras(path: Path) -> None:
     """Write six cameras on an arc before the hedge, as JSON of view matrices and focal lengths."""
     cameras = []
     for azimuth in np.radians(np.linspace(-60, 60, 6)):
-        eye = [3.9 * np.sin(azimuth), -1.75, 3.9 * np.cos(azimuth)]
-        camera = Camera.look_at(eye, [0.0, -0.75, 0.0], fov_y=42.0, width=960, height=540)
-        lens = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
-        cameras.append({"view": camera.view.tolist(), **lens, **_SIZE})
+        camera_position = [3.9 * np.sin(azimuth), -1.75, 3.9 * np.cos(azimuth)]
+        camera = Camera.look_at(
+            camera_position, [0.0, -0.75, 0.0], fov_y=42.0, width=960, height=540
+        )
+        lens_fields = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+        cameras.append({"view": camera.view.tolist(), **lens_fields, **_IMAGE_SIZE})
     path.write_text(json.dumps(cameras, indent=1), "utf-8")
 
 
@@ -49,7 +51,7 @@ def _write_sunflower(path: Path) -> None:
 
 
 def _write_scene(path: Path) -> None:
-    path.write_text(json.dumps(_SCENE, indent=2), "utf-8")
+    path.write_text(json.dumps(_SCENE_DOCUMENT, indent=2), "utf-8")
 
 
 def _write_mesh(path: Path) -> None:
@@ -62,7 +64,7 @@ def _write_mesh(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", "utf-8")
 
 
-SAMPLES: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
+SAMPLE_WRITERS: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
     "garden.ply": ("a garden of about 70,000 splats, SH degree 0", _write_garden),
     "cameras.json": ("six cameras around its table", _write_cameras),
     "sunflower.onnx": ("a generator with inputs time and pose", _write_sunflower),
@@ -83,27 +85,27 @@ def write_samples(folder: Path, *, force: bool = False) -> list[Path]:
     Raises:
         ConfigInvalid: A file cannot be written there, or one of other content would be overwritten.
     """
-    with TemporaryDirectory() as drafts:
-        for name, (_, write) in SAMPLES.items():
-            write(Path(drafts) / name)
+    with TemporaryDirectory() as draft_folder:
+        for name, (_, write) in SAMPLE_WRITERS.items():
+            write(Path(draft_folder) / name)
         if not force:
-            _refuse_other_content(folder, Path(drafts))
-        for name in SAMPLES:
+            _refuse_other_content(folder, Path(draft_folder))
+        for name in SAMPLE_WRITERS:
             with atomic_write(folder / name) as draft:
-                copyfile(Path(drafts) / name, draft)
-    return [folder / name for name in SAMPLES]
+                copyfile(Path(draft_folder) / name, draft)
+    return [folder / name for name in SAMPLE_WRITERS]
 
 
-def _refuse_other_content(folder: Path, drafts: Path) -> None:
-    """Raise if the folder has files with the names of samples but other bytes than ``drafts``."""
-    others = [
+def _refuse_other_content(folder: Path, draft_folder: Path) -> None:
+    """Raise if the folder has files with the names of samples but other bytes than ``draft_folder``."""
+    other_files = [
         name
-        for name in SAMPLES
-        if (folder / name).is_file() and not cmp(folder / name, drafts / name, shallow=False)
+        for name in SAMPLE_WRITERS
+        if (folder / name).is_file() and not cmp(folder / name, draft_folder / name, shallow=False)
     ]
-    if others:
+    if other_files:
         raise ConfigInvalid(
-            f"{', '.join(others)} of other content would be overwritten",
+            f"{', '.join(other_files)} of other content would be overwritten",
             where=str(folder),
             hint="Name another folder, or replace them with --force.",
         )

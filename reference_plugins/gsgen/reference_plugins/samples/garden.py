@@ -3,7 +3,7 @@
 The light is baked: the sun with its shadows, the sky, and light that leaves let through.
 """
 
-__all__ = ["garden", "lit"]
+__all__ = ["apply_lighting", "garden"]
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,7 +12,7 @@ from gsgen.formats import Splats
 from gsgen.formats.shared.quantities import SH_C0, rotations
 from gsgen.reference_plugins.samples.surfaces import (
     Cloud,
-    Vectors,
+    Points,
     blades,
     join,
     on_disc,
@@ -20,13 +20,13 @@ from gsgen.reference_plugins.samples.surfaces import (
     on_lathe,
 )
 
-SUN = np.array([0.55, 0.75, 0.36])  # towards the sun
+SUN_DIRECTION = np.array([0.55, 0.75, 0.36])  # towards the sun
 _SUN_COLOR, _SKY_COLOR = np.array([1.45, 1.3, 1.02]), np.array([0.36, 0.45, 0.58])
 _GROUND_COLOR = np.array([0.16, 0.17, 0.1])
 _PAVING, _LAWN = 1.9, 5.2  # radii in metres
 _TABLE_HEIGHT, _TABLE_RADIUS = 0.78, 0.8
-_HEDGE = 4.7  # radius of the ring in metres
-_TREES = ((-2.6, -3.1, 1.0), (2.5, -3.3, 0.85), (-3.9, 0.9, 0.8))  # x, z, size
+_HEDGE_RADIUS = 4.7  # radius of the ring in metres
+_TREE_POSITIONS = ((-2.6, -3.1, 1.0), (2.5, -3.3, 0.85), (-3.9, 0.9, 0.8))  # x, z, size
 _PETALS = np.array([[0.95, 0.55, 0.08], [0.9, 0.18, 0.2], [0.93, 0.75, 0.85], [0.55, 0.3, 0.8]])
 _OPACITY = 3.5  # logit
 
@@ -36,23 +36,25 @@ def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
     rng = np.random.default_rng(seed)
     unit = count / 60_000
     cloud = join([*_ground(unit, rng), *_table(unit, rng), *_plants(unit, rng)])
-    return lit(cloud)
+    return apply_lighting(cloud)
 
 
-def lit(cloud: Cloud, *, shadows: bool = True) -> Splats:
+def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
     """Shade Gaussians by sun and sky, and convert them to splats of SH degree 0, with y down.
 
     ``shadows`` casts those of the garden's table and trees.
     """
-    sun = SUN / np.linalg.norm(SUN)
-    facing = cloud.normal @ sun
-    diffuse = np.maximum(facing, 0) + cloud.gloss * np.maximum(-facing, 0) + 0.3 * cloud.gloss
+    sun = SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION)
+    sun_cosine = cloud.normal @ sun
+    diffuse = (
+        np.maximum(sun_cosine, 0) + cloud.gloss * np.maximum(-sun_cosine, 0) + 0.3 * cloud.gloss
+    )
     if shadows:
-        diffuse = np.where(_in_shadow(cloud.position, sun), 0.12 * diffuse, diffuse)
+        diffuse = np.where(_is_in_shadow(cloud.position, sun), 0.12 * diffuse, diffuse)
     upward = (0.5 + 0.5 * cloud.normal[:, 1])[:, None]
     light = diffuse[:, None] * _SUN_COLOR + upward * _SKY_COLOR + (1 - upward) * _GROUND_COLOR
-    linear = cloud.color * light
-    display = np.clip(linear / (1 + 0.25 * linear), 0, 1) ** (1 / 2.2)
+    linear_color = cloud.color * light
+    display = np.clip(linear_color / (1 + 0.25 * linear_color), 0, 1) ** (1 / 2.2)
     axes = np.stack([cloud.along, np.cross(cloud.normal, cloud.along), cloud.normal], axis=2)
     half_turn = np.array([-1.0, -1.0, 1.0])  # about z: y points down, handedness stays
     return Splats(
@@ -64,36 +66,42 @@ def lit(cloud: Cloud, *, shadows: bool = True) -> Splats:
     )
 
 
-def _in_shadow(position: Vectors, sun: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
+def _is_in_shadow(position: Points, sun: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
     """Return whether the garden's table or a tree shades a point from the sun."""
     # 1. The top is a disc: the ray meets its plane within its radius.
-    reach = (_TABLE_HEIGHT - position[:, 1]) / sun[1]
-    hit = position + reach[:, None] * sun
-    shadow = (reach > 0.03) & (np.hypot(hit[:, 0], hit[:, 2]) < _TABLE_RADIUS)
+    hit_distance = (_TABLE_HEIGHT - position[:, 1]) / sun[1]
+    hit_position = position + hit_distance[:, None] * sun
+    shadow = (hit_distance > 0.03) & (
+        np.hypot(hit_position[:, 0], hit_position[:, 2]) < _TABLE_RADIUS
+    )
     # 2. Crowns are spheres: the ray passes their centre within their radius.
-    for x, z, size in _TREES:
-        toward = np.array([x, 2.0 * size, z]) - position
-        ahead = toward @ sun
-        miss = np.linalg.norm(toward - ahead[:, None] * sun, axis=1)
-        inside = np.linalg.norm(toward, axis=1) < 1.05 * size
-        shadow |= (ahead > 0) & (miss < 0.75 * size) & ~inside
+    for x, z, size in _TREE_POSITIONS:
+        to_sphere = np.array([x, 2.0 * size, z]) - position
+        sun_distance = to_sphere @ sun
+        miss_distance = np.linalg.norm(to_sphere - sun_distance[:, None] * sun, axis=1)
+        is_inside = np.linalg.norm(to_sphere, axis=1) < 1.05 * size
+        shadow |= (sun_distance > 0) & (miss_distance < 0.75 * size) & ~is_inside
     return np.asarray(shadow)
 
 
 def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
     paving = on_disc(int(11_000 * unit), _PAVING, np.zeros(3))
     x, _, z = paving.position.T
-    ring, angle = np.hypot(x, z) / 0.32, np.arctan2(z, x)
-    row = np.floor(ring)
+    ring_row, angle = np.hypot(x, z) / 0.32, np.arctan2(z, x)
+    row = np.floor(ring_row)
     stones = np.maximum(1, np.round(6.3 * (row + 0.5)))
     column = (angle / (2 * np.pi) + 0.37 * row) * stones
-    edge = np.minimum(np.abs(ring % 1 - 0.5), 0.5 - np.abs(column % 1 - 0.5) + 0.4)
-    joint = (np.abs(ring % 1 - 0.5) > 0.45) | (np.abs(column % 1 - 0.5) > 0.45)
-    tone = 0.75 + 0.35 * np.modf(np.abs(np.sin(row * 12.99 + np.floor(column) * 78.2) * 43758))[0]
-    stone = tone[:, None] * np.array([0.5, 0.45, 0.38]) * (0.9 + 0.2 * edge[:, None])
-    grain = 1 + 0.08 * rng.normal(size=(len(paving), 1))
-    color = np.where(joint[:, None], [0.13, 0.14, 0.08], stone) * grain
-    paved = Cloud(
+    edge_distance = np.minimum(np.abs(ring_row % 1 - 0.5), 0.5 - np.abs(column % 1 - 0.5) + 0.4)
+    joint = (np.abs(ring_row % 1 - 0.5) > 0.45) | (np.abs(column % 1 - 0.5) > 0.45)
+    tone_factor = (
+        0.75 + 0.35 * np.modf(np.abs(np.sin(row * 12.99 + np.floor(column) * 78.2) * 43758))[0]
+    )
+    stone_color = (
+        tone_factor[:, None] * np.array([0.5, 0.45, 0.38]) * (0.9 + 0.2 * edge_distance[:, None])
+    )
+    grain_factor = 1 + 0.08 * rng.normal(size=(len(paving), 1))
+    color = np.where(joint[:, None], [0.13, 0.14, 0.08], stone_color) * grain_factor
+    paved_cloud = Cloud(
         position=paving.position,
         normal=paving.normal,
         along=paving.along,
@@ -101,46 +109,66 @@ def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
         color=color,
         gloss=paving.gloss,
     )
-    soil = on_disc(int(7000 * unit), _LAWN, np.array([0.09, 0.15, 0.04]), hole=_PAVING)
+    soil_cloud = on_disc(int(7000 * unit), _LAWN, np.array([0.09, 0.15, 0.04]), hole=_PAVING)
     count = int(15_000 * unit)
     distance = np.sqrt(rng.uniform(_PAVING**2, _LAWN**2, count))
     turn = rng.uniform(0, 2 * np.pi, count)
     roots = np.stack([distance * np.cos(turn), np.zeros(count), distance * np.sin(turn)], axis=1)
     patch = 0.5 + 0.5 * np.sin(2.1 * roots[:, 0]) * np.sin(1.7 * roots[:, 2] + 1)
-    green = np.array([0.16, 0.34, 0.05]) + patch[:, None] * np.array([0.13, 0.1, 0.01])
-    green = green * np.exp(0.22 * rng.normal(size=(count, 1)))
+    green_color = np.array([0.16, 0.34, 0.05]) + patch[:, None] * np.array([0.13, 0.1, 0.01])
+    green_color = green_color * np.exp(0.22 * rng.normal(size=(count, 1)))
     return [
-        paved,
-        soil.moved((0, -0.02, 0)),
-        blades(roots, rng.uniform(0.06, 0.15, count), green, rng),
+        paved_cloud,
+        soil_cloud.moved((0, -0.02, 0)),
+        blades(roots, rng.uniform(0.06, 0.15, count), green_color, rng),
     ]
 
 
 def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
-    top = on_disc(int(4500 * unit), _TABLE_RADIUS, np.zeros(3))
-    x, _, z = top.position.T
-    plank = np.floor(x / 0.16)
-    grain = 0.1 * np.sin(40 * x + 3 * np.sin(5 * z + plank)) + 0.06 * rng.normal(size=len(top))
-    tone = 0.85 + 0.25 * np.modf(np.abs(np.sin(plank * 12.99) * 43758))[0] + grain
-    gap = np.abs(x / 0.16 % 1 - 0.5) > 0.46
-    wood = tone[:, None] * np.where(gap[:, None], 0.25, 1.0) * np.array([0.56, 0.33, 0.17])
+    table_top = on_disc(int(4500 * unit), _TABLE_RADIUS, np.zeros(3))
+    x, _, z = table_top.position.T
+    plank_index = np.floor(x / 0.16)
+    grain_factor = 0.1 * np.sin(40 * x + 3 * np.sin(5 * z + plank_index)) + 0.06 * rng.normal(
+        size=len(table_top)
+    )
+    tone_factor = (
+        0.85 + 0.25 * np.modf(np.abs(np.sin(plank_index * 12.99) * 43758))[0] + grain_factor
+    )
+    is_gap = np.abs(x / 0.16 % 1 - 0.5) > 0.46
+    wood = (
+        tone_factor[:, None] * np.where(is_gap[:, None], 0.25, 1.0) * np.array([0.56, 0.33, 0.17])
+    )
     planks = Cloud(
-        position=top.position,
-        normal=top.normal,
-        along=top.along,
-        scale=top.scale,
+        position=table_top.position,
+        normal=table_top.normal,
+        along=table_top.along,
+        scale=table_top.scale,
         color=wood,
-        gloss=top.gloss,
+        gloss=table_top.gloss,
     )
     height, radius = _TABLE_HEIGHT, _TABLE_RADIUS
-    brown = np.array([0.4, 0.23, 0.12])
-    rim = on_lathe(int(1200 * unit), [(radius, height - 0.05), (radius, height)], brown)
-    below = [(0.32, 0.0), (0.3, 0.05), (0.1, 0.12), (0.08, 0.5), (0.16, 0.7), (0.2, height - 0.05)]
-    foot = on_lathe(int(1500 * unit), below, brown)
-    outline = [(0.09, 0.0), (0.15, 0.08), (0.17, 0.16), (0.12, 0.27), (0.08, 0.33), (0.1, 0.37)]
-    vase = on_lathe(int(1600 * unit), outline, np.array([0.2, 0.42, 0.62]))
+    brown_color = np.array([0.4, 0.23, 0.12])
+    table_rim = on_lathe(int(1200 * unit), [(radius, height - 0.05), (radius, height)], brown_color)
+    profile_below = [
+        (0.32, 0.0),
+        (0.3, 0.05),
+        (0.1, 0.12),
+        (0.08, 0.5),
+        (0.16, 0.7),
+        (0.2, height - 0.05),
+    ]
+    table_foot = on_lathe(int(1500 * unit), profile_below, brown_color)
+    vase_outline = [
+        (0.09, 0.0),
+        (0.15, 0.08),
+        (0.17, 0.16),
+        (0.12, 0.27),
+        (0.08, 0.33),
+        (0.1, 0.37),
+    ]
+    vase = on_lathe(int(1600 * unit), vase_outline, np.array([0.2, 0.42, 0.62]))
     bands = np.sin(vase.position[:, 1] * 70)[:, None] > 0.75
-    glazed = Cloud(
+    glazed_vase = Cloud(
         position=vase.position,
         normal=vase.normal,
         along=vase.along,
@@ -150,12 +178,12 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
     )
     bouquet = _flowers(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
     leaves = on_ellipsoid(int(900 * unit), (0.2, 0.14, 0.2), np.array([0.12, 0.3, 0.07]), rng)
-    stand = (0.0, height + 0.01, 0.0)
+    stand_position = (0.0, height + 0.01, 0.0)
     return [
         planks.moved((0, height, 0)),
-        rim,
-        foot,
-        glazed.moved(stand),
+        table_rim,
+        table_foot,
+        glazed_vase.moved(stand_position),
         leaves.moved((0, height + 0.47, 0)),
         bouquet.moved((0, height + 0.52, 0)),
     ]
@@ -170,34 +198,36 @@ def _flowers(
         height = 1 - 1.15 * (number + 0.5) / count
         turn = 2.4 * number
         level = np.sqrt(max(0.0, 1 - height**2))
-        out = np.array([level * np.cos(turn), height, level * np.sin(turn)])
-        first = np.cross(out, [0.3, 0.2, 0.9])
-        first /= np.linalg.norm(first)
-        second = np.cross(out, first)
+        outward_direction = np.array([level * np.cos(turn), height, level * np.sin(turn)])
+        first_axis = np.cross(outward_direction, [0.3, 0.2, 0.9])
+        first_axis /= np.linalg.norm(first_axis)
+        second_axis = np.cross(outward_direction, first_axis)
         angle = np.linspace(0, 2 * np.pi, 14, endpoint=False)[:, None]
-        spoke = np.cos(angle) * first + np.sin(angle) * second
-        normal = out + 0.45 * spoke
+        spoke_direction = np.cos(angle) * first_axis + np.sin(angle) * second_axis
+        normal = outward_direction + 0.45 * spoke_direction
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        along = spoke - np.sum(spoke * normal, axis=1, keepdims=True) * normal
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        spoke_tangent = (
+            spoke_direction - np.sum(spoke_direction * normal, axis=1, keepdims=True) * normal
+        )
+        spoke_tangent /= np.linalg.norm(spoke_tangent, axis=1, keepdims=True)
         hue = _PETALS[number % len(_PETALS)] * rng.uniform(0.8, 1.1)
         petals = Cloud(
-            position=out * radii + 0.55 * size * spoke,
+            position=outward_direction * radii + 0.55 * size * spoke_direction,
             normal=normal,
-            along=along,
+            along=spoke_tangent,
             scale=size * np.tile([0.24, 0.14, 0.03], (14, 1)),
             color=hue * rng.uniform(0.85, 1.1, (14, 1)),
             gloss=np.full(14, 0.5),
         )
-        heart = Cloud(
-            position=(out * radii + 0.12 * size * out)[None],
-            normal=out[None],
-            along=first[None],
+        flower_center = Cloud(
+            position=(outward_direction * radii + 0.12 * size * outward_direction)[None],
+            normal=outward_direction[None],
+            along=first_axis[None],
             scale=size * np.array([[0.2, 0.2, 0.12]]),
             color=np.array([[0.85, 0.6, 0.1]]),
             gloss=np.zeros(1),
         )
-        flowers += [petals, heart]
+        flowers += [petals, flower_center]
     return join(flowers)
 
 
@@ -205,37 +235,39 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
     # 1. The hedge: leaves on a ring with a square profile, open towards +z.
     count = int(11_000 * unit)
     turn = rng.uniform(-1.2 * np.pi, 0.2 * np.pi, count)
-    across, height = rng.uniform(-0.3, 0.3, count), 1.15 * rng.random(count)
-    side = rng.integers(0, 3, count)
-    across = np.where(side == 0, -0.3, across)
-    height = np.where(side == 1, 1.15, height)
-    distance = _HEDGE + across + 0.05 * rng.normal(size=count)
-    spoke = np.stack([np.cos(turn), np.zeros(count), np.sin(turn)], axis=1)
-    face = np.where((side == 1)[:, None], [0.0, 1.0, 0.0], -spoke)
-    shell = on_ellipsoid(count, (1.0, 1.0, 1.0), np.array([0.09, 0.24, 0.06]), rng, size=0.042)
+    petal_width, height = rng.uniform(-0.3, 0.3, count), 1.15 * rng.random(count)
+    blade_side = rng.integers(0, 3, count)
+    petal_width = np.where(blade_side == 0, -0.3, petal_width)
+    height = np.where(blade_side == 1, 1.15, height)
+    distance = _HEDGE_RADIUS + petal_width + 0.05 * rng.normal(size=count)
+    spoke_direction = np.stack([np.cos(turn), np.zeros(count), np.sin(turn)], axis=1)
+    face = np.where((blade_side == 1)[:, None], [0.0, 1.0, 0.0], -spoke_direction)
+    crown_shell = on_ellipsoid(
+        count, (1.0, 1.0, 1.0), np.array([0.09, 0.24, 0.06]), rng, size=0.042
+    )
     normal = face + 0.3 * rng.normal(size=(count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    along = np.cross(normal, shell.normal)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    spoke_tangent = np.cross(normal, crown_shell.normal)
+    spoke_tangent /= np.linalg.norm(spoke_tangent, axis=1, keepdims=True)
     hedge = Cloud(
-        position=distance[:, None] * spoke + height[:, None] * np.array([0.0, 1.0, 0.0]),
+        position=distance[:, None] * spoke_direction + height[:, None] * np.array([0.0, 1.0, 0.0]),
         normal=normal,
-        along=along,
-        scale=shell.scale,
-        color=shell.color * np.exp(0.3 * rng.normal(size=(count, 1))),
-        gloss=shell.gloss,
+        along=spoke_tangent,
+        scale=crown_shell.scale,
+        color=crown_shell.color * np.exp(0.3 * rng.normal(size=(count, 1))),
+        gloss=crown_shell.gloss,
     )
     clouds = [hedge]
     # 2. Trees: a trunk and a crown of leaves.
-    for x, z, size in _TREES:
-        trunk = on_lathe(
+    for x, z, size in _TREE_POSITIONS:
+        trunk_cloud = on_lathe(
             int(350 * unit), [(0.09, 0), (0.06, 0.8), (0.05, 1.6)], np.array([0.2, 0.14, 0.09])
         )
-        tone = np.array([0.17, 0.36, 0.06]) * rng.uniform(0.8, 1.15)
-        crown = on_ellipsoid(
-            int(3000 * unit), (size, 0.85 * size, size), tone, rng, depth=0.5, size=0.045
+        tone_factor = np.array([0.17, 0.36, 0.06]) * rng.uniform(0.8, 1.15)
+        crown_cloud = on_ellipsoid(
+            int(3000 * unit), (size, 0.85 * size, size), tone_factor, rng, depth=0.5, size=0.045
         )
-        clouds += [trunk.moved((x, 0, z)), crown.moved((x, 2.0 * size, z))]
+        clouds += [trunk_cloud.moved((x, 0, z)), crown_cloud.moved((x, 2.0 * size, z))]
     # 3. Beds: low bushes with flowers, around the paving.
     for number in range(7):
         turn_of_bed = np.pi * (0.95 + 1.1 * number / 6)
@@ -243,6 +275,6 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
         bush = on_ellipsoid(
             int(600 * unit), (0.38, 0.3, 0.38), np.array([0.12, 0.28, 0.08]), rng, size=0.025
         )
-        blooms = _flowers(int(15 * max(unit, 0.2)), (0.4, 0.32, 0.4), 0.06, rng)
-        clouds += [bush.moved((x, 0.15, z)), blooms.moved((x, 0.17, z))]
+        bloom_cloud = _flowers(int(15 * max(unit, 0.2)), (0.4, 0.32, 0.4), 0.06, rng)
+        clouds += [bush.moved((x, 0.15, z)), bloom_cloud.moved((x, 0.17, z))]
     return clouds

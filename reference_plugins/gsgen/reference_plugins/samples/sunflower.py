@@ -26,7 +26,7 @@ from gsgen.contract.spec.manifest import (
 )
 from gsgen.formats import Splats
 from gsgen.formats.shared.quantities import SH_C0
-from gsgen.reference_plugins.samples.garden import lit
+from gsgen.reference_plugins.samples.garden import apply_lighting
 from gsgen.reference_plugins.samples.surfaces import Cloud, join, on_disc, on_ellipsoid, on_lathe
 
 JOINTS: Final = (
@@ -34,15 +34,19 @@ JOINTS: Final = (
     Joint("neck", "stem", (0.0, -0.75, 0.0)),
     Joint("head", "neck", (0.0, -1.25, 0.0)),
 )
-_PHASE: Final = (0.0, -0.6, -1.2)  # of each joint's sway, in radians
-_SWAY: Final = ((0.03, 0.0, 0.06), (0.05, 0.0, 0.1), (0.08, 0.05, 0.12))  # axis-angles, radians
-_SKEW = np.zeros((3, 9))  # axis-angle → its cross-product matrix, row by row
+_SWAY_PHASE: Final = (0.0, -0.6, -1.2)  # of each joint's sway, in radians
+_SWAY_ANGLES: Final = (
+    (0.03, 0.0, 0.06),
+    (0.05, 0.0, 0.1),
+    (0.08, 0.05, 0.12),
+)  # axis-angles, radians
+_SKEW_MATRICES = np.zeros((3, 9))  # axis-angle → its cross-product matrix, row by row
 for _axis, _plus, _minus in ((0, 7, 5), (1, 2, 6), (2, 3, 1)):
-    _SKEW[_axis, [_plus, _minus]] = 1, -1
-_UPPER = np.zeros((9, 6))  # a symmetric matrix, row by row → xx xy xz yy yz zz
-_UPPER[[0, 1, 2, 4, 5, 8], range(6)] = 1
+    _SKEW_MATRICES[_axis, [_plus, _minus]] = 1, -1
+_UPPER_TRIANGLE = np.zeros((9, 6))  # a symmetric matrix, row by row → xx xy xz yy yz zz
+_UPPER_TRIANGLE[[0, 1, 2, 4, 5, 8], range(6)] = 1
 
-_BODY = """
+_PLUGIN_TEXT = """
     angle = Mul (time, full_turn) shifted = Add (angle, phase) wave = Sin (shifted)
     swaying = Mul (wave, sway) vector = Add (pose, swaying)
     squares = Mul (vector, vector) sum_of_squares = ReduceSum (squares, last_axis)
@@ -82,16 +86,16 @@ def sunflower_model(count: int = 4000, *, seed: int = 0) -> onnx.ModelProto:
     """Return an ONNX generator of about ``count`` Gaussians with inputs ``time`` and ``pose``."""
     splats, skin = _sunflower(count, seed)
     n = len(splats)
-    turned = rotation_matrix(splats.rotation.astype(np.float64))
-    axes = turned * np.exp(splats.log_scale.astype(np.float64))[:, None]
+    rotation_matrices = rotation_matrix(splats.rotation.astype(np.float64))
+    axes = rotation_matrices * np.exp(splats.log_scale.astype(np.float64))[:, None]
     bones = np.asarray([joint.rest for joint in JOINTS], np.float64)
     columns = [bone[None, :, None] for bone in bones]
     floats = {
-        "full_turn": [2 * np.pi], "phase": np.asarray(_PHASE)[:, None], "sway": _SWAY,
-        "tiny": [1e-12], "one": [1.0], "skew": _SKEW, "identity": np.eye(3)[None],
+        "full_turn": [2 * np.pi], "phase": np.asarray(_SWAY_PHASE)[:, None], "sway": _SWAY_ANGLES,
+        "tiny": [1e-12], "one": [1.0], "skew": _SKEW_MATRICES, "identity": np.eye(3)[None],
         "stem_rest": columns[0], "neck_rest": columns[1], "head_rest": columns[2],
         "neck_bone": columns[1] - columns[0], "head_bone": columns[2] - columns[1],
-        "skin": skin, "center": splats.position[:, :, None], "pick_upper": _UPPER,
+        "skin": skin, "center": splats.position[:, :, None], "pick_upper": _UPPER_TRIANGLE,
         "opacity": 1 / (1 + np.exp(-splats.logit_opacity))[:, None],
         "spread": axes @ axes.transpose(0, 2, 1),
         "colors": np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0, 1),
@@ -106,7 +110,7 @@ def sunflower_model(count: int = 4000, *, seed: int = 0) -> onnx.ModelProto:
     return ModelSpec(
         inputs="float[1] time, float[3,3] pose",
         outputs=f"float[{n},10] gaussians, float[{n},3] color, int32[1] num_points",
-        body=_BODY,
+        body=_PLUGIN_TEXT,
         weights=weights | {"live": np.asarray([n], np.int32)},
         manifest=_manifest(n),
     ).build()
@@ -152,27 +156,35 @@ def _sunflower(count: int, seed: int) -> tuple[Splats, np.ndarray]:
     leaf = on_ellipsoid(
         int(0.07 * count), (0.2, 0.02, 0.1), np.array([0.16, 0.4, 0.08]), rng, size=0.014
     )
-    heart = on_disc(int(0.26 * count), 0.15, np.array([0.24, 0.12, 0.05]))
-    ring = np.hypot(heart.position[:, 0], heart.position[:, 2])[:, None] / 0.15
-    seeds = Cloud(
-        position=heart.position + np.array([0.0, 0.05, 0.0]) * (1 - ring**2),
-        normal=heart.normal,
-        along=heart.along,
-        scale=heart.scale,
-        color=heart.color * (0.6 + 0.9 * ring) * np.exp(0.25 * rng.normal(size=ring.shape)),
-        gloss=heart.gloss,
+    flower_center = on_disc(int(0.26 * count), 0.15, np.array([0.24, 0.12, 0.05]))
+    ring_radius = (
+        np.hypot(flower_center.position[:, 0], flower_center.position[:, 2])[:, None] / 0.15
     )
-    back = on_lathe(int(0.1 * count), [(0.02, -0.06), (0.15, -0.015)], np.array([0.2, 0.38, 0.1]))
-    face = _tilted(join([seeds, back, *_petals(int(0.35 * count), rng)]), 62.0)
+    seeds = Cloud(
+        position=flower_center.position + np.array([0.0, 0.05, 0.0]) * (1 - ring_radius**2),
+        normal=flower_center.normal,
+        along=flower_center.along,
+        scale=flower_center.scale,
+        color=flower_center.color
+        * (0.6 + 0.9 * ring_radius)
+        * np.exp(0.25 * rng.normal(size=ring_radius.shape)),
+        gloss=flower_center.gloss,
+    )
+    flower_back = on_lathe(
+        int(0.1 * count), [(0.02, -0.06), (0.15, -0.015)], np.array([0.2, 0.38, 0.1])
+    )
+    face = _tilt_cloud(join([seeds, flower_back, *_petals(int(0.35 * count), rng)]), 62.0)
     plant = join([
         stem, leaf.moved((0.2, 0.45, 0.0)), leaf.moved((-0.19, 0.68, 0.03)),
         face.moved((0.0, 1.28, 0.03)),
     ])  # fmt: skip
     height = plant.position[:, 1]
-    bend = np.clip((height - 0.55) / 0.4, 0, 1)
-    nod = np.clip((height - 1.1) / 0.15, 0, 1)
-    nod[-len(face) :], bend[-len(face) :] = 1.0, 1.0  # the head is rigid
-    return lit(plant, shadows=False), np.stack([1 - bend, bend - nod, nod], axis=1)
+    bend_share = np.clip((height - 0.55) / 0.4, 0, 1)
+    nod_share = np.clip((height - 1.1) / 0.15, 0, 1)
+    nod_share[-len(face) :], bend_share[-len(face) :] = 1.0, 1.0  # the head is rigid
+    return apply_lighting(plant, shadows=False), np.stack(
+        [1 - bend_share, bend_share - nod_share, nod_share], axis=1
+    )
 
 
 def _petals(count: int, rng: np.random.Generator) -> list[Cloud]:
@@ -181,26 +193,28 @@ def _petals(count: int, rng: np.random.Generator) -> list[Cloud]:
     petals = []
     for index in range(number):
         angle = 2 * np.pi * (index + 0.5 * (index % 2)) / number
-        spoke = np.array([np.cos(angle), 0.0, np.sin(angle)])
-        across = np.array([-np.sin(angle), 0.0, np.cos(angle)])
-        reach = np.linspace(0.15, 0.35 + 0.03 * rng.random(), 12)[:, None]
-        lift = (0.12 if index % 2 else 0.04) * (reach - 0.15) / 0.2
-        width = 0.026 * np.sin(np.pi * np.clip((reach - 0.1) / 0.28, 0.05, 0.97))
-        normal = np.cross(across, spoke)
+        petal_axis = np.array([np.cos(angle), 0.0, np.sin(angle)])
+        petal_width_axis = np.array([-np.sin(angle), 0.0, np.cos(angle)])
+        petal_distance = np.linspace(0.15, 0.35 + 0.03 * rng.random(), 12)[:, None]
+        petal_height = (0.12 if index % 2 else 0.04) * (petal_distance - 0.15) / 0.2
+        width = 0.026 * np.sin(np.pi * np.clip((petal_distance - 0.1) / 0.28, 0.05, 0.97))
+        normal = np.cross(petal_width_axis, petal_axis)
         petals.append(
             Cloud(
-                position=reach * spoke + lift * np.array([0.0, 1.0, 0.0]),
+                position=petal_distance * petal_axis + petal_height * np.array([0.0, 1.0, 0.0]),
                 normal=np.tile(normal, (12, 1)),
-                along=np.tile(spoke, (12, 1)),
+                along=np.tile(petal_axis, (12, 1)),
                 scale=np.concatenate([np.full((12, 1), 0.016), width, np.full((12, 1), 0.004)], 1),
-                color=np.array([0.98, 0.62, 0.05]) * rng.uniform(0.8, 1.08) * (0.75 + 0.9 * reach),
+                color=np.array([0.98, 0.62, 0.05])
+                * rng.uniform(0.8, 1.08)
+                * (0.75 + 0.9 * petal_distance),
                 gloss=np.full(12, 0.6),
             )
         )
     return petals
 
 
-def _tilted(cloud: Cloud, degrees: float) -> Cloud:
+def _tilt_cloud(cloud: Cloud, degrees: float) -> Cloud:
     """Return Gaussians rotated about x, so that the upward direction becomes +z."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])  # of rows

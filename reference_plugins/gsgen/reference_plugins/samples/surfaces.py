@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-Vectors = Float[np.ndarray, "n 3"]
+Points = Float[np.ndarray, "n 3"]
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))  # radians; successive points of a sunflower's head
 
 
@@ -25,11 +25,11 @@ class Cloud:
         gloss: Share of the light that passes through thin leaves from behind.
     """
 
-    position: Vectors
-    normal: Vectors
-    along: Vectors
-    scale: Vectors
-    color: Vectors
+    position: Points
+    normal: Points
+    along: Points
+    scale: Points
+    color: Points
     gloss: Float[np.ndarray, " n"]
 
     def __len__(self) -> int:
@@ -51,7 +51,7 @@ def join(clouds: Sequence[Cloud]) -> Cloud:
 
 
 def _cloud(
-    position: Vectors, normal: Vectors, color: Vectors, size: float, *, translucency: float = 0.0
+    position: Points, normal: Points, color: Points, size: float, *, translucency: float = 0.0
 ) -> Cloud:
     """Return Gaussians as round discs of standard deviation ``size``, facing ``normal``."""
     helper = np.where(np.abs(normal[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
@@ -67,7 +67,7 @@ def _cloud(
     )
 
 
-def on_disc(count: int, radius: float, color: Vectors, *, hole: float = 0.0) -> Cloud:
+def on_disc(count: int, radius: float, color: Points, *, hole: float = 0.0) -> Cloud:
     """Return ``count`` Gaussians on a horizontal disc around the origin that faces up."""
     index = np.arange(count) + 0.5
     distance = np.sqrt(hole**2 + (radius**2 - hole**2) * index / count)
@@ -79,7 +79,7 @@ def on_disc(count: int, radius: float, color: Vectors, *, hole: float = 0.0) -> 
     return _cloud(position, np.tile([0.0, 1.0, 0.0], (count, 1)), color, 0.6 * spacing)
 
 
-def on_lathe(count: int, profile: Sequence[tuple[float, float]], color: Vectors) -> Cloud:
+def on_lathe(count: int, profile: Sequence[tuple[float, float]], color: Points) -> Cloud:
     """Return ``count`` Gaussians on the surface that a profile of (radius, height) sweeps out.
 
     The profile runs upwards with the outside on its right.
@@ -87,25 +87,27 @@ def on_lathe(count: int, profile: Sequence[tuple[float, float]], color: Vectors)
     corners = np.asarray(profile)
     steps = np.diff(corners, axis=0)
     area = np.linalg.norm(steps, axis=1) * (corners[1:, 0] + corners[:-1, 0]) / 2
-    reach = np.concatenate([[0.0], np.cumsum(area)])
+    cumulative_area = np.concatenate([[0.0], np.cumsum(area)])
     index = np.arange(count) + 0.5
-    station = index / count * reach[-1]
-    segment = np.clip(np.searchsorted(reach, station) - 1, 0, len(steps) - 1)
-    share = (station - reach[segment]) / np.maximum(area[segment], 1e-12)
+    area_position = index / count * cumulative_area[-1]
+    segment = np.clip(np.searchsorted(cumulative_area, area_position) - 1, 0, len(steps) - 1)
+    share = (area_position - cumulative_area[segment]) / np.maximum(area[segment], 1e-12)
     radius, height = (corners[segment] + share[:, None] * steps[segment]).T
-    outward, upward = steps[segment, 1], -steps[segment, 0]
+    outward_part, upward_part = steps[segment, 1], -steps[segment, 0]
     angle = _GOLDEN_ANGLE * index
-    spoke = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
-    normal = outward[:, None] * spoke + upward[:, None] * np.array([0.0, 1.0, 0.0])
+    radial_direction = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
+    normal = outward_part[:, None] * radial_direction + upward_part[:, None] * np.array(
+        [0.0, 1.0, 0.0]
+    )
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    position = radius[:, None] * spoke + height[:, None] * np.array([0.0, 1.0, 0.0])
-    return _cloud(position, normal, color, 0.6 * np.sqrt(2 * np.pi * reach[-1] / count))
+    position = radius[:, None] * radial_direction + height[:, None] * np.array([0.0, 1.0, 0.0])
+    return _cloud(position, normal, color, 0.6 * np.sqrt(2 * np.pi * cumulative_area[-1] / count))
 
 
 def on_ellipsoid(
     count: int,
     radii: Sequence[float],
-    color: Vectors,
+    color: Points,
     rng: np.random.Generator,
     *,
     depth: float = 0.15,
@@ -125,21 +127,25 @@ def on_ellipsoid(
 
 
 def blades(
-    roots: Vectors, length: Float[np.ndarray, " n"], color: Vectors, rng: np.random.Generator
+    roots: Points, length: Float[np.ndarray, " n"], color: Points, rng: np.random.Generator
 ) -> Cloud:
     """Return a long upright Gaussian, as a blade of grass, at each root position."""
     count = len(roots)
-    lean = np.stack([rng.normal(0, 0.35, count), np.ones(count), rng.normal(0, 0.35, count)], 1)
-    lean /= np.linalg.norm(lean, axis=1, keepdims=True)
-    side = rng.normal(size=(count, 3))
-    normal = np.cross(lean, side)
+    lean_direction = np.stack(
+        [rng.normal(0, 0.35, count), np.ones(count), rng.normal(0, 0.35, count)], 1
+    )
+    lean_direction /= np.linalg.norm(lean_direction, axis=1, keepdims=True)
+    side_direction = rng.normal(size=(count, 3))
+    normal = np.cross(lean_direction, side_direction)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    half = 0.5 * length[:, None]
+    half_length = 0.5 * length[:, None]
     return Cloud(
-        position=roots + half * lean,
+        position=roots + half_length * lean_direction,
         normal=normal,
-        along=lean,
-        scale=np.concatenate([0.6 * half, 0.12 * half + 0.002, 0.03 * half + 0.001], axis=1),
+        along=lean_direction,
+        scale=np.concatenate(
+            [0.6 * half_length, 0.12 * half_length + 0.002, 0.03 * half_length + 0.001], axis=1
+        ),
         color=np.broadcast_to(color, roots.shape),
         gloss=np.full(count, 0.5),
     )

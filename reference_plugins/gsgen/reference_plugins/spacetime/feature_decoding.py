@@ -21,8 +21,8 @@ from gsgen.sdk import Gaussians, PostProcess, inputs
 
 _PASSES = 3  # albedo, specular features, features that grow with dt
 _FEATURES = 9
-_CONDITIONING = 9  # of a pixel: the features of passes 1 and 2, and the direction of the ray
-_FARTHEST = 1e4  # bound of the camera's coordinates, in the scene's unit
+_CONDITIONING_SIZE = 9  # of a pixel: the features of passes 1 and 2, and the direction of the ray
+_MAX_COORDINATE = 1e4  # bound of the camera's coordinates, in the scene's unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,14 @@ class FeatureScale:
     @classmethod
     def of(cls, splats: SpacetimeSplats) -> "FeatureScale":
         """Compute the bounds of features over time; those linear in time are extreme at 0 or 1."""
-        constant, linear = splats.features[:, :6], splats.features[:, 6:]
-        ends = [linear * (end - splats.temporal_centre) for end in (0.0, 1.0)]
-        low = torch.cat([constant.amin(dim=0), torch.cat(ends).amin(dim=0)]).clamp(max=0.0)
-        high = torch.cat([constant.amax(dim=0), torch.cat(ends).amax(dim=0)]).clamp(min=0.0)
+        constant_features, linear_features = splats.features[:, :6], splats.features[:, 6:]
+        end_features = [linear_features * (end - splats.temporal_centre) for end in (0.0, 1.0)]
+        low = torch.cat([constant_features.amin(dim=0), torch.cat(end_features).amin(dim=0)]).clamp(
+            max=0.0
+        )
+        high = torch.cat(
+            [constant_features.amax(dim=0), torch.cat(end_features).amax(dim=0)]
+        ).clamp(min=0.0)
         # A feature that is zero everywhere is scaled by 1.
         width = torch.where(high > low, high - low, torch.ones_like(low))
         return cls(low, width)
@@ -65,9 +69,9 @@ class FeaturePasses(MovingSplats):
 
     def forward(self, time: Float[Tensor, "1"], features: Float[Tensor, "1"]) -> Gaussians:
         """Return the Gaussians at a time, coloured by the three features that an input selects."""
-        dt, position, opacity, covariance = self.moved(time)
+        time_offset, position, opacity, covariance = self.moved(time)
         groups = [self.features[:, i : i + 3] for i in range(0, _FEATURES, 3)]
-        groups[-1] = dt * groups[-1]
+        groups[-1] = time_offset * groups[-1]
         rgb = torch.zeros_like(position)
         for index, group in enumerate(groups):
             # 1 for the selected group, 0 for the others; numbers between two groups blend them.
@@ -98,8 +102,10 @@ class PixelDecoder(PostProcess):
     def __init__(self, decoder: FeatureDecoder, scale: FeatureScale, size: tuple[int, int]) -> None:
         super().__init__()
         self.size = size
-        origin = replace(inputs.conditioning(1, 3, "origin"), range=(-_FARTHEST, _FARTHEST))
-        pixels = inputs.conditioning(size[0] * size[1], _CONDITIONING)
+        origin = replace(
+            inputs.conditioning(1, 3, "origin"), range=(-_MAX_COORDINATE, _MAX_COORDINATE)
+        )
+        pixels = inputs.conditioning(size[0] * size[1], _CONDITIONING_SIZE)
         self.inputs = (inputs.image(4, size), pixels, origin)
         self.activation = decoder.activation
         self.register_buffer("low", scale.low.reshape(1, _FEATURES, 1))

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import SpacetimeSplats
-from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stacked
+from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stack_planes
 from gsgen.sdk import GaussianGenerator
 
 # 1 / duration is at most this, so that its square, times a squared time, is finite in float32.
@@ -54,15 +54,19 @@ class MovingSplats(GaussianGenerator, ABC):
 
         Of the covariances, the upper triangles are returned.
         """
-        dt = time.reshape(1, 1) - self.temporal_centre
-        distance = dt * self.rate
+        time_offset = time.reshape(1, 1) - self.temporal_centre
+        distance = time_offset * self.rate
         opacity = self.opacity * torch.exp(-(distance * distance))
-        row = dt.reshape(1, -1)
-        first, second, third = self.motion.unbind(0)
-        position = (self.origin + row * (first + row * (second + row * third))).transpose(0, 1)
+        row = time_offset.reshape(1, -1)
+        linear_motion, quadratic_motion, cubic_motion = self.motion.unbind(0)
+        position = (
+            self.origin + row * (linear_motion + row * (quadratic_motion + row * cubic_motion))
+        ).transpose(0, 1)
         rotation = [
-            start + row * change
-            for start, change in zip(planes_of(self.rotation), planes_of(self.omega), strict=True)
+            start + row * angular_velocity
+            for start, angular_velocity in zip(
+                planes_of(self.rotation), planes_of(self.omega), strict=True
+            )
         ]
-        covariance = stacked(covariance_planes(planes_of(self.scale), rotation))
-        return dt, position, opacity, covariance
+        covariance = stack_planes(covariance_planes(planes_of(self.scale), rotation))
+        return time_offset, position, opacity, covariance

@@ -46,15 +46,15 @@ def slices_of(splats: RotorSplats, duration: tuple[float, float]) -> TimeSlices:
     temporal = torch.exp(splats.log_temporal_scale.double())
     if not splats.rot_4d:  # the published code takes the scale of time for a variance
         covariance = covariance_upper(scale, splats.rotation.double())
-        still = torch.zeros_like(scale)
+        zero_scale = torch.zeros_like(scale)
         return TimeSlices(
-            velocity=still, covariance=covariance, variance=temporal / length**2, centre=centre
+            velocity=zero_scale, covariance=covariance, variance=temporal / length**2, centre=centre
         )
-    left = _left_product(_unit(splats.rotation))
+    left_matrices = _left_product(_unit(splats.rotation))
     # The product x ↦ x r̄ is the transpose of x ↦ x r.
-    right = _right_product(_unit(splats.right_rotation)).transpose(1, 2)
+    right_matrices = _right_product(_unit(splats.right_rotation)).transpose(1, 2)
     # Quaternions count time, z, y, x; Gaussians x, y, z, time.
-    rotation = (left @ right).flip(1, 2)
+    rotation = (left_matrices @ right_matrices).flip(1, 2)
     root = rotation * torch.cat([scale, temporal], dim=1)[:, None]
     whole = root @ root.transpose(1, 2)
     variance = whole[:, 3:, 3]
@@ -145,19 +145,19 @@ class Rotor4DGS(GaussianGenerator):
         for name, value in constants.items():
             self.register_buffer(name, value.float())
         if color == "rgb":
-            self.color_range = (0.0, _brightest(splats))
+            self.color_range = (0.0, _max_brightness(splats))
 
     def forward(self, time: Float[Tensor, "1"], camera: Tensor | None = None) -> Gaussians:
         """Return the Gaussians at a time, from 0 to 1, with the colours that a camera sees."""
-        dt = time.reshape(1, 1) - self.centre
+        time_offset = time.reshape(1, 1) - self.centre
         # A comparison of times, not of factors: a difference is exact on every machine.
-        is_drawn = (dt.abs() < self.reach).to(dt.dtype)
-        opacity = self.opacity * torch.exp(-self.half_rate * (dt * dt)) * is_drawn
+        is_drawn = (time_offset.abs() < self.reach).to(time_offset.dtype)
+        opacity = self.opacity * torch.exp(-self.half_rate * (time_offset * time_offset)) * is_drawn
         sh = self.sh
         for index in range(self.changing_sh.shape[1]):
-            phase = torch.cos(2 * math.pi * (index + 1) * dt)
+            phase = torch.cos(2 * math.pi * (index + 1) * time_offset)
             sh = sh + phase[:, :, None] * self.changing_sh[:, index]
-        position = self.position + dt * self.velocity
+        position = self.position + time_offset * self.velocity
         covariance = self.covariance
         if camera is None:
             return Gaussians(position=position, opacity=opacity, covariance=covariance, sh=sh)
@@ -166,16 +166,16 @@ class Rotor4DGS(GaussianGenerator):
         return Gaussians(position=position, opacity=opacity, covariance=covariance, rgb=rgb)
 
 
-def _brightest(splats: RotorSplats) -> float:
+def _max_brightness(splats: RotorSplats) -> float:
     """Return an upper bound of the Gaussians' RGB in any direction, rounded up to a tenth.
 
     For each degree l, |Σ Y c| ≤ ‖c‖ √((2l + 1) / 4π).
     """
-    largest = splats.sh.abs()
+    largest_coefficients = splats.sh.abs()
     if splats.changing_sh.shape[1]:
-        largest = largest + splats.changing_sh.abs().sum(dim=1)
-    total = torch.full_like(largest[:, 0], 0.5)
-    for degree in range(math.isqrt(largest.shape[1])):
-        part = largest[:, degree**2 : (degree + 1) ** 2]
+        largest_coefficients = largest_coefficients + splats.changing_sh.abs().sum(dim=1)
+    total = torch.full_like(largest_coefficients[:, 0], 0.5)
+    for degree in range(math.isqrt(largest_coefficients.shape[1])):
+        part = largest_coefficients[:, degree**2 : (degree + 1) ** 2]
         total = total + part.norm(dim=1) * math.sqrt((2 * degree + 1) / (4 * math.pi))
     return max(1.0, math.ceil(10 * float(total.max())) / 10)

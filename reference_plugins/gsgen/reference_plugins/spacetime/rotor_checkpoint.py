@@ -23,25 +23,25 @@ from gsgen.reference_plugins.loading.states import Shape, require_tensors
 from gsgen.reference_plugins.loading.tensor_files import load_tensors
 from gsgen.reference_plugins.loading.training_run import TrainingRun
 
-_FILE = re.compile(r"chkpnt(\d+)\.pth")
-_BEST = "chkpnt_best.pth"
+_FILE_PATTERN = re.compile(r"chkpnt(\d+)\.pth")
+_BEST_FILE = "chkpnt_best.pth"
 # The values of capture() that are read: name → index and columns; all of N rows.
 _FIELDS = {
     "position": (1, 3), "log_scale": (4, 3), "rotation": (5, 4), "logit_opacity": (6, 1),
     "temporal_centre": (13, 1), "log_temporal_scale": (14, 1), "right_rotation": (15, 4),
 }  # fmt: skip
-_LENGTH, _STATIC_LENGTH = 19, 12
-_DC, _REST, _ROT_4D, _ENVIRONMENT, _TIME_DEGREE = 2, 3, 16, 17, 18
+_CAPTURE_LENGTH, _STATIC_CAPTURE_LENGTH = 19, 12
+_DC_FIELD, _REST_FIELD, _ROT_4D_FIELD, _ENVIRONMENT_FIELD, _TIME_DEGREE = 2, 3, 16, 17, 18
 _SH_DEGREE = 3
-_COEFFICIENTS = 16
+_SH_COEFFICIENTS = 16
 # Stored coefficients → whether they change with time. 33 is 4-D SH that the training left off.
-_CHANGES = {16: False, 33: False, 48: True}
+_HAS_CHANGING_COLOR = {16: False, 33: False, 48: True}
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # The top-level key of a YAML file, with its two numbers in one line or in one line each.
 _DURATION = re.compile(
-    rf"^time_duration:\s*(?:\[\s*({_NUMBER})\s*,\s*({_NUMBER})\s*\]|"
-    rf"\n\s*-\s*({_NUMBER})\s*\n\s*-\s*({_NUMBER}))\s*(?:#.*)?$",
+    rf"^time_duration:\s*(?:\[\s*({_NUMBER_PATTERN})\s*,\s*({_NUMBER_PATTERN})\s*\]|"
+    rf"\n\s*-\s*({_NUMBER_PATTERN})\s*\n\s*-\s*({_NUMBER_PATTERN}))\s*(?:#.*)?$",
     re.MULTILINE,
 )
 
@@ -111,16 +111,16 @@ def read_rotor(path: Path, iteration: int | None = None) -> RotorCheckpoint:
     """
     file = _find_file(path, iteration)
     hint = "Expected a file of tensors, as torch.save writes it; code in files is not run."
-    values, number = _captured(file, load_tensors(file, hint))
+    values, number = _capture_values(file, load_tensors(file, hint))
     run = TrainingRun(file.parent, number, file.parent, read_cfg_args(file.parent))
-    return RotorCheckpoint(run, file, _splats(file, values), values[_ENVIRONMENT] is not None)
+    return RotorCheckpoint(run, file, _splats(file, values), values[_ENVIRONMENT_FIELD] is not None)
 
 
 def _find_file(path: Path, iteration: int | None) -> Path:
     if path.is_file() and path.name != "cfg_args":
         return path
     folder = path.parent if path.is_file() else path
-    matches = ((_FILE.fullmatch(file.name), file) for file in folder.glob("chkpnt*.pth"))
+    matches = ((_FILE_PATTERN.fullmatch(file.name), file) for file in folder.glob("chkpnt*.pth"))
     files = {int(match[1]): file for match, file in matches if match}
     if iteration not in (None, -1):
         if iteration not in files:
@@ -128,38 +128,40 @@ def _find_file(path: Path, iteration: int | None) -> Path:
             message = f"has no chkpnt{iteration}.pth"
             raise NotInCheckpoint(message, where=str(folder), hint=f"There are: {known}.")
         return files[iteration]
-    best = folder / _BEST
-    if files or best.is_file():
-        return files[max(files)] if files else best
+    best_file = folder / _BEST_FILE
+    if files or best_file.is_file():
+        return files[max(files)] if files else best_file
     hint = "Give the folder of a training run, or its chkpntN.pth."
     hint = likely_folders(folder, lambda candidate: any(candidate.glob("chkpnt*.pth"))) or hint
     raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), hint=hint)
 
 
-def _captured(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
+def _capture_values(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
     """Return the saved ``capture()`` tuple and iteration; raise unless rotor 4DGS wrote both."""
     is_pair = isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple)
     values = content[0] if is_pair else ()
-    if len(values) == _STATIC_LENGTH:
+    if len(values) == _STATIC_CAPTURE_LENGTH:
         message = "holds Gaussians without time (gaussian_dim 3)"
         raise CheckpointInvalid(
             message, where=str(path), hint=f"Export them with `gsgen export static {path}`."
         )
-    if len(values) != _LENGTH or not isinstance(content[1], int):
-        message = f"holds {_described(content)}, expected ({_LENGTH} values of capture, iteration)"
+    if len(values) != _CAPTURE_LENGTH or not isinstance(content[1], int):
+        message = (
+            f"holds {_describe(content)}, expected ({_CAPTURE_LENGTH} values of capture, iteration)"
+        )
         hint = "Training of rotor 4DGS writes chkpntN.pth."
         raise CheckpointInvalid(message, where=str(path), hint=hint)
-    for index, kind in ((0, int), (_ROT_4D, bool), (_TIME_DEGREE, int)):
+    for index, kind in ((0, int), (_ROT_4D_FIELD, bool), (_TIME_DEGREE, int)):
         if not isinstance(values[index], kind):
             raise CheckpointInvalid(
-                f"value {index} of capture() is {_described(values[index])}, "
+                f"value {index} of capture() is {_describe(values[index])}, "
                 f"expected {kind.__name__}",
                 where=str(path),
             )
     return values, content[1]
 
 
-def _described(content: Any) -> str:
+def _describe(content: Any) -> str:
     size = f" of {len(content)}" if isinstance(content, tuple | list | dict) else ""
     return f"a {type(content).__name__}{size}"
 
@@ -169,30 +171,32 @@ def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
     count = position.shape[0] if isinstance(position, Tensor) and position.ndim else None
     expected: dict[str, Shape] = {name: (count, columns) for name, (_, columns) in _FIELDS.items()}
     state = {name: values[index] for name, (index, _) in _FIELDS.items()}
-    state |= {"f_dc": values[_DC], "f_rest": values[_REST]}
+    state |= {"f_dc": values[_DC_FIELD], "f_rest": values[_REST_FIELD]}
     expected |= {"f_dc": (count, 1, 3), "f_rest": (count, None, 3)}
     tensors = require_tensors(path, state, expected)
     if not count:
         raise CheckpointInvalid("holds no Gaussians", where=str(path))
     sh = torch.cat([tensors.pop("f_dc"), tensors.pop("f_rest")], dim=1)
-    stored = sh.shape[1]
+    stored_coefficients = sh.shape[1]
     degree, time_degree = values[0], values[_TIME_DEGREE]
-    if stored not in _CHANGES or not 0 <= degree <= _SH_DEGREE:
+    if stored_coefficients not in _HAS_CHANGING_COLOR or not 0 <= degree <= _SH_DEGREE:
         raise CheckpointInvalid(
-            f"has {stored} SH coefficients and the active degree {degree}; expected "
-            f"{', '.join(map(str, _CHANGES))} coefficients and degree 0 to {_SH_DEGREE}",
+            f"has {stored_coefficients} SH coefficients and the active degree {degree}; expected "
+            f"{', '.join(map(str, _HAS_CHANGING_COLOR))} coefficients and degree 0 to {_SH_DEGREE}",
             where=str(path),
         )
     # The published code adds harmonics of time only once all degrees are active.
-    harmonics = time_degree if _CHANGES[stored] and degree == _SH_DEGREE else 0
-    if not 0 <= harmonics < stored // _COEFFICIENTS:
-        message = f"time degree {harmonics} does not fit {stored} SH coefficients"
+    harmonics = (
+        time_degree if _HAS_CHANGING_COLOR[stored_coefficients] and degree == _SH_DEGREE else 0
+    )
+    if not 0 <= harmonics < stored_coefficients // _SH_COEFFICIENTS:
+        message = f"time degree {harmonics} does not fit {stored_coefficients} SH coefficients"
         raise CheckpointInvalid(message, where=str(path))
-    blocks = sh[:, : stored // _COEFFICIENTS * _COEFFICIENTS]
-    blocks = blocks.reshape(count, -1, _COEFFICIENTS, 3)
+    blocks = sh[:, : stored_coefficients // _SH_COEFFICIENTS * _SH_COEFFICIENTS]
+    blocks = blocks.reshape(count, -1, _SH_COEFFICIENTS, 3)
     return RotorSplats(
         **tensors,
         sh=blocks[:, 0, : (degree + 1) ** 2],
         changing_sh=blocks[:, 1 : 1 + harmonics],
-        rot_4d=values[_ROT_4D],
+        rot_4d=values[_ROT_4D_FIELD],
     )

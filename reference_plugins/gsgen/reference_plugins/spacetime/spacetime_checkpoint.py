@@ -31,7 +31,7 @@ _ACTIVATIONS: dict[str, Activation] = {
     "sandwichnoactss": "clamp",
 }
 _HIDDEN = 6
-_SHAPES = {"mlp1.weight": (_HIDDEN, 12, 1, 1), "mlp2.weight": (3, _HIDDEN, 1, 1)}
+_LAYER_SHAPES = {"mlp1.weight": (_HIDDEN, 12, 1, 1), "mlp2.weight": (3, _HIDDEN, 1, 1)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,15 +96,19 @@ def read_spacetime(path: Path, iteration: int | None = None) -> SpacetimeCheckpo
 
 
 def _read_splats(path: Path) -> SpacetimeSplats:
-    present = ply_properties(path)
-    is_full = "f_t_0" in present or "f_dc_3" in present
-    features = [*_numbered("f_dc", 6), *_numbered("f_t", 3)] if is_full else _numbered("f_dc", 3)
+    present_names = ply_properties(path)
+    is_full = "f_t_0" in present_names or "f_dc_3" in present_names
+    features = (
+        [*_numbered_names("f_dc", 6), *_numbered_names("f_t", 3)]
+        if is_full
+        else _numbered_names("f_dc", 3)
+    )
     groups = {
         "position": ["x", "y", "z"],
-        "motion": _numbered("motion", 9),
-        "rotation": _numbered("rot", 4),
-        "omega": _numbered("omega", 4),
-        "log_scale": _numbered("scale", 3),
+        "motion": _numbered_names("motion", 9),
+        "rotation": _numbered_names("rot", 4),
+        "omega": _numbered_names("omega", 4),
+        "log_scale": _numbered_names("scale", 3),
         "logit_opacity": ["opacity"],
         "temporal_centre": ["trbf_center"],
         "log_duration": ["trbf_scale"],
@@ -117,15 +121,17 @@ def _read_splats(path: Path) -> SpacetimeSplats:
     return SpacetimeSplats(**tables)
 
 
-def _numbered(name: str, count: int) -> list[str]:
+def _numbered_names(name: str, count: int) -> list[str]:
     return [f"{name}_{index}" for index in range(count)]
 
 
 def _read_decoder(path: Path, cfg: CfgArgs) -> FeatureDecoder:
-    weights = require_tensors(path, load_state(path, "the decoder of the full model"), _SHAPES)
+    weights = require_tensors(
+        path, load_state(path, "the decoder of the full model"), _LAYER_SHAPES
+    )
     function = cfg.word("rgbfunction", "sandwich")
     if function not in _ACTIVATIONS:
         message = f"rgbfunction is {function!r}, expected {' or '.join(map(repr, _ACTIVATIONS))}"
         raise CheckpointInvalid(message, where=str(cfg.path))
-    hidden, color = (weights[name].flatten(1) for name in _SHAPES)
+    hidden, color = (weights[name].flatten(1) for name in _LAYER_SHAPES)
     return FeatureDecoder(hidden, color, _ACTIVATIONS[function])

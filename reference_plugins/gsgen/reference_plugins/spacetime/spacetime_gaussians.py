@@ -26,8 +26,8 @@ def color_range(colors: Float[Tensor, "n 3"]) -> tuple[float, float] | None:
     low, high = float(colors.min()), float(colors.max())
     if low >= 0 and high <= 1:
         return None
-    tenths = torch.tensor([10 * min(low, 0.0), 10 * max(high, 1.0)], dtype=torch.float64)
-    return float(tenths[0].floor()) / 10, float(tenths[1].ceil()) / 10
+    time_samples = torch.tensor([10 * min(low, 0.0), 10 * max(high, 1.0)], dtype=torch.float64)
+    return float(time_samples[0].floor()) / 10, float(time_samples[1].ceil()) / 10
 
 
 @final
@@ -57,12 +57,17 @@ class SpacetimeGaussians(MovingSplats):
 
     def forward(self, time: Float[Tensor, "1"], camera: Tensor | None = None) -> Gaussians:
         """Return the Gaussians at a given time, with colours as the camera sees them."""
-        dt, position, opacity, covariance = self.moved(time)
-        rgb = self.features if camera is None else self._decoded(position, dt, camera)
+        time_offset, position, opacity, covariance = self.moved(time)
+        rgb = (
+            self.features if camera is None else self._decode_colors(position, time_offset, camera)
+        )
         return Gaussians(position=position, opacity=opacity, covariance=covariance, rgb=rgb)
 
-    def _decoded(
-        self, position: Float[Tensor, "n 3"], dt: Float[Tensor, "n 1"], camera: Float[Tensor, "4 4"]
+    def _decode_colors(
+        self,
+        position: Float[Tensor, "n 3"],
+        time_offset: Float[Tensor, "n 1"],
+        camera: Float[Tensor, "4 4"],
     ) -> Float[Tensor, "n 3"]:
         """Decode the features of each Gaussian along the ray from the camera to its centre."""
         assert self.hidden is not None
@@ -71,9 +76,9 @@ class SpacetimeGaussians(MovingSplats):
         direction = safe_normalize(position - origin)
         albedo = self.features[:, :_FEATURES]
         specular = self.features[:, _FEATURES : 2 * _FEATURES]
-        changing = dt * self.features[:, 2 * _FEATURES :]
+        changing_features = time_offset * self.features[:, 2 * _FEATURES :]
         # Each part of the input has its own product, which saves copying them into a wide tensor.
         weights = torch.split(self.hidden.weight, _FEATURES)
-        hidden = specular @ weights[0] + changing @ weights[1] + direction @ weights[3]
+        hidden = specular @ weights[0] + changing_features @ weights[1] + direction @ weights[3]
         color: Tensor = albedo + self.out(torch.relu(hidden + origin @ weights[2]))
         return torch.sigmoid(color) if self.activation == "sigmoid" else color.clamp(0.0, 1.0)

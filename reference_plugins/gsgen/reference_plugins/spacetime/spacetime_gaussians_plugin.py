@@ -96,7 +96,7 @@ def _model(
             note("note: the colours are features, which the model of --decode decoder decodes")
             return FeaturePasses(read.splats, time)
         case "decoder":
-            return PixelDecoder(read.decoder, FeatureScale.of(read.splats), _sides(size))
+            return PixelDecoder(read.decoder, FeatureScale.of(read.splats), _image_size(size))
     message = "the checkpoint is a full model, whose features are blended and decoded per pixel"
     hint = (
         "Give --decode features and --decode decoder, a model each, or --decode per-splat, which "
@@ -105,17 +105,17 @@ def _model(
     raise NotInCheckpoint(message, where=str(read.cloud), hint=hint)
 
 
-def _sides(size: str) -> tuple[int, int]:
+def _image_size(size: str) -> tuple[int, int]:
     from gsgen.contract.errors import ConfigInvalid
     from gsgen.reference_plugins.loading.image_sizes import read_size
 
-    sides = read_size(size)
-    if sides is None:
+    image_size = read_size(size)
+    if image_size is None:
         hint = "The model has a ray for each pixel: give the size as 360x640."
         raise ConfigInvalid(
             "'any' is not an image size for --decode decoder", where="--size", hint=hint
         )
-    return sides
+    return image_size
 
 
 def _write_demo(folder: Path) -> list[str]:

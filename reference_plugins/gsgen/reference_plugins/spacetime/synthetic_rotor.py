@@ -36,18 +36,18 @@ def write_rotor(
     ``coefficients`` are 16, or 48 for colours that change; ``degree`` is the active SH degree.
     """
     noise = torch.Generator().manual_seed(seed)
-    knot = torus_knot(count, seed=seed)
-    position, length = torch.from_numpy(knot.position), duration[1] - duration[0]
+    knot_splats = torus_knot(count, seed=seed)
+    position, length = torch.from_numpy(knot_splats.position), duration[1] - duration[0]
     share = torch.linspace(0, 1, count)[:, None]
     # Each fourth Gaussian rests and lasts as long as the scene, the others for a part of it.
-    rests = torch.arange(count)[:, None] % 4 == 0
+    is_static = torch.arange(count)[:, None] % 4 == 0
     part = 0.18 + 0.04 * torch.randn((count, 1), generator=noise).clamp(-2, 2)
-    lasting = torch.where(rests, 3.0, part) * length
+    duration_scale = torch.where(is_static, 3.0, part) * length
     x, _, z = torch.split(position, 1, dim=1)
-    velocity = sway / length * torch.cat([z, torch.sin(3 * x), -x], dim=1) * ~rests
-    left, right = _rotors(velocity, torch.randn((count, 4), generator=noise))
+    velocity = sway / length * torch.cat([z, torch.sin(3 * x), -x], dim=1) * ~is_static
+    left_rotor, right_rotor = _rotors(velocity, torch.randn((count, 4), generator=noise))
     sh = torch.zeros((count, coefficients, 3))
-    sh[:, :16] = torch.from_numpy(knot.sh)
+    sh[:, :16] = torch.from_numpy(knot_splats.sh)
     sh[:, 16:] = 0.2 * torch.randn((count, coefficients - 16, 3), generator=noise)
     sh[:, 17:32] *= 0.2
     values: tuple[Any, ...] = (
@@ -55,15 +55,15 @@ def write_rotor(
         position,
         sh[:, :1],
         sh[:, 1:],
-        torch.from_numpy(knot.log_scale),
-        left if rot_4d else torch.from_numpy(knot.rotation),
-        torch.from_numpy(knot.logit_opacity)[:, None],
+        torch.from_numpy(knot_splats.log_scale),
+        left_rotor if rot_4d else torch.from_numpy(knot_splats.rotation),
+        torch.from_numpy(knot_splats.logit_opacity)[:, None],
         *(torch.zeros(count), *(torch.zeros((count, 1)) for _ in range(3))),  # statistics
         {"state": {}, "param_groups": []},
         4.2,  # extent of the scene
         duration[0] + length * share,
-        torch.log(lasting) * (1 if rot_4d else 2),
-        right,
+        torch.log(duration_scale) * (1 if rot_4d else 2),
+        right_rotor,
         rot_4d,
         None,  # background
         coefficients // 16 - 1,
@@ -84,8 +84,8 @@ def _rotors(
     both is x ↦ (b g) x (g* b), of which the second factor is stored conjugated.
     """
     speed = velocity.norm(dim=1, keepdim=True)
-    half = torch.atan(speed) / 2
+    half_angle = torch.atan(speed) / 2
     axis = (velocity / speed.clamp(min=1e-12)).flip(1)  # quaternions count time, z, y, x
-    boost = torch.cat([half.cos(), half.sin() * axis], dim=1)
-    inverse = torch.cat([boost[:, :1], -boost[:, 1:]], dim=1)
-    return quaternion_multiply(boost, turn), quaternion_multiply(inverse, turn)
+    boost_rotor = torch.cat([half_angle.cos(), half_angle.sin() * axis], dim=1)
+    inverse = torch.cat([boost_rotor[:, :1], -boost_rotor[:, 1:]], dim=1)
+    return quaternion_multiply(boost_rotor, turn), quaternion_multiply(inverse, turn)

@@ -27,22 +27,24 @@ def write_spacetime(
     is three units wide.
     """
     rng = np.random.default_rng(seed)
-    knot = torus_knot(count, degree=0, seed=seed)
-    color = 0.5 + SH_C0 * knot.sh[:, 0]
+    knot_splats = torus_knot(count, degree=0, seed=seed)
+    color = 0.5 + SH_C0 * knot_splats.sh[:, 0]
     # Splats appear one after another along the knot. Each fourth lasts as long as the scene.
     centre = np.linspace(0, 1, count)[:, None]
     log_duration = np.where(np.arange(count)[:, None] % 4, rng.normal(-1.2, 0.2, (count, 1)), 1.0)
-    columns = dict(zip("xyz", knot.position.T, strict=True))
+    columns = dict(zip("xyz", knot_splats.position.T, strict=True))
     columns |= {"trbf_center": centre[:, 0], "trbf_scale": log_duration[:, 0]}
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(count))
-    columns |= _numbered("motion", _motion(knot.position, sway))
+    columns |= _numbered_columns("motion", _motion(knot_splats.position, sway))
     features = [color, rng.normal(0, 0.5, (count, 3))] if full else [color]
-    columns |= _numbered("f_dc", np.concatenate(features, axis=1))
-    columns |= {"opacity": knot.logit_opacity}
-    columns |= _numbered("scale", knot.log_scale) | _numbered("rot", knot.rotation)
-    columns |= _numbered("omega", rng.normal(0, 0.1, (count, 4)))
+    columns |= _numbered_columns("f_dc", np.concatenate(features, axis=1))
+    columns |= {"opacity": knot_splats.logit_opacity}
+    columns |= _numbered_columns("scale", knot_splats.log_scale) | _numbered_columns(
+        "rot", knot_splats.rotation
+    )
+    columns |= _numbered_columns("omega", rng.normal(0, 0.1, (count, 4)))
     if full:
-        columns |= _numbered("f_t", rng.normal(0, 0.5, (count, 3)))
+        columns |= _numbered_columns("f_t", rng.normal(0, 0.5, (count, 3)))
     variant = "ours_full" if full else "ours_lite"
     function = "sandwich" if full else "rgbv1"
     write_cfg_args(folder, {"model": variant, "rgbfunction": function, "duration": 50})
@@ -62,12 +64,14 @@ def _motion(position: Float[np.ndarray, "n 3"], sway: float) -> Float[np.ndarray
     """Return the coefficients of a motion that lifts points and turns them around the axis y."""
     x, _, z = position.T
     phase = np.arctan2(z, x)
-    linear = np.stack([z, np.sin(2 * phase), -x], axis=1)
+    linear_motion = np.stack([z, np.sin(2 * phase), -x], axis=1)
     quadratic = np.stack([-x, np.cos(3 * phase), -z], axis=1)
-    cubic = -0.5 * linear
-    return sway * np.concatenate([linear, quadratic, cubic], axis=1)
+    cubic_motion = -0.5 * linear_motion
+    return sway * np.concatenate([linear_motion, quadratic, cubic_motion], axis=1)
 
 
-def _numbered(name: str, table: Float[np.ndarray, "n k"]) -> dict[str, Float[np.ndarray, " n"]]:
+def _numbered_columns(
+    name: str, table: Float[np.ndarray, "n k"]
+) -> dict[str, Float[np.ndarray, " n"]]:
     """Return an array's columns by PLY property name, which is a prefix and the column number."""
     return {f"{name}_{index}": column for index, column in enumerate(table.T)}

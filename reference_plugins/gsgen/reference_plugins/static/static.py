@@ -28,7 +28,7 @@ INITIAL_OPACITY = 0.1
 # The published initialisation clamps squared distances here, so that duplicates have a size.
 _SMALLEST_SQUARE = 1e-7
 _NEIGHBOURS = 3
-_UP = np.array([[0.0, -1.0, 0.0]])
+_UP_DIRECTION = np.array([[0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +101,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
         position=splats.position,
         opacity=opacity,
         covariance=covariance_upper(scale, splats.rotation),
-        sh=_of_degree(splats.sh, degree),
+        sh=_resize_sh(splats.sh, degree),
     )
     rows, color = layout.encode(gaussians, np.dtype(dtype).type)
     return ConstantRows(
@@ -115,12 +115,12 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
     )
 
 
-def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
+def _resize_sh(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
     """Truncate SH coefficients to a degree, or pad them with zeros."""
-    resized = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
-    shared = min(resized.shape[1], sh.shape[1])
-    resized[:, :shared] = sh[:, :shared]
-    return resized
+    resized_sh = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
+    shared_count = min(resized_sh.shape[1], sh.shape[1])
+    resized_sh[:, :shared_count] = sh[:, :shared_count]
+    return resized_sh
 
 
 def _from_points(
@@ -139,7 +139,7 @@ def _from_points(
     note = ""
     if sh_degree is not None:
         sh_degree, note = stored_degree(sh_degree, half=dtype == "float16")
-        sh = _of_degree(_constant_term(points.color), sh_degree)
+        sh = _resize_sh(_constant_term(points.color), sh_degree)
         gaussians = replace(gaussians, rgb=None, sh=sh)
     rows, color = layout.encode(gaussians, np.dtype(dtype).type)
     return ConstantRows(
@@ -153,7 +153,9 @@ def _from_points(
 
 def _constant_term(color: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 1 3"]:
     """Convert colours to SH coefficients of degree 0: 0.5 + Y₀ c₀ = colour."""
-    return np.asarray((np.asarray(color, np.float64)[:, None] - 0.5) / basis(_UP, 0)[0, 0])
+    return np.asarray(
+        (np.asarray(color, np.float64)[:, None] - 0.5) / basis(_UP_DIRECTION, 0)[0, 0]
+    )
 
 
 def _from_rows(

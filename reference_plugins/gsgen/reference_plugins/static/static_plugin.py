@@ -69,10 +69,10 @@ def _read(file: Path) -> "Splats | PointCloud | PackedRows":
     from gsgen.formats import FormatWarning
     from gsgen.tiles.loading.leaves import open_splats
 
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always", FormatWarning)
         content = open_splats(file, drop_invalid=True)
-    for warning in caught:
+    for warning in caught_warnings:
         typer.echo(f"note: {warning.message}", err=True)
     return content
 

@@ -47,11 +47,11 @@ def read_surfels(path: Path, iteration: int | None = None) -> SurfelCheckpoint:
         groups = splat_groups(splat_degree([*names, _NORMAL_SCALE])) | {"log_scale": _SCALES}
         tables = read_ply_columns(cloud, {name: list(group) for name, group in groups.items()})
     scale = tables["log_scale"]
-    flat = np.full((len(scale), 1), -np.inf, np.float32)
+    flat_log_scale = np.full((len(scale), 1), -np.inf, np.float32)
     splats = Splats(
         position=tables["position"],
         rotation=tables["rotation"],
-        log_scale=np.concatenate([scale, flat], axis=1),
+        log_scale=np.concatenate([scale, flat_log_scale], axis=1),
         logit_opacity=tables["logit_opacity"][:, 0],
         sh=tables["sh"].reshape(len(scale), -1, 3),
     )

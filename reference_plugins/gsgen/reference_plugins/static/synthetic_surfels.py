@@ -11,7 +11,7 @@ from gsgen.formats import Splats
 from gsgen.formats.shared.quantities import SH_C0
 from gsgen.reference_plugins.writing.run_files import splat_columns, write_cfg_args, write_columns
 
-_RADIUS, _TUBE = 1.0, 0.45
+_RING_RADIUS, _TUBE_RADIUS = 1.0, 0.45
 
 
 def write_surfels(folder: Path, *, count: int = 64, degree: int = 3, seed: int = 0) -> Path:
@@ -20,20 +20,26 @@ def write_surfels(folder: Path, *, count: int = 64, degree: int = 3, seed: int =
     The discs cover a torus three units wide, in stripes of two colours.
     """
     rng = np.random.default_rng(seed)
-    around, across = rng.uniform(0, 2 * np.pi, (2, count))
-    outward = np.stack([np.cos(around), np.zeros(count), np.sin(around)], axis=1)
-    normal = np.cos(across)[:, None] * outward + np.sin(across)[:, None] * [0.0, 1.0, 0.0]
-    position = _RADIUS * outward + _TUBE * normal
+    ring_angle, tube_angle = rng.uniform(0, 2 * np.pi, (2, count))
+    outward_direction = np.stack([np.cos(ring_angle), np.zeros(count), np.sin(ring_angle)], axis=1)
+    normal = np.cos(tube_angle)[:, None] * outward_direction + np.sin(tube_angle)[:, None] * [
+        0.0,
+        1.0,
+        0.0,
+    ]
+    position = _RING_RADIUS * outward_direction + _TUBE_RADIUS * normal
     # The quaternion that turns z to the normal, after a random turn around z.
-    tilt = np.stack([1 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(count)], axis=1)
-    tilt[:, 0] += 1e-3  # normals along −z
-    half = rng.uniform(0, np.pi, count)
-    w, x, y, _ = tilt.T
-    cos, sin = np.cos(half), np.sin(half)
+    tilt_quaternion = np.stack(
+        [1 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(count)], axis=1
+    )
+    tilt_quaternion[:, 0] += 1e-3  # normals along −z
+    half_angle = rng.uniform(0, np.pi, count)
+    w, x, y, _ = tilt_quaternion.T
+    cos, sin = np.cos(half_angle), np.sin(half_angle)
     rotation = np.stack([w * cos, x * cos + y * sin, y * cos - x * sin, w * sin], axis=1)
-    size = 4.0 * np.sqrt(_RADIUS * _TUBE / count)
-    stripes = (np.sin(5 * around + 3 * across) > 0)[:, None]
-    color = np.where(stripes, [0.9, 0.55, 0.2], [0.15, 0.4, 0.65])
+    size = 4.0 * np.sqrt(_RING_RADIUS * _TUBE_RADIUS / count)
+    stripe_mask = (np.sin(5 * ring_angle + 3 * tube_angle) > 0)[:, None]
+    color = np.where(stripe_mask, [0.9, 0.55, 0.2], [0.15, 0.4, 0.65])
     sh = np.zeros((count, coefficients(degree), 3))
     sh[:, 0] = (color + 0.05 * rng.normal(size=(count, 3)) - 0.5) / SH_C0
     sh[:, 1:] = 0.02 * rng.normal(size=sh[:, 1:].shape)

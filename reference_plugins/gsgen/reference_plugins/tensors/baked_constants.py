@@ -4,7 +4,7 @@ ONNX Runtime computes nodes without inputs once, when it loads a model, on any d
 larger than its factors need not be in the file: neither choice costs time in a frame.
 """
 
-__all__ = ["BAKES", "Bake", "Constants"]
+__all__ = ["BAKE_MODES", "Bake", "Constants"]
 
 import copy
 from collections.abc import Iterable, Sequence
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 Bake = Literal["auto", "always", "never"]
-BAKES: tuple[Bake, ...] = ("auto", "always", "never")
+BAKE_MODES: tuple[Bake, ...] = ("auto", "always", "never")
 
 
 class Constants(nn.Module):
@@ -32,16 +32,18 @@ class Constants(nn.Module):
         """
         super().__init__()
         with torch.no_grad():  # in float64, so that results are rounded only once
-            exact = copy.deepcopy(make).double()
-            results = exact(
+            float64_module = copy.deepcopy(make).double()
+            results = float64_module(
                 *(tensor.double() if tensor.is_floating_point() else tensor for tensor in arguments)
             )
-        stored = [tensor.float() if tensor.is_floating_point() else tensor for tensor in results]
-        smaller = _bytes(stored) <= _bytes(make.buffers())
-        self.bakes = bake == "always" or (bake == "auto" and smaller)
+        stored_tensors = [
+            tensor.float() if tensor.is_floating_point() else tensor for tensor in results
+        ]
+        is_smaller = _bytes(stored_tensors) <= _bytes(make.buffers())
+        self.bakes = bake == "always" or (bake == "auto" and is_smaller)
         self.make = None if self.bakes else make
-        self.count = len(stored)
-        for index, tensor in enumerate(stored if self.bakes else ()):
+        self.count = len(stored_tensors)
+        for index, tensor in enumerate(stored_tensors if self.bakes else ()):
             self.register_buffer(f"made_{index}", tensor.contiguous())
 
     def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:

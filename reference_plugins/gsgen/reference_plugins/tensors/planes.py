@@ -5,7 +5,7 @@ kernel over contiguous memory. No tensor is larger than an input: a million Gaus
 below the size limit of a binding, which a batch of 3×3 products would exceed.
 """
 
-__all__ = ["covariance_planes", "planes_of", "rotation_columns", "stacked"]
+__all__ = ["covariance_planes", "planes_of", "rotation_columns", "stack_planes"]
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from gsgen.contract.spec.layout import UPPER_TRIANGLE
 
-_TINY = 1e-24
+_MIN_SQUARED_LENGTH = 1e-24
 
 
 def rotation_columns(
@@ -30,8 +30,8 @@ def rotation_columns(
     factor: Tensor | float = math.sqrt(2.0)
     if normalise:
         w, x, y, z = rotation
-        square = w * w + x * x + y * y + z * z
-        factor = torch.sqrt(2.0 / square.clamp(min=_TINY))
+        squared_length = w * w + x * x + y * y + z * z
+        factor = torch.sqrt(2.0 / squared_length.clamp(min=_MIN_SQUARED_LENGTH))
     # With the factor √2, each product below is already the doubled one in R.
     w, x, y, z = (factor * part for part in rotation)
     xx, yy, zz = x * x, y * y, z * z
@@ -56,10 +56,10 @@ def covariance_planes(
 
 def planes_of(rows: Float[Tensor, "n k"]) -> list[Tensor]:
     """Split rows into one tensor [1, N] for each column."""
-    turned = rows.transpose(0, 1)
-    return [turned[i : i + 1] for i in range(rows.shape[1])]
+    transposed = rows.transpose(0, 1)
+    return [transposed[i : i + 1] for i in range(rows.shape[1])]
 
 
-def stacked(planes: Sequence[Tensor]) -> Tensor:
+def stack_planes(planes: Sequence[Tensor]) -> Tensor:
     """Join component tensors of M numbers each into rows [M, components]."""
     return torch.stack([plane.reshape(-1) for plane in planes], dim=0).transpose(0, 1)

@@ -66,14 +66,14 @@ def conformance(
     suites = [find_suite(name).name for name in suite or ()]
     expected = read_expected(xfails, registry) if xfails else ()
     dumps = Dumps(dump) if dump else None
-    entries = [_test(model, settings, suites, expected, dumps) for model in files]
+    entries = [_test_generators(model, settings, suites, expected, dumps) for model in files]
     _print(entries, Format.JSON if as_json else format)
-    _refuse_idle_suites(entries, settings, suites)
-    _refuse_strangers(entries, settings, expected)
+    _refuse_unused_suites(entries, settings, suites)
+    _refuse_unmatched_entries(entries, settings, expected)
     raise typer.Exit(exit_code(entries))
 
 
-def _test(
+def _test_generators(
     model: Path,
     settings: "Settings",
     suites: "list[str]",
@@ -108,30 +108,34 @@ def _print(entries: "list[Entry]", format: Format) -> None:
         typer.echo(to_json(entries))
 
 
-def _refuse_idle_suites(entries: "list[Entry]", settings: "Settings", suites: "list[str]") -> None:
+def _refuse_unused_suites(
+    entries: "list[Entry]", settings: "Settings", suites: "list[str]"
+) -> None:
     """Raise if a requested suite applies to no tested model: nothing was tested by it."""
     from gsgen.conformance.run import ModelRun, suites_of
 
     runs = [entry for entry in entries if isinstance(entry, ModelRun)]
-    tested = {name for run in runs for name in run.suites}
-    idle = [name for name in suites if name not in tested]
-    if not runs or not idle:
+    tested_suites = {name for run in runs for name in run.suites}
+    unused_suites = [name for name in suites if name not in tested_suites]
+    if not runs or not unused_suites:
         return
-    known = dict.fromkeys(
+    known_suites = dict.fromkeys(
         name for run in runs for name in suites_of(Path(run.report.path), settings)
     )
-    message = f"the suite {idle[0]!r} applies to no tested model"
-    raise ConfigInvalid(message, where="--suite", hint=f"Those that apply: {', '.join(known)}.")
+    message = f"the suite {unused_suites[0]!r} applies to no tested model"
+    raise ConfigInvalid(
+        message, where="--suite", hint=f"Those that apply: {', '.join(known_suites)}."
+    )
 
 
-def _refuse_strangers(
+def _refuse_unmatched_entries(
     entries: "list[Entry]", settings: "Settings", expected: "Sequence[ExpectedFailure]"
 ) -> None:
     """Raise if an expected failure matches no tested rule, after the results are printed."""
     from gsgen.conformance.expected import unmatched_entries
     from gsgen.conformance.run import ModelRun, suites_of
 
-    tested = {
+    tested_suites = {
         Path(entry.report.path): [
             rule.id
             for rules in suites_of(Path(entry.report.path), settings).values()
@@ -140,6 +144,6 @@ def _refuse_strangers(
         for entry in entries
         if isinstance(entry, ModelRun)
     }
-    for entry in unmatched_entries(expected, tested):
+    for entry in unmatched_entries(expected, tested_suites):
         message = "matches no rule of any tested model"
         raise ConfigInvalid(message, where=str(entry), hint="Remove or correct the entry.")

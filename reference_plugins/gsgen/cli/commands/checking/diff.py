@@ -37,7 +37,7 @@ def diff(
         document = {
             "facts": [asdict(fact) for fact in facts],
             "outputs": [
-                asdict(output) | {"largest": _finite(output.largest)} for output in outputs
+                asdict(output) | {"largest": _finite_or_none(output.largest)} for output in outputs
             ],
             "not_compared": reason or None,
         }
@@ -46,14 +46,14 @@ def diff(
     for fact in facts:
         typer.echo(f"{fact.kind}  {fact.name}: {fact.first} → {fact.second}")
     for output in outputs:
-        same = (
+        is_same = (
             "equal bits"
             if output.largest == 0
             else (
                 f"differ by up to {output.largest:.3g}, in {output.rows:,} rows (worst: {output.probe})"
             )
         )
-        typer.echo(f"output  {output.role}: {same}")
+        typer.echo(f"output  {output.role}: {is_same}")
     if reason:
         typer.echo(f"outputs were not compared: {reason}")
     if code == ExitCode.SUCCESS:
@@ -61,6 +61,6 @@ def diff(
     raise typer.Exit(code)
 
 
-def _finite(number: float) -> float | None:
+def _finite_or_none(number: float) -> float | None:
     """Return a number, or None for infinity and NaN, which JSON cannot represent."""
     return number if math.isfinite(number) else None

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from gsgen.contract.tools.doctor import Check
 
 # Room → the module with its checks.
-_ROOMS = {
+_PART_TITLES = {
     "contract": "gsgen.contract.tools.doctor",
     "sdk": "gsgen.sdk.doctor",
     "runtime": "gsgen.runtime.doctor",
 }
-_STYLE = {"ok": "green", "missing": "yellow", "broken": "bold red"}
+_STATE_STYLES = {"ok": "green", "missing": "yellow", "broken": "bold red"}
 
 
 def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
@@ -31,9 +31,11 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON."
     from gsgen.cli.output import show
     from gsgen.contract.reporters.text import Line
 
-    checks_by_room = {room: _ask(room) for room in _ROOMS}
-    broken = any(check.state == "broken" for checks in checks_by_room.values() for check in checks)
-    code = ExitCode.FAILURE if broken else ExitCode.SUCCESS
+    checks_by_room = {room: _run_checks(room) for room in _PART_TITLES}
+    has_broken = any(
+        check.state == "broken" for checks in checks_by_room.values() for check in checks
+    )
+    code = ExitCode.FAILURE if has_broken else ExitCode.SUCCESS
     if as_json:
         document = {
             room: [asdict(check) for check in checks] for room, checks in checks_by_room.items()
@@ -45,17 +47,17 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON."
         for check in checks:
             purpose = f"  ({check.purpose})" if check.purpose else ""
             text = f"  {check.state:<8}{check.name:<22}{check.detail}{purpose}"
-            show([Line(text, _STYLE[check.state])])
+            show([Line(text, _STATE_STYLES[check.state])])
             if check.remedy:
                 show([Line(f"          hint: {check.remedy}")])
     raise typer.Exit(code)
 
 
-def _ask(room: str) -> "list[Check]":
+def _run_checks(room: str) -> "list[Check]":
     """Return the checks of a room; an error in them is a check that failed."""
     from gsgen.contract.tools.doctor import Check
 
     try:
-        return list(import_module(_ROOMS[room]).checks())
+        return list(import_module(_PART_TITLES[room]).checks())
     except Exception as error:  # a check must not take the others down
         return [Check(name=room, state="broken", detail=f"{type(error).__name__}: {error}")]

@@ -36,7 +36,7 @@ def inspect(
         raise ConfigInvalid("MODEL is missing, expected an ONNX file or --schema KIND")
     subject = _read(model)
     if emit_manifest:
-        _emit(subject)
+        _emit_manifest(subject)
     elif as_json:
         typer.echo(json.dumps(_facts(subject), indent=2, ensure_ascii=False))
     else:
@@ -62,7 +62,7 @@ def _read(model: Path) -> "InspectedModel":
     return inspect_model(open_model(model), load_target("core"), Limits())
 
 
-def _emit(subject: "InspectedModel") -> None:
+def _emit_manifest(subject: "InspectedModel") -> None:
     from gsgen.contract.spec.manifest_io import dumps
 
     if subject.parsed is not None and subject.parsed.manifest is None:

@@ -16,7 +16,7 @@ from gsgen.contract.spec.layout import FIELDS
 if TYPE_CHECKING:
     from gsgen.conformance.reproduction import Reproduction
 
-_COLOR_SHOWN = 6
+_SHOWN_COLOR_VALUES = 6
 
 
 def repro(
@@ -59,17 +59,21 @@ def repro(
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(ExitCode.UNREADABLE) from error
-    dumped = dump if dump is not None and dump.is_file() else None
+    dump_file = dump if dump is not None and dump.is_file() else None
     if as_json:
-        typer.echo(json.dumps(_document(model, reproduction, dumped), indent=2, ensure_ascii=False))
+        typer.echo(
+            json.dumps(_document(model, reproduction, dump_file), indent=2, ensure_ascii=False)
+        )
     else:
         _show(model, reproduction)
-        if dumped:
-            typer.echo(f"  inputs and outputs: {dumped}")
+        if dump_file:
+            typer.echo(f"  inputs and outputs: {dump_file}")
     raise typer.Exit(ExitCode.FAILURE if reproduction.findings else ExitCode.SUCCESS)
 
 
-def _document(model: Path, reproduction: "Reproduction", dumped: Path | None) -> dict[str, object]:
+def _document(
+    model: Path, reproduction: "Reproduction", dump_file: Path | None
+) -> dict[str, object]:
     from gsgen.contract.reporters.json_report import finding_to_dict
 
     def finite(values: tuple[float, ...]) -> list[float | None]:
@@ -88,7 +92,7 @@ def _document(model: Path, reproduction: "Reproduction", dumped: Path | None) ->
             | {"color": finite(row.color)}
             for row in reproduction.rows
         ],
-        "dump": str(dumped) if dumped else None,
+        "dump": str(dump_file) if dump_file else None,
     }
 
 
@@ -115,7 +119,7 @@ def _table(reproduction: "Reproduction") -> list[str]:
     lines.append("  " + "".join(f"{name:>13}" for name in ("row", *FIELDS)) + "  color")
     for row in reproduction.rows:
         numbers = "".join(f"{value:13.6g}" for value in row.packed)
-        color = " ".join(f"{value:.4g}" for value in row.color[:_COLOR_SHOWN])
-        ellipsis = " …" if len(row.color) > _COLOR_SHOWN else ""
+        color = " ".join(f"{value:.4g}" for value in row.color[:_SHOWN_COLOR_VALUES])
+        ellipsis = " …" if len(row.color) > _SHOWN_COLOR_VALUES else ""
         lines.append(f"  {row.number:13d}{numbers}  {color}{ellipsis}")
     return lines

@@ -53,8 +53,8 @@ def rules(
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
     for rule in selected:
-        head = f"{rule.id}  {rule.severity.word:<7}  {rule.level.word:<9}  {rule.slug}"
-        typer.echo(f"{head}\n    {rule.statement}")
+        headline = f"{rule.id}  {rule.severity.word:<7}  {rule.level.word:<9}  {rule.slug}"
+        typer.echo(f"{headline}\n    {rule.statement}")
 
 
 def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
@@ -70,8 +70,8 @@ def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
 
 
 def _matches(word: str, rule: "Rule") -> bool:
-    needle = word.casefold()
+    folded_word = word.casefold()
     return (
-        rule.id.casefold().startswith(needle)
-        or needle in f"{rule.slug} {rule.statement}".casefold()
+        rule.id.casefold().startswith(folded_word)
+        or folded_word in f"{rule.slug} {rule.statement}".casefold()
     )

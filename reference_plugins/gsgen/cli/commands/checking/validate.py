@@ -145,14 +145,14 @@ def validate(
         "timings": times,
     }
     settings = _settings(rules(), options)
-    known = _baseline(baseline) if baseline else None
+    known_baseline = _baseline(baseline) if baseline else None
     entries = validate_all(
         files, settings, jobs=jobs, progress=progress, validate=validate_file, rules=rules
     )
-    if known:
-        entries = [_against(known, entry) for entry in entries]
+    if known_baseline:
+        entries = [_compare_with_baseline(known_baseline, entry) for entry in entries]
     if format is Format.HTML:
-        entries = [_drawn(entry, settings) for entry in entries]
+        entries = [_with_pictures(entry, settings) for entry in entries]
     _print(entries, Format.JSON if as_json else format, output, verbose=verbose, quiet=quiet)
     raise typer.Exit(_exit_code(entries))
 
@@ -174,13 +174,13 @@ def _baseline(path: Path) -> "Baseline":
     return read_baseline(path)
 
 
-def _against(known: "Baseline", entry: "Entry") -> "Entry":
+def _compare_with_baseline(known_baseline: "Baseline", entry: "Entry") -> "Entry":
     from gsgen.contract.validation.report import Report
 
-    return known.apply(entry) if isinstance(entry, Report) else entry
+    return known_baseline.apply(entry) if isinstance(entry, Report) else entry
 
 
-def _drawn(entry: "Entry", settings: "Settings") -> "Entry":
+def _with_pictures(entry: "Entry", settings: "Settings") -> "Entry":
     from gsgen.contract.tools.pictures import with_picture
     from gsgen.contract.validation.report import Report
     from gsgen.runtime.checks.probe_picture import draw_probe
@@ -200,7 +200,7 @@ def _print(
         if isinstance(entry, Unreadable):
             typer.echo(f"gsgen: {entry.error}", err=True)
     if format is not Format.TEXT:
-        text = _rendered(entries, format)
+        text = _format_entries(entries, format)
         write_text(output, text + "\n") if output else typer.echo(text)
         if format is Format.GITHUB:
             _summarise(entries)
@@ -214,7 +214,7 @@ def _print(
         show(lines)
 
 
-def _rendered(entries: "list[Entry]", format: Format) -> str:
+def _format_entries(entries: "list[Entry]", format: Format) -> str:
     """Return a validation report in a machine-readable format, such as JSON or SARIF."""
     module, name = _REPORTERS[format]
     reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
@@ -228,7 +228,7 @@ def _summarise(entries: "list[Entry]") -> None:
     if path:
         from gsgen.cli.output import append_text
 
-        append_text(Path(path), _rendered(entries, Format.MARKDOWN) + "\n")
+        append_text(Path(path), _format_entries(entries, Format.MARKDOWN) + "\n")
 
 
 def _exit_code(entries: "list[Entry]") -> ExitCode:

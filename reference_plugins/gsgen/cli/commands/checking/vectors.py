@@ -64,7 +64,7 @@ def vectors(
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     folder = into or model.with_name(f"{model.stem}-vectors")
     try:
-        recorded = record_vectors(
+        recorded_vectors = record_vectors(
             model,
             folder,
             output,
@@ -76,19 +76,25 @@ def vectors(
         )
     finally:
         clear()
-    _print(recorded, as_json=as_json)
+    _print(recorded_vectors, as_json=as_json)
 
 
-def _print(recorded: "RecordedVectors", *, as_json: bool) -> None:
-    sets = [recorded.folder / f"test_data_set_{k}" for k in range(len(recorded.vectors))]
+def _print(recorded_vectors: "RecordedVectors", *, as_json: bool) -> None:
+    data_set_folders = [
+        recorded_vectors.folder / f"test_data_set_{k}" for k in range(len(recorded_vectors.vectors))
+    ]
     if as_json:
-        listed = [
+        file_lines = [
             {"folder": str(folder)} | asdict(vector)
-            for folder, vector in zip(sets, recorded.vectors, strict=True)
+            for folder, vector in zip(data_set_folders, recorded_vectors.vectors, strict=True)
         ]
-        typer.echo(json.dumps({"model": str(recorded.model), "vectors": listed}, indent=2))
+        typer.echo(
+            json.dumps({"model": str(recorded_vectors.model), "vectors": file_lines}, indent=2)
+        )
         return
-    for folder, vector in zip(sets, recorded.vectors, strict=True):
+    for folder, vector in zip(data_set_folders, recorded_vectors.vectors, strict=True):
         typer.echo(f"{folder}: {vector.inputs}")
-    typed = shlex.quote(str(recorded.model))
-    typer.echo(f"{recorded.model}: promises them; `gsgen validate {typed}` runs them again")
+    quoted_model = shlex.quote(str(recorded_vectors.model))
+    typer.echo(
+        f"{recorded_vectors.model}: promises them; `gsgen validate {quoted_model}` runs them again"
+    )

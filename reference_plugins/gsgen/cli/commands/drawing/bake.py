@@ -179,13 +179,15 @@ def _as_dict(report: "BakeReport") -> dict[str, object]:
 
 
 def _as_text(report: "BakeReport") -> str:
-    first, last = report.frames[0], report.frames[-1]
+    first_frame, last_frame = report.frames[0], report.frames[-1]
     count = sum(frame.count for frame in report.frames)
     size = sum(frame.bytes for frame in report.frames) / (1 << 20)
-    name = first.file if len(report.frames) == 1 else f"{first.file} … {last.file}"
+    name = (
+        first_frame.file if len(report.frames) == 1 else f"{first_frame.file} … {last_frame.file}"
+    )
     frames = f"{len(report.frames)} frames, " if len(report.frames) > 1 else ""
     lines = [
-        f"{name}: {frames}{count:,} splats of SH degree {first.sh_degree}, {report.format}, "
+        f"{name}: {frames}{count:,} splats of SH degree {first_frame.sh_degree}, {report.format}, "
         f"{size:.2f} MiB in {report.seconds:.1f} s"
     ]
     if report.fit_error:
@@ -195,10 +197,10 @@ def _as_text(report: "BakeReport") -> str:
         lines.append(f"error of colours at held-out cameras: {errors}")
     measured = [frame.psnr for frame in report.frames if frame.psnr is not None]
     if measured:
-        noun = "cameras" if report.test_cameras > 1 else "camera"
-        several = f", lowest of {len(measured)} frames" if len(measured) > 1 else ""
+        camera_word = "cameras" if report.test_cameras > 1 else "camera"
+        lowest_text = f", lowest of {len(measured)} frames" if len(measured) > 1 else ""
         lines.append(
-            f"PSNR against the model at {report.test_cameras} {noun}: "
-            f"{min(measured):.1f} dB{several}"
+            f"PSNR against the model at {report.test_cameras} {camera_word}: "
+            f"{min(measured):.1f} dB{lowest_text}"
         )
     return "\n".join(lines)

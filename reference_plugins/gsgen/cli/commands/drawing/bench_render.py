@@ -93,26 +93,26 @@ def _show(cost: "FrameCost") -> None:
     table.add_row("wall", *_cells(cost.wall))
     table.add_row("CPU, all threads", *_cells(cost.cpu))
     table.add_row("encode and submit, CPU", *_cells(cost.submit))
-    for name, span in cost.inference.items():
-        table.add_row(f"inference, {Path(name).name}", *_cells(span))
+    for name, phase_times in cost.inference.items():
+        table.add_row(f"inference, {Path(name).name}", *_cells(phase_times))
     clock_name = "by the device" if cost.clock == "timestamps" else "CPU"
     for name, seconds in cost.stages.items():
         table.add_row(f"{name}, {clock_name}", _milliseconds(seconds), "")
     console = Console(highlight=False)
     console.print(table)
-    for line in _lines(cost):
+    for line in _summary_lines(cost):
         console.print(line, markup=False, soft_wrap=True)
 
 
-def _cells(span: "Span") -> tuple[str, str]:
-    return _milliseconds(span.p50), _milliseconds(span.p95)
+def _cells(phase_times: "Span") -> tuple[str, str]:
+    return _milliseconds(phase_times.p50), _milliseconds(phase_times.p95)
 
 
 def _milliseconds(seconds: float) -> str:
     return f"{1000 * seconds:.3f}"
 
 
-def _lines(cost: "FrameCost") -> list[str]:
+def _summary_lines(cost: "FrameCost") -> list[str]:
     """Format the counts of drawn frames, the device and its memory as lines of text."""
     width, height = cost.size
     kind = " (a software driver)" if cost.software else ""

@@ -148,13 +148,13 @@ def convert(
         read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
         write=_writer(codec, spz_version, spz_axes, encoding),
     )
-    result, notes = _reported(run, sources)
+    result, notes = _with_reported_warnings(run, sources)
     document = _as_dict(result)
     document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
     losses = [
-        f"--decimate merged {before:,} splats into {after:,}: detail is lost"
-        for before, after in merged
-        if after < before
+        f"--decimate merged {source_count:,} splats into {result_count:,}: detail is lost"
+        for source_count, result_count in merged
+        if result_count < source_count
     ]
     document["notes"] = notes + losses
     text = "\n".join([_as_text(result, edited=bool(edits)), *losses])
@@ -162,7 +162,7 @@ def convert(
     typer.echo(json.dumps(document, indent=2) if as_json else text)
 
 
-def _reported(
+def _with_reported_warnings(
     run: "Callable[..., Conversion]", sources: list[str]
 ) -> "tuple[Conversion, list[str]]":
     """Run a splat conversion; return its result and warnings, or print the error and exit."""
@@ -171,22 +171,22 @@ def _reported(
 
     is_reading = True
 
-    def on_step(step: str) -> None:
+    def report_step(step: str) -> None:
         nonlocal is_reading
         is_reading = step.startswith("reading")
         progress(step)
 
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always", FormatWarning)
         try:
-            result = run(step=on_step)
+            result = run(step=report_step)
         except FormatError as error:
             is_unreadable = is_reading and error.path in sources
             echo_error(_mesh_error(error) if is_unreadable else error)
             code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
             raise typer.Exit(code) from error
     clear()
-    notes = list(dict.fromkeys(str(warning.message) for warning in caught))
+    notes = list(dict.fromkeys(str(warning.message) for warning in caught_warnings))
     for note in notes:
         typer.echo(f"note: {note}", err=True)
     return result, notes
@@ -262,24 +262,32 @@ def _as_dict(result: "Conversion") -> dict[str, object]:
 
 
 def _as_text(result: "Conversion", *, edited: bool) -> str:
-    before, after = (size / (1 << 20) for size in result.sizes)
+    source_count, result_count = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
     not_compared = (
         [] if result.compared else ["not compared: the splats take more memory than that may"]
     )
-    sizes = f"{before:.2f} MiB → {after:.2f} MiB" if before else f"{after:.2f} MiB"
-    times = f", {before / after:.1f} times smaller" if before > 1.05 * after > 0 else ""
+    sizes = (
+        f"{source_count:.2f} MiB → {result_count:.2f} MiB"
+        if source_count
+        else f"{result_count:.2f} MiB"
+    )
+    times = (
+        f", {source_count / result_count:.1f} times smaller"
+        if source_count > 1.05 * result_count > 0
+        else ""
+    )
     lines = [f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, {sizes}{times}"]
     lines += [f"lost: {loss}" for loss in result.lost]
-    changed = [difference for difference in result.differences if difference.largest]
-    if changed:
+    changed_differences = [difference for difference in result.differences if difference.largest]
+    if changed_differences:
         lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
     lines += [
         f"  {difference.name:<10}{difference.largest:>12.3g}{difference.typical:>12.3g} {difference.unit}".rstrip()
-        for difference in changed
+        for difference in changed_differences
     ]
     lines += not_compared
-    if result.degree and not changed and not result.lost and result.compared:
+    if result.degree and not changed_differences and not result.lost and result.compared:
         lines.append("nothing was lost by the format" if edited else "nothing was lost")
     return "\n".join(lines)

@@ -17,32 +17,35 @@ from gsgen.formats.shared.splats import Splats
 _EDITS = "Edits, in the order typed"
 
 
-def _edit(help: str, name: str) -> Any:
+def _edit_option(help: str, name: str) -> Any:
     metavar = OPTIONS[name].metavar
     return typer.Option(metavar=metavar, help=help, show_default=False, rich_help_panel=_EDITS)
 
 
-Translate = Annotated[list[str] | None, _edit("Move, in scene units.", "translate")]
+Translate = Annotated[list[str] | None, _edit_option("Move, in scene units.", "translate")]
 Rotate = Annotated[
-    list[str] | None, _edit("Turn about the axes x, y, z in this order, in degrees.", "rotate")
+    list[str] | None,
+    _edit_option("Turn about the axes x, y, z in this order, in degrees.", "rotate"),
 ]
-Scale = Annotated[list[str] | None, _edit("Scale about the origin.", "scale")]
-WithinBox = Annotated[list[str] | None, _edit("Keep the splats between two corners.", "box")]
-Sphere = Annotated[list[str] | None, _edit("Keep the splats in a sphere.", "sphere")]
+Scale = Annotated[list[str] | None, _edit_option("Scale about the origin.", "scale")]
+WithinBox = Annotated[list[str] | None, _edit_option("Keep the splats between two corners.", "box")]
+Sphere = Annotated[list[str] | None, _edit_option("Keep the splats in a sphere.", "sphere")]
 Where = Annotated[
     list[str] | None,
-    _edit(
+    _edit_option(
         f"Keep what fulfils it, such as 'opacity>=0.1'; names: {', '.join(QUANTITIES)}.", "where"
     ),
 ]
 DropFloaters = Annotated[
     list[str] | None,
-    _edit(
+    _edit_option(
         "Drop splats with fewer than COUNT others in the 27 cells of SIZE around.", "drop_floaters"
     ),
 ]
-Decimate = Annotated[list[str] | None, _edit("Merge until N splats, or N %, are left.", "decimate")]
-Morton = Annotated[bool, _edit("Order along Morton's curve.", "morton")]
+Decimate = Annotated[
+    list[str] | None, _edit_option("Merge until N splats, or N %, are left.", "decimate")
+]
+Morton = Annotated[bool, _edit_option("Order along Morton's curve.", "morton")]
 ShowStatistics = Annotated[
     bool,
     typer.Option(
@@ -59,7 +62,7 @@ def edits_in_order(
     context: typer.Context,
     values: Mapping[str, Sequence[Any] | None],
     summaries: list[tuple[Statistics, ...]],
-    merged: list[tuple[int, int]],
+    merged_counts: list[tuple[int, int]],
 ) -> list[Callable[[Splats], Splats]]:
     """Return the splat edits of a command line as functions, in the order typed.
 
@@ -67,23 +70,23 @@ def edits_in_order(
         context: Knows the order of the options.
         values: Name of an option → its values; options without a value are left out.
         summaries: Receives the statistics of the splats at each ``--statistics``.
-        merged: Receives the numbers of splats before and after each ``--decimate``.
+        merged_counts: Receives the numbers of splats before and after each ``--decimate``.
 
     Raises:
         ConfigInvalid: A value has another form than its option.
     """
-    remaining = {name: list(entries or ()) for name, entries in values.items()}
+    remaining_entries = {name: list(entries or ()) for name, entries in values.items()}
     edits: list[Callable[[Splats], Splats]] = []
     for name in context.meta[OPTION_ORDER]:
         if name == "statistics":
             edits.append(_observer(lambda splats: summaries.append(summarise(splats))))
         elif name == "histograms":
-            edits.append(_observer(_histogram_writer(remaining[name].pop(0))))
+            edits.append(_observer(_histogram_writer(remaining_entries[name].pop(0))))
         elif name in OPTIONS:
-            text = remaining[name].pop(0) if name in remaining else ""
+            text = remaining_entries[name].pop(0) if name in remaining_entries else ""
             try:
                 edit = parse_edit(name, text)
-                edits.append(_counter(edit, merged) if name == "decimate" else edit)
+                edits.append(_counter(edit, merged_counts) if name == "decimate" else edit)
             except ValueInvalid as error:
                 option = f"--{name.replace('_', '-')}"
                 raise ConfigInvalid(
@@ -92,9 +95,9 @@ def edits_in_order(
     return edits
 
 
-def _observer(look: Callable[[Splats], None]) -> Callable[[Splats], Splats]:
+def _observer(observe: Callable[[Splats], None]) -> Callable[[Splats], Splats]:
     def edit(splats: Splats) -> Splats:
-        look(splats)
+        observe(splats)
         return splats
 
     return edit
@@ -105,12 +108,12 @@ def _counter(
 ) -> Callable[[Splats], Splats]:
     """Return an edit that also records the numbers of splats before and after it."""
 
-    def counted(splats: Splats) -> Splats:
+    def count_splats(splats: Splats) -> Splats:
         result = edit(splats)
         counts.append((len(splats), len(result)))
         return result
 
-    return counted
+    return count_splats
 
 
 def _histogram_writer(path: Path) -> Callable[[Splats], None]:

@@ -123,10 +123,10 @@ def read_splats(path: Path, *, drop_invalid: bool = False) -> Splats | PointClou
 @contextmanager
 def _warnings_as_notes() -> Iterator[None]:
     """Print warnings of a ``with`` block to standard error, as notes."""
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always", UserWarning)
         yield
-    for warning in caught:
+    for warning in caught_warnings:
         typer.echo(f"note: {warning.message}", err=True)
 
 
@@ -145,10 +145,10 @@ def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path
         path: {name for name, _ in read_model_facts(path, None).open_dimensions()}
         for path in models
     }
-    known = set().union(*opened.values())
+    known_symbols = set().union(*opened.values())
     for name in sizes:
-        if name not in known:
-            raise UnknownName.among("open dimension", name, known, "--size")
+        if name not in known_symbols:
+            raise UnknownName.among("open dimension", name, known_symbols, "--size")
     return {
         path: {name: size for name, size in sizes.items() if name in names}
         for path, names in opened.items()

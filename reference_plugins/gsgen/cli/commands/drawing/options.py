@@ -226,16 +226,16 @@ def _time_value(text: str) -> float:
     try:
         return float(text)
     except ValueError as error:
-        first, *others = re.split(r":|\.\.", text)
-        if not others:
+        first, *other_times = re.split(r":|\.\.", text)
+        if not other_times:
             message = f"{text!r} is not a number, expected a time, such as 0.5"
             raise ConfigInvalid(message, where="--time") from error
-        count = others[1] if len(others) > 1 and others[1].isdecimal() else "100"
+        count = other_times[1] if len(other_times) > 1 and other_times[1].isdecimal() else "100"
         raise ConfigInvalid(
             f"{text!r} is a range, expected one time, such as 0.5",
             where="--time",
             hint="Without --time, --frames N goes through the whole range of the model; a part of "
-            f"it is --input time={first}..{others[0]} --frames {count}.",
+            f"it is --input time={first}..{other_times[0]} --frames {count}.",
         ) from error
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.checks.source_pictures import SourcePictures
 
 # Least decibels of pictures that the model itself drew.
-_OWN_PSNR = 50.0
+_SOURCE_PSNR = 50.0
 
 SourceFolder = Annotated[
     Path | None, typer.Option("--from", help="Folder of pictures that the training code rendered.")
@@ -103,9 +103,9 @@ def references(
     refuse_inputs(output, input_files([cameras] if cameras else [], camera=camera))
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     if source is not None and cameras is not None:
-        chosen = {"probe": probe, "count": count, "psnr": psnr, "force": force}
+        given_options = {"probe": probe, "count": count, "psnr": psnr, "force": force}
         options: dict[str, Any] = {
-            name: value for name, value in chosen.items() if value is not None
+            name: value for name, value in given_options.items() if value is not None
         }
         options["settings"] = settings
         _print_source(_recorded(model, output, source, cameras, options), as_json=as_json)
@@ -117,7 +117,7 @@ def references(
             camera=camera,
             count=count,
             width=width,
-            psnr=_OWN_PSNR if psnr is None else psnr,
+            psnr=_SOURCE_PSNR if psnr is None else psnr,
             settings=settings,
             force=force,
             progress=progress,
@@ -175,8 +175,12 @@ def _print_source(pictures: "SourcePictures", *, as_json: bool) -> None:
     for name, image, decibels in zip(
         pictures.names, pictures.images, pictures.decibels, strict=True
     ):
-        shortfall = "" if decibels >= image.psnr else f", less than the declared {image.psnr:g}"
-        typer.echo(f"{pictures.model.parent / image.path}: {name}, {decibels:.1f} dB{shortfall}")
+        shortfall_text = (
+            "" if decibels >= image.psnr else f", less than the declared {image.psnr:g}"
+        )
+        typer.echo(
+            f"{pictures.model.parent / image.path}: {name}, {decibels:.1f} dB{shortfall_text}"
+        )
     quoted_path = shlex.quote(str(pictures.model))
     typer.echo(
         f"{pictures.model}: declares them as pictures of its source; "

@@ -207,12 +207,12 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
 
     if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
         typer.echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
-    started = clock.perf_counter()
+    start_time = clock.perf_counter()
     sequence.write(
         output, lambda number: progress(f"frame {number} of {sequence.frames}"), bits=bits
     )
     clear()
-    seconds = clock.perf_counter() - started
+    seconds = clock.perf_counter() - start_time
     document = sequence.summary() | {"output": str(output), "seconds": round(seconds, 3)}
     if as_json:
         typer.echo(json.dumps(document, indent=2))
@@ -229,7 +229,7 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
             "note: no Gaussian is visible: all are behind the camera or transparent", err=True
         )
     elif not document["gaussians"] and not document["triangles"]:
-        moment = "with these inputs" if sequence.frames == 1 else "in the last frame"
+        time_text = "with these inputs" if sequence.frames == 1 else "in the last frame"
         typer.echo(
-            f"note: there are no Gaussians {moment}: --time and --input set others", err=True
+            f"note: there are no Gaussians {time_text}: --time and --input set others", err=True
         )

@@ -65,18 +65,23 @@ _OPTIONS = inspect.signature(_settings).parameters
 
 def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the tileset streaming options to a command, which receives them as one object."""
-    own = inspect.signature(command).parameters
+    own_parameters = inspect.signature(command).parameters
 
     def streaming_command(*arguments: Any, **values: Any) -> None:
         streaming_values = {name: values.pop(name) for name in _OPTIONS if name in values}
         command(*arguments, **values, streaming=_settings(**streaming_values))
 
-    further = [
+    further_parameters = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in _OPTIONS.values()
     ]
-    merged = [*(own[name] for name in own if name != "streaming"), *further]
+    merged_parameters = [
+        *(own_parameters[name] for name in own_parameters if name != "streaming"),
+        *further_parameters,
+    ]
     # typer reads the signature and the annotations.
-    streaming_command.__signature__ = inspect.Signature(merged)  # type: ignore[attr-defined]
-    streaming_command.__annotations__ = {entry.name: entry.annotation for entry in merged}
+    streaming_command.__signature__ = inspect.Signature(merged_parameters)  # type: ignore[attr-defined]
+    streaming_command.__annotations__ = {
+        entry.name: entry.annotation for entry in merged_parameters
+    }
     streaming_command.__name__, streaming_command.__doc__ = command.__name__, command.__doc__
     return streaming_command

@@ -156,7 +156,7 @@ def _print_notes(notes: Sequence[str]) -> None:
 
 
 def _open_window(
-    interface: "Viewer", scenes: Sequence[Path], home: "Camera", *, as_json: bool
+    interface: "Viewer", scenes: Sequence[Path], home_camera: "Camera", *, as_json: bool
 ) -> None:
     """Show a viewer in a window of its first camera's size, until it is closed."""
     from gsgen.cli.progress import clear, progress
@@ -166,7 +166,9 @@ def _open_window(
         _print_event({"event": "opened", "scenes": list(map(str, scenes))})
     try:
         progress("uploading the scene and compiling shaders")
-        window.open_window(interface, _title(scenes), (home.width, home.height), after_draw=clear)
+        window.open_window(
+            interface, _title(scenes), (home_camera.width, home_camera.height), after_draw=clear
+        )
     finally:
         interface.playback.close()
     if as_json:
@@ -185,7 +187,7 @@ def _page_view(
 
 
 def _serve_page(
-    scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int, *, as_json: bool
+    scenes: Sequence[Path], model_view: "ModelView", ort: Path | None, port: int, *, as_json: bool
 ) -> None:
     """Serve a web page of the scenes until Ctrl-C, and open the page in the browser."""
     import webbrowser
@@ -207,7 +209,7 @@ def _serve_page(
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
     folder = ort_folder(ort) if has_generator else None
     try:
-        server = ModelServer(scenes, shown, ort=folder, port=port, read=read_splats)
+        server = ModelServer(scenes, model_view, ort=folder, port=port, read=read_splats)
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."
         message = f"cannot listen: {error.strerror}"

@@ -16,7 +16,7 @@ from gsgen.contract.errors import ExitCode
 if TYPE_CHECKING:
     from gsgen.sdk.binding.benchmark import BenchmarkResult
 
-_MILLION = 1e6
+_MILLION_ROWS = 1e6
 
 
 class ProviderName(StrEnum):
@@ -60,7 +60,7 @@ def bench(
 
     if output is not None:
         refuse_model(output, models)
-    _need_models(models)
+    _require_models(models)
     sizes = sizes_of(size)
     providers = [str(name) for name in provider or installed_providers()]
     jobs = [(model, provider_name) for model in models for provider_name in providers]
@@ -77,7 +77,7 @@ def bench(
     raise typer.Exit(ExitCode.FAILURE if failed else ExitCode.SUCCESS)
 
 
-def _need_models(models: list[Path]) -> None:
+def _require_models(models: list[Path]) -> None:
     """Exit with an error before measuring if one of the files is not a model."""
     from gsgen.contract.model.model_file import open_model
 
@@ -156,7 +156,7 @@ def _cells(result: "BenchmarkResult") -> list[str]:
         _decimal_size(facts["bytes_in"]),
         _decimal_size(facts["bytes_out"]),
         f"{100 * facts['copy_share']:.0f} %",
-        "–" if rate is None else f"{rate / _MILLION:.3g}",
+        "–" if rate is None else f"{rate / _MILLION_ROWS:.3g}",
     ]
 
 

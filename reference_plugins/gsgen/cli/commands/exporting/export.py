@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from gsgen.cli.command_group import ANY_WORDS, refusing, runnable
+from gsgen.cli.command_group import PASS_THROUGH_SETTINGS, refusing, runnable
 from gsgen.cli.commands.exporting.export_html import export_html
 from gsgen.cli.commands.exporting.export_options import with_common_options
 from gsgen.cli.commands.exporting.plugin_function import plugin_function
@@ -19,7 +19,7 @@ from gsgen.contract.process.atomic_files import PAGE_SUFFIXES
 from gsgen.sdk.plugins.factory import is_target
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 
-_HELP = """Export a Gaussian Generator from your torch module, or from the files of a method.
+_HELP_TEXT = """Export a Gaussian Generator from your torch module, or from the files of a method.
 
 TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
 of the current folder can be imported), or one of the methods below.
@@ -41,9 +41,9 @@ class _Targets(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Move the argument TARGET before the options if options precede it on the command line."""
         names = self.list_commands(ctx)
-        known = [word for word in args if word in names or is_target(word)]
-        if args and args[0].startswith("-") and known:
-            position = args.index(known[0])
+        known_words = [word for word in args if word in names or is_target(word)]
+        if args and args[0].startswith("-") and known_words:
+            position = args.index(known_words[0])
             args = [args[position], *args[:position], *args[position + 1 :]]
         return super().parse_args(ctx, args)
 
@@ -87,7 +87,7 @@ def _is_module(name: str) -> bool:
 
 def _command_for(target: str, *, wants_help: bool) -> Any:
     """Return the command that exports ``module:factory``, which is imported when it runs."""
-    single = typer.Typer(add_completion=False)
+    single_command_app = typer.Typer(add_completion=False)
     entry = typer.Option(
         "--arg",
         metavar="KEY=VALUE",
@@ -108,13 +108,13 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
     function = with_common_options(build, run)
     help = f"Export the result of {target}."
     if wants_help:
-        help += f"\n\n{_described(target)}"
-    single.command(target, help=escape_markup(help))(function)
-    command: Any = typer.main.get_command(single)
+        help += f"\n\n{_describe_target(target)}"
+    single_command_app.command(target, help=escape_markup(help))(function)
+    command: Any = typer.main.get_command(single_command_app)
     return command
 
 
-def _described(target: str) -> str:
+def _describe_target(target: str) -> str:
     """Return a sentence about the arguments that a user's torch generator factory takes."""
     from gsgen.sdk.plugins.factory import load_factory
 
@@ -127,27 +127,30 @@ def _described(target: str) -> str:
 def _plugin_command(extension: Extension) -> Any:
     """Import a plugin, and return the click command that exports its method, or reports why not."""
     app = typer.Typer(add_completion=False)
-    loaded, settings = runnable(extension)
-    if isinstance(loaded, Plugin):
+    loaded_plugin, settings = runnable(extension)
+    if isinstance(loaded_plugin, Plugin):
         try:
-            function = plugin_function(loaded)
+            function = plugin_function(loaded_plugin)
         except TypeError as error:
-            message = f"plugin {loaded.name!r} cannot be used: {error}"
-            fault = ExtensionUnusable(message, loaded.headline, ExitCode.USAGE)
-            function, settings = refusing(fault), ANY_WORDS
-        help = f"{loaded.headline}\n\n{loaded.reads}"
+            message = f"plugin {loaded_plugin.name!r} cannot be used: {error}"
+            unusable_error = ExtensionUnusable(message, loaded_plugin.headline, ExitCode.USAGE)
+            function, settings = refusing(unusable_error), PASS_THROUGH_SETTINGS
+        help = f"{loaded_plugin.headline}\n\n{loaded_plugin.reads}"
         app.command(extension.name, help=help, context_settings=settings)(function)
-    elif isinstance(loaded, typer.Typer):
-        app.add_typer(loaded, name=extension.name)
+    elif isinstance(loaded_plugin, typer.Typer):
+        app.add_typer(loaded_plugin, name=extension.name)
     else:  # a typer function, or one that says why the plugin cannot be used
-        app.command(extension.name, context_settings=settings)(loaded)
+        app.command(extension.name, context_settings=settings)(loaded_plugin)
     command = typer.main.get_group(app).commands[extension.name]
     arrange_options(command)
     return command
 
 
 app = typer.Typer(
-    cls=_Targets, help=_HELP, no_args_is_help=True, subcommand_metavar="TARGET -o OUTPUT [OPTIONS]"
+    cls=_Targets,
+    help=_HELP_TEXT,
+    no_args_is_help=True,
+    subcommand_metavar="TARGET -o OUTPUT [OPTIONS]",
 )
 app.command("html")(export_html)
 

@@ -21,7 +21,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
     Exits with code 1 if no conforming model can be exported.
     """
-    from gsgen.cli.commands.exporting.export_report import Outcome, emit_report
+    from gsgen.cli.commands.exporting.export_report import ExportOutcome, emit_report
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
@@ -30,12 +30,12 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         RewriteFailed,
     )
 
-    faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
+    level_faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     try:
         result = _export(build, request)
-    except faults as error:
+    except level_faults as error:
         clear()
-        outcome = Outcome(
+        outcome = ExportOutcome(
             written=False,
             report=error.report if isinstance(error, ExportRejected) else None,
             parity=error.parity if isinstance(error, ParityFailed) else None,
@@ -49,7 +49,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     clear()
     for note in result.notes:
         typer.echo(f"note: {note}", err=True)
-    outcome = Outcome(
+    outcome = ExportOutcome(
         written=True, report=result.report, parity=result.parity, changes=result.changes
     )
     emit_report(replace(request, dtype=result.dtype), source, outcome)
@@ -69,7 +69,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
     settings = Settings(level=Level.parse(request.level, "--level"))
     load_target(request.target)
     progress("building the generator")
-    module = _built(build)
+    module = _build_generator(build)
     options: dict[str, Any] = {
         "name": request.name,
         "opset": request.opset,
@@ -115,7 +115,7 @@ def _refuse_pictures(request: "ExportRequest") -> None:
         raise ConfigInvalid(message, where="--pictures", hint=hint)
 
 
-def _built(build: Callable[[], Any]) -> Any:
+def _build_generator(build: Callable[[], Any]) -> Any:
     from gsgen.sdk.plugins.factory import require_torch
 
     try:
@@ -145,7 +145,7 @@ def _show(result: "Exported") -> None:
     if report.findings or any(not level.ran for level in report.levels):
         show(render(report))
     size = format_bytes(result.path.stat().st_size)
-    typer.echo(f"{result.path}: {result.contents}, {size}; {_verdict(result)}")
+    typer.echo(f"{result.path}: {result.contents}, {size}; {_verdict_text(result)}")
     if result.changes:
         rewrites = ", ".join(f"{change.rewrite} ({len(change.nodes)})" for change in result.changes)
         typer.echo(f"rewritten: {rewrites}")
@@ -156,11 +156,11 @@ def _show(result: "Exported") -> None:
         )
 
 
-def _verdict(result: "Exported") -> str:
+def _verdict_text(result: "Exported") -> str:
     report = result.report
     if report.verdict != "conforms":
         return "does NOT conform; the packed Gaussians were passed through unchanged"
-    ran = [level.level.word for level in report.levels if level.ran]
+    completed_levels = [level.level.word for level in report.levels if level.ran]
     skipped = [level.level.word for level in report.levels if not level.ran]
     suffix = f", {' and '.join(skipped)} skipped" if skipped else ""
-    return f"conforms at level {ran[-1]}{suffix}"
+    return f"conforms at level {completed_levels[-1]}{suffix}"

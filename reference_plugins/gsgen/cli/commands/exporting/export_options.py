@@ -135,7 +135,7 @@ def _request(
     )
 
 
-_COMMON = inspect.signature(_request).parameters
+_COMMON_PARAMETERS = inspect.signature(_request).parameters
 
 
 def with_common_options(
@@ -147,26 +147,26 @@ def with_common_options(
     with the name of a common option is a TypeError.
     """
     parameters = inspect.signature(build).parameters
-    conflicts = sorted(set(parameters) & set(_COMMON))
+    conflicts = sorted(set(parameters) & set(_COMMON_PARAMETERS))
     if conflicts:
         raise TypeError(
             f"the plugin's parameter {conflicts[0]!r} has the name of an option of every export; rename it"
         )
 
     def command(**values: Any) -> None:
-        request = _request(**{key: values.pop(key) for key in _COMMON})
+        request = _request(**{key: values.pop(key) for key in _COMMON_PARAMETERS})
         sources = [value for value in values.values() if isinstance(value, Path)]
         refuse_itself(request.output, sources)
         if request.report is not None:
             refuse_itself(request.report, sources)
         run(lambda: build(**values), request)
 
-    merged = [
+    merged_parameters = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in (*parameters.values(), *_COMMON.values())
+        for parameter in (*parameters.values(), *_COMMON_PARAMETERS.values())
     ]
     # typer reads the signature and the annotations.
-    command.__signature__ = inspect.Signature(merged)  # type: ignore[attr-defined]
-    command.__annotations__ = {entry.name: entry.annotation for entry in merged}
+    command.__signature__ = inspect.Signature(merged_parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {entry.name: entry.annotation for entry in merged_parameters}
     command.__doc__ = build.__doc__
     return command

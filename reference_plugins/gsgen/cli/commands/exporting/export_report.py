@@ -1,6 +1,6 @@
 """The JSON document that `gsgen export` writes with --report and prints with --json."""
 
-__all__ = ["Outcome", "emit_report"]
+__all__ = ["ExportOutcome", "emit_report"]
 
 import json
 import math
@@ -25,7 +25,7 @@ _SCHEMA = "gsgen-export/1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class ExportOutcome:
     """The result of `gsgen export`, or the error that stopped it."""
 
     written: bool  # whether the model file was written
@@ -36,7 +36,7 @@ class Outcome:
     error: GsgenError | None = None  # the error that stopped the export
 
 
-def emit_report(request: ExportRequest, source: str, outcome: Outcome) -> None:
+def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> None:
     """Write and print the options and the outcome of an export as JSON, where requested."""
     options = {key: _json_value(value) for key, value in asdict(request).items()}
     del options["as_json"]  # says how the report is printed, not what was exported

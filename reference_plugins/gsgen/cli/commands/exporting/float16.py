@@ -82,7 +82,7 @@ def _report(result: "Float16Result") -> "Iterator[str]":
         yield f"wrote {result.path}"
 
 
-def _entry(entry: "RetainedFloat32") -> dict[str, object]:
+def _entry_document(entry: "RetainedFloat32") -> dict[str, object]:
     return {"node": entry.node, "why": entry.reason, "excess": entry.excess}
 
 
@@ -90,8 +90,8 @@ def _document(result: "Float16Result") -> dict[str, object]:
     return {
         "path": str(result.path) if result.path else None,
         "halved": result.halved,
-        "kept": [_entry(entry) for entry in result.retained],
-        "kept_weights": [_entry(entry) for entry in result.retained_weights],
+        "kept": [_entry_document(entry) for entry in result.retained],
+        "kept_weights": [_entry_document(entry) for entry in result.retained_weights],
         "casts": result.casts,
         "fields": [asdict(field_error) for field_error in result.parity.fields],
         "weights": {"before": result.bytes_before, "after": result.bytes_after},

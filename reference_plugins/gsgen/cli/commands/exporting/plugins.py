@@ -28,19 +28,23 @@ def plugins(
         if name not in extensions:
             raise UnknownName.among("plugin", name, extensions)
     entries = [
-        _facts(extension) for name, extension in extensions.items() if not names or name in names
+        _plugin_facts(extension)
+        for name, extension in extensions.items()
+        if not names or name in names
     ]
     if as_json:
         echo_json(entries)
         return
-    typer.echo("\n\n".join(_text(entry) for entry in entries))
+    typer.echo("\n\n".join(_plugin_text(entry) for entry in entries))
 
 
-def _facts(extension: Extension) -> dict[str, Any]:
-    owner = extension.point.dist
+def _plugin_facts(extension: Extension) -> dict[str, Any]:
+    distribution = extension.point.dist
     facts: dict[str, Any] = {
         "name": extension.name,
-        "package": f"{owner.name} {owner.version}" if owner is not None else None,
+        "package": f"{distribution.name} {distribution.version}"
+        if distribution is not None
+        else None,
         "usable": not extension.missing,
         "missing": list(extension.missing),
         "remedy": extension.install_hint if extension.missing else None,
@@ -51,23 +55,23 @@ def _facts(extension: Extension) -> dict[str, Any]:
         "publication": None,
     }
     try:
-        loaded = extension.point.load()
+        loaded_plugin = extension.point.load()
     except Exception as error:  # a third party's code may fail in any way
         reason = None if extension.missing else f"Broken: {type(error).__name__}: {error}"
         return facts | {"summary": reason}
-    if not isinstance(loaded, Plugin):  # another kind of command
-        summary = (getattr(loaded, "__doc__", None) or "").strip().partition("\n")[0]
+    if not isinstance(loaded_plugin, Plugin):  # another kind of command
+        summary = (getattr(loaded_plugin, "__doc__", None) or "").strip().partition("\n")[0]
         return facts | {"summary": summary or None}
     return facts | {
-        "title": loaded.title or None,
-        "summary": loaded.headline,
-        "reads": loaded.reads,
-        "inputs": list(loaded.inputs),
-        "publication": loaded.publication.describe() or None,
+        "title": loaded_plugin.title or None,
+        "summary": loaded_plugin.headline,
+        "reads": loaded_plugin.reads,
+        "inputs": list(loaded_plugin.inputs),
+        "publication": loaded_plugin.publication.describe() or None,
     }
 
 
-def _text(facts: dict[str, Any]) -> str:
+def _plugin_text(facts: dict[str, Any]) -> str:
     lines = [f"{facts['name']}  ({facts['package'] or 'unknown package'})"]
     if not facts["usable"]:
         lines.append(f"  lacks {', '.join(facts['missing'])}: {facts['remedy']}")

@@ -108,14 +108,14 @@ def _list(target: str, *, as_json: bool) -> None:
     from gsgen.sdk.passes.framework.base import RewriteTarget
     from gsgen.sdk.passes.registry import REWRITES
 
-    goal = RewriteTarget.of(load_target(target))
+    rewrite_target = RewriteTarget.of(load_target(target))
     rows = [
         {
             "name": rewrite_class.name,
             "summary": rewrite_class.summary(),
             "exactness": rewrite_class.exactness.describe(),
             "wanted_by": rewrite_class.wanted_by,
-            "runs": rewrite_class.for_target(goal) is not None,
+            "runs": rewrite_class.for_target(rewrite_target) is not None,
         }
         for rewrite_class in REWRITES
     ]
@@ -134,33 +134,33 @@ def _report(result: "RewriteResult") -> "Iterator[str]":
     for change in result.changes:
         names = first_names(change.nodes, _MAX_NAMES)
         yield f"{change.rewrite}: {len(change.nodes)}× {names}"
-    before, after = result.before, result.after
+    stats_before, stats_after = result.before, result.after
     if not result.changes:
         yield "nothing to rewrite"
     else:
-        yield f"nodes {before.nodes} → {after.nodes}, operator set {before.opset} → {after.opset}"
-    yield f"not captured: {len(before.uncaptured)} nodes → {len(after.uncaptured)}"
-    for line in after.uncaptured:
+        yield f"nodes {stats_before.nodes} → {stats_after.nodes}, operator set {stats_before.opset} → {stats_after.opset}"
+    yield f"not captured: {len(stats_before.uncaptured)} nodes → {len(stats_after.uncaptured)}"
+    for line in stats_after.uncaptured:
         yield f"  {line}"
     for refusal in result.refusals[:_MAX_NAMES]:
         yield f"left by {refusal.rewrite}: {refusal.where}: {refusal.reason}"
     if len(result.refusals) > _MAX_NAMES:
         yield f"… and {len(result.refusals) - _MAX_NAMES} more were left, which --json lists"
     if result.changes:
-        yield f"outputs were compared at {result.probes} probes: {_compared(result)}"
+        yield f"outputs were compared at {result.probes} probes: {_comparison_text(result)}"
     if result.path is not None:
         yield f"wrote {result.path}"
 
 
-def _compared(result: "RewriteResult") -> str:
+def _comparison_text(result: "RewriteResult") -> str:
     parts = [
         f"{difference.output} differs by {difference.largest:.2g}"
         for difference in result.differences
     ]
     if not result.uncompared:
         return ", ".join(parts) or "equal bits"
-    blank = f"{', '.join(result.uncompared)} could not be compared: no finite number"
-    return "; ".join([", ".join(parts) or "nothing differs", blank])
+    uncompared_text = f"{', '.join(result.uncompared)} could not be compared: no finite number"
+    return "; ".join([", ".join(parts) or "nothing differs", uncompared_text])
 
 
 def _document(result: "RewriteResult") -> dict[str, object]:

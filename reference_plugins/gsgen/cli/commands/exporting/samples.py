@@ -21,14 +21,14 @@ def samples(
 
     Exits 0 if all were written, 2 if DIR cannot be written to or has other files of these names.
     """
-    from gsgen.reference_plugins.samples.files import SAMPLES, write_samples
+    from gsgen.reference_plugins.samples.files import SAMPLE_WRITERS, write_samples
 
     paths = write_samples(folder, force=force)
     if as_json:
         typer.echo(json.dumps([str(path) for path in paths], indent=2))
         return
     for path in paths:
-        typer.echo(f"{path}: {SAMPLES[path.name][0]}")
-    enter = "" if folder == Path() else f"  cd {folder}\n"
+        typer.echo(f"{path}: {SAMPLE_WRITERS[path.name][0]}")
+    enter_text = "" if folder == Path() else f"  cd {folder}\n"
     next_commands = "  gsgen render scene.json -o garden.png\n  gsgen validate sunflower.onnx"
-    typer.echo(f"\nNext:\n{enter}{next_commands}")
+    typer.echo(f"\nNext:\n{enter_text}{next_commands}")

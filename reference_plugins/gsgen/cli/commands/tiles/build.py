@@ -120,12 +120,12 @@ def build(
     generators = [open_generator(path) for path in neural or ()]
     progress: Progress = JsonProgress(_print_line) if as_json else BarProgress()
     try:
-        with open_engine(engine, workers) as running, progress:
+        with open_engine(engine, workers) as engine_context, progress:
             report = build_tileset(
                 scenes,
                 output,
                 parameters,
-                engine=running,
+                engine=engine_context,
                 progress=progress,
                 generators=generators,
                 fresh=fresh,
@@ -148,17 +148,17 @@ def _transform(
     from gsgen.tiles.build.frame import globe_transform, read_transform, upright_transform
 
     angles = {"--lon": lon, "--lat": lat}
-    missing = [name for name, value in angles.items() if value is None]
+    missing_options = [name for name, value in angles.items() if value is None]
     if path is not None:
-        if len(missing) < len(angles) or height is not None:
+        if len(missing_options) < len(angles) or height is not None:
             raise ConfigInvalid(
                 "cannot be combined with --lon, --lat or --height", where="--transform"
             )
         return read_transform(path)
     if lon is not None and lat is not None:
         return globe_transform(lon, lat, height or 0.0)
-    if len(missing) < len(angles) or height is not None:
-        problem = f"{' and '.join(missing)} missing"
+    if len(missing_options) < len(angles) or height is not None:
+        problem = f"{' and '.join(missing_options)} missing"
         raise ConfigInvalid(
             problem, hint="Give both --lon and --lat to place the scene on the globe."
         )

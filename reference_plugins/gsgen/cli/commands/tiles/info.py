@@ -31,44 +31,44 @@ def info(
 
     from gsgen.tiles.loading.info import describe_tileset
 
-    described = describe_tileset(tileset)
+    tileset_info = describe_tileset(tileset)
     if as_json:
-        typer.echo(json.dumps(asdict(described), indent=2))
+        typer.echo(json.dumps(asdict(tileset_info), indent=2))
     else:
-        typer.echo(_as_text(tileset, described))
+        typer.echo(_as_text(tileset, tileset_info))
 
 
-def _as_text(name: str, described: "TilesetInfo") -> str:
+def _as_text(name: str, tileset_info: "TilesetInfo") -> str:
     """Return a summary of a tileset and a table of its levels, as text."""
-    low, high = described.box
+    low, high = tileset_info.box
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
     lines = [
-        f"{name}: {described.tiles:,} tiles, {described.splats:,} splats "
-        f"({described.leaf_splats:,} in leaves), {described.bytes / MEBIBYTE:.2f} MiB, "
-        f"SH degree {described.sh_degree}, {described.refine}",
-        f"size {size}" + _place(described),
+        f"{name}: {tileset_info.tiles:,} tiles, {tileset_info.splats:,} splats "
+        f"({tileset_info.leaf_splats:,} in leaves), {tileset_info.bytes / MEBIBYTE:.2f} MiB, "
+        f"SH degree {tileset_info.sh_degree}, {tileset_info.refine}",
+        f"size {size}" + _place_text(tileset_info),
         f"{'level':>5} {'tiles':>8} {'splats':>12} {'MiB':>9} {'B/splat':>8} {'error':>10}",
     ]
-    for level in described.levels:
+    for level in tileset_info.levels:
         bytes_per_splat = level.bytes / max(level.splats, 1)
         lines.append(
             f"{level.level:>5} {level.tiles:>8,} {level.splats:>12,} "
             f"{level.bytes / MEBIBYTE:>9.2f} {bytes_per_splat:>8.1f} {level.geometric_error:>10.4g}"
         )
-    if described.neural:
-        lines.append(f"{described.neural:,} tiles hold a generator")
+    if tileset_info.neural:
+        lines.append(f"{tileset_info.neural:,} tiles hold a generator")
     return "\n".join(lines)
 
 
-def _place(described: "TilesetInfo") -> str:
+def _place_text(tileset_info: "TilesetInfo") -> str:
     """Return a tileset's longitude, latitude and height as text; empty if off the globe."""
     import numpy as np
 
     from gsgen.tiles.format.volumes import geodetic
 
-    origin = np.array(described.transform)[:3, 3]
+    origin = np.array(tileset_info.transform)[:3, 3]
     if np.linalg.norm(origin) < 1e6:
         return ""
     longitude, latitude, height = geodetic(origin[None])
-    east, north = np.degrees(longitude[0]), np.degrees(latitude[0])
-    return f", origin at {east:.6f}° E {north:.6f}° N, {height[0]:.1f} m"
+    east_degrees, north_degrees = np.degrees(longitude[0]), np.degrees(latitude[0])
+    return f", origin at {east_degrees:.6f}° E {north_degrees:.6f}° N, {height[0]:.1f} m"

@@ -24,7 +24,7 @@ class BarProgress(Progress):
             TimeRemainingColumn(),
         )
         self._console = self._bar.console
-        self._task: Any = None
+        self._task_id: Any = None
         self._start_time, self._splats_done = 0.0, 0
 
     def __enter__(self) -> "BarProgress":
@@ -38,17 +38,17 @@ class BarProgress(Progress):
 
     def begin(self, phase: str, total: int) -> None:
         """Show the progress bar of a phase of a tileset build."""
-        if self._task is not None:
-            self._bar.remove_task(self._task)
+        if self._task_id is not None:
+            self._bar.remove_task(self._task_id)
         self._start_time, self._splats_done = time.monotonic(), 0
-        self._task = self._bar.add_task(phase, total=total, rate="")
+        self._task_id = self._bar.add_task(phase, total=total, rate="")
 
     def advance(self, splats: int) -> None:
         """Advance the progress bar of a tileset build by a number of splats."""
         self._splats_done += splats
         elapsed = time.monotonic() - self._start_time
         rate = f"{self._splats_done / elapsed:,.0f}/s" if elapsed > 0.5 else ""
-        self._bar.update(self._task, completed=self._splats_done, rate=rate)
+        self._bar.update(self._task_id, completed=self._splats_done, rate=rate)
 
     def note(self, message: str) -> None:
         """Print a message about a tileset build above the progress bar."""

@@ -68,8 +68,8 @@ def score(
 def _as_text(result: "TilesetScore", output: Path) -> str:
     """Return the scores of a tileset's levels as a text table, finest level first."""
     names = list(result.levels[0].ssim)
-    head = f"{'level':>5} {'tiles':>7} {'splats':>11} {'share':>7} {'MiB':>9}"
-    lines = [f"{head}  SSIM " + " ".join(f"{name:>7}" for name in names)]
+    header_line = f"{'level':>5} {'tiles':>7} {'splats':>11} {'share':>7} {'MiB':>9}"
+    lines = [f"{header_line}  SSIM " + " ".join(f"{name:>7}" for name in names)]
     for entry in reversed(result.levels):
         values = " ".join(f"{entry.ssim[name]:>7.4f}" for name in names)
         lines.append(
