@@ -40,15 +40,15 @@ def _root(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
     """Return the Cholesky factors xx, yx, zx, yy, zy, zz of covariances; NaN where none exists."""
     xx, xy, xz, yy, yz, zz = covariance.T
     least = -_ROUNDING * np.maximum(xx, np.maximum(yy, zz))
-    l_xx = _side(xx, least)
+    l_xx = _pivot_roots(xx, least)
     l_yx, l_zx = _over(xy, l_xx), _over(xz, l_xx)
-    l_yy = _side(yy - l_yx**2, least)
+    l_yy = _pivot_roots(yy - l_yx**2, least)
     l_zy = _over(yz - l_yx * l_zx, l_yy)
-    l_zz = _side(zz - l_zx**2 - l_zy**2, least)
+    l_zz = _pivot_roots(zz - l_zx**2 - l_zy**2, least)
     return np.stack([l_xx, l_yx, l_zx, l_yy, l_zy, l_zz], axis=1)
 
 
-def _side(
+def _pivot_roots(
     square: Float64[np.ndarray, " n"], least: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Return the square roots of Cholesky pivots; pivots that rounding made negative give zero."""

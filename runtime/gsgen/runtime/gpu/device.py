@@ -37,16 +37,16 @@ MAPPED_FROM: Final = 1 << 20
 MAPPED_ALIGNMENT: Final = 8
 """Bytes of which every offset into a mapped buffer is a multiple."""
 
-_SUBGROUPS: Final = "subgroup"
-_BLENDING: Final = "float32-blendable"
-_CLOCK: Final = "timestamp-query"
-_MAPPED: Final = "mappable-primary-buffers"
+_SUBGROUP_FEATURE: Final = "subgroup"
+_FLOAT_BLEND_FEATURE: Final = "float32-blendable"
+_TIMESTAMP_FEATURE: Final = "timestamp-query"
+_MAPPABLE_FEATURE: Final = "mappable-primary-buffers"
 _WIDE: Final = "shader-int64"
 _RETRY_HINT = (
     "Try again; if that happens again, draw a smaller image or fewer Gaussians, or on another "
     "device: see `gsgen doctor`."
 )
-_LESS = "Draw fewer Gaussians or a smaller image, or close what else uses the device."
+_MEMORY_HINT = "Draw fewer Gaussians or a smaller image, or close what else uses the device."
 _DRIVER_HINT = (
     "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
 )
@@ -79,10 +79,10 @@ class Device:
         self.raw = raw
         self.name: str = info["device"]
         self.software: bool = info["adapter_type"] == "CPU"
-        self.subgroups = _SUBGROUPS in raw.features
-        self.blends_floats = _BLENDING in raw.features
-        self.has_clock = _CLOCK in raw.features
-        self.maps = self.software and _MAPPED in raw.features
+        self.subgroups = _SUBGROUP_FEATURE in raw.features
+        self.blends_floats = _FLOAT_BLEND_FEATURE in raw.features
+        self.has_clock = _TIMESTAMP_FEATURE in raw.features
+        self.maps = self.software and _MAPPABLE_FEATURE in raw.features
         self.wide = self.software and _WIDE in raw.features
         self.largest_buffer = int(raw.limits["max-buffer-size"])
         self.largest_binding = min(
@@ -94,7 +94,7 @@ class Device:
         ] = {}
         self.render_pipelines: dict[tuple[str, str], tuple[RenderPipeline, BindGroupLayout]] = {}
         self._buffers: WeakSet[Buffer] = WeakSet()
-        self._alive = self.uniform("alive", 16)
+        self._loss_probe = self.uniform("alive", 16)
 
     @classmethod
     def open(cls) -> Self:
@@ -121,9 +121,9 @@ class Device:
             for name in ("max-storage-buffer-binding-size", "max-buffer-size")
         }
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
-        features = {_SUBGROUPS, _BLENDING, _CLOCK}
+        features = {_SUBGROUP_FEATURE, _FLOAT_BLEND_FEATURE, _TIMESTAMP_FEATURE}
         if adapter.info["adapter_type"] == "CPU":  # a GPU would read mapped memory over its bus
-            features |= {_MAPPED, _WIDE}
+            features |= {_MAPPABLE_FEATURE, _WIDE}
         try:
             return cls(
                 adapter.request_device_sync(
@@ -205,7 +205,7 @@ class Device:
                 f"needs {size:,} bytes, but the memory of {self.name} is full: buffers already "
                 f"hold {allocated:,} bytes",
                 where=label,
-                hint=_LESS,
+                hint=_MEMORY_HINT,
             ) from error
         self._buffers.add(buffer)
         return buffer
@@ -237,7 +237,7 @@ class Device:
         import wgpu
 
         try:
-            self.write(self._alive, np.zeros(4, np.float32))
+            self.write(self._loss_probe, np.zeros(4, np.float32))
         except wgpu.GPUError:
             return True
         return False
@@ -255,13 +255,13 @@ class Device:
         try:
             yield
         except wgpu.GPUOutOfMemoryError as error:
-            raise MemoryFull(f"the memory of {self.name} is full", hint=_LESS) from error
+            raise MemoryFull(f"the memory of {self.name} is full", hint=_MEMORY_HINT) from error
         except GsgenError:
             raise
         except Exception as error:  # a lost device raises many types of errors in wgpu-py
             if not self.lost:
                 raise
-            raise self._gone() from error
+            raise self._device_lost_error() from error
 
     def submit(self, encoder: Encoder) -> None:
         """Submit the commands of an encoder to the GPU queue.
@@ -279,9 +279,9 @@ class Device:
             DeviceLost: The device was lost.
         """
         if self.lost:
-            raise self._gone()
+            raise self._device_lost_error()
 
-    def _gone(self) -> DeviceLost:
+    def _device_lost_error(self) -> DeviceLost:
         message = f"the graphics device was lost: {self.name}"
         return DeviceLost(message, hint=_RETRY_HINT)
 

@@ -10,9 +10,9 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Encoder, PassTimestamps
 from gsgen.runtime.gpu.native import timestamp_period
 
-_MOST: Final = 64  # stages of a frame; there are about ten
-_TICK: Final = 8  # bytes of a timestamp
-_NANO: Final = 1e-9
+_MAX_STAGES: Final = 64  # stages of a frame; there are about ten
+_TIMESTAMP_BYTES: Final = 8  # bytes of a timestamp
+_SECONDS_PER_NANOSECOND: Final = 1e-9
 
 
 @final
@@ -28,9 +28,13 @@ class StageClock:
     def __init__(self, device: Device) -> None:
         self._device = device
         raw = device.raw
-        self._ticks = raw.create_query_set(label="stage clock", type="timestamp", count=2 * _MOST)
+        self._query_set = raw.create_query_set(
+            label="stage clock", type="timestamp", count=2 * _MAX_STAGES
+        )
         self._resolved = raw.create_buffer(
-            label="stage clock", size=2 * _MOST * _TICK, usage="QUERY_RESOLVE|COPY_SRC"
+            label="stage clock",
+            size=2 * _MAX_STAGES * _TIMESTAMP_BYTES,
+            usage="QUERY_RESOLVE|COPY_SRC",
         )
         self._period = timestamp_period(raw)
         self._names: list[str] = []
@@ -44,7 +48,7 @@ class StageClock:
         index = 2 * len(self._names)
         self._names.append(stage)
         return {
-            "query_set": self._ticks,
+            "query_set": self._query_set,
             "beginning_of_pass_write_index": index,
             "end_of_pass_write_index": index + 1,
         }
@@ -53,7 +57,7 @@ class StageClock:
         """Encode the copy of all GPU timestamp query results into a readable buffer."""
         if self._names:
             count = 2 * len(self._names)
-            encoder.resolve_query_set(self._ticks, 0, count, self._resolved, 0)
+            encoder.resolve_query_set(self._query_set, 0, count, self._resolved, 0)
 
     def seconds(self) -> dict[str, float]:
         """Return the GPU seconds of each stage of the last frame; passes of one name are added."""
@@ -61,5 +65,5 @@ class StageClock:
         spans = (ticks[1::2].astype(np.int64) - ticks[::2].astype(np.int64)) * self._period
         seconds = dict.fromkeys(self._names, 0.0)
         for name, span in zip(self._names, spans, strict=True):
-            seconds[name] += float(span) * _NANO
+            seconds[name] += float(span) * _SECONDS_PER_NANOSECOND
         return seconds

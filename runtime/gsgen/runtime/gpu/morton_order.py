@@ -11,7 +11,7 @@ from gsgen.formats.shared.morton import interleave_bits
 
 _BITS: Final = 21  # of each coordinate at most: three coordinates fill a word of 64 bits
 _BLOCK: Final = 1 << 14  # points at a time, so that their codes stay in the cache
-_LEAST: Final = 1e-30  # least side of the bounding box, against division by zero
+_MIN_BOX_SIDE: Final = 1e-30  # least side of the bounding box, against division by zero
 
 
 def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -29,7 +29,7 @@ def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     # Sorting words of a code and an index is many times as fast as sorting indices by codes.
     index_bits = len(position).bit_length()
     bits = min(_BITS, (64 - index_bits) // 3)
-    scale = ((1 << bits) - 1) / max(float((high - low).max()), _LEAST)
+    scale = ((1 << bits) - 1) / max(float((high - low).max()), _MIN_BOX_SIDE)
     words = np.arange(len(position), dtype=np.uint64)
     for start in range(0, len(position), _BLOCK):
         part = slice(start, start + _BLOCK)

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from gsgen.runtime.gpu.handles import Buffer, Promise, RawDevice, ShaderModule
 
-_STRUCTURE: Final = "struct gsgen_native_types"
+_TYPES_STRUCT: Final = "struct gsgen_native_types"
 
 # Types besides pointers to structures, as wgpu spells them. Each is a key of cffi's table, so spaces
 # count; one that a version of wgpu spells otherwise is parsed when it is needed.
@@ -69,8 +69,8 @@ def parse_native_types() -> int:
     for text in filter(lambda text: _are_known(text, names), _CALLBACKS):
         members[text] = text.replace("void(", "void (*{})(")
     fields = "".join(f"{member.format(f' _{k}')};" for k, member in enumerate(members.values()))
-    ffi.cdef(f"{_STRUCTURE} {{{fields}}};")
-    for text, (_, field) in zip(members, ffi.typeof(_STRUCTURE).fields, strict=True):
+    ffi.cdef(f"{_TYPES_STRUCT} {{{fields}}};")
+    for text, (_, field) in zip(members, ffi.typeof(_TYPES_STRUCT).fields, strict=True):
         # cffi keeps a type beside whether its name was that of a function.
         kind = field.type.item if text in _ARRAYS else field.type
         parsed.setdefault(text, (kind, text in _CALLBACKS))
@@ -92,7 +92,7 @@ def _are_known(text: str, names: list[str]) -> bool:
 
 _CREATE: Final = "wgpuDeviceCreateShaderModuleTrusted"
 _BOUNDED_LOOPS: Final = 2  # a bit of WGPUShaderRuntimeChecks in wgpu.h
-_CHECKS: Final = 0x1F ^ _BOUNDED_LOOPS
+_RUNTIME_CHECKS: Final = 0x1F ^ _BOUNDED_LOOPS
 
 
 def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
@@ -110,7 +110,7 @@ def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
     descriptor = ffi.new("WGPUShaderModuleDescriptor *")
     descriptor.nextInChain = ffi.cast("WGPUChainedStruct *", shader)
     descriptor.label.data, descriptor.label.length = name, len(name) - 1
-    return GPUShaderModule(label, create(native, descriptor, _CHECKS), raw)
+    return GPUShaderModule(label, create(native, descriptor, _RUNTIME_CHECKS), raw)
 
 
 def timestamp_period(raw: RawDevice) -> float:

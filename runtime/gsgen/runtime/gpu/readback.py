@@ -26,12 +26,12 @@ class Staging:
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
         self._buffer = device.readable("staging", size)
-        self._mapping: Promise | None = None
+        self._map_promise: Promise | None = None
 
     def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
         """Encode the copy of the named source buffers, or of all, into the staging buffer."""
-        if self._mapping is not None:  # a frame that was never read, as after an interrupt
-            self._mapping.sync_wait()
+        if self._map_promise is not None:  # a frame that was never read, as after an interrupt
+            self._map_promise.sync_wait()
             self._unmap()
         for name in self._sources if names is None else names:
             source = self._sources[name]
@@ -43,7 +43,7 @@ class Staging:
         :meth:`read` then waits for no later submission: wgpu waits for all work that it knows of
         when a mapping begins.
         """
-        self._mapping = map_for_reading(self._buffer)
+        self._map_promise = map_for_reading(self._buffer)
 
     def read_words(self) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each source buffer as 32-bit words."""
@@ -56,10 +56,10 @@ class Staging:
             DeviceLost: The device was lost.
         """
         self._device.require()
-        if self._mapping is None:
+        if self._map_promise is None:
             self.begin()
-        assert self._mapping is not None
-        self._mapping.sync_wait()
+        assert self._map_promise is not None
+        self._map_promise.sync_wait()
         try:
             memory = np.frombuffer(self._buffer.read_mapped(copy=False), np.uint8)
             return {
@@ -71,4 +71,4 @@ class Staging:
 
     def _unmap(self) -> None:
         self._buffer.unmap()
-        self._mapping = None
+        self._map_promise = None

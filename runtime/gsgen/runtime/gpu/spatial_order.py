@@ -16,8 +16,8 @@ ARRANGED_FROM: Final = 1 << 15
 """Least number of Gaussians whose order in memory counts: fewer fit into a cache."""
 
 _SERVES: Final = 30  # changes before an order is checked, so that sorting costs little
-_APART: Final = 4.0  # growth of the distance of neighbours that makes an order stale
-_SAMPLE: Final = 1024  # pairs of neighbours whose distances are measured
+_MAX_GAP_GROWTH: Final = 4.0  # growth of the distance of neighbours that makes an order stale
+_SAMPLE_PAIRS: Final = 1024  # pairs of neighbours whose distances are measured
 
 
 @final
@@ -44,20 +44,20 @@ class SpatialOrder:
         """Compute the Morton order of the Gaussians that a splat set holds at present."""
         along = along_curve(data.rows[: data.count, layout.POSITION])
         rows = np.concatenate([along, np.arange(data.count, len(data))]).astype(np.uint32)
-        samples = np.linspace(0, data.count - 2, _SAMPLE if data.count > 1 else 0)
+        samples = np.linspace(0, data.count - 2, _SAMPLE_PAIRS if data.count > 1 else 0)
         first = samples.astype(np.int64)
         neighbours = along[np.stack([first, first + 1])]
-        return cls(rows, neighbours, _apart(data, neighbours))
+        return cls(rows, neighbours, _median_gap(data, neighbours))
 
     def is_valid_after_change(self, data: SplatData) -> bool:
         """Count a change of the Gaussians, and return whether their Morton order is still useful."""
         self.served += 1
         if self.served < _SERVES:
             return True
-        return _apart(data, self.neighbours) <= _APART * self.apart
+        return _median_gap(data, self.neighbours) <= _MAX_GAP_GROWTH * self.apart
 
 
-def _apart(data: SplatData, neighbours: Int64[np.ndarray, "2 m"]) -> float:
+def _median_gap(data: SplatData, neighbours: Int64[np.ndarray, "2 m"]) -> float:
     """Return the median distance between neighbouring Gaussians in memory."""
     first, second = data.rows[neighbours][..., layout.POSITION].astype(np.float64)
     with np.errstate(invalid="ignore"):  # infinite positions have no distance

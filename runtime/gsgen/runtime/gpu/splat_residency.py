@@ -178,11 +178,11 @@ def allocate_pool_page(
 
 
 def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
-    make = pack_rows if page.packed else None if rows.dtype == np.float32 else _wide
+    make = pack_rows if page.packed else None if rows.dtype == np.float32 else _to_float32
     return Target(page.rows, first, _bytes_of_row(packed=page.packed), make)
 
 
-def _wide(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
+def _to_float32(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
     return rows.astype(np.float32)
 
 
@@ -190,11 +190,11 @@ def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"])
     dtype = np.dtype(np.float16 if page.half else np.float32)
     size = _bytes_of_appearance(page.stride)
     same = appearance.dtype == dtype and size == appearance.strides[0]
-    make = None if same else partial(_typed, dtype=dtype, size=size)
+    make = None if same else partial(_convert_appearance, dtype=dtype, size=size)
     return Target(page.appearance, first, size, make)
 
 
-def _typed(
+def _convert_appearance(
     appearance: Float[np.ndarray, "n c"], dtype: np.dtype[Any], size: int
 ) -> Float[np.ndarray, "n d"]:
     """Convert the appearance of Gaussians to a dtype, with rows padded by zeros to a fixed size."""
@@ -206,7 +206,7 @@ def _typed(
 
 @final
 @dataclass(slots=True, eq=False)
-class _Filled:
+class _UploadedPart:
     """The uploaded part of an array: the array's version, and the number of uploaded rows."""
 
     version: int = -1
@@ -241,9 +241,9 @@ class _Resident:
     """
 
     pages: list[Page]
-    rows: _Filled
-    appearance: _Filled
-    cells: _Filled
+    rows: _UploadedPart
+    appearance: _UploadedPart
+    cells: _UploadedPart
     state: _State | None = None
     order: SpatialOrder | None = None
     is_unordered: bool = False
@@ -288,7 +288,7 @@ class Residency:
         are written to mapped memory, where any order costs the same. On other devices, and in
         sets whose count changes, rows return to their own order for good.
         """
-        resident = self._hold(data)
+        resident = self._get_resident(data)
         now = _State(data.rows_version, data.appearance_version, data.count)
         if resident.state is not None:
             self._follow(data, resident, resident.state, now)
@@ -298,26 +298,26 @@ class Residency:
         """Choose the order and the packing of Gaussians by the changes since the last frame."""
         moved = before.rows != now.rows
         if moved:
-            self._unpack(resident)
+            self._store_unpacked(resident)
         if before != now and not (self._device.maps and before.live == now.live):
             if resident.order is not None:
                 self.restore_order(data)
         elif resident.is_unordered or len(data) < ARRANGED_FROM or data.cells is not None:
             return
         elif resident.order is None or (moved and not resident.order.is_valid_after_change(data)):
-            self._arrange(resident, SpatialOrder.of(data))
+            self._set_row_order(resident, SpatialOrder.of(data))
 
     def restore_order(self, data: SplatData) -> None:
         """Store the rows of a splat set in their original order on the GPU from now on."""
-        resident = self._hold(data)
+        resident = self._get_resident(data)
         resident.is_unordered = True
-        self._arrange(resident, None)
+        self._set_row_order(resident, None)
 
-    def _unpack(self, resident: _Resident) -> None:
+    def _store_unpacked(self, resident: _Resident) -> None:
         """Store changing Gaussians unpacked on the GPU: packing them takes longer than a frame."""
         if any(page.packed for page in resident.pages):
             size = _bytes_of_row(packed=False)
-            resident.rows = _Filled()
+            resident.rows = _UploadedPart()
             resident.pages = [
                 replace(
                     page,
@@ -327,10 +327,10 @@ class Residency:
                 for page in resident.pages
             ]
 
-    def _arrange(self, resident: _Resident, order: SpatialOrder | None) -> None:
+    def _set_row_order(self, resident: _Resident, order: SpatialOrder | None) -> None:
         """Set the order of a splat set's rows in GPU memory, and upload all rows again."""
         resident.order = order
-        resident.rows, resident.appearance = _Filled(), _Filled()
+        resident.rows, resident.appearance = _UploadedPart(), _UploadedPart()
         resident.pages = [
             replace(
                 page,
@@ -341,19 +341,19 @@ class Residency:
             for page in resident.pages
         ]
 
-    def _hold(self, data: SplatData) -> _Resident:
+    def _get_resident(self, data: SplatData) -> _Resident:
         if data not in self._held:
             self._held[data] = _Resident(
                 pages=list(self._allocate(data)),
-                rows=_Filled(),
-                appearance=_Filled(),
-                cells=_Filled(),
+                rows=_UploadedPart(),
+                appearance=_UploadedPart(),
+                cells=_UploadedPart(),
             )
         return self._held[data]
 
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""
-        resident = self._hold(data)
+        resident = self._get_resident(data)
         for live in resident.rows.missing(data.rows_version, data.count):
             self._upload(resident, live, data.rows, _rows_of)
         for live in resident.appearance.missing(data.appearance_version, data.count):
@@ -405,7 +405,10 @@ class Residency:
     def _write_cells(self, data: SplatData, resident: _Resident) -> None:
         if data.cells is None or not resident.pages:
             return
-        size, make = _bytes_of_row(packed=False), None if data.cells.dtype == np.float32 else _wide
+        size, make = (
+            _bytes_of_row(packed=False),
+            None if data.cells.dtype == np.float32 else _to_float32,
+        )
         for _ in resident.cells.missing(data.cells_version, len(data.cells)):
             for buffer, first in {page.cells: page.first_cell for page in resident.pages}.items():
                 assert buffer is not None

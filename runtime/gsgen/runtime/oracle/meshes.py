@@ -20,8 +20,8 @@ from gsgen.runtime.scene.mesh import Mesh
 _AMBIENT: Final = 0.2
 # Pixels whose surface changes within this offset are fragile: rounding may decide it.
 _SAMPLE_OFFSET: Final = 1 / 1024
-_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SAMPLE_OFFSET
-_JUMP: Final = 1e-2  # least change of colours and normals, and relative change of depths
+_SAMPLE_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SAMPLE_OFFSET
+_EDGE_THRESHOLD: Final = 1e-2  # least change of colours and normals, and relative change of depths
 
 
 @final
@@ -56,7 +56,7 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
         for face, triangle in enumerate(corners):
             rows, columns = _window(triangle, camera)
             part = (slice(None), rows, columns)
-            met = _met(triangle, start[part], ahead[part], camera.near)
+            met = _intersect_triangle(triangle, start[part], ahead[part], camera.near)
             if met is None:
                 continue
             hit_depth, weights, upright = met
@@ -70,14 +70,14 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
                 length = np.linalg.norm(ahead[part], axis=-1, keepdims=True)
                 mesh_color = mesh_color * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
             color[part] = np.where(nearer[..., None], mesh_color, color[part])
-    return Surface(depth[0], color[0], normal[0], _edges(depth, color, normal))
+    return Surface(depth[0], color[0], normal[0], _edge_pixels(depth, color, normal))
 
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return origin and direction (of depth 1) of rays at several sub-pixel offsets per pixel."""
-    x = np.arange(camera.width) + 0.5 + _SHIFTS[:, 0, None]
-    y = np.arange(camera.height) + 0.5 + _SHIFTS[:, 1, None]
-    shape = (len(_SHIFTS), camera.height, camera.width)
+    x = np.arange(camera.width) + 0.5 + _SAMPLE_SHIFTS[:, 0, None]
+    y = np.arange(camera.height) + 0.5 + _SAMPLE_SHIFTS[:, 1, None]
+    shape = (len(_SAMPLE_SHIFTS), camera.height, camera.width)
     across = np.broadcast_to(((x - camera.cx) / camera.fx)[:, None, :], shape)
     down = np.broadcast_to(((y - camera.cy) / camera.fy)[:, :, None], shape)
     none, ones = np.zeros(shape), np.ones(shape)
@@ -110,7 +110,7 @@ def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     return slice(low[0], high[0]), slice(low[1], high[1])
 
 
-def _met(
+def _intersect_triangle(
     triangle: np.ndarray, start: np.ndarray, ahead: np.ndarray, near: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Intersect rays with a triangle: depths (infinite if missed), vertex weights, unit normal."""
@@ -139,10 +139,12 @@ def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
     color = weights @ data.colors[corners].astype(np.float64)
     if data.texture is None or data.uv is None:
         return np.asarray(color)
-    return np.asarray(color * _texel(data.texture, weights @ data.uv[corners].astype(float)))
+    return np.asarray(
+        color * _sample_texture(data.texture, weights @ data.uv[corners].astype(float))
+    )
 
 
-def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def _sample_texture(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Interpolate a repeating texture at coordinates whose origin is its lower left corner."""
     height, width = texture.shape[:2]
     blended = np.zeros((*uv.shape[:-1], 3))
@@ -165,12 +167,12 @@ def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
     return np.where(color <= 0.0031308, color * 12.92, 1.055 * color ** (1 / 2.4) - 0.055)
 
 
-def _edges(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _edge_pixels(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Return the pixels whose depth, colour or normal changes if sampled slightly off centre."""
     is_hit = np.isfinite(depth)
     edge = (is_hit != is_hit[0]).any(axis=0)
     near = np.where(is_hit, depth, 0)
-    edge |= (np.abs(near - near[0]) > _JUMP * near[0]).any(axis=0)
+    edge |= (np.abs(near - near[0]) > _EDGE_THRESHOLD * near[0]).any(axis=0)
     for image in (color, normal):
-        edge |= (np.abs(image - image[0]) > _JUMP).any(axis=(0, 3))
+        edge |= (np.abs(image - image[0]) > _EDGE_THRESHOLD).any(axis=(0, 3))
     return np.asarray(edge)

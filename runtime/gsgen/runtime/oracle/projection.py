@@ -96,7 +96,7 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
         both = turn @ linear
         sigma = np.einsum("ij,njk,lk->nil", both, symmetric(rows[:, 4:]), both)
         # Step 2: project them by the derivative of the projection at the centre, and dilate.
-        mean, covariance = _flattened(position, sigma, camera)
+        mean, covariance = _project_planar(position, sigma, camera)
         dilated = covariance + camera.dilation * np.eye(2)
         depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
         # Step 3: a row is drawn only if all of its numbers make an ellipse.
@@ -178,12 +178,12 @@ def drawn_splats(
         opacity=opacity[drawn],
         depth=shapes.depth[drawn],
         color=np.maximum(color[drawn], 0),
-        normal=_thinnest(shapes.sigma[drawn], sight[drawn]) @ camera.view[:3, :3],
+        normal=_shortest_axes(shapes.sigma[drawn], sight[drawn]) @ camera.view[:3, :3],
         index=first + np.flatnonzero(drawn),
     )
 
 
-def _flattened(
+def _project_planar(
     position: np.ndarray, sigma: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the projected centres of Gaussians in pixels, and their 2D covariances."""
@@ -249,7 +249,7 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
     return np.asarray(0.5 + sums)
 
 
-def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
+def _shortest_axes(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return Gaussians' normals: shortest axes turned to the camera; spheres face the camera."""
     values, vectors = np.linalg.eigh(sigma)
     ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]

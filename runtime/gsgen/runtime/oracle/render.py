@@ -23,8 +23,8 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 _FINISHED: Final = 1e-4
-_TOUCH: Final = 1e-4  # relative difference of depths at which a Gaussian touches a mesh
-_HALF_TURN: Final = 2e-3  # pixels from half a turn, where rounding may choose the other copy
+_TOUCH_TOLERANCE: Final = 1e-4  # relative difference of depths at which a Gaussian touches a mesh
+_SEAM_PIXELS: Final = 2e-3  # pixels from half a turn, where rounding may choose the other copy
 
 
 def render(
@@ -76,7 +76,7 @@ def _blend(
     close = _ties(splats.depth)
     nearer_hit, nearer_window = finished.copy(), (slice(0), slice(0))
     visible = 0
-    inverses, windows = np.linalg.inv(splats.covariance), _windows(splats, camera)
+    inverses, windows = np.linalg.inv(splats.covariance), _pixel_windows(splats, camera)
     for i, (left, top, right, bottom) in enumerate(windows):
         window = slice(top, bottom), slice(left, right)
         if left >= right or top >= bottom:
@@ -89,7 +89,7 @@ def _blend(
         if waiting[window].any():
             covered = np.zeros_like(waiting)
             covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
-            _cover(covered, veil, color, normal, depth, through, median, fragile_median)
+            _blend_layer(covered, veil, color, normal, depth, through, median, fragile_median)
             waiting &= ~covered
         # Step 3: the splat is drawn where it is opaque enough, before walls, and leaves enough light.
         before = through[window].copy()
@@ -100,8 +100,8 @@ def _blend(
         stop = hit & (after <= _FINISHED)
         # Step 4: mark pixels where the last bits of float32 may decide otherwise.
         near_edge = _is_near_edge(unclamped, dx, camera)
-        near_wall = _touches(splats.depth[i], walls.depth[window])
-        near_wall |= _touches(splats.depth[i], veil.depth[window])
+        near_wall = _is_touching(splats.depth[i], walls.depth[window])
+        near_wall |= _is_touching(splats.depth[i], veil.depth[window])
         fragile[window] |= ~finished[window] & (alpha >= CULL) & near_wall
         near_stop = hit & (np.abs(after / _FINISHED - 1) <= BAND)
         fragile[window] |= ~finished[window] & (near_edge | near_stop)
@@ -123,7 +123,7 @@ def _blend(
         fragile_median[window] |= hit & (np.abs(after - 0.5) <= BAND)
         through[window] = np.where(drawn, after, before)
     # Step 7: behind all splats come the layer, and the meshes, which take the remaining light.
-    _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
+    _blend_layer(waiting, veil, color, normal, depth, through, median, fragile_median)
     wall = np.isfinite(walls.depth)
     remaining = np.where(wall, through, 0)
     color += remaining[..., None] * walls.color
@@ -168,17 +168,17 @@ def _is_near_edge(unclamped: np.ndarray, dx: np.ndarray, camera: Camera) -> np.n
     """Return the pixels at which rounding decides whether a Gaussian is drawn."""
     near_edge = np.abs(unclamped / CULL - 1) <= BAND
     if camera.kind == "panorama":
-        behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
+        behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _SEAM_PIXELS
         near_edge |= behind & (np.minimum(unclamped, MOST_ALPHA) >= CULL * (1 - BAND))
     return np.asarray(near_edge)
 
 
-def _touches(depth: float, surface: np.ndarray) -> np.ndarray:
+def _is_touching(depth: float, surface: np.ndarray) -> np.ndarray:
     """Return the pixels at which a mesh surface has the depth of a Gaussian, up to rounding."""
-    return np.asarray(np.abs(depth - surface) <= _TOUCH * depth)
+    return np.asarray(np.abs(depth - surface) <= _TOUCH_TOLERANCE * depth)
 
 
-def _cover(
+def _blend_layer(
     pixels: np.ndarray,
     veil: Veil,
     color: np.ndarray,
@@ -205,7 +205,7 @@ def _ties(depth: np.ndarray) -> np.ndarray:
     return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
 
 
-def _windows(splats: Splats, camera: Camera) -> list[list[int]]:
+def _pixel_windows(splats: Splats, camera: Camera) -> list[list[int]]:
     """Return the pixels that each Gaussian may reach: left, top, right, bottom."""
     diagonals = np.diagonal(splats.covariance, axis1=1, axis2=2)
     spread = 2 * np.log(splats.opacity / CULL)[:, None] * diagonals

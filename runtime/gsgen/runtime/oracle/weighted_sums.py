@@ -261,7 +261,7 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
         if not box.any() and not unsure.any():
             continue
         members = splats.take((splats.index - first) // data.per_cell == number)
-        radius, ring = _reach(members.covariance, 3)
+        radius, ring = _bounding_radii(members.covariance, 3)
         cells.append(
             _Cell(
                 depth=float(shapes.depth[number]),
@@ -276,7 +276,7 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
     return cells
 
 
-def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
+def _bounding_radii(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
     """Return circle radii of projected Gaussians in pixels, and the radii's float32 error."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
@@ -287,7 +287,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return masks: pixels covered by a group of Gaussians; pixels where rounding decides that."""
-    (radius,), (ring,) = _reach(covariance[None], 2)
+    (radius,), (ring,) = _bounding_radii(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)
         for shift in ([-_PIXELS, _PIXELS] if ring < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])

@@ -17,7 +17,7 @@ from gsgen.runtime.kernels.shared.shader import LARGE_TILE
 from gsgen.runtime.scene.camera import Camera
 
 _ROW_ALIGNMENT: Final = 256  # bytes; rows of an image of quads are padded to it
-_COUNTS_ROOM: Final = 1024  # bytes of a frame's counters in the buffer that is read back
+_COUNTER_BYTES: Final = 1024  # bytes of a frame's counters in the buffer that is read back
 
 Drawing = tuple[np.ndarray, dict[str, np.ndarray]]
 """The counters of a frame, and its images as [rows, width, 4] words."""
@@ -124,12 +124,12 @@ def band_rows(device: Device, camera: Camera, images: int, layers: int) -> int:
     row = -(-VEC4 * camera.width // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
     most = min(
         device.largest_binding // (row * max(1, layers)),
-        (device.largest_buffer - _COUNTS_ROOM) // (row * images),
+        (device.largest_buffer - _COUNTER_BYTES) // (row * images),
     )
-    return camera.height if most >= camera.height else _whole_tiles(most)
+    return camera.height if most >= camera.height else _round_to_tiles(most)
 
 
-def _whole_tiles(rows: int) -> int:
+def _round_to_tiles(rows: int) -> int:
     """Round a number of image rows down to whole image tiles of the largest size, at least one."""
     return max(rows // LARGE_TILE, 1) * LARGE_TILE
 
@@ -160,7 +160,7 @@ def draw_bands(
         except PairsExceeded:
             if band.rows <= LARGE_TILE:
                 raise
-            rows = _whole_tiles(band.rows // 2)
+            rows = _round_to_tiles(band.rows // 2)
             continue
         if band.rows == camera.height:
             return counts, parts

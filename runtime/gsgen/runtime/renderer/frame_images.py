@@ -111,7 +111,7 @@ def frame_of(
         depth=None if pick is None else _mean_depth(pick),
         median_depth=None if pick is None else _median_depth(pick),
         ids=None if pick is None else _ids(images["depth"][..., 2], scene),
-        normal=None if normal is None else _in_world(normal[..., :3], camera),
+        normal=None if normal is None else _world_normals(normal[..., :3], camera),
         visible=int(counts[Counts.VISIBLE]),
         pairs=int(counts[Counts.PAIRS]),
         color_space=scene.color_space,
@@ -144,7 +144,9 @@ def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h
     return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[set_index]))
 
 
-def _in_world(normal: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+def _world_normals(
+    normal: Float32[np.ndarray, "h w 3"], camera: Camera
+) -> Float32[np.ndarray, "h w 3"]:
     """Return normals in camera space as unit vectors in world space; zeros stay zeros."""
     turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
     size = np.linalg.norm(turned, axis=-1, keepdims=True)

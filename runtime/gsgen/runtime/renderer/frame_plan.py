@@ -106,7 +106,7 @@ class Plan:
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
-        self._layers = self._lay_inputs(layers) if layers else None
+        self._layers = self._allocate_input_layers(layers) if layers else None
         self.clears = self._cleared()
         self.images: dict[str, Buffer] = {}
         # Step 3: find out who writes the image. Meshes and weighted sets become layers among the splats,
@@ -128,7 +128,7 @@ class Plan:
         if summed:
             frames = (self._frame, self._bare_frame)
             self._weighted = WeightedPart(kernels, summed, image, method, frames, self._layers)
-            self._add(self._weighted)
+            self._add_weighted_part(self._weighted)
         if alone and self._weighted is not None:
             self.inputs |= self._weighted.inputs
         else:
@@ -141,7 +141,7 @@ class Plan:
         """Buffers and steps of weighted sets that are drawn in slabs of depth, or None."""
         return None if self._weighted is None else self._weighted.slabs
 
-    def _add(self, part: WeightedPart) -> None:
+    def _add_weighted_part(self, part: WeightedPart) -> None:
         """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
         self.buffers |= part.buffers
         self.images |= part.images
@@ -232,7 +232,7 @@ class Plan:
             stages["normal"] = [self._blend("normal", members, normals)]
         return stages
 
-    def _lay_inputs(self, count: int) -> Layers:
+    def _allocate_input_layers(self, count: int) -> Layers:
         """Allocate GPU buffers for image layers (colours and depths) that the application fills."""
         layers = allocate_layers(self._storage, count, self.image.size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}

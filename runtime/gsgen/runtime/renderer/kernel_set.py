@@ -61,7 +61,7 @@ class Kernels:
     def __init__(
         self, device: Device, *, one_shape: bool = False, cut: SortConfig | None = None
     ) -> None:
-        self.device, self._one_shape = device, one_shape
+        self.device, self._is_single_shape = device, one_shape
         self.cut = cut or cut_for(device)
         self._compiled: dict[tuple[object, ...], Any] = {}
         walk_block = WALK_THREADS * self.cut.walk
@@ -73,7 +73,9 @@ class Kernels:
         self.ranges = TileRanges(device)
         self.lists = device.software and self.cut.tile == TILE and not one_shape
 
-    def _once(self, kind: Callable[..., _Kernel], *arguments: object, **words: object) -> _Kernel:
+    def _cached_kernel(
+        self, kind: Callable[..., _Kernel], *arguments: object, **words: object
+    ) -> _Kernel:
         """Return a kernel of the device, the same one for the same arguments."""
         key = (kind, arguments, *words.items())
         if key not in self._compiled:
@@ -83,13 +85,15 @@ class Kernels:
 
     def cull_slots(self, page: Page, *, panorama: bool, keys_only: bool = False) -> CullSlots:
         """Return the kernel that lists the slots in view of a pool's page."""
-        return self._once(CullSlots, slot_rows(page), panorama=panorama, keys_only=keys_only)
+        return self._cached_kernel(
+            CullSlots, slot_rows(page), panorama=panorama, keys_only=keys_only
+        )
 
     def project(
         self, page: Page, *, panorama: bool, records: bool = False, slab: SlabPart | None = None
     ) -> ProjectKernel:
         """Return the kernel that projects the rows of a page to splats that are sorted."""
-        return self._once(
+        return self._cached_kernel(
             ProjectKernel,
             page.stride,
             half=page.half,
@@ -107,35 +111,35 @@ class Kernels:
         self, page: Page, *, panorama: bool, slab: SlabPart | None = None
     ) -> ProjectKernel:
         """Return the kernel that projects the rows of a page for weighted sums."""
-        return self._once(
+        return self._cached_kernel(
             ProjectKernel, page.stride, half=page.half, panorama=panorama, weighted=True, slab=slab
         )
 
     def project_cells(self, *, panorama: bool) -> ProjectCells:
         """Return the kernel that projects cells (groups of Gaussians)."""
-        return self._once(ProjectCells, panorama=panorama)
+        return self._cached_kernel(ProjectCells, panorama=panorama)
 
     def slab_cells(self, *, panorama: bool) -> SlabCells:
         """Return the kernels that project the cells of a slab."""
-        return self._once(SlabCells, panorama=panorama)
+        return self._cached_kernel(SlabCells, panorama=panorama)
 
     def normals(self, page: Page, *, placed: bool = False) -> NormalsKernel:
         """Return the kernel that computes the normals of a page; of a slab's rows if ``placed``."""
-        return self._once(
+        return self._cached_kernel(
             NormalsKernel, packed=page.packed, slot_rows=slot_rows(page), placed=placed
         )
 
     def tally(self) -> TallyKeys:
         """Return the kernel that counts sort keys."""
-        return self._once(TallyKeys)
+        return self._cached_kernel(TallyKeys)
 
     def place(self, *, arranged: bool) -> PlaceSplats:
         """Return the kernels that index the rows of a slab."""
-        return self._once(PlaceSplats, arranged=arranged)
+        return self._cached_kernel(PlaceSplats, arranged=arranged)
 
     def bin_tiles(self, *, panorama: bool, records: bool, digits: FirstDigits) -> BinTiles:
         """Return the kernels that list the tiles of splats."""
-        return self._once(
+        return self._cached_kernel(
             BinTiles,
             self.cut.walk,
             panorama=panorama,
@@ -146,11 +150,11 @@ class Kernels:
 
     def bin_cells(self, *, panorama: bool) -> BinTiles:
         """Return the kernels that list the tiles of cells."""
-        return self._once(BinTiles, self.cut.walk, panorama=panorama)
+        return self._cached_kernel(BinTiles, self.cut.walk, panorama=panorama)
 
     def list_tiles(self, *, panorama: bool) -> ListTiles:
         """Return the kernels that list splats by tile without a sort of pairs."""
-        return self._once(ListTiles, panorama=panorama)
+        return self._cached_kernel(ListTiles, panorama=panorama)
 
     def blend(
         self,
@@ -163,7 +167,7 @@ class Kernels:
         carried: bool,
     ) -> BlendTiles:
         """Return the kernel that blends an output; ``carried`` says that slabs go on from it."""
-        return self._once(
+        return self._cached_kernel(
             BlendTiles,
             pick=output == "depth",
             panorama=panorama,
@@ -185,7 +189,7 @@ class Kernels:
         first_plane: int | None = None,
     ) -> BlendWsr:
         """Return the kernel that blends weighted sums; arguments are those of the kernel."""
-        return self._once(
+        return self._cached_kernel(
             BlendWsr,
             pick=pick,
             panorama=panorama,
@@ -196,11 +200,11 @@ class Kernels:
 
     def quads(self, *, tested: bool, panorama: bool, records: bool) -> DrawQuads:
         """Return what draws quads; ``tested`` against the depths of meshes."""
-        return self._once(DrawQuads, tested=tested, panorama=panorama, records=records)
+        return self._cached_kernel(DrawQuads, tested=tested, panorama=panorama, records=records)
 
     def meshes(self, *, panorama: bool) -> DrawMeshes:
         """Return what draws meshes."""
-        return self._once(DrawMeshes, panorama=panorama)
+        return self._cached_kernel(DrawMeshes, panorama=panorama)
 
     @property
     def counts_keys(self) -> bool:
@@ -214,11 +218,11 @@ class Kernels:
 
     def records(self, gaussians: int) -> bool:
         """Return whether all projected splats are stored as structs in one GPU buffer."""
-        is_possible = self.cut.tile != TILE and not self._one_shape
+        is_possible = self.cut.tile != TILE and not self._is_single_shape
         return is_possible and RECORD * gaussians <= self.device.largest_binding
 
     def tile_bits(self, last: int) -> int:
         """Return the number of sort-key bits for tile indices up to ``last``."""
         bits = max(1, last.bit_length())
         digit = self.cut.digit_bits
-        return -(-bits // digit) * digit if self._one_shape else bits
+        return -(-bits // digit) * digit if self._is_single_shape else bits

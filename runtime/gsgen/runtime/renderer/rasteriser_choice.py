@@ -39,12 +39,14 @@ RasteriserOption = Literal["auto", "tiles", "quads"]
 _GAUSSIANS: Final = 1 << 17
 _SIZE: Final = (1280, 720)
 _PAIRS: Final = 1 << 16  # first capacity
-_WARM: Final = 2  # frames before the measurement: drivers compile, clocks rise
+_WARM_UP_FRAMES: Final = 2  # frames before the measurement: drivers compile, clocks rise
 _FRAMES: Final = 7
-_WORTH: Final = 0.8  # quads must be this much faster: tiles are more exact, and stop early
-_TILED: Final = ("bin", "group", "blend")  # the stages that quads replace
+_QUAD_TIME_FACTOR: Final = (
+    0.8  # quads must be this much faster: tiles are more exact, and stop early
+)
+_TILE_STAGES: Final = ("bin", "group", "blend")  # the stages that quads replace
 _NOTHING: Final = np.zeros(3)
-_PROBE: Final = 3  # of the measurement; a new version invalidates cached timings
+_PROBE_VERSION: Final = 3  # of the measurement; a new version invalidates cached timings
 _MOST_BYTES: Final = 1 << 16  # of the cache file
 
 
@@ -66,7 +68,11 @@ class Timings:
     @property
     def best(self) -> Rasteriser:
         """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
-        return "quads" if self.quads < _WORTH * min(self.tiles, self.small_tiles) else "tiles"
+        return (
+            "quads"
+            if self.quads < _QUAD_TIME_FACTOR * min(self.tiles, self.small_tiles)
+            else "tiles"
+        )
 
     @property
     def tile(self) -> int:
@@ -157,11 +163,17 @@ def probe(
     residency.begin(data)
     placed = [(SplatSet(data), page) for page in residency.pages(data)]
     small = Kernels(device, cut=replace(kernels.cut, tile=TILE))
-    ways = {"tiles": (kernels, _TILED), "quads": (kernels, ("quads",)), "small": (small, _TILED)}
+    ways = {
+        "tiles": (kernels, _TILE_STAGES),
+        "quads": (kernels, ("quads",)),
+        "small": (small, _TILE_STAGES),
+    }
     seconds = {
         way: _seconds(device, plan, placed, camera, stages)
         for way, (way_kernels, stages) in ways.items()
-        for plan in [_roomy(way_kernels, placed, camera, "quads" if way == "quads" else "tiles")]
+        for plan in [
+            _plan_with_capacity(way_kernels, placed, camera, "quads" if way == "quads" else "tiles")
+        ]
     }
     # GPU timestamps of one and wall clock of the other would not compare.
     by = 0 if min(on_device for on_device, _ in seconds.values()) > 0 else 1
@@ -181,7 +193,9 @@ def _crowd(n: int, tall: float) -> SplatData:
     return SplatData(rows, rng.uniform(size=(n, 3)).astype(np.float32), "rgb")
 
 
-def _roomy(kernels: Kernels, placed: list[Placed], camera: Camera, rasteriser: Rasteriser) -> Plan:
+def _plan_with_capacity(
+    kernels: Kernels, placed: list[Placed], camera: Camera, rasteriser: Rasteriser
+) -> Plan:
     """Record a frame's GPU commands with buffers large enough for all splat-tile pairs."""
     room, image = _PAIRS, ImageSpec(size=(camera.width, camera.height))
     while True:
@@ -200,13 +214,13 @@ def _seconds(
     """Return the median GPU seconds of given stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
-    for number in range(_WARM + _FRAMES):
+    for number in range(_WARM_UP_FRAMES + _FRAMES):
         started = time.perf_counter()
         plan.submit(placed, camera, _NOTHING, clock=clock, fetch=False)
         plan.collect(fetch=False)
         wall = time.perf_counter() - started
         on_device = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
-        if number >= _WARM:
+        if number >= _WARM_UP_FRAMES:
             walls.append(wall)
             ticks.append(sum(on_device[name] for name in stages))
     return float(np.median(ticks)), float(np.median(walls))
@@ -219,7 +233,7 @@ def _key(device: Device) -> str:
     """Return the cache key of an adapter with its driver."""
     info = device.raw.adapter.info
     words = ("vendor", "device", "description", "backend_type")
-    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_PROBE}"])
+    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_PROBE_VERSION}"])
 
 
 def _file() -> Path | None:

@@ -44,8 +44,8 @@ FIRST_PAIRS: Final = 1 << 16
 """Pairs of a splat and a tile for which a new renderer has room."""
 PAIRS_ROOM: Final = 1.25
 """Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
-_ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
-_MANY: Final = 1 << 32  # splats: more than any device draws at once
+_GROW_THRESHOLD: Final = 0.9  # of the room for pairs; more are made room for before they are needed
+_UNLIMITED: Final = 1 << 32  # splats: more than any device draws at once
 
 
 @final
@@ -108,12 +108,12 @@ class Renderer:
                 self.rasteriser = choose(self.device, self._kernels)
                 if (cut := chosen_cut(self.device)) != self._kernels.cut:
                     self._kernels = Kernels(self.device, cut=cut)
-        self._deep, self._most_in_slab = False, _MANY
+        self._deep, self._slab_limit = False, _UNLIMITED
         self._rows: object = None
         self._key: object = None
         self._plan: Plan | None = None
         self._shape: object = None
-        self._steady: tuple[object, np.ndarray] | None = None
+        self._steady_counts: tuple[object, np.ndarray] | None = None
         self.late, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
         self._bands = BandImages(self.device)
 
@@ -167,7 +167,7 @@ class Renderer:
                     return FrameInFlight(scene, camera, float(behind[3]), images)
                 del plan  # its memory goes before that of a larger one comes
         drawn = self._drawn(scene, camera, background, outputs)
-        self._steady = (self._shape, drawn[0])
+        self._steady_counts = (self._shape, drawn[0])
         return FrameInFlight(scene, camera, float(behind[3]), drawn)
 
     def collect(self, frame: FrameInFlight) -> Frame | None:
@@ -208,12 +208,12 @@ class Renderer:
                 may be missing until :meth:`settle` returns False.
         """
         if wait:
-            self._steady = None
-            plan, counts = self._drawn_at_once(scene, Band.of(camera), background, output)
+            self._steady_counts = None
+            plan, counts = self._draw_in_one_buffer(scene, Band.of(camera), background, output)
         else:
             requested, behind = checked(scene, (output,), background, published=self._published)
             with self._device_errors(scene, camera):
-                plan, counts = self._drawn_late(scene, camera, behind, requested)
+                plan, counts = self._draw_with_late_counts(scene, camera, behind, requested)
         return Drawn.of(plan.images[output], Band.of(camera), counts)
 
     def draw_bands(
@@ -237,11 +237,11 @@ class Renderer:
         drawn = list[Drawn]()
 
         def draw(band: Band) -> Drawing:
-            plan, counts = self._drawn_at_once(scene, band, background, output)
+            plan, counts = self._draw_in_one_buffer(scene, band, background, output)
             drawn.append(Drawn.of(self._bands.copy(len(drawn), plan.images[output]), band, counts))
             return counts, {}
 
-        self._steady = None
+        self._steady_counts = None
         with self.device.translate_errors():
             draw_bands(camera, rows, draw, lambda: None)
         return drawn
@@ -266,10 +266,10 @@ class Renderer:
     def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
         """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
         layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
-        slab_layers = kept_layers(scene, self.device, self._most_at_once)
+        slab_layers = kept_layers(scene, self.device, self._max_slab_splats)
         return band_rows(self.device, camera, images, layers + slab_layers)
 
-    def _drawn_at_once(
+    def _draw_in_one_buffer(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""
@@ -286,7 +286,7 @@ class Renderer:
                 yield
         except MemoryFull as error:
             # Free the plan and its rows, which Python 3.13 ties to the traceback of the cause.
-            self._plan = self._key = self._rows = self._shape = self._steady = None
+            self._plan = self._key = self._rows = self._shape = self._steady_counts = None
             error.with_traceback(None)
             self._readbacks.clear()
             self._pairs = min(FIRST_PAIRS, self._most_pairs)
@@ -332,7 +332,7 @@ class Renderer:
                     self._residency.restore_order(splat_set.data)
                 placed[:] = self._pages(scene)
 
-    def _drawn_late(
+    def _draw_with_late_counts(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
         """Draw a frame with an earlier frame's buffer sizes; if unknown, wait for the GPU."""
@@ -340,23 +340,27 @@ class Renderer:
             self._take(parts)
         placed, meshes = self._uploaded(scene)
         plan = self.plan(placed, camera, requested, meshes)
-        if self._steady is None or not self._is_steady(plan):
-            self._steady = None  # keeps the rows of other sets
+        if self._steady_counts is None or not self._is_steady(plan):
+            self._steady_counts = None  # keeps the rows of other sets
             band = Band.of(camera)
             plan, counts, _ = self._fitted(
                 scene, band, behind, requested, placed, meshes, fetch=False
             )
-            self._steady = (self._shape, counts)
+            self._steady_counts = (self._shape, counts)
             return plan, counts
         staging = self.late.staging(plan)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=False, staging=staging)
         self.late.add(staging)
-        return plan, self._steady[1]
+        return plan, self._steady_counts[1]
 
     def _is_steady(self, plan: Plan) -> bool:
         """Return whether an earlier frame of the same sets and size told the buffers' sizes."""
         in_slabs = plan.slabs or plan.weighted_slabs
-        return not in_slabs and self._steady is not None and self._steady[0] == self._shape
+        return (
+            not in_slabs
+            and self._steady_counts is not None
+            and self._steady_counts[0] == self._shape
+        )
 
     def _take(self, parts: list[np.ndarray]) -> bool:
         """Read an earlier frame's counters; return whether splats were missing or unsorted."""
@@ -367,17 +371,17 @@ class Renderer:
         try:
             incomplete = self._must_redraw(counts)
         except PairsExceeded:  # the next frame is waited for, and drawn in thinner slabs
-            self._steady = None
+            self._steady_counts = None
             return True
-        if self._steady is not None:
+        if self._steady_counts is not None:
             # If rows must return to their own order, the next frame is waited for.
-            self._steady = None if counts[Counts.TIED] else (self._steady[0], counts)
+            self._steady_counts = None if counts[Counts.TIED] else (self._steady_counts[0], counts)
         self._grow_early(counts)
         return incomplete
 
     def _grow_early(self, counts: np.ndarray) -> None:
         """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
-        if int(counts[Counts.WANTED_PAIRS]) > _ENOUGH * self._pairs:
+        if int(counts[Counts.WANTED_PAIRS]) > _GROW_THRESHOLD * self._pairs:
             self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
 
     def settle(self) -> bool:
@@ -387,7 +391,7 @@ class Renderer:
             for parts in self.late.read(in_flight=0):
                 incomplete = self._take(parts)
         if incomplete:
-            self._steady = None
+            self._steady_counts = None
         return incomplete
 
     def _must_redraw(self, counts: np.ndarray) -> bool:
@@ -436,7 +440,7 @@ class Renderer:
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
-            self._rows, self._deep, self._most_in_slab = rows, False, _MANY
+            self._rows, self._deep, self._slab_limit = rows, False, _UNLIMITED
         image = ImageSpec(
             size=(camera.width, camera.height),
             outputs=outputs,
@@ -444,11 +448,11 @@ class Renderer:
             dilation="small" if camera.dilation < LEAST_DILATION else "usual",
         )
         self._shape = (contents, image)
-        key = (self._shape, self._pairs, self._deep, self._most_in_slab)
+        key = (self._shape, self._pairs, self._deep, self._slab_limit)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._readbacks.clear()
-            slabs = SlabSizes.of(placed, self._most_at_once)
+            slabs = SlabSizes.of(placed, self._max_slab_splats)
             method = Method(
                 pair_capacity=self._pairs,
                 rasteriser="tiles" if slabs.splats else self._rasteriser_of(outputs),
@@ -465,16 +469,16 @@ class Renderer:
         return "tiles" if self._chosen and outputs != {"color"} else self.rasteriser
 
     @property
-    def _most_at_once(self) -> int:
+    def _max_slab_splats(self) -> int:
         """The most splats of a depth slab."""
-        return min(most_splats(self.device, self._kernels), self._most_in_slab)
+        return min(most_splats(self.device, self._kernels), self._slab_limit)
 
     def _halve_slabs(self, placed: Sequence[Placed]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
-        most = min(rows_at_once(placed), self._most_at_once)
+        most = min(rows_at_once(placed), self._max_slab_splats)
         if most < 2:
             return False
-        self._most_in_slab = most // 2
+        self._slab_limit = most // 2
         return True
 
     @property

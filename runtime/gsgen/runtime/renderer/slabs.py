@@ -43,10 +43,10 @@ _CELL_STAGES: Final = (
     *("sum", "sum depth", "sum normal"),
 )
 
-_REDRAWN: Final = [Counts.TIED, Counts.UNSORTED]
-_BY_ROW: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows, or cells
-_IN_CELL: Final = 3  # the same if keys are rows of one cell
-_SUMMED: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
+_REDRAW_COUNTERS: Final = [Counts.TIED, Counts.UNSORTED]
+_ROW_TIED_COUNT: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows, or cells
+_CELL_TIED_COUNT: Final = 3  # the same if keys are rows of one cell
+_SUMMED_COUNTERS: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
 _BIN_BITS: Final = BINS.bit_length() - 1
 _KEY_BITS: Final = 31  # keys are bits of positive floats
 
@@ -102,8 +102,12 @@ class SlabState:
         uniform["resumes"] = self.resumes + self.resumes_cell
         uniform["continues"] = self.continues
         uniform["rank"] = len(self.tied)
-        pair = (self.tied[-1], self.splats) if len(self.tied) == _IN_CELL else (*self.tied, 0, 0)
-        uniform["tied_key"], uniform["tied_low"] = pair[:_BY_ROW]
+        pair = (
+            (self.tied[-1], self.splats)
+            if len(self.tied) == _CELL_TIED_COUNT
+            else (*self.tied, 0, 0)
+        )
+        uniform["tied_key"], uniform["tied_low"] = pair[:_ROW_TIED_COUNT]
         return uniform
 
 
@@ -240,7 +244,7 @@ def _bins(
 def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Add up the GPU counters of all depth slabs."""
     total = counts.copy()
-    total[_SUMMED] += earlier[_SUMMED]
+    total[_SUMMED_COUNTERS] += earlier[_SUMMED_COUNTERS]
     total[Counts.WANTED_PAIRS] = max(counts[Counts.WANTED_PAIRS], earlier[Counts.WANTED_PAIRS])
     return total
 
@@ -248,7 +252,7 @@ def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def _is_redrawn(total: np.ndarray) -> bool:
     """Return whether a frame is drawn again: by other keys, or with more room for pairs."""
     is_short = total[Counts.WANTED_PAIRS] > total[Counts.PAIR_CAPACITY]
-    return bool(total[_REDRAWN].any() or is_short)
+    return bool(total[_REDRAW_COUNTERS].any() or is_short)
 
 
 @final
@@ -299,14 +303,14 @@ class Slabs:
         self.capacity = capacity
         self.buffers: dict[str, Buffer] = {}
         rows = max(page.capacity for page in pages)
-        self._range = device.uniform("slab", 16)
+        self._range_uniform = device.uniform("slab", 16)
         self.keys = [
             self._storage(f"keys of page {slot}", 4 * page.capacity)
             for slot, page in enumerate(pages)
         ]
         self.places = self._storage("places of a page", 4 * rows)
         self._block_counts = self._storage("block counts", 4 * -(-rows // PLACE_BLOCK))
-        self._ends = self._storage("ends of pages", PAGE_BYTES * (len(pages) + 1))
+        self._page_ends = self._storage("ends of pages", PAGE_BYTES * (len(pages) + 1))
         self.tally = self._storage("tally of keys", 4 * BINS)
         self.origins = self._storage("origins", 4 * capacity)
         self.takers = self._storage("takers", VEC4 * capacity if with_ids else 0)
@@ -326,9 +330,9 @@ class Slabs:
         self._device.write(buffer, origins[first : first + count])
         return buffer
 
-    def _choose(self, low: int, high: int, shift: int = 0) -> None:
+    def _set_key_range(self, low: int, high: int, shift: int = 0) -> None:
         """Set the range of depth sort keys that the next dispatches count or draw."""
-        self._device.write(self._range, np.array([low, high, shift, 0], np.uint32))
+        self._device.write(self._range_uniform, np.array([low, high, shift, 0], np.uint32))
 
     def draw(self, stages: Sequence[str], run: Run) -> Drawing:
         """Draw all depth slabs, and return the summed GPU counters and the images.
@@ -348,7 +352,7 @@ class Slabs:
             nonlocal ranked
             if tied != ranked:
                 before.append(key_stage)
-            self._choose(low, min(low + (BINS << shift), ABSENT), shift)
+            self._set_key_range(low, min(low + (BINS << shift), ABSENT), shift)
             run(before, SlabState(continues=True, tied=tied, weighted=self._weighted))
             before[:], ranked = [tally_stage], tied  # the keys stay the same
             return self._device.read(self.tally, np.uint32, BINS)
@@ -356,13 +360,13 @@ class Slabs:
         # Step 1: count the keys of all splats, and choose ranges of at most ``capacity``.
         ranges = slab_ranges(tally, self.capacity)
         # Step 2: rows that were rearranged in memory cannot be divided by rows.
-        if self._row_origins and any(len(keys.tied) == _BY_ROW for keys in ranges):
+        if self._row_origins and any(len(keys.tied) == _ROW_TIED_COUNT for keys in ranges):
             total = np.zeros(counting.BYTES // 4, np.uint32)
             total[Counts.TIED] = 1  # rows return to their own order, and the frame is drawn again
             return total, {}
         # Step 3: draw the slabs, nearest first: pixels go on from the state that the last one left.
         for number, keys in enumerate(ranges):
-            self._choose(keys.low, keys.high)
+            self._set_key_range(keys.low, keys.high)
             state = self._state(ranges, number)
             counts, images = run([*([key_stage] if keys.tied != ranked else []), *stages], state)
             ranked = keys.tied
@@ -376,7 +380,7 @@ class Slabs:
     def _state(self, ranges: Sequence[KeyRange], number: int) -> SlabState:
         """Return how the depth slab ``number`` is drawn."""
         own = ranges[number]
-        in_cell = len(own.tied) == _IN_CELL
+        in_cell = len(own.tied) == _CELL_TIED_COUNT
         return SlabState(
             resumes=number > 0,
             continues=number + 1 < len(ranges),
@@ -409,7 +413,7 @@ class Slabs:
         """Return the dispatches that count the depth sort keys in the chosen range."""
         kernel = self._kernels.tally()
         return [
-            kernel.step(self._range, keys, self.tally, uniform, slot, page)
+            kernel.step(self._range_uniform, keys, self.tally, uniform, slot, page)
             for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True))
         ]
 
@@ -424,10 +428,10 @@ class Slabs:
         numbering = self._kernels.place(arranged=bool(self._row_origins))
         keys = self.keys[slot]
         row_origins = self._row_origins[slot] if self._row_origins else keys
-        resources = (self._range, keys, self._block_counts, self.places, row_origins)
+        resources = (self._range_uniform, keys, self._block_counts, self.places, row_origins)
         written = (self.origins, self.takers, counts)
         page = self._pages[slot]
-        return numbering.steps((*resources, *written), self._ends, uniform, slot, page)
+        return numbering.steps((*resources, *written), self._page_ends, uniform, slot, page)
 
     def project_steps(
         self,

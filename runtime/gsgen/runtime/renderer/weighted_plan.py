@@ -69,13 +69,13 @@ class WeightedPart:
         self._tiles = image.tiles(TILE)
         self.buffers: dict[str, Buffer] = {}
         self.images: dict[str, Buffer] = {}
-        self._per_slot = min(splat_set.data.per_cell for splat_set, _ in placed)
+        self._gaussians_per_slot = min(splat_set.data.per_cell for splat_set, _ in placed)
         slab_splats = method.slabs.weighted
         self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
         self._cells = sum(_cells(page) for _, page in _sets(placed))
         self.slabs: Slabs | None = None
         if slab_splats is not None:
-            self._cells = max(1, slab_splats // self._per_slot)
+            self._cells = max(1, slab_splats // self._gaussians_per_slot)
             pages = [page for _, page in placed]
             with_ids = "depth" in image.outputs and layers is None
             self.slabs = Slabs(kernels, pages, slab_splats, None, with_ids=with_ids, weighted=True)
@@ -293,16 +293,16 @@ class WeightedPart:
             if page.first == 0:
                 live = -(-splat_set.data.count // splat_set.data.per_cell)
                 uniform = page_uniform(splat_set, camera, cell_base, _cells(page), live)
-                cell_slots[number] = _weighing(uniform, splat_set)
+                cell_slots[number] = _set_weights(uniform, splat_set)
                 cell_slots[number]["first_gaussian"] = base
                 cell_base, number = cell_base + _cells(page), number + 1
             live = min(max(splat_set.data.count - page.first, 0), page.capacity)
             uniform = page_uniform(splat_set, camera, base, page.capacity, live)
-            slots[slot] = _weighing(uniform, splat_set)
+            slots[slot] = _set_weights(uniform, splat_set)
             slots[slot]["first_row"] = page.first
             base += page.capacity
         if self.slabs is not None:
-            slots["per_slot"] = self._per_slot
+            slots["per_slot"] = self._gaussians_per_slot
             slots["first_cell"] = [page.first_cell for _, page in placed]
             slots["live_cells"] = [-(-s.data.count // s.data.per_cell) for s, _ in placed]
         self._device.write(self._slots, slots)
@@ -319,7 +319,7 @@ def _cells(page: Page) -> int:
     return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
 
 
-def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
+def _set_weights(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
     """Set the weighted-sum parameters in a page's uniform data (WGSL ``Page``); return the data."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None

@@ -34,7 +34,7 @@ from gsgen.formats.sog.streamed_write import write_levels
 __all__ = ["SplatParts", "sog_order", "write_sog", "write_sog_parts"]
 
 _MOST_DEGREE: Final = 3
-_MAX_STEP: Final = 65535
+_MAX_UINT16_LEVEL: Final = 65535
 _FLAT_LOG_SCALE: Final = -20.0  # the logarithm of the scale of a flat axis, whose own is -inf
 _CHUNK_ROWS: Final = 1 << 18
 _SMALL_SPLAT_COUNT: Final = 1 << 10  # splats of a scene whose palette has an entry for each
@@ -271,7 +271,7 @@ def _stored_positions(
         part = position[start : start + _CHUNK_ROWS].astype(np.float64)
         stored = np.sign(part) * np.log1p(np.abs(part))
         steps[start : start + _CHUNK_ROWS] = rounded(
-            (stored - low) / size * _MAX_STEP, 0, _MAX_STEP
+            (stored - low) / size * _MAX_UINT16_LEVEL, 0, _MAX_UINT16_LEVEL
         )
     return steps, low, high
 

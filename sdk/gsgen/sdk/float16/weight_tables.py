@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-_MAX_STEP = 65535
+_LARGEST_UINT16 = 65535
 # A step below this is zero where a processor flushes subnormal numbers.
 _MIN_STEP_SIZE = float(np.finfo(np.float32).tiny)
 # A smaller table saves fewer bytes than the nodes that decode its steps take.
@@ -67,7 +67,7 @@ def _quantize_evenly(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
     """Quantise a weight table at even spacing; None if float16 has no larger error."""
     axis = _quantization_axis(array)
     start, width = _range(array, axis)
-    step = (width / _MAX_STEP).astype(np.float32)
+    step = (width / _LARGEST_UINT16).astype(np.float32)
     step[step < _MIN_STEP_SIZE] = 0
     rows = 1 if axis is None else _size(array.shape[:axis])
     flat_table = array.reshape(rows, start.size, -1)
@@ -77,7 +77,7 @@ def _quantize_evenly(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
         part, low = flat_table[block], start.reshape(-1, 1)[block[1]]
         size = step.reshape(-1, 1)[block[1]]
         steps = np.divide(part - low, size, out=np.zeros_like(part), where=size > 0)
-        table = HalfTable(np.clip(np.rint(steps), 0, _MAX_STEP).astype(np.uint16), size, low)
+        table = HalfTable(np.clip(np.rint(steps), 0, _LARGEST_UINT16).astype(np.uint16), size, low)
         error_reduction += _error(HalfTable(part.astype(np.float16)), part) - _error(table, part)
         numbers[block] = table.numbers
     if error_reduction <= 0:

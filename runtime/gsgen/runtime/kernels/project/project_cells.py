@@ -84,7 +84,7 @@ class SlabCells:
             page: The page.
             cells: Buffer of the page's cells.
         """
-        return _by_row(self._keys, (frame, keys), uniform, slot, page, cells)
+        return _dispatch_by_row(self._keys, (frame, keys), uniform, slot, page, cells)
 
     def cell_step(
         self, resources: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, cells: Buffer
@@ -98,10 +98,10 @@ class SlabCells:
             page: The page.
             cells: Buffer of the page's cells.
         """
-        return _by_row(self._cells, resources, uniform, slot, page, cells)
+        return _dispatch_by_row(self._cells, resources, uniform, slot, page, cells)
 
 
-def _by_row(
+def _dispatch_by_row(
     kernel: Kernel,
     resources: tuple[Buffer, ...],
     uniform: Buffer,

@@ -29,8 +29,8 @@ from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 
 AMBIENT: Final = 0.2
 """The share of a headlit colour on surfaces seen edge-on."""
-_CORNERS: Final = 3
-_CORNERS_AROUND: Final = 6  # of the two triangles that bound a triangle in a panorama
+_TRIANGLE_CORNERS: Final = 3
+_PANORAMA_CORNERS: Final = 6  # of the two triangles that bound a triangle in a panorama
 _ROW: Final = 256 // VEC4  # pixels: rows of a copied texture are multiples of this
 _FLOATS: Final = "rgba32float"
 DEPTHS: Final = "depth32float"
@@ -123,7 +123,7 @@ class DrawMeshes:
         import wgpu
 
         self._device = device
-        self._corners = _CORNERS_AROUND if panorama else _CORNERS
+        self._corner_count = _PANORAMA_CORNERS if panorama else _TRIANGLE_CORNERS
         kinds: list[dict[str, object]] = [{"buffer": {"type": "uniform"}}]
         kinds += [{"buffer": {"type": "read-only-storage"}} for _ in range(5)]
         kinds += [{"texture": {"sample_type": "float"}}]
@@ -131,7 +131,9 @@ class DrawMeshes:
             self._pipeline, self._layout = render_pipeline(
                 device,
                 "meshes",
-                source("draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners),
+                source(
+                    "draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corner_count
+                ),
                 kinds,
                 fragment="seen_at",
                 targets=[{"format": _FLOATS}, {"format": _FLOATS}],
@@ -149,7 +151,7 @@ class DrawMeshes:
                 hint="Draw on another device, see `gsgen doctor`, or without meshes.",
             ) from error
         outputs = {"lay_colors": ("urrw", "w"), "lay_normals": ("urrw",)}
-        self._lay = {
+        self._layer_kernels = {
             entry: Kernel(device, "lay_meshes", entry, groups) for entry, groups in outputs.items()
         }
 
@@ -191,14 +193,14 @@ class DrawMeshes:
                 for slot, mesh in enumerate(meshes)
                 if mesh.buffers.count
             ),
-            corners=self._corners,
+            corners=self._corner_count,
             color=color,
             surface=surface,
             depth=depth.create_view(),
             copies=copies,
             row=row,
             size=size,
-            layers=() if layers is None else self._laid(size, row, copies, layers),
+            layers=() if layers is None else self._layer_steps(size, row, copies, layers),
         )
 
     def _bound(self, mesh: MeshBuffers, slots: Buffer, slot: int, rays: Buffer) -> BindGroup:
@@ -220,7 +222,7 @@ class DrawMeshes:
             ],
         )
 
-    def _laid(
+    def _layer_steps(
         self, size: tuple[int, int], row: int, copies: tuple[Buffer, ...], layers: Layers
     ) -> tuple[Step, ...]:
         """Return the dispatches that copy the colours, depths and normals of meshes to a layer."""
@@ -228,10 +230,10 @@ class DrawMeshes:
         first = (layers.count - 1) * size[0] * size[1]
         self._device.write(shape, np.array([*size, row, first], np.uint32))
         groups = (-(-size[0] // TILE), -(-size[1] // TILE), 1)
-        kernel = self._lay["lay_colors"]
+        kernel = self._layer_kernels["lay_colors"]
         binds = (kernel.bind(shape, *copies, layers.colors), kernel.bind(layers.depths, group=1))
         steps = [Step(kernel, binds, groups)]
         if layers.normals is not None:
-            kernel = self._lay["lay_normals"]
+            kernel = self._layer_kernels["lay_normals"]
             steps.append(Step(kernel, (kernel.bind(shape, *copies, layers.normals),), groups))
         return tuple(steps)

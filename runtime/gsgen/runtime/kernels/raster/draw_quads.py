@@ -24,8 +24,12 @@ from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.shader import source
 
 _ROW_BYTES: Final = 256  # rows of a copied texture are multiples of this
-_UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
-_TESTED: Final = {"format": DEPTHS, "depth_write_enabled": False, "depth_compare": "greater-equal"}
+_BLEND_UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
+_DEPTH_TEST: Final = {
+    "format": DEPTHS,
+    "depth_write_enabled": False,
+    "depth_compare": "greater-equal",
+}
 
 
 @final
@@ -111,8 +115,10 @@ class DrawQuads:
             code,
             [{"buffer": {"type": kind}} for kind in kinds],
             topology="triangle-strip",
-            targets=[{"format": "rgba32float", "blend": {"color": _UNDER, "alpha": _UNDER}}],
-            depth_stencil=_TESTED if tested else None,
+            targets=[
+                {"format": "rgba32float", "blend": {"color": _BLEND_UNDER, "alpha": _BLEND_UNDER}}
+            ],
+            depth_stencil=_DEPTH_TEST if tested else None,
         )
 
     @staticmethod

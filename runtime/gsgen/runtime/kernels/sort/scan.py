@@ -18,7 +18,7 @@ MANY: Final = 0x7FFFFFFF
 _THREADS: Final = 256
 _RUN: Final = 8
 _BLOCK: Final = _THREADS * _RUN
-_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
+_COUNTER_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 
 @final
@@ -52,7 +52,7 @@ class Scan:
             "WALK_BLOCK": walk_block,
             "RANGE_BLOCK": range_block,
         } | COUNT_CONSTANTS
-        self._whole, self._sums = (
+        self._whole, self._scan_sums_kernel = (
             cache(
                 lambda share=share: Kernel(
                     device, "scan", "scan", ("uww",), THREADS=_THREADS, SHARE=share, **constants
@@ -60,7 +60,7 @@ class Scan:
             )
             for share in (1, _BLOCK)
         )
-        self._reduce, self._spread = (
+        self._reduce_kernel, self._spread = (
             cache(
                 lambda entry=entry: Kernel(
                     device, "scan_blocks", entry, ("urww",), THREADS=_THREADS, RUN=_RUN
@@ -85,7 +85,7 @@ class Scan:
         receives the sum of all: VISIBLE, PAIRS or None.
         """
         uniform = self._device.uniform("scan", 16)
-        words = np.array([source, block, rows, _EFFECTS[total]], np.uint32)
+        words = np.array([source, block, rows, _COUNTER_EFFECTS[total]], np.uint32)
         self._device.write(uniform, words)
         # Case 1: one workgroup scans all, where more would not be faster.
         blocks = -(-numbers.size // (4 * _BLOCK))
@@ -94,7 +94,7 @@ class Scan:
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
         # Case 2: sum each block, scan the sums, and scan within the blocks from there.
         sums = self._device.storage("sums of blocks", 4 * blocks)
-        reduce, scan, spread = self._reduce(), self._sums(), self._spread()
+        reduce, scan, spread = self._reduce_kernel(), self._scan_sums_kernel(), self._spread()
         resources = (uniform, counts, numbers, sums)
         return [
             Step(reduce, (reduce.bind(*resources),), (blocks, 1, 1)),
