@@ -81,7 +81,7 @@ def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path):
 def test_failing_case_is_saved_with_its_repro_command(corpus, tmp_path):
     neighbour_index = next(k for k in range(500) if draw(0, k, corpus).base.folder is not None)
     for index in (0, neighbour_index):
-        command._keep(0, {"case": index, "failures": ["it crashed"]}, tmp_path)
+        command._save_failure(0, {"case": index, "failures": ["it crashed"]}, tmp_path)
         kept_path = tmp_path / "failures" / str(index)
         case = draw(0, index, corpus)
         (model,) = kept_path.rglob("model.onnx")

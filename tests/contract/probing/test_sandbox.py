@@ -176,14 +176,14 @@ def test_a_model_that_takes_too_much_memory_is_a_fault_of_memory(folder):
 
 
 def act_on_first_wait(monkeypatch, action):
-    """Let ``act(child, folder)`` stand for the first wait; the child itself is the real one."""
+    """Let ``action(child, folder)`` stand for the first wait; the child itself is the real one."""
 
     class Acting(subprocess.Popen):
         has_acted = False
 
         def wait(self, timeout=None):
-            if not self.acted:
-                self.acted = True
+            if not self.has_acted:
+                self.has_acted = True
                 action(self, Path(self.args[-1]))
             return super().wait(timeout)
 

@@ -66,8 +66,10 @@ def test_splats_on_the_globe_keep_five_millimetres(legacy: bool, tmp_path: Path)
     tileset = open_tileset(path)
     assert len(leaves) == foreign.COUNT
     world = np.reshape(index["root"]["transform"], (4, 4)).T
-    expected = foreign.moved(foreign.turned_up(foreign.moved(cloud["position"], node)), world)
-    actual = foreign.moved(leaves.position, tileset.transform)
+    expected = foreign.moved_positions(
+        foreign.turned_up(foreign.moved_positions(cloud["position"], node)), world
+    )
+    actual = foreign.moved_positions(leaves.position, tileset.transform)
     assert float(np.linalg.norm(np.asarray(actual - expected, float), axis=1).max()) < 0.005
     assert findings(path) == ({"GT007": "confirmed", "GT019": "confirmed"} if legacy else {})
 

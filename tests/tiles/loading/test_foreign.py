@@ -101,8 +101,8 @@ def test_ecef_with_harmonics_and_nested_transforms(tmp_path: Path, spz: bool) ->
     path = foreign.write(
         tmp_path, {"tileset.json": foreign.tileset(root, extensions), "a b/one.glb": content}
     )
-    positions = foreign.turned_up(foreign.moved(cloud["position"], node))
-    expected = foreign.moved(foreign.moved(positions, inner), globe)
+    positions = foreign.turned_up(foreign.moved_positions(cloud["position"], node))
+    expected = foreign.moved_positions(foreign.moved_positions(positions, inner), globe)
     actual = on_globe(path)
     assert actual.shape == (foreign.COUNT, 3)
     assert float(np.abs(actual - expected).max()) < 0.005
@@ -127,7 +127,7 @@ def test_positions_in_ecef_without_a_root_transform(tmp_path: Path) -> None:
         tmp_path,
         {"tileset.json": foreign.tileset(root), "one.glb": foreign.gltf(cloud, matrix=node)},
     )
-    expected = foreign.moved(foreign.turned_up(cloud["position"]), globe)
+    expected = foreign.moved_positions(foreign.turned_up(cloud["position"]), globe)
     assert float(np.abs(on_globe(path) - expected).max()) < 0.005
     with pytest.warns(FormatWarning, match="relative to"):
         leaves = read_leaves(path)
