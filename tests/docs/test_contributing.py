@@ -243,7 +243,7 @@ def test_a_splat_format_touches_the_places_of_the_page(copy: Copy) -> None:
     )
     codec = (
         'Codec(name="dots", title="DOTS", contents="white points", suffixes=(".dots",), '
-        "read=read_dots, marks=(DOTS_MAGIC,)),"
+        "read=read_dots, magic_prefixes=(DOTS_MAGIC,)),"
     )
     copy.insert(codecs, after="CODECS: Final = (\n", text=f"    {codec}\n")
     copy.insert(
