@@ -4,14 +4,16 @@ Four folders of the repository hold parts of this package: contract, sdk, runtim
 reference_plugins. A wheel joins them.
 """
 
-from pkgutil import extend_path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
 
 __all__ = ["__version__"]
-__path__[:] = extend_path(__path__, __name__)  # in place: the module's specification has it, too
+# Spelled as tools that read code without running it recognise it, such as those of the docs.
+__path__ = __import__("pkgutil").extend_path(__path__, __name__)
+if __spec__ is not None:  # tools that import code look here
+    __spec__.submodule_search_locations = __path__
 
 
 def __getattr__(name: str) -> object:

@@ -173,7 +173,7 @@ def test_other_files_are_named_by_their_type(tmp_path, content, words):
 
 def test_a_network_in_torchscript_is_called_that(tmp_path):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.filterwarnings("ignore", r"`torch.jit.script` is deprecated")
         torch.jit.script(torch.nn.Linear(2, 2)).save(str(tmp_path / "opacity_mlp.pt"))
     text = refusal(tmp_path / "opacity_mlp.pt", NotSupported)
     assert "TorchScript" in text

@@ -104,9 +104,7 @@ class _OrderedCommand(TyperCommand):
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:
-            bounds = getattr(error.param, "type", None)
-            if "not a valid" in error.message and isinstance(getattr(bounds, "name", None), str):
-                error.message += _number_hint(bounds)
+            error.message += _number_hint(error.message, error.param)
             if not error.message and getattr(error.param, "name", None) == "output":
                 from gsgen.cli.output_hints import output_hint
 
@@ -128,14 +126,23 @@ class _OrderedCommand(TyperCommand):
         )
 
 
-def _number_hint(bounds: Any) -> str:
-    """Return the type and the range of a numeric command-line option; empty for others."""
-    type_name = {"int": "a whole number", "float": "a number"}.get(bounds.name.split()[0])
-    if type_name is None:
+def _number_hint(message: str, parameter: Any) -> str:
+    """Return the type and the range of a number that an option or argument refused, else nothing.
+
+    The range is kept in the parameter's type until typer 0.28, and in the parameter since.
+    """
+    if "valid int" in message:
+        noun = "a whole number"
+    elif "valid float" in message or "valid number" in message:
+        noun = "a number"
+    elif "should be greater" in message or "should be less" in message:
+        noun = "a value"
+    else:
         return ""
-    minimum, maximum = getattr(bounds, "min", None), getattr(bounds, "max", None)
-    minimum_text = "" if minimum is None else f" from {minimum:g}"
-    return f" Give {type_name}{minimum_text}{'' if maximum is None else f' to {maximum:g}'}."
+    bounds = parameter if hasattr(parameter, "min") else getattr(parameter, "type", None)
+    least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
+    lower = "" if least is None else f" from {least:g}"
+    return f"{'' if message.endswith('.') else '.'} Give {noun}{lower}{'' if most is None else f' to {most:g}'}."
 
 
 def _unknown_command(name: str, commands: list[str]) -> UnknownName:
