@@ -12,14 +12,11 @@ from gsgen.sdk.live.fixtures import live_fixtures
 def models(tmp_path_factory) -> dict[str, Path]:
     """Model by name: drift and look in both dtypes, and the examples that break a live rule."""
     folder = tmp_path_factory.mktemp("models")
-    sketches = {f"drift-{dtype}": drifting_model(dtype=dtype) for dtype in ("float32", "float16")}
-    sketches |= {
-        f"look-{dtype}": camera_dependent_model(dtype=dtype) for dtype in ("float32", "float16")
-    }
-    sketches["look-row"] = camera_dependent_model(order="row")
-    for name, spec in sketches.items():
+    dtypes = ("float32", "float16")
+    specs = {f"drift-{dtype}": drifting_model(dtype=dtype) for dtype in dtypes}
+    specs |= {f"look-{dtype}": camera_dependent_model(dtype=dtype) for dtype in dtypes}
+    specs["look-row"] = camera_dependent_model(order="row")
+    for name, spec in specs.items():
         spec.write(folder / f"{name}.onnx")
-    result = {name: folder / f"{name}.onnx" for name in sketches}
-    return result | {
-        live_fixture.name: live_fixture.write(folder) for live_fixture in live_fixtures()
-    }
+    result = {name: folder / f"{name}.onnx" for name in specs}
+    return result | {fixture.name: fixture.write(folder) for fixture in live_fixtures()}
