@@ -53,19 +53,24 @@ def arcs(names: list[str]) -> list[tuple[str, str]]:
         if room_of(unit) in direct:
             direct[room_of(unit)] |= {room_of(target) for target in targets} & set(names)
     direct = {name: targets - {name} for name, targets in direct.items()}
-    reached: dict[str, set[str]] = {}
 
-    def reach(name: str) -> set[str]:
-        if name not in reached:
-            reached[name] = set()
-            reached[name] = direct[name].union(*(reach(target) for target in direct[name]))
-        return reached[name]
+    def is_implied(name: str, target: str) -> bool:
+        """Return whether a chain leads from a room to another one that it also imports directly."""
+        # Chains do not come back to the room: rooms may import each other where modules do not.
+        pending, seen = sorted(direct[name] - {target}), {name, target}
+        while pending:
+            between = pending.pop()
+            if target in direct[between]:
+                return True
+            seen.add(between)
+            pending += direct[between] - seen
+        return False
 
     return [
         (name, target)
         for name in names
         for target in sorted(direct[name])
-        if not any(target in reach(between) for between in direct[name] - {target})
+        if not is_implied(name, target)
     ]
 
 
