@@ -4,6 +4,9 @@ Four folders of the repository hold parts of this package: contract, sdk, runtim
 reference_plugins. A wheel joins them.
 """
 
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -24,3 +27,25 @@ def __getattr__(name: str) -> object:
 
     globals()[name] = version("gsgen")
     return globals()[name]
+
+
+def _lazy_names(
+    package: str, module_by_name: Mapping[str, str]
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """Return the ``__getattr__`` and ``__dir__`` of a package that imports names at first use.
+
+    Args:
+        package: The package's ``__name__``.
+        module_by_name: Public name → the module that defines it, or that it is.
+    """
+    module = sys.modules[package]
+
+    def import_name(name: str) -> object:
+        if name not in module_by_name:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        home = import_module(module_by_name[name])
+        value: object = getattr(home, name, home)
+        setattr(module, name, value)
+        return value
+
+    return import_name, lambda: sorted(module.__all__)

@@ -3,8 +3,9 @@
 The names below are loaded on first use, so that ``import gsgen.contract`` is fast.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
+
+from gsgen import _lazy_names
 
 if TYPE_CHECKING:
     from gsgen.contract.errors import GsgenError
@@ -67,15 +68,4 @@ _MODULE_BY_NAME: Final = {
     "validate": "gsgen.contract.validator",
 }
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562)."""
-    if name not in _MODULE_BY_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = import_module(_MODULE_BY_NAME[name])
-    globals()[name] = getattr(value, name, value)
-    return globals()[name]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = _lazy_names(__name__, _MODULE_BY_NAME)

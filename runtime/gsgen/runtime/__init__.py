@@ -8,9 +8,9 @@
 The names below are loaded when first used.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
+from gsgen import _lazy_names
 from gsgen.contract._notebook import draw_previews_with
 
 if TYPE_CHECKING:
@@ -101,15 +101,4 @@ _MODULE_BY_NAME: Final = {
     "view": "gsgen.runtime.viewer.window",
 }
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562)."""
-    if name not in _MODULE_BY_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(_MODULE_BY_NAME[name])
-    globals()[name] = getattr(module, name, module)
-    return globals()[name]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = _lazy_names(__name__, _MODULE_BY_NAME)

@@ -7,8 +7,9 @@ A tileset is a tree of files of splats, coarse above and fine below. An invalid 
 ``TilesetInvalid``, which names the file, the JSON path, the actual and the expected value.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
+
+from gsgen import _lazy_names
 
 if TYPE_CHECKING:
     from gsgen.tiles.loading.info import describe_tileset
@@ -45,15 +46,4 @@ _MODULE_BY_NAME: Final = {
     "validate": "gsgen.tiles.validation.validate",
 }
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562)."""
-    if name not in _MODULE_BY_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_MODULE_BY_NAME[name])
-    globals()[name] = getattr(home, name, home)
-    return globals()[name]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = _lazy_names(__name__, _MODULE_BY_NAME)

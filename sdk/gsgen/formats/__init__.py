@@ -8,9 +8,9 @@ Two formats need another package: SOG needs Pillow, version 4 of SPZ needs zstan
 A fault of a file raises a ``FormatError`` with the location, the expected value and a hint.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
+from gsgen import _lazy_names
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix
 from gsgen.formats.glb.glb import read_glb, write_glb
@@ -100,14 +100,4 @@ _MODULE_BY_NAME: Final = {
     "differences": "gsgen.formats.loss",
 }
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562)."""
-    if name not in _MODULE_BY_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = getattr(import_module(_MODULE_BY_NAME[name]), name)
-    return globals()[name]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = _lazy_names(__name__, _MODULE_BY_NAME)

@@ -1,7 +1,8 @@
 """Baking: how do frames of an ONNX generator become plain splat files?"""
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
+
+from gsgen import _lazy_names
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.bake_frames import bake
@@ -16,15 +17,4 @@ _MODULE_BY_NAME: Final = {
     "BakeReport": "gsgen.runtime.baking.report",
 }
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562)."""
-    if name not in _MODULE_BY_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(_MODULE_BY_NAME[name])
-    globals()[name] = getattr(module, name, module)
-    return globals()[name]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = _lazy_names(__name__, _MODULE_BY_NAME)

@@ -3,8 +3,9 @@
 Needs NumPy and ONNX Runtime, not torch. The names below are imported when first used.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
+
+from gsgen import _lazy_names
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.camera_inputs import CameraLike, Pinhole
@@ -44,15 +45,4 @@ _MODULE_BY_NAME: Final = {
     "FrameSession": "gsgen.sdk.binding.session",
 }
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562)."""
-    if name not in _MODULE_BY_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(_MODULE_BY_NAME[name])
-    globals()[name] = getattr(home, name, home)
-    return globals()[name]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = _lazy_names(__name__, _MODULE_BY_NAME)
