@@ -2,7 +2,7 @@
 
 import inspect
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, get_args
 
 import typer
 
@@ -87,18 +87,31 @@ def _default(parameter: Any) -> str:
 def _takes(parameter: Any) -> str:
     if getattr(parameter, "is_flag", False):
         return "–"
-    kind = parameter.type
-    words = {"str": "text", "int": "integer", "float": "number"}
-    value_name = words.get(kind.name.partition(" ")[0], kind.name.partition(" ")[0])
-    if getattr(kind, "choices", None):
-        value_name = code(str(getattr(choice, "value", choice)) for choice in kind.choices)
+    value_name, choices, low, high = _values(parameter)
+    if choices:
+        value_name = code(str(getattr(choice, "value", choice)) for choice in choices)
     elif parameter.metavar:
         value_name = f"`{parameter.metavar}`"
-    low, high = getattr(kind, "min", None), getattr(kind, "max", None)
     value_name += f" ≥ {low:g}" if low is not None else ""
     value_name += f" ≤ {high:g}" if high is not None else ""
     many = getattr(parameter, "multiple", False)
     return f"{value_name}, repeatable" if many else value_name
+
+
+def _values(parameter: Any) -> tuple[str, Any, float | None, float | None]:
+    """Return what a parameter takes: the word for it, the choices, the minimum and maximum."""
+    words = {"str": "text", "int": "integer", "float": "number", "Path": "path"}
+    kind = getattr(parameter, "type", None)
+    if kind is not None:
+        name = kind.name.partition(" ")[0]
+        limits = getattr(kind, "min", None), getattr(kind, "max", None)
+        return words.get(name, name), getattr(kind, "choices", None), *limits
+    # Since typer 0.29 a parameter has its annotation instead of a type of click.
+    described = parameter.type_descriptor
+    element = (get_args(described.annotation) or (described.annotation,))[0]
+    name = described.path_type if described.is_path else getattr(element, "__name__", "")
+    limits = described.parameter_info.min, described.parameter_info.max
+    return words.get(name, name), described.choices, *limits
 
 
 def overview() -> str:
