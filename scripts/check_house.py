@@ -234,13 +234,15 @@ def run_checks(sources: list[Source], paths: Iterable[str] = ()) -> int:
     failed = False
     for name, (find, bar, per) in CHECKS.items():
         selected = [s for s in sources if s.path.startswith(tuple(paths) or "")]
-        found, total = find(
+        violations, total = find(
             [s for s in selected if not s.path.startswith(EXCEPTIONS.get(name, ()))]
         )
-        figure = len(found) * per / max(total, 1) if per else len(found)
+        figure = len(violations) * per / max(total, 1) if per else len(violations)
         verdict = "pass" if figure <= bar else "FAIL"
         failed |= verdict == "FAIL"
-        print("".join(f"{name}: {line}\n" for line in found) if verdict == "FAIL" else "", end="")
+        print(
+            "".join(f"{name}: {line}\n" for line in violations) if verdict == "FAIL" else "", end=""
+        )
         print(f"{verdict}  {name:14}{figure:8.2f}{f' in {per}' if per else ''}; bar {bar:g}")
     return int(failed)
 

@@ -94,11 +94,11 @@ _MARKED = re.compile(
 def fill(text: str) -> str:
     """Return the text of a page with current generated parts."""
 
-    def made(match: "re.Match[str]") -> str:
+    def generated_part(match: "re.Match[str]") -> str:
         name, *words = match["name"].split()
         return f"{match[1]}\n{PARTS[name](*words).strip()}\n\n{match[3]}"
 
-    return _MARKED.sub(made, text)
+    return _MARKED.sub(generated_part, text)
 
 
 def generated() -> dict[Path, str]:

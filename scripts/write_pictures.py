@@ -217,10 +217,10 @@ def hero_scene(folder: Path) -> Image.Image:
 
     write_samples(folder)
     document = json.loads((folder / "scene.json").read_text("utf-8"))
-    places = ([1.35, 0, 1.0], [-1.6, 0, 0.45])
+    offsets = ([1.35, 0, 1.0], [-1.6, 0, 0.45])
     document["models"] = [
         "garden.ply",
-        *({"path": "sunflower.onnx", "translate": place, "scale": 0.9} for place in places),
+        *({"path": "sunflower.onnx", "translate": offset, "scale": 0.9} for offset in offsets),
     ]
     document |= {"width": WIDTH, "height": HEIGHT, "camera": "look-at:-0.8,-1.65,3.6,0.1,-0.85,0"}
     (folder / "hero.json").write_text(json.dumps(document), "utf-8")

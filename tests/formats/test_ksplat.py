@@ -63,15 +63,15 @@ def test_ksplat_and_splat_of_one_scene_agree():
 
 def test_sections_of_several_degrees_become_the_highest(tmp_path):
     first, second = scene(4, 2), scene(3, 0, seed=1)
-    one, other = ksplat(first, 1), ksplat(second, 1)
-    head = bytearray(one[:4096])
+    file_bytes, other = ksplat(first, 1), ksplat(second, 1)
+    head = bytearray(file_bytes[:4096])
     head[4:8] = struct.pack("<I", 3)  # a third section is empty
-    sections = one[4096:5120] + other[4096:5120] + bytes(1024)
+    sections = file_bytes[4096:5120] + other[4096:5120] + bytes(1024)
     file = tmp_path / "two.ksplat"
-    file.write_bytes(bytes(head) + sections + one[5120:] + other[5120:])
+    file.write_bytes(bytes(head) + sections + file_bytes[5120:] + other[5120:])
     both = read_ksplat(file)
     assert (len(both), both.degree) == (7, 2)
-    (tmp_path / "one.ksplat").write_bytes(one)
+    (tmp_path / "one.ksplat").write_bytes(file_bytes)
     alone = read_ksplat(tmp_path / "one.ksplat")
     np.testing.assert_array_equal(both.position[:4], alone.position)
     np.testing.assert_array_equal(both.sh[:4], alone.sh)

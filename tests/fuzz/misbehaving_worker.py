@@ -8,8 +8,8 @@ import time
 _FACTS = {"verdict": "conforms", "ran": False, "mutations": [], "seconds": 0.0}
 
 
-def _say(**what: object) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
+def _say(**message: object) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 

@@ -48,11 +48,11 @@ def built(source: Path, folder: Path) -> Path:
     return wheel
 
 
-def install(binaries: Path, *wanted: str | Path, cwd: Path) -> None:
+def install(binaries: Path, *packages: str | Path, cwd: Path) -> None:
     """Install into another environment with the pip of this one: to give it its own takes 5 s."""
     pip = [sys.executable, "-m", "pip", "--python", binaries / "python"]
     words = ["install", "--quiet", "--no-compile", "--no-warn-conflicts"]
-    completed = run(*pip, *words, "-c", ROOT / "constraints.txt", *wanted, cwd=cwd)
+    completed = run(*pip, *words, "-c", ROOT / "constraints.txt", *packages, cwd=cwd)
     assert completed.returncode == 0, completed.stderr
 
 

@@ -266,10 +266,10 @@ def test_only_the_manifest_changes_when_one_is_written(tmp_path):
     source, target = save(tmp_path / "a.onnx", proto), tmp_path / "b.onnx"
     before = source.read_bytes()
     write_manifest(source, manifest_of(5000), target)
-    made = ModelProto.FromString(target.read_bytes())
-    assert made.metadata_props.pop().value == dumps(manifest_of(5000), indent=None)
+    written_proto = ModelProto.FromString(target.read_bytes())
+    assert written_proto.metadata_props.pop().value == dumps(manifest_of(5000), indent=None)
     del proto.metadata_props[1]
-    assert made == proto
+    assert written_proto == proto
     assert source.read_bytes() == before
     assert files(tmp_path) == ["a.onnx", "b.onnx"]
 
@@ -291,8 +291,8 @@ def test_every_earlier_manifest_is_replaced(tmp_path):
     path = save(tmp_path / "a.onnx", proto)
     for capacity in (1, 2):
         write_manifest(path, manifest_of(capacity), path)
-    made = ModelProto.FromString(path.read_bytes())
-    assert [entry.key for entry in made.metadata_props] == ["b", MANIFEST_KEY]
+    written_proto = ModelProto.FromString(path.read_bytes())
+    assert [entry.key for entry in written_proto.metadata_props] == ["b", MANIFEST_KEY]
     assert loads(open_model(path).manifest_text) == manifest_of(2)
     assert files(tmp_path) == ["a.onnx"]
 

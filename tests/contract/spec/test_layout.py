@@ -34,37 +34,37 @@ def gaussians(draw, **limits):
     )
 
 
-def arrays_of(made):
+def arrays_of(original):
     named = {
-        name: getattr(made, name) for name in ("position", "opacity", "covariance", "sh", "rgb")
+        name: getattr(original, name) for name in ("position", "opacity", "covariance", "sh", "rgb")
     }
     return {name: array for name, array in named.items() if array is not None}
 
 
-def same_layout(made, other):
-    shapes = [{k: v.shape for k, v in arrays_of(g).items()} for g in (made, other)]
-    return shapes[0] == shapes[1] and made.degree == other.degree
+def same_layout(original, decoded):
+    shapes = [{k: v.shape for k, v in arrays_of(g).items()} for g in (original, decoded)]
+    return shapes[0] == shapes[1] and original.degree == decoded.degree
 
 
 @given(gaussians())
-def test_float32_survives_a_round_trip_bit_by_bit(made):
-    rows, appearance = encode(made)
-    again = decode(rows, appearance, "rgb" if made.sh is None else "sh")
+def test_float32_survives_a_round_trip_bit_by_bit(original):
+    rows, appearance = encode(original)
+    decoded = decode(rows, appearance, "rgb" if original.sh is None else "sh")
     assert rows.dtype == appearance.dtype == np.float32
-    assert same_layout(made, again)
-    for name, array in arrays_of(made).items():
-        actual = np.ascontiguousarray(arrays_of(again)[name])
+    assert same_layout(original, decoded)
+    for name, array in arrays_of(original).items():
+        actual = np.ascontiguousarray(arrays_of(decoded)[name])
         np.testing.assert_array_equal(actual.view(np.uint32), array.view(np.uint32), name)
 
 
 @given(gaussians(min_value=-65504, max_value=65504))
-def test_float16_survives_a_round_trip_within_half_a_unit_in_the_last_place(made):
-    rows, appearance = encode(made, np.float16)
-    again = decode(rows, appearance, "rgb" if made.sh is None else "sh")
+def test_float16_survives_a_round_trip_within_half_a_unit_in_the_last_place(original):
+    rows, appearance = encode(original, np.float16)
+    decoded = decode(rows, appearance, "rgb" if original.sh is None else "sh")
     assert rows.dtype == appearance.dtype == np.float16
-    assert same_layout(made, again)
-    for name, array in arrays_of(made).items():
-        actual = arrays_of(again)[name]
+    assert same_layout(original, decoded)
+    for name, array in arrays_of(original).items():
+        actual = arrays_of(decoded)[name]
         exponent = np.maximum(np.frexp(actual)[1] - 1, -14)  # below that float16 is subnormal
         unit = 2.0 ** (exponent - 10)
         assert (np.abs(actual.astype(np.float64) - array) <= unit / 2).all(), name
@@ -100,10 +100,10 @@ def test_rgb_is_padded_with_one_where_it_does_not_fill_words(dtype, row):
     )
     rows, appearance = encode(decoded_gaussians, np.dtype(dtype).type)
     assert appearance.tolist() == [row]
-    again = decode(rows, appearance, "rgb")
-    assert again.rgb is not None
-    assert again.rgb.tolist() == rgb.tolist()
-    assert again.degree is None
+    decoded = decode(rows, appearance, "rgb")
+    assert decoded.rgb is not None
+    assert decoded.rgb.tolist() == rgb.tolist()
+    assert decoded.degree is None
 
 
 @pytest.mark.parametrize(

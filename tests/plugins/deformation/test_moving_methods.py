@@ -29,7 +29,7 @@ def moment(time: float) -> np.ndarray:
     return np.array([time], np.float32)
 
 
-def made(folder: Path, options: HexPlaneOptions) -> HexPlane4DGS:
+def generator_of(folder: Path, options: HexPlaneOptions) -> HexPlane4DGS:
     read = read_hexplanes(write_hexplane(folder, options))
     return HexPlane4DGS(read.canonical, read.nets, read.flags)
 
@@ -60,7 +60,7 @@ def test_hexplane_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_fewer_harmonics_stay_fewer(degree: int, tmp_path: Path) -> None:
-    generator = made(tmp_path, HexPlaneOptions(count=5, degree=degree))
+    generator = generator_of(tmp_path, HexPlaneOptions(count=5, degree=degree))
     assert eager(generator, moment(0.5))[1].shape == (5, 3 * (degree + 1) ** 2)
 
 
@@ -100,7 +100,7 @@ def test_harmonics_that_no_renderer_draws_are_cut(tmp_path: Path) -> None:
 
 
 def test_time_beyond_its_range_stands_still(tmp_path: Path) -> None:
-    generator = made(tmp_path, HexPlaneOptions(count=9))
+    generator = generator_of(tmp_path, HexPlaneOptions(count=9))
     for outside, edge in ((-3.0, 0.0), (4.0, 1.0)):
         rows, _ = eager(generator, moment(outside))
         if outside > 0:

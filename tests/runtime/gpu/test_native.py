@@ -139,7 +139,7 @@ def test_shader_keeps_all_checks_but_that_of_loops(monkeypatch: pytest.MonkeyPat
 
 
 def test_device_that_records_compiles_by_itself() -> None:
-    recorded = SimpleNamespace(create_shader_module=lambda **given: given)
+    recorded = SimpleNamespace(create_shader_module=lambda **descriptor: descriptor)
     assert create_shader_module(recorded, "sum", SUM_SHADER) == {"label": "sum", "code": SUM_SHADER}
 
 

@@ -36,7 +36,7 @@ class Run:
 
     renderer: Renderer
     plan: Plan
-    one: SplatSet
+    splat_set: SplatSet
     seen_by: Camera
 
     def words(self, name: str, count: int) -> np.ndarray:
@@ -62,7 +62,7 @@ def run(renderer: Renderer, name: str, *stages: str) -> Run:
 
 
 def splats(result: Run) -> Projected:
-    splat_set, n = result.one, len(result.one.data)
+    splat_set, n = result.splat_set, len(result.splat_set.data)
     page = project.page_uniform(splat_set, result.seen_by, 0, n, splat_set.data.count)
     page["per_cell"] = splat_set.data.per_cell
     page["inverse_range"] = 0 if splat_set.depth_range is None else 1 / splat_set.depth_range
@@ -72,7 +72,7 @@ def splats(result: Run) -> Projected:
 
 def cells(result: Run) -> Projected:
     """Cells as if they were Gaussians: opaque, where they are visible."""
-    splat_set, own = result.one, result.one.data.cells.copy()
+    splat_set, own = result.splat_set, result.splat_set.data.cells.copy()
     with np.errstate(invalid="ignore"):
         own[:, 3] = np.where(np.isfinite(own[:, 3]), own[:, 3] > 0, np.nan)
     bare = np.zeros((len(own), 3), np.float32)
@@ -101,7 +101,7 @@ def whole(radius: np.ndarray, expected: np.ndarray, covariance: np.ndarray, reac
 @pytest.mark.parametrize("name", ONE_SET)
 def test_weighted_projection_agrees_with_the_reference(renderer: Renderer, name: str) -> None:
     kernel_run = run(renderer, name, "project weighted")
-    expected, n = splats(kernel_run), len(kernel_run.one.data)
+    expected, n = splats(kernel_run), len(kernel_run.splat_set.data)
     keys = kernel_run.words("keys of weighted", n)
     shapes, weights = (
         kernel_run.floats("weighted shapes", n),
@@ -123,7 +123,7 @@ def test_weighted_projection_agrees_with_the_reference(renderer: Renderer, name:
 @pytest.mark.parametrize("name", ONE_SET)
 def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str) -> None:
     kernel_run = run(renderer, name, "project weighted", "project cells")
-    expected, count = cells(kernel_run), len(kernel_run.one.data.cells)
+    expected, count = cells(kernel_run), len(kernel_run.splat_set.data.cells)
     keys, circles = (
         kernel_run.words("keys of cells a", count),
         kernel_run.floats("circles of cells", count),
@@ -148,13 +148,13 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
         box = box_reference(np.array([x, y]) + kernel_run.origin, radius, (61, 47))
         assert box.sum() == tiles
     spans = kernel_run.words("spans of cells", 4 * count).reshape(count, 4)[drawn]
-    per_cell = kernel_run.one.data.per_cell
+    per_cell = kernel_run.splat_set.data.per_cell
     np.testing.assert_array_equal(spans[:, 0], per_cell * np.flatnonzero(drawn))
     np.testing.assert_array_equal(spans[:, 1], per_cell)
     factors = spans[:, 2:].copy().view(np.float32)
-    np.testing.assert_allclose(factors[:, 0], 1 / kernel_run.one.weighted.opacity_divisor)
-    np.testing.assert_allclose(factors[:, 1], kernel_run.one.weighted.background)
-    keys_of_splats = kernel_run.words("keys of weighted", len(kernel_run.one.data)).reshape(
+    np.testing.assert_allclose(factors[:, 0], 1 / kernel_run.splat_set.weighted.opacity_divisor)
+    np.testing.assert_allclose(factors[:, 1], kernel_run.splat_set.weighted.background)
+    keys_of_splats = kernel_run.words("keys of weighted", len(kernel_run.splat_set.data)).reshape(
         count, -1
     )
     actual = int((keys_of_splats[drawn] != ABSENT).sum())
@@ -165,7 +165,7 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
 def test_cells_are_listed_for_their_tiles(renderer: Renderer, name: str) -> None:
     stages = ("project weighted", "project cells", "sort cells", "bin cells")
     kernel_run = run(renderer, name, *stages)
-    count = len(kernel_run.one.data.cells)
+    count = len(kernel_run.splat_set.data.cells)
     pairs = int(kernel_run.words("counts of cells", 3)[Counts.PAIRS])
     tiles = kernel_run.words("keys of pairs of cells a", pairs)
     members = kernel_run.words("values of pairs of cells a", pairs)
@@ -186,7 +186,7 @@ def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -
     run = Run(renderer, renderer._plan, scene.sets[0], view_camera)
     actual, sums = cells(run), splats(run)
     radii = circle_reference(dilated(actual), CELL_REACH)
-    per_cell = run.one.data.per_cell
+    per_cell = run.splat_set.data.per_cell
     order = np.argsort(actual.depth.astype(np.float32), kind="stable")
     nearest_first = [
         (
@@ -196,7 +196,7 @@ def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -
         for i in order
         if actual.drawn[i]
     ]
-    weighted = run.one.weighted
+    weighted = run.splat_set.weighted
     expected = blend_wsr_reference(
         sums,
         circle_reference(dilated(sums), SPLAT_REACH),

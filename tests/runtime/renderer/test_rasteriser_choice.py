@@ -30,7 +30,7 @@ class Stopwatch:
 
 
 @pytest.fixture
-def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def choices_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where measurements are kept: nothing is there, and the process knows of none."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("GSGEN_NO_CACHE", raising=False)
@@ -55,7 +55,7 @@ def gpu(device: Device) -> Device:
     return other
 
 
-def test_rasteriser_choice_is_explained(gpu: Device, kernels: Kernels, kept: Path) -> None:
+def test_rasteriser_choice_is_explained(gpu: Device, kernels: Kernels, choices_file: Path) -> None:
     choose(gpu, kernels, Stopwatch(0.0021, 0.0034, 0.0025))
     text = rasteriser_choice.explain(gpu)
     assert text.startswith("kernels for GPUs; tiles of 32 pixels, 8 bits a sort pass; ")
@@ -65,7 +65,7 @@ def test_rasteriser_choice_is_explained(gpu: Device, kernels: Kernels, kept: Pat
 
 
 def test_the_faster_tiles_are_used(
-    gpu: Device, kernels: Kernels, renderer: Renderer, kept: Path
+    gpu: Device, kernels: Kernels, renderer: Renderer, choices_file: Path
 ) -> None:
     assert chosen_cut(gpu) == cut_for(gpu)  # nothing was measured
     assert choose(gpu, kernels, Stopwatch(2.0, 0.9, 1.0)) == "tiles"
@@ -86,13 +86,13 @@ def test_the_faster_tiles_are_used(
     [(2.0, 1.0, "quads"), (1.0, 2.0, "tiles"), (1.0, 0.79, "quads"), (1.0, 0.81, "tiles")],
 )
 def test_quads_must_be_clearly_faster(
-    gpu: Device, kernels: Kernels, kept: Path, tiles: float, quads: float, expected: str
+    gpu: Device, kernels: Kernels, choices_file: Path, tiles: float, quads: float, expected: str
 ) -> None:
     assert choose(gpu, kernels, Stopwatch(tiles, quads)) == expected
 
 
 def test_software_and_devices_that_cannot_blend_are_not_measured(
-    gpu: Device, kernels: Kernels, kept: Path
+    gpu: Device, kernels: Kernels, choices_file: Path
 ) -> None:
     watch = Stopwatch(2.0, 1.0)
     gpu.blends_floats = False
@@ -100,11 +100,11 @@ def test_software_and_devices_that_cannot_blend_are_not_measured(
     gpu.blends_floats, gpu.software = True, True
     assert choose(gpu, kernels, watch) == "tiles"
     assert watch.asked == 0
-    assert not kept.exists()
+    assert not choices_file.exists()
 
 
 def test_a_device_is_measured_once(
-    gpu: Device, kernels: Kernels, kept: Path, monkeypatch: pytest.MonkeyPatch
+    gpu: Device, kernels: Kernels, choices_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     watch = Stopwatch(2.0, 1.0)
     assert [choose(gpu, kernels, watch) for _ in range(2)] == ["quads"] * 2
@@ -112,18 +112,20 @@ def test_a_device_is_measured_once(
     forget(monkeypatch)  # as another process
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
-    document = json.loads(kept.read_text(encoding="utf-8"))
+    document = json.loads(choices_file.read_text(encoding="utf-8"))
     assert list(document.values()) == [{"tiles": 2.0, "quads": 1.0, "small_tiles": 5.0}]
     assert gpu.name in next(iter(document))
-    assert [path.name for path in kept.parent.iterdir()] == [kept.name]
+    assert [path.name for path in choices_file.parent.iterdir()] == [choices_file.name]
 
 
-def test_other_adapters_are_kept_beside_it(gpu: Device, kernels: Kernels, kept: Path) -> None:
-    kept.parent.mkdir()
-    another = {"tiles": 1.0, "quads": 3.0, "small_tiles": 2.0}
-    kept.write_text(json.dumps({"another": another}), encoding="utf-8")
+def test_other_adapters_are_kept_beside_it(
+    gpu: Device, kernels: Kernels, choices_file: Path
+) -> None:
+    choices_file.parent.mkdir()
+    other_adapter = {"tiles": 1.0, "quads": 3.0, "small_tiles": 2.0}
+    choices_file.write_text(json.dumps({"another": other_adapter}), encoding="utf-8")
     assert choose(gpu, kernels, Stopwatch(2.0, 1.0)) == "quads"
-    assert json.loads(kept.read_text(encoding="utf-8"))["another"] == another
+    assert json.loads(choices_file.read_text(encoding="utf-8"))["another"] == other_adapter
 
 
 @pytest.mark.parametrize(
@@ -142,30 +144,30 @@ def test_other_adapters_are_kept_beside_it(gpu: Device, kernels: Kernels, kept: 
     ],
 )
 def test_a_file_that_is_damaged_is_written_anew(
-    gpu: Device, kernels: Kernels, kept: Path, text: str
+    gpu: Device, kernels: Kernels, choices_file: Path, text: str
 ) -> None:
-    kept.parent.mkdir()
-    kept.write_text(text.replace("KEY", rasteriser_choice._key(gpu)), encoding="utf-8")
+    choices_file.parent.mkdir()
+    choices_file.write_text(text.replace("KEY", rasteriser_choice._key(gpu)), encoding="utf-8")
     watch = Stopwatch(2.0, 1.0)
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
-    assert list(json.loads(kept.read_text(encoding="utf-8")).values()) == [
+    assert list(json.loads(choices_file.read_text(encoding="utf-8")).values()) == [
         {"tiles": 2.0, "quads": 1.0, "small_tiles": 5.0}
     ]
 
 
 def test_where_nothing_can_be_written_it_is_measured_again(
-    gpu: Device, kernels: Kernels, kept: Path, monkeypatch: pytest.MonkeyPatch
+    gpu: Device, kernels: Kernels, choices_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept.parent.write_text("a file where the folder would be")
+    choices_file.parent.write_text("a file where the folder would be")
     watch = Stopwatch(2.0, 1.0)
     assert choose(gpu, kernels, watch) == "quads"
-    kept.parent.unlink()
+    choices_file.parent.unlink()
     monkeypatch.setenv("GSGEN_NO_CACHE", "1")
     forget(monkeypatch)
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 2
-    assert not kept.parent.exists()
+    assert not choices_file.parent.exists()
 
 
 @pytest.mark.parametrize("clock", [True, False], ids=["timestamps", "wall"])

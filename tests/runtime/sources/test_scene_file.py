@@ -45,9 +45,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return result
 
 
-def saved(folder: Path, **told: object) -> Path:
+def saved(folder: Path, **description: object) -> Path:
     path = folder / "scene.json"
-    path.write_text(json.dumps(told))
+    path.write_text(json.dumps(description))
     return path
 
 

@@ -31,7 +31,7 @@ from support.models.generators import CELLS, EACH, WEIGHTS, Bunches
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     path = tmp_path_factory.mktemp("cells") / "bunches.onnx"
     return export(Bunches(), path, settings=Settings(level=Level.VALUES))
 
@@ -41,18 +41,18 @@ def eager(time: float) -> Gaussians:
         return Bunches()(torch.full((1,), time))
 
 
-def test_cells_are_declared_and_compared(made: Exported) -> None:
-    manifest = made.manifest
+def test_cells_are_declared_and_compared(exported: Exported) -> None:
+    manifest = exported.manifest
     assert (manifest.contract, manifest.blend) == ("1.0", "wsr")
     assert manifest.weighted_sum == WEIGHTS
     assert manifest.outputs.cells == CellsOutput("cells", EACH, "float32")
-    assert made.report.findings == ()
-    fields = {field.field for field in made.parity.fields}
+    assert exported.report.findings == ()
+    fields = {field.field for field in exported.parity.fields}
     assert {"cell position", "cell covariance", "cell visibility"} <= fields
 
 
-def test_a_session_gives_the_cells_of_live_rows(made: Exported) -> None:
-    with FrameSession(made.path, provider="cpu") as session:
+def test_a_session_gives_the_cells_of_live_rows(exported: Exported) -> None:
+    with FrameSession(exported.path, provider="cpu") as session:
         frame = session.run({"time": 0.5})
         known = eager(0.5).cells
         assert known is not None
@@ -60,7 +60,7 @@ def test_a_session_gives_the_cells_of_live_rows(made: Exported) -> None:
         np.testing.assert_allclose(actual.position, known.position, atol=1e-6)
         np.testing.assert_allclose(actual.visibility, known.visibility[:, 0], atol=1e-6)
         np.testing.assert_allclose(actual.covariance, known.covariances(), atol=1e-6)
-        np.testing.assert_array_equal(frame[made.manifest.outputs.cells.name], frame.cells)
+        np.testing.assert_array_equal(frame[exported.manifest.outputs.cells.name], frame.cells)
         assert 0 < (actual.visibility == 0).sum() < CELLS
 
 
@@ -73,8 +73,8 @@ def test_a_frame_of_a_model_without_cells_has_none(tmp_path: Path) -> None:
         _ = session.run({}).cells
 
 
-def test_cells_go_into_half_precision_with_their_rows(made: Exported, tmp_path: Path) -> None:
-    halved = write_float16(made.path, tmp_path / "half.onnx")
+def test_cells_go_into_half_precision_with_their_rows(exported: Exported, tmp_path: Path) -> None:
+    halved = write_float16(exported.path, tmp_path / "half.onnx")
     assert {"cell position", "cell visibility"} <= {field.field for field in halved.parity.fields}
     subject = inspect_model(open_model(tmp_path / "half.onnx"), load_target("core"), Limits())
     assert subject.declared_cells == CellsOutput("cells", EACH, "float16")
@@ -189,10 +189,12 @@ def test_cells_of_a_wrapped_module_must_be_cells() -> None:
         generator(torch.ones(1))
 
 
-def test_rows_that_never_change_are_written_without_cells(made: Exported, tmp_path: Path) -> None:
+def test_rows_that_never_change_are_written_without_cells(
+    exported: Exported, tmp_path: Path
+) -> None:
     rows, color = np.zeros((24, 10), np.float32), np.zeros((24, 3), np.float32)
     with pytest.raises(GeneratorInvalid, match="the manifest declares cells"):
-        write_constant(rows, color, made.manifest, tmp_path / "m.onnx")
+        write_constant(rows, color, exported.manifest, tmp_path / "m.onnx")
 
 
 # ---- The CPU against the GPU -------------------------------------------------------------------
@@ -208,10 +210,10 @@ def test_rows_that_never_change_are_written_without_cells(made: Exported, tmp_pa
     ],
 )
 def test_cells_of_both_devices_are_compared(
-    made: Exported, cell: int, column: int, factor: float, field: str
+    exported: Exported, cell: int, column: int, factor: float, field: str
 ) -> None:
-    subject = inspect_model(open_model(made.path), load_target("core"), Limits())
-    with FrameSession(made.path, provider="cpu") as session:
+    subject = inspect_model(open_model(exported.path), load_target("core"), Limits())
+    with FrameSession(exported.path, provider="cpu") as session:
         frame = session.run({"time": 1.0})
         cpu = {name: np.array(frame[name]) for name in frame}
     gpu = {name: value.copy() for name, value in cpu.items()}

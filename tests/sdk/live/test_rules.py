@@ -155,6 +155,6 @@ def test_a_static_scene_passes(dtype, tmp_path):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("made", [Drift, Lit, Growing, Skinned])
-def test_exported_models_pass(made, dtype, exported):
-    passes(ran_live(validate(exported(made, dtype), LIVE_SETTINGS)))
+@pytest.mark.parametrize("generator_class", [Drift, Lit, Growing, Skinned])
+def test_exported_models_pass(generator_class, dtype, exported):
+    passes(ran_live(validate(exported(generator_class, dtype), LIVE_SETTINGS)))

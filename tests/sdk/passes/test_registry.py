@@ -44,9 +44,9 @@ def test_multiply_matrices_keeps_the_product(name: str, level: object) -> None:
     rng = np.random.default_rng(0)
     shapes = [[d.dim_value for d in v.type.tensor_type.shape.dim] for v in proto.graph.input]
     a, b = (rng.normal(size=shape).astype(np.float32) for shape in shapes)
-    made = ir.serde.serialize_model(result.model)
-    onnx.checker.check_model(made, full_check=True)
-    (computed,) = run(made, level, a=a, b=b)
+    rewritten = ir.serde.serialize_model(result.model)
+    onnx.checker.check_model(rewritten, full_check=True)
+    (computed,) = run(rewritten, level, a=a, b=b)
     np.testing.assert_allclose(computed, a @ b, rtol=1e-5)
     products = [node for node in result.model.graph if node.op_type == "MatMul"]
     assert all(len(value.shape) > 1 for node in products for value in node.inputs)
@@ -59,10 +59,12 @@ def test_a_camera_centre_is_right_at_every_level_of_optimisation(level: object) 
         "g (float[3,3] r, float[3] t) => (float[3] y) "
         "{ s = Transpose<perm = [1, 0]>(r)\n p = MatMul(s, t)\n y = Neg(p) }"
     )
-    made = ir.serde.serialize_model(MultiplyMatrices()(ir.serde.deserialize_model(proto)).model)
+    rewritten = ir.serde.serialize_model(
+        MultiplyMatrices()(ir.serde.deserialize_model(proto)).model
+    )
     rng = np.random.default_rng(1)
     r, t = rng.normal(size=(3, 3)).astype(np.float32), rng.normal(size=3).astype(np.float32)
-    (actual,) = run(made, level, r=r, t=t)
+    (actual,) = run(rewritten, level, r=r, t=t)
     np.testing.assert_allclose(actual, -r.T @ t, rtol=1e-5)
 
 
@@ -77,9 +79,9 @@ def test_multiply_matrices_reaches_graph_outputs_and_subgraphs() -> None:
     assert result.modified
     rng = np.random.default_rng(2)
     a, b = rng.normal(size=(3, 3)).astype(np.float32), rng.normal(size=3).astype(np.float32)
-    made = ir.serde.serialize_model(result.model)
+    rewritten = ir.serde.serialize_model(result.model)
     for c, array in ((True, a @ b), (False, -b)):
-        (computed,) = run(made, LEVELS[1], c=np.array(c), a=a, b=b)
+        (computed,) = run(rewritten, LEVELS[1], c=np.array(c), a=a, b=b)
         np.testing.assert_allclose(computed, array, rtol=1e-5)
 
 

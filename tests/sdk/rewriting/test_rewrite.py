@@ -314,14 +314,14 @@ def test_invalid_rewrite_arguments_are_refused(tmp_path: Path) -> None:
 def test_every_pass_has_a_description() -> None:
     names = [rewrite.name for rewrite in REWRITES]
     assert len(set(names)) == len(names)
-    for one in REWRITES:
-        assert one.summary()
-        assert "::" in (one.__doc__ or ""), f"{one.name} shows no picture"
-        assert one.exactness.describe()
-        assert one.wanted_by
+    for graph_rewrite in REWRITES:
+        assert graph_rewrite.summary()
+        assert "::" in (graph_rewrite.__doc__ or ""), f"{graph_rewrite.name} shows no picture"
+        assert graph_rewrite.exactness.describe()
+        assert graph_rewrite.wanted_by
         for target in known_targets().values():
-            result = one.for_target(RewriteTarget.of(target))
-            assert result is None or result.name == one.name
+            result = graph_rewrite.for_target(RewriteTarget.of(target))
+            assert result is None or result.name == graph_rewrite.name
 
 
 # ---- The command -----------------------------------------------------------------------------

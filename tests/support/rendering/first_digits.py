@@ -102,16 +102,16 @@ def counted(renderer: Renderer, case: Case) -> dict[str, tuple[np.ndarray, np.nd
         buffer for buffer, *_ in plan.clears if getattr(buffer, "label", "") == "histogram a"
     ]
 
-    def made(*stages: str) -> None:
+    def submit_stages(*stages: str) -> None:
         plan.submit(placed, view, np.zeros(3), only=stages)
         plan.collect()
 
     result = {}
-    made("project")
+    submit_stages("project")
     keys = device.read(plan.buffers["keys of Gaussians a"], np.uint32, max(1, len(scene)))
     expected = first_digits_reference(keys[: len(scene)], kernels.sort.first_digits(KEY_BITS))
     result["depths"] = counters(device, depths, expected), expected
-    made("project", "sort", "bin")  # no sort of the pairs, which would change the counters
+    submit_stages("project", "sort", "bin")  # no sort of the pairs, which would change the counters
     pairs = int(device.read(plan.buffers["counts"], np.uint32, 4)[Counts.PAIRS])
     last = plan.buffers["ranges"].size // 8 - 1
     digits = kernels.sort.first_digits(kernels.tile_bits(max(last, 0)))

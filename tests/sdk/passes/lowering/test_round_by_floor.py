@@ -25,14 +25,14 @@ def test_rounding_by_floor_is_rounding(text: str, dtype: str) -> None:
     proto = onnx.parser.parse_model(TEXT.replace("DTYPE", text))
     result = RoundByFloor()(ir.serde.deserialize_model(proto))
     assert result.modified
-    made = ir.serde.serialize_model(result.model)
-    onnx.checker.check_model(made, full_check=True)
-    assert "Round" not in {node.op_type for node in made.graph.node}
-    assert made.graph.output[0].name == "y"
+    rewritten = ir.serde.serialize_model(result.model)
+    onnx.checker.check_model(rewritten, full_check=True)
+    assert "Round" not in {node.op_type for node in rewritten.graph.node}
+    assert rewritten.graph.output[0].name == "y"
     rng = np.random.default_rng(1)
     with np.errstate(over="ignore"):
         x = np.concatenate([EDGES, np.negative(EDGES), rng.normal(0, 20, 500)]).astype(dtype)
-    np.testing.assert_array_equal(run(made, x), run(proto, x))
+    np.testing.assert_array_equal(run(rewritten, x), run(proto, x))
 
 
 def test_a_model_that_rounds_nothing_is_left_alone() -> None:
