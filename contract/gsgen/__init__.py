@@ -4,6 +4,7 @@ Four folders of the repository hold parts of this package: contract, sdk, runtim
 reference_plugins. A wheel joins them.
 """
 
+import os
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -17,6 +18,11 @@ __all__ = ["__version__"]
 __path__ = __import__("pkgutil").extend_path(__path__, __name__)
 if __spec__ is not None:  # tools that import code look here
     __spec__.submodule_search_locations = __path__
+
+# ONNX Runtime and huggingface_hub report their use to their makers unless these are set before
+# they are loaded. Child processes inherit them. A value that the user set stays.
+for _variable in ("ORT_DISABLE_TELEMETRY", "HF_HUB_DISABLE_TELEMETRY"):
+    os.environ.setdefault(_variable, "1")
 
 
 def __getattr__(name: str) -> object:
