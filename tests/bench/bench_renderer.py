@@ -19,10 +19,10 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for
-from gsgen.runtime.kernels.tiles.list_tiles import runs_for
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, sort_config_for
+from gsgen.runtime.kernels.tiles.list_tiles import run_count
 from gsgen.runtime.renderer.frame_plan import Plan
-from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.placed_pages import PlacedPage
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
@@ -70,7 +70,7 @@ def scene() -> Scene:
     return Scene([room()])
 
 
-def planned(renderer: Renderer, scene: Scene, camera: Camera) -> tuple[Plan, list[Placed], int]:
+def planned(renderer: Renderer, scene: Scene, camera: Camera) -> tuple[Plan, list[PlacedPage], int]:
     """Draw once, so that there is room for all pairs; return the plan, its pages, the pairs."""
     pairs = renderer.render(scene, camera).pairs
     placed = renderer.placed(scene)
@@ -82,7 +82,7 @@ def minimum_bytes(
 ) -> dict[str, float]:
     """Return the least bytes of each stage, as the renderer is built."""
     tiles = pixels // TILE**2
-    counters = tiles * runs_for(tiles)
+    counters = tiles * run_count(tiles)
     return {
         "project": gaussians * (row + 12) + visible * (harmonics + 3 * 16),
         "sort": gaussians * 4 * 2 + visible * (8 + 3 * (4 + 8 + 8) + 4),
@@ -162,8 +162,8 @@ def bench_what_changes(
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
     print_figure(f"1 M Gaussians, degree 3 in float32, {size[0]}×{size[1]}: ")
     drawn = []
-    for maps in dict.fromkeys((False, device.maps)):
-        monkeypatch.setattr(device, "maps", maps)
+    for maps in dict.fromkeys((False, device.maps_buffers)):
+        monkeypatch.setattr(device, "maps_buffers", maps)
         renderer = Renderer(device, rasteriser="tiles")
         rows, appearance = scene.sets[0].data.rows, scene.sets[0].data.appearance
         data = SplatData(rows, appearance, "sh")
@@ -215,7 +215,10 @@ def bench_panorama(device: Device, scene: Scene) -> None:
         plan, placed, pairs = planned(own_renderer, scene, camera)
 
         def frame(
-            *stages: str, plan: Plan = plan, placed: list[Placed] = placed, camera: Camera = camera
+            *stages: str,
+            plan: Plan = plan,
+            placed: list[PlacedPage] = placed,
+            camera: Camera = camera,
         ) -> None:
             plan.submit(placed, camera, NOTHING_BEHIND, only=stages or None)
             plan.collect()
@@ -292,10 +295,10 @@ def bench_memory(device: Device, scene: Scene) -> None:
 def bench_sorting_four_million(renderer: Renderer) -> None:
     """The long test of the sort: compared with NumPy, too."""
     device: Device = renderer.device
-    n, cut = 4 * MILLION, cut_for(device)
+    n, cut = 4 * MILLION, sort_config_for(device)
     keys = np.random.default_rng(0).uniform(0.01, 100, n).astype(np.float32).view(np.uint32)
     sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
-    counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
+    counts = device.storage("counts", counting.BYTES, extra_usage="INDIRECT")
     columns = [
         Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]
@@ -306,7 +309,7 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
         bits=32,
         source=Counts.VISIBLE,
         groups=Counts.SORT_VISIBLE_GROUPS,
-        compacting=n,
+        compact_counter=n,
     )
     device.write(counts, counting.initial(n, 0))
 

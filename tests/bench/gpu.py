@@ -48,12 +48,12 @@ from gsgen.runtime.kernels.shared.counts import Counts  # noqa: E402
 from gsgen.runtime.kernels.shared.kernel import run  # noqa: E402
 from gsgen.runtime.kernels.shared.shader import TILE  # noqa: E402
 from gsgen.runtime.kernels.sort.scan import Scan  # noqa: E402
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for  # noqa: E402
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, sort_config_for  # noqa: E402
 from gsgen.runtime.oracle import render as oracle  # noqa: E402
 from gsgen.runtime.renderer import rasteriser_choice  # noqa: E402
 from gsgen.runtime.renderer.frame_plan import Plan  # noqa: E402
 from gsgen.runtime.renderer.kernel_set import Kernels  # noqa: E402
-from gsgen.runtime.renderer.placed_pages import Placed  # noqa: E402
+from gsgen.runtime.renderer.placed_pages import PlacedPage  # noqa: E402
 from gsgen.runtime.renderer.renderer import Renderer  # noqa: E402
 from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402
@@ -179,7 +179,7 @@ class Frame:
 
     renderer: Renderer
     plan: Plan
-    placed: list[Placed]
+    placed: list[PlacedPage]
     camera: Camera
     visible: int
     pairs: int
@@ -227,7 +227,7 @@ class Frame:
         waited, start_time = [], time.perf_counter()
         for _ in range(frames):
             self.renderer.draw(scene, self.camera, wait=False)
-            waited.append(self.renderer.late.waited)
+            waited.append(self.renderer.late_counts.waited)
         elapsed = time.perf_counter() - start_time
         self.renderer.settle()
         return {"frame": 1e3 * elapsed / frames, "waited": 1e3 * float(np.median(waited))}
@@ -254,8 +254,8 @@ def minimum_times(
     row, appearance = frame.rows_bytes()
     pixels = frame.camera.width * frame.camera.height
     visible, pairs = frame.visible, frame.pairs
-    cut = frame.renderer._kernels.cut
-    passes, pair_bytes = -(-32 // cut.digit_bits), 16 if cut.staged else 20
+    cut = frame.renderer._kernels.sort_config
+    passes, pair_bytes = -(-32 // cut.digit_bits), 16 if cut.is_staged else 20
     last = -(-frame.camera.width // cut.tile) * -(-frame.camera.height // cut.tile) - 1
     grouping = -(-last.bit_length() // cut.digit_bits)
     amounts = {
@@ -351,10 +351,10 @@ class Exactness:
 
 def sorting(device: Device, n: int) -> dict[str, Any]:
     """Sort depths of ``n`` Gaussians; say how many a second, and whether NumPy agrees."""
-    cut = cut_for(device)
+    cut = sort_config_for(device)
     keys = np.random.default_rng(0).uniform(0.01, 100, n).astype(np.float32).view(np.uint32)
     sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
-    counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
+    counts = device.storage("counts", counting.BYTES, extra_usage="INDIRECT")
     columns = [
         Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]
@@ -367,7 +367,7 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
         bits=32,
         source=Counts.VISIBLE,
         groups=Counts.SORT_VISIBLE_GROUPS,
-        compacting=n,
+        compact_counter=n,
     )
     device.write(counts, counting.initial(n, 0))
 
@@ -444,7 +444,7 @@ def main() -> int:
             "timestamps": device.has_clock,
             "blends floats": device.blends_floats,
             "subgroups": device.subgroups,
-            "kernels": asdict(cut_for(device)),
+            "kernels": asdict(sort_config_for(device)),
         },
     )
     bytes_a_second = report.part("bytes a second, copied", lambda: copy_rate(device))

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt32
 from gsgen.contract.spec import layout
 from gsgen.runtime.kernels.shared.shader import MAX_ALPHA, NOWHERE, TILE, WINDOW_HEIGHT
 from gsgen.runtime.kernels.tiles.blend_tiles import MIN_TRANSMITTANCE
-from gsgen.runtime.kernels.tiles.blend_wsr import FINISHED
+from gsgen.runtime.kernels.tiles.blend_wsr import MIN_WSR_TRANSMITTANCE
 from references.projection import Projected
 
 _WINDOW_WIDTH = 4  # tiles
@@ -138,7 +138,9 @@ def blend_wsr_reference(
     color = np.zeros((height, width, 3))
     for members, tiles in cells:
         inside = np.kron(tiles, np.ones((TILE, TILE), bool))[:height, :width]
-        visible_transmittance = np.where(inside & (transmittance >= FINISHED), transmittance, 0)
+        visible_transmittance = np.where(
+            inside & (transmittance >= MIN_WSR_TRANSMITTANCE), transmittance, 0
+        )
         for i in np.flatnonzero(splats.drawn[members]) + members.start:
             dx, dy = x - splats.mean[i, 0], y - splats.mean[i, 1]
             xx, xy, yy = splats.conic[i]
@@ -151,6 +153,6 @@ def blend_wsr_reference(
             transmittance *= np.maximum(1 - alpha, 0)
             total += alpha * visible_transmittance
             color += (alpha * visible_transmittance)[..., None] * splats.color[i]
-    backdrop = np.where(transmittance < FINISHED, 0, behind * transmittance)
+    backdrop = np.where(transmittance < MIN_WSR_TRANSMITTANCE, 0, behind * transmittance)
     scale = np.where(total > 0, total + backdrop, 1)
     return np.concatenate([color, total[..., None]], axis=-1) / scale[..., None]

@@ -176,13 +176,13 @@ class _PlanWriter:
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
         """Return the indices of the pages (splat buffers) that a recorded dispatch binds."""
-        entries = [entry for bind in step.binds for entry in bind.entries]
+        entries = [entry for bind in step.bind_groups for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 
     def _step(self, step: Step, slot: int | None) -> int:
         row: dict[str, Any] = {
             "pipeline": self._tables.pipeline(step.kernel.pipeline),
-            "binds": [self._bind(bind, slot) for bind in step.binds],
+            "binds": [self._bind(bind, slot) for bind in step.bind_groups],
         }
         if len(step.groups) == 2:
             buffer, offset = step.groups

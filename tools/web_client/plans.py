@@ -10,15 +10,15 @@ from typing import Any, Final
 import numpy as np
 
 from gsgen.contract.spec.layout import ROW
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
-from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
+from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
+from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, appearance_stride
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.slots import SLOT
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
+from gsgen.runtime.renderer.renderer import FIRST_PAIR_CAPACITY, PAIR_CAPACITY_FACTOR
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
@@ -85,17 +85,21 @@ def plans_document() -> dict[str, Any]:
         "counts": {member.name: int(member) for member in Counts} | {"BYTES": BYTES},
         "appearances": [
             {
-                "kind": f"{'float16' if each.half else 'float32'} {each.stride}",
+                "kind": f"{'float16' if each.half else 'float32'} {each.appearance_stride}",
                 "dtype": "float16" if each.half else "float32",
                 "channels": each.channels,
-                "bytes": 16 * each.stride or 8,
+                "bytes": 16 * each.appearance_stride or 8,
             }
             for each in APPEARANCES
         ],
         "generators": generators,
         "layers": layers,
         "pools": pool_kinds(tables),
-        "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
+        "pairs": {
+            "first": FIRST_PAIR_CAPACITY,
+            "room": PAIR_CAPACITY_FACTOR,
+            "most": MAX_WORKGROUPS * RANGE_BLOCK,
+        },
         "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
         "present": {
             "module": module,
@@ -134,7 +138,7 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
     for dtype, columns, target in sources:
         half = dtype == "float16"
         is_row = target == "rows"
-        words = ROW if is_row else (4 * stride(columns, half=half) or 2)
+        words = ROW if is_row else (4 * appearance_stride(columns, is_half=half) or 2)
         if columns * (2 if half else 4) == 4 * words:
             continue
         kernel = RepackRows(

@@ -20,10 +20,10 @@ import numpy as np
 from gsgen.contract.spec.layout import ROW
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.splat_residency import Page, allocate_pool_page, stride
+from gsgen.runtime.gpu.splat_residency import Page, allocate_pool_page, appearance_stride
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.placed_pages import PlacedPage
 from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
@@ -45,12 +45,12 @@ class Appearance:
     """
 
     half: bool
-    stride: int
+    appearance_stride: int
     channels: int
 
 
 APPEARANCES: Final = tuple(
-    Appearance(half, stride(channels, half=half), channels)
+    Appearance(half, appearance_stride(channels, is_half=half), channels)
     for half, sizes in ((False, (4, 12, 27, 48)), (True, (4, 12, 27, 48)))
     for channels in sizes
 )
@@ -138,7 +138,7 @@ def record(shape: Shape) -> RecordedPlan:
         projection="panorama" if shape.panorama else "plane",
     )
     method = Method(pair_capacity=pairs, sort="deep" if shape.deep else "by key")
-    plan = Plan(Kernels(device, one_shape=True), placed, image, method, layers=shape.layers)
+    plan = Plan(Kernels(device, is_single_shape=True), placed, image, method, layers=shape.layers)
     gaussians = sum(page.capacity for _, page in placed)
     totals = {"gaussians": gaussians, "cells": sum(cell_counts)}
     return RecordedPlan(
@@ -153,7 +153,7 @@ def record(shape: Shape) -> RecordedPlan:
 
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
-) -> list[Placed]:
+) -> list[PlacedPage]:
     """Return placeholder GPU buffers of splat sets: one per colour format and number of rows.
 
     Args:
@@ -171,9 +171,11 @@ def recorded_pages(
                 first=0,
                 capacity=capacity,
                 rows=_page_buffer("rows", 4 * ROW * capacity),
-                appearance=_page_buffer("appearance", (16 * kind.stride or 8) * capacity),
-                half=kind.half,
-                stride=kind.stride,
+                appearance=_page_buffer(
+                    "appearance", (16 * kind.appearance_stride or 8) * capacity
+                ),
+                is_half=kind.half,
+                appearance_stride=kind.appearance_stride,
                 cells=None if cells is None else RecordedBuffer("cells", 4 * ROW * cells[slot], 0),
             ),
         )
@@ -183,14 +185,14 @@ def recorded_pages(
 
 def recorded_pool_pages(
     device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
-) -> list[Placed]:
+) -> list[PlacedPage]:
     """Return placeholder GPU buffers of splat pools (streamed tiles): one per colour format."""
     empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
     placed = []
     for kind, count in zip(kinds, slots, strict=True):
         # A pool has harmonics, of degree 0 three numbers.
         pool = SplatPool(slot_rows, 3 if kind.channels == 4 else kind.channels, slot_rows=slot_rows)
-        placed.append((empty, allocate_pool_page(device, pool, 0, count, half=kind.half)))
+        placed.append((empty, allocate_pool_page(device, pool, 0, count, is_half=kind.half)))
     return placed
 
 
@@ -199,7 +201,7 @@ def page_kind(page: Page) -> str:
 
     The key of float16 colours with a stride of 16 in a pool is ``pool of float16 16``.
     """
-    name = f"{'float16' if page.half else 'float32'} {page.stride}"
+    name = f"{'float16' if page.is_half else 'float32'} {page.appearance_stride}"
     return name if page.slots is None else f"pool of {name}"
 
 

@@ -107,4 +107,4 @@ def test_rows_that_change_are_no_longer_packed(device: Device, renderer: Rendere
     )
     np.testing.assert_array_equal(shown.rgba, expected.rgba)
     assert not any(page.packed for _, page in own_renderer.placed(scene))
-    assert all(page.half for _, page in own_renderer.placed(scene))
+    assert all(page.is_half for _, page in own_renderer.placed(scene))

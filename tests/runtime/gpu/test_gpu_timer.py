@@ -17,7 +17,7 @@ def test_passes_of_a_stage_are_added() -> None:
     with patch.object(gpu_timer, "timestamp_period", lambda _: 2.0):  # ns a tick
         clock = gpu_timer.StageClock(device)
     for number, stage in enumerate(("sort", "blend", "sort")):
-        writes = clock.around(stage)
+        writes = clock.timestamp_writes(stage)
         assert writes["beginning_of_pass_write_index"] == 2 * number
         assert writes["end_of_pass_write_index"] == 2 * number + 1
     assert clock.seconds() == pytest.approx({"sort": 510e-9, "blend": 2000e-9}, rel=1e-12)

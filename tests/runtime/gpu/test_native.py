@@ -121,7 +121,7 @@ def test_wgsl_error_is_raised_where_the_shader_is_compiled(device: Device) -> No
 
 def test_shader_keeps_all_checks_but_that_of_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     device, checks = Device.open(), list[int]()
-    function = native._function(native._CREATE)
+    function = native._function(native._CREATE_FUNCTION)
     assert function is not None
 
     def create(raw: object, descriptor: object, chosen: int) -> object:
@@ -200,7 +200,7 @@ def test_types_that_are_parsed_together_are_those_that_cffi_parses() -> None:
     from wgpu.backends.wgpu_native import ffi
 
     parse_native_types()
-    for text in (*native._PLAIN, *native._ARRAYS, *native._CALLBACKS):
+    for text in (*native._PLAIN_TYPES, *native._ARRAY_TYPES, *native._CALLBACK_TYPES):
         retained, is_function = ffi._parsed_types.pop(text)
         if is_function:
             assert ffi._typeof(text, consider_function_as_funcptr=True) is retained

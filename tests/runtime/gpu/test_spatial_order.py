@@ -10,10 +10,10 @@ from gsgen.runtime.errors import MemoryFull
 from gsgen.runtime.gpu import device as devices
 from gsgen.runtime.gpu import spatial_order, splat_residency
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.morton_order import along_curve
+from gsgen.runtime.gpu.morton_order import morton_sorted_indices
 from gsgen.runtime.gpu.spatial_order import SpatialOrder
 from gsgen.runtime.gpu.splat_residency import Residency
-from gsgen.runtime.renderer.placed_pages import Placed, scene_order
+from gsgen.runtime.renderer.placed_pages import PlacedPage, scene_order
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -26,7 +26,7 @@ ALL = ("color", "depth", "normal")
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few rows are enough."""
-    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
+    monkeypatch.setattr(splat_residency, "MIN_ORDERED_ROWS", 1)
 
 
 def frames_equal(value: object, two: object) -> bool:
@@ -47,15 +47,15 @@ def test_the_curve_goes_through_the_smallest_cubes_first() -> None:
         )
         for cell in cells
     ]
-    np.testing.assert_array_equal(along_curve(cells * 0.25 - 7), np.argsort(codes))
+    np.testing.assert_array_equal(morton_sorted_indices(cells * 0.25 - 7), np.argsort(codes))
 
 
 def test_curve_marks_nonfinite_points() -> None:
     points = np.array([[1, 1, 1], [np.nan, 0, 0], [0, 0, 0], [np.inf, 0, 0]], np.float32)
-    assert along_curve(points).tolist() == [1, 2, 3, 0]
-    assert along_curve(points[1:2]).tolist() == [0]
-    assert along_curve(np.ones((3, 3), np.float32)).tolist() == [0, 1, 2]
-    assert along_curve(np.zeros((0, 3), np.float32)).tolist() == []
+    assert morton_sorted_indices(points).tolist() == [1, 2, 3, 0]
+    assert morton_sorted_indices(points[1:2]).tolist() == [0]
+    assert morton_sorted_indices(np.ones((3, 3), np.float32)).tolist() == [0, 1, 2]
+    assert morton_sorted_indices(np.zeros((0, 3), np.float32)).tolist() == []
 
 
 def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> None:
@@ -83,10 +83,10 @@ def copied_scene(data: SplatData) -> Scene:
 @pytest.fixture(params=[True, False], ids=["mapped", "copied"])
 def maps(device: Device, monkeypatch: pytest.MonkeyPatch, request: object) -> bool:
     """Whether the device maps its memory, as software drivers do and cards do not."""
-    if request.param and not device.maps:
+    if request.param and not device.maps_buffers:
         pytest.skip("a card, whose memory is its own")
-    monkeypatch.setattr(device, "maps", request.param)
-    monkeypatch.setattr(devices, "MAPPED_FROM", 1)
+    monkeypatch.setattr(device, "maps_buffers", request.param)
+    monkeypatch.setattr(devices, "MIN_MAPPED_BYTES", 1)
     return bool(request.param)
 
 
@@ -117,9 +117,9 @@ def test_changing_rows_keep_an_order_that_costs_nothing(
 def test_order_is_recomputed_when_neighbours_separate(
     device: Device, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not device.maps:
+    if not device.maps_buffers:
         pytest.skip("rows that change have their own order on a card")
-    monkeypatch.setattr(spatial_order, "_SERVES", 3)
+    monkeypatch.setattr(spatial_order, "_CHECK_INTERVAL", 3)
     data = cloud(200, 8)
     start_time, residency = data.rows, Residency(device)
 
@@ -130,15 +130,15 @@ def test_order_is_recomputed_when_neighbours_separate(
     assert order() is None
     data.update(rows=1.5 * start_time)
     first = order()
-    np.testing.assert_array_equal(first, along_curve(data.rows[:, :3]))
+    np.testing.assert_array_equal(first, morton_sorted_indices(data.rows[:, :3]))
     for _ in range(5):  # nobody moves far
         data.update(rows=data.rows + np.float32(0.01))
         assert order() is first
     mixed = start_time[np.random.default_rng(0).permutation(200)]
     data.update(rows=50 * mixed)
-    np.testing.assert_array_equal(order(), along_curve(data.rows[:, :3]))
+    np.testing.assert_array_equal(order(), morton_sorted_indices(data.rows[:, :3]))
     data.update(rows=start_time)  # the new one serves for a while, whatever comes
-    np.testing.assert_array_equal(order(), along_curve(50 * mixed[:, :3]))
+    np.testing.assert_array_equal(order(), morton_sorted_indices(50 * mixed[:, :3]))
 
 
 @pytest.mark.filterwarnings("error")
@@ -147,9 +147,9 @@ def test_nonfinite_neighbours_are_ignored(far: float) -> None:
     data = cloud(200, 9)
     data.rows[::2, :2] = far
     order = SpatialOrder.of(data)
-    assert 0 < order.apart < 10
+    assert 0 < order.median_gap < 10
     data.rows[:, 0] = far
-    assert SpatialOrder.of(data).apart == 0
+    assert SpatialOrder.of(data).median_gap == 0
 
 
 @pytest.mark.parametrize("change", ["rows", "appearance", "count"])
@@ -197,14 +197,14 @@ def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -
     assert own_renderer.placed(scene)[0][1].rows_of is None
 
 
-def pages_of(count: int, sizes: list[int], order: np.ndarray | None) -> list[Placed]:
+def pages_of(count: int, sizes: list[int], order: np.ndarray | None) -> list[PlacedPage]:
     """Return the pages of a splat set; ``order`` has the set's row of each GPU row."""
     assert sum(sizes) == count
     pages, first = [], 0
     for size in sizes:
         rows = None if order is None else order[first : first + size]
         page = SimpleNamespace(first=first, capacity=size, rows_of=rows)
-        pages.append(cast(Placed, (None, page)))
+        pages.append(cast(PlacedPage, (None, page)))
         first += size
     return pages
 

@@ -16,9 +16,9 @@ ROW_CAPACITY = 80_000  # rows: more than are made at a time, and enough to be ma
 def test_uploaded_rows_are_at_their_offsets(
     device: Device, monkeypatch: pytest.MonkeyPatch, maps: bool, ordered: bool, result: bool
 ) -> None:
-    if maps and not device.maps:
+    if maps and not device.maps_buffers:
         pytest.skip("a card, whose memory is its own")
-    monkeypatch.setattr(device, "maps", maps)
+    monkeypatch.setattr(device, "maps_buffers", maps)
     rng = np.random.default_rng(0)
     array = rng.normal(size=(15_000, 4)).astype(np.float16 if result else np.float32)
     buffer = device.dynamic_storage("rows", 16 * ROW_CAPACITY)

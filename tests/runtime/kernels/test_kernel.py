@@ -34,6 +34,6 @@ def test_a_second_renderer_compiles_nothing(rasteriser: Rasteriser) -> None:
 
 
 def test_quads_that_meshes_hide_have_another_pipeline(device: Device) -> None:
-    tested = DrawQuads(device, tested=True)
-    assert DrawQuads(device, tested=True)._pipeline is tested._pipeline
+    tested = DrawQuads(device, has_depth_test=True)
+    assert DrawQuads(device, has_depth_test=True)._pipeline is tested._pipeline
     assert DrawQuads(device)._pipeline is not tested._pipeline

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.subgroups import lanes
+from gsgen.runtime.kernels.shared.subgroups import subgroup_size
 from gsgen.runtime.kernels.tiles import blend_tiles
-from gsgen.runtime.kernels.tiles.blend_tiles import LEAST_DILATION
+from gsgen.runtime.kernels.tiles.blend_tiles import MIN_DILATION
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from support.rendering.splat_scenes import SCENES
@@ -70,7 +70,7 @@ def test_narrow_cells_draw_the_same_picture(
     device: Device, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     """Drivers on CPUs whose subgroups have four invocations blend in cells of 4×4 pixels."""
-    monkeypatch.setattr(blend_tiles, "lanes", lambda device: 4)
+    monkeypatch.setattr(blend_tiles, "subgroup_size", lambda device: 4)
     narrow_renderer = Renderer(device, rasteriser="tiles")
     scene, camera = SCENES[name]()
     frame = narrow_renderer.render(scene, camera, outputs=("color", "depth"))
@@ -80,8 +80,8 @@ def test_narrow_cells_draw_the_same_picture(
             panorama=bool(camera.period),
             layers=0,
             records=False,
-            steep=False,
-            carried=False,
+            has_small_dilation=False,
+            carried_layers=False,
         ).shader
         == "blend_staged"
     )
@@ -93,7 +93,7 @@ def test_narrow_cells_draw_the_same_picture(
     )
 
 
-@pytest.mark.parametrize("dilation", [0.004, 0.06, LEAST_DILATION, 0.3])
+@pytest.mark.parametrize("dilation", [0.004, 0.06, MIN_DILATION, 0.3])
 def test_thin_splats_do_not_underflow_between_rows(device: Device, dilation: float) -> None:
     """Four pixels of a column are 2^1000 apart where a camera adds little to the covariances."""
     for name in ("needles", "many"):
@@ -107,7 +107,7 @@ def test_thin_splats_do_not_underflow_between_rows(device: Device, dilation: flo
 
 
 def test_subgroups_are_measured_where_there_are_any(device: Device) -> None:
-    assert lanes(device) in ((0,) if not device.subgroups else (1, 2, 4, 8))
+    assert subgroup_size(device) in ((0,) if not device.subgroups else (1, 2, 4, 8))
     plain_device = Device(device.raw)
     plain_device.subgroups = False
-    assert lanes(plain_device) == 0
+    assert subgroup_size(plain_device) == 0

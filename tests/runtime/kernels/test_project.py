@@ -160,7 +160,7 @@ def test_lists_are_those_of_sorted_pairs(device: Device, name: str) -> None:
     """Pictures are the same, bit by bit, and so is what memory is read by 64 or 32 bits."""
     scene, view_camera = SCENES[name]()
     narrow_device = Device(device.raw)
-    narrow_device.wide = False
+    narrow_device.has_int64 = False
     variants = [tile_renderer(device, True), tile_renderer(device, False), Renderer(narrow_device)]
     frames = [
         variant.render(scene, view_camera, outputs=("color", "depth")) for variant in variants

@@ -6,14 +6,14 @@ from importlib.resources import files
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.project.project import NO_HARMONICS, SPLAT_REACH
-from gsgen.runtime.kernels.project.project_cells import CELL_REACH
+from gsgen.runtime.kernels.project.project import NO_HARMONICS, SPLAT_RADIUS_SIGMAS
+from gsgen.runtime.kernels.project.project_cells import CELL_RADIUS_SIGMAS
 from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.shader import source
-from gsgen.runtime.kernels.sort.order_ties import MOST_TIED
+from gsgen.runtime.kernels.sort.order_ties import MAX_TIED_KEYS
 from gsgen.runtime.kernels.tiles.blend_tiles import MIN_TRANSMITTANCE
-from gsgen.runtime.kernels.tiles.blend_wsr import FINISHED
+from gsgen.runtime.kernels.tiles.blend_wsr import MIN_WSR_TRANSMITTANCE
 
 SHADERS = {
     file.name.removesuffix(".wgsl"): file.read_text("utf-8")
@@ -34,7 +34,7 @@ CONSTANTS: dict[str, int | float | bool] = {
     "SORT_BLOCK": 32,
     "WALK_BLOCK": 32,
     "RANGE_BLOCK": 32,
-    "MOST_TIED": MOST_TIED,
+    "MOST_TIED": MAX_TIED_KEYS,
     "ARRANGED": True,
     "HALF_APPEARANCE": True,
     "STRIDE": 2,
@@ -53,10 +53,10 @@ CONSTANTS: dict[str, int | float | bool] = {
     "PUBLISHED": False,
     "FIRST_PLANE": 0,
     "KEPT": 8,
-    "SPLAT_REACH": SPLAT_REACH,
-    "CELL_REACH": CELL_REACH,
+    "SPLAT_REACH": SPLAT_RADIUS_SIGMAS,
+    "CELL_REACH": CELL_RADIUS_SIGMAS,
     "MIN_TRANSMITTANCE": MIN_TRANSMITTANCE,
-    "FINISHED": FINISHED,
+    "FINISHED": MIN_WSR_TRANSMITTANCE,
     "KEYS_ONLY": False,
     "PLACED": False,
     "RECORDS": False,
@@ -115,7 +115,7 @@ def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) ->
     """wgpu raises for a name that neither the file nor its includes declare."""
     if "subgroup" in SHADERS[name] and not device.subgroups:
         pytest.skip("the device has no subgroups")
-    if ("u64" in SHADERS[name] or "wide_words" in VARIANTS[variant]) and not device.wide:
+    if ("u64" in SHADERS[name] or "wide_words" in VARIANTS[variant]) and not device.has_int64:
         pytest.skip("the device reads no 64 bits at a time")
     declared = set(re.findall(r"^const (\w+)", SHADERS[name], re.MULTILINE))
     constants = {

@@ -11,23 +11,23 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for
+from gsgen.runtime.kernels.sort.sort import SortConfig, sort_config_for
 from references.sorting import scan_reference, sort_reference
 from support.rendering.sorting import GPU, KEYS, Bench, keys_of
 
 KEY_CAPACITY = 1 << 16
 MANY_KEYS = 300_000
-SMALL = SortConfig(threads=256, run=4, digit_bits=4, walk=4, tile=32)
+SMALL = SortConfig(threads=256, run=4, digit_bits=4, walk_rows=4, tile=32)
 
 
 @pytest.fixture(scope="module", params=["this device", "many invocations"])
 def cut(request: pytest.FixtureRequest, device: Device) -> SortConfig:
-    return cut_for(device) if request.param == "this device" else GPU
+    return sort_config_for(device) if request.param == "this device" else GPU
 
 
 @pytest.fixture(scope="module", params=["this device", "many invocations", "counted before"])
 def compacting(request: pytest.FixtureRequest, device: Device) -> Bench:
-    cut = cut_for(device) if request.param == "this device" else GPU
+    cut = sort_config_for(device) if request.param == "this device" else GPU
     return Bench(
         device, cut, 32, KEY_CAPACITY, compact=True, counted=request.param == "counted before"
     )
@@ -55,7 +55,7 @@ def test_arbitrary_keys_are_sorted(compacting_here: Bench, keys: list[int]) -> N
 
 @pytest.fixture(scope="module")
 def compacting_here(device: Device) -> Bench:
-    return Bench(device, cut_for(device), 32, KEY_CAPACITY, compact=True)
+    return Bench(device, sort_config_for(device), 32, KEY_CAPACITY, compact=True)
 
 
 @pytest.mark.parametrize("bits", [1, 2, 8, 11, 13, 24])
@@ -102,7 +102,7 @@ def test_many_keys_are_sorted(many: Bench, kind: str) -> None:
 
 @pytest.fixture(scope="module", params=["this device", "small blocks"])
 def many(request: pytest.FixtureRequest, device: Device) -> Bench:
-    cut = cut_for(device) if request.param == "this device" else SMALL
+    cut = sort_config_for(device) if request.param == "this device" else SMALL
     return Bench(device, cut, 32, MANY_KEYS, compact=True)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.kernels.project import project
-from gsgen.runtime.kernels.project.project import SPLAT_REACH
-from gsgen.runtime.kernels.project.project_cells import CELL_REACH
+from gsgen.runtime.kernels.project.project import SPLAT_RADIUS_SIGMAS
+from gsgen.runtime.kernels.project.project_cells import CELL_RADIUS_SIGMAS
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.renderer.frame_plan import Plan
@@ -116,8 +116,8 @@ def test_weighted_projection_agrees_with_the_reference(renderer: Renderer, name:
     size = np.abs(expected.mean[drawn]).max() + 1
     np.testing.assert_allclose(shapes[drawn, :2], expected.mean[drawn], atol=2e-6 * size)
     covariance = dilated(expected)[drawn]
-    circle = circle_reference(covariance, SPLAT_REACH)
-    whole(np.sqrt(weights[drawn, 3]), circle, covariance, SPLAT_REACH)
+    circle = circle_reference(covariance, SPLAT_RADIUS_SIGMAS)
+    whole(np.sqrt(weights[drawn, 3]), circle, covariance, SPLAT_RADIUS_SIGMAS)
 
 
 @pytest.mark.parametrize("name", ONE_SET)
@@ -132,7 +132,7 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
     assert drawn.sum() > 10
     assert not (drawn & ~expected.drawn).any()
     for i in np.flatnonzero(expected.drawn & ~drawn):  # beside the image
-        radius = circle_reference(dilated(expected)[i : i + 1], CELL_REACH)[0]
+        radius = circle_reference(dilated(expected)[i : i + 1], CELL_RADIUS_SIGMAS)[0]
         middle = expected.mean[i] + kernel_run.origin
         assert not box_reference(middle, radius, (61, 47)).any()
     wanted_keys, wanted_lows = depth_reference(expected.depth[drawn])
@@ -142,8 +142,8 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
     remaining = [decoded(array).astype(np.float64) for array in (lows[drawn], wanted_lows)]
     assert (np.abs(remaining[0] - remaining[1]) <= DEPTH_LEFT * expected.depth[drawn]).all()
     covariance = dilated(expected)[drawn]
-    circle = circle_reference(covariance, CELL_REACH)
-    whole(circles[drawn, 2], circle, covariance, CELL_REACH)
+    circle = circle_reference(covariance, CELL_RADIUS_SIGMAS)
+    whole(circles[drawn, 2], circle, covariance, CELL_RADIUS_SIGMAS)
     for x, y, radius, tiles in circles[drawn].astype(np.float64):
         box = box_reference(np.array([x, y]) + kernel_run.origin, radius, (61, 47))
         assert box.sum() == tiles
@@ -185,7 +185,7 @@ def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -
     image = renderer.render(scene, view_camera).rgba
     run = Run(renderer, renderer._plan, scene.sets[0], view_camera)
     actual, sums = cells(run), splats(run)
-    radii = circle_reference(dilated(actual), CELL_REACH)
+    radii = circle_reference(dilated(actual), CELL_RADIUS_SIGMAS)
     per_cell = run.splat_set.data.per_cell
     order = np.argsort(actual.depth.astype(np.float32), kind="stable")
     nearest_first = [
@@ -199,7 +199,7 @@ def test_weighted_sums_agree_with_the_reference(renderer: Renderer, name: str) -
     weighted = run.splat_set.weighted
     expected = blend_wsr_reference(
         sums,
-        circle_reference(dilated(sums), SPLAT_REACH),
+        circle_reference(dilated(sums), SPLAT_RADIUS_SIGMAS),
         nearest_first,
         (weighted.opacity_divisor, weighted.background),
         run.origin,

@@ -10,7 +10,7 @@ import pytest
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.errors import CapacityExceeded, MemoryFull, SceneInvalid
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.spatial_order import ARRANGED_FROM
+from gsgen.runtime.gpu.spatial_order import MIN_ORDERED_ROWS
 from gsgen.runtime.playback.player import FrameRequest, Player
 from gsgen.runtime.renderer import renderer as renderers
 from gsgen.runtime.renderer.frame_images import FrameReadback
@@ -107,7 +107,7 @@ def suddenly_at_one_depth() -> list[SplatData]:
 
 def ties_of_arranged_rows() -> list[SplatData]:
     """A still cloud, which is arranged along a curve, and then a plane seen straight on."""
-    still = cloud(ARRANGED_FROM, 10, size=0.01)
+    still = cloud(MIN_ORDERED_ROWS, 10, size=0.01)
     ties = SplatData(still.rows.copy(), still.appearance, "rgb")
     ties.rows[:, 2] = 4
     return [still, still, still, ties, ties, still]
@@ -123,7 +123,7 @@ FILMS: dict[str, Callable[[], Steps]] = {
 
 @pytest.fixture
 def little_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    monkeypatch.setattr(renderers, "FIRST_PAIR_CAPACITY", 16)
 
 
 def assert_same(frame: Frame, other: Frame) -> None:

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.renderer.bands import Band, Drawing, PairsExceeded, draw_bands
+from gsgen.runtime.renderer.bands import Band, CountsAndImages, PairsExceeded, draw_bands
 from gsgen.runtime.scene.camera import Camera
 
 CAMERA = Camera.look_at([0, 0, -3], [0, 0, 0], fov_y=40.0, width=3, height=100)
 
 
-def drawn(band: Band) -> Drawing:
+def drawn(band: Band) -> CountsAndImages:
     """An image whose words are their rows; each row is a splat and two pairs."""
     counts = np.zeros(len(Counts) + 40, np.uint32)
     counts[Counts.GAUSSIANS] = 1000
@@ -24,7 +24,7 @@ def drawn(band: Band) -> Drawing:
 def test_bands_give_the_whole_image(most_rows: int, fitting: int) -> None:
     bands: list[tuple[int, int]] = []
 
-    def draw(band: Band) -> Drawing:
+    def draw(band: Band) -> CountsAndImages:
         if band.rows > fitting:
             raise PairsExceeded("too many pairs")
         bands.append((band.first, band.rows))
@@ -41,7 +41,7 @@ def test_bands_give_the_whole_image(most_rows: int, fitting: int) -> None:
 
 
 def test_a_row_of_tiles_that_is_too_full_is_an_error() -> None:
-    def draw(band: Band) -> Drawing:
+    def draw(band: Band) -> CountsAndImages:
         raise PairsExceeded(f"{band.rows} rows hold too many pairs")
 
     with pytest.raises(PairsExceeded, match="32 rows"):

@@ -37,12 +37,12 @@ def eager(
     device: Device, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> Device:
     """A device where few rows are arranged and few bytes mapped."""
-    if request.param and not device.maps:
+    if request.param and not device.maps_buffers:
         pytest.skip("a card, whose memory is its own")
-    monkeypatch.setattr(device, "maps", request.param)
-    monkeypatch.setattr(devices, "MAPPED_FROM", 256)
-    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
-    monkeypatch.setattr(spatial_order, "_SERVES", 3)
+    monkeypatch.setattr(device, "maps_buffers", request.param)
+    monkeypatch.setattr(devices, "MIN_MAPPED_BYTES", 256)
+    monkeypatch.setattr(splat_residency, "MIN_ORDERED_ROWS", 64)
+    monkeypatch.setattr(spatial_order, "_CHECK_INTERVAL", 3)
     return device
 
 
@@ -208,7 +208,7 @@ def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
             with memory_of(100), pytest.raises(MemoryFull):
                 entry.render(changing.scene, camera(9 + step, 7))
         frame = entry.render(changing.scene, changing.camera, outputs=changing.outputs)
-        deep += entry._deep
+        deep += entry._is_deep
         arranged += any(page.rows_of is not None for _, page in entry._pages(changing.scene))
         assert differing_fields(frame, render_from_scratch(changing, entry, kind)) == [], (
             step,

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu import splat_residency
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.gather_keys import GatherKeys
-from gsgen.runtime.kernels.sort.order_ties import MOST_TIED, OrderTies
+from gsgen.runtime.kernels.sort.order_ties import MAX_TIED_KEYS, OrderTies
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig, cut_for
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig, sort_config_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.oracle.projection import ellipses
@@ -119,7 +119,7 @@ def submit(device: Device, steps: list[Step]) -> None:
 
 
 def filled_buffer(device: Device, words: np.ndarray) -> object:
-    buffer = device.storage("words", 4 * len(words) + 16, extra="INDIRECT")
+    buffer = device.storage("words", 4 * len(words) + 16, extra_usage="INDIRECT")
     device.write(buffer, words.astype(np.uint32))
     return buffer
 
@@ -147,7 +147,7 @@ def ordered(
 @pytest.mark.parametrize("walk", [1, 4, 64])
 def test_ties_are_put_in_order(device: Device, walk: int, arranged: bool) -> None:
     rng = np.random.default_rng(walk)
-    lengths = np.concatenate([np.ones(200, int), [MOST_TIED, 2, 3, 40], np.ones(50, int)])
+    lengths = np.concatenate([np.ones(200, int), [MAX_TIED_KEYS, 2, 3, 40], np.ones(50, int)])
     rng.shuffle(lengths)
     keys = np.repeat(np.arange(len(lengths), dtype=np.uint32) * 3, lengths)
     n = len(keys)
@@ -161,10 +161,10 @@ def test_ties_are_put_in_order(device: Device, walk: int, arranged: bool) -> Non
 
 def test_ties_among_millions_are_put_in_order(device: Device) -> None:
     """More than one line of workgroups has."""
-    n = (MOST_GROUPS + 2) * WALK_THREADS
+    n = (MAX_WORKGROUPS + 2) * WALK_THREADS
     keys = origins = order = np.arange(n, dtype=np.uint32)
     keys, order = keys.copy(), order.copy()
-    for array in (5, n // 2, MOST_GROUPS * WALK_THREADS - 1, n - 2):
+    for array in (5, n // 2, MAX_WORKGROUPS * WALK_THREADS - 1, n - 2):
         keys[array] = keys[array + 1]
         order[array : array + 2] = order[array : array + 2][::-1]
     flags, result = ordered(device, 1, keys, np.full(n, 9, np.uint32), order)
@@ -172,7 +172,9 @@ def test_ties_among_millions_are_put_in_order(device: Device) -> None:
     np.testing.assert_array_equal(result, origins)
 
 
-@pytest.mark.parametrize("location", [0, 1, MOST_TIED - 1, MOST_TIED, 2 * MOST_TIED, 299])
+@pytest.mark.parametrize(
+    "location", [0, 1, MAX_TIED_KEYS - 1, MAX_TIED_KEYS, 2 * MAX_TIED_KEYS, 299]
+)
 @pytest.mark.parametrize("walk", [4, 64])
 def test_long_ties_out_of_order_are_announced(device: Device, walk: int, location: int) -> None:
     """Wherever in the tie two are the wrong way around; one that is in order is no trouble."""
@@ -199,7 +201,7 @@ def test_long_ties_out_of_order_are_announced(device: Device, walk: int, locatio
 @pytest.mark.parametrize("cut", ["own", "GPU"])
 def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
     """As NumPy does, what is not drawn left out; equal depths as they came."""
-    chosen: SortConfig = cut_for(device) if cut == "own" else GPU
+    chosen: SortConfig = sort_config_for(device) if cut == "own" else GPU
     sort = RadixSort(device, chosen, Scan(device, chosen.block, 64, 256))
     rng, n = np.random.default_rng(1), 20_000
     count = 40 if deep else 5000
@@ -264,7 +266,7 @@ def test_near_ties_are_as_in_float64(renderer: Renderer, quads: Renderer, name: 
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
     firm = ~expected.fragile_median
     np.testing.assert_array_equal(frame.ids[firm], expected.ids[firm])
-    assert renderer._deep == (name in DEEP)
+    assert renderer._is_deep == (name in DEEP)
     by_quads = quads.render(scene, view_camera).rgba
     open_still = ~expected.fragile & (expected.rgba[..., 3] < 0.99)
     assert open_still.any()
@@ -282,7 +284,7 @@ def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -
     actual, expected = renderer.render(scene, camera()), oracle.render(scene, camera())
     assert expected.fragile.mean() < 0.1
     assert np.abs(actual.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
-    assert renderer._deep == (tilt < 1e-6)
+    assert renderer._is_deep == (tilt < 1e-6)
 
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
@@ -298,7 +300,7 @@ def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
         assert np.abs(actual - frame.rgba)[~frame.fragile].max() <= 2e-5
         plans.append(own_renderer._plan)
     assert plans[0] is plans[1] is plans[2]
-    assert own_renderer._deep == (name in DEEP)
+    assert own_renderer._is_deep == (name in DEEP)
 
 
 def frames_equal(frame: Frame, two: Frame) -> bool:
@@ -336,7 +338,7 @@ def test_split_models_sort_as_one(renderer: Renderer, name: str) -> None:
 def test_arranged_rows_are_in_order(
     device: Device, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
+    monkeypatch.setattr(splat_residency, "MIN_ORDERED_ROWS", 1)
     scene, view_camera = NEAR_TIES[name]()
     own_renderer = Renderer(device, rasteriser="tiles")
     before = own_renderer.render(scene, view_camera, outputs=ALL)
@@ -350,15 +352,15 @@ def test_thousands_at_one_depth_are_sorted(renderer: Renderer) -> None:
     data = plane(3000, 4, opacity=(0.02, 0.1))
     expected = oracle.render(Scene([data]), camera())
     frame = renderer.render(Scene([data]), camera())
-    assert not renderer._deep
+    assert not renderer._is_deep
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 1e-4
 
 
 def test_other_scenes_are_not_sorted_deeply(renderer: Renderer) -> None:
     scene, view_camera = NEAR_TIES["tilted_less"]()
     renderer.render(scene, view_camera)
-    assert renderer._deep
+    assert renderer._is_deep
     renderer.render(scene, view_camera.scaled(30, 20))
-    assert renderer._deep
+    assert renderer._is_deep
     renderer.render(*NEAR_TIES["tilted"]())
-    assert not renderer._deep
+    assert not renderer._is_deep

@@ -8,7 +8,7 @@ import pytest
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.renderer import renderer as renderers
-from gsgen.runtime.renderer.bands import Drawing, Drawn
+from gsgen.runtime.renderer.bands import CountsAndImages, DrawnImage
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.late_counts import FRAMES_LATE
 from gsgen.runtime.renderer.renderer import Renderer
@@ -38,7 +38,7 @@ def moved_camera(number: int) -> Camera:
     )
 
 
-def pixels(renderer: Renderer, drawn: Drawn) -> np.ndarray:
+def pixels(renderer: Renderer, drawn: DrawnImage) -> np.ndarray:
     return renderer.device.read(drawn.image, np.float32, 61 * 47 * 4).reshape(47, 61, 4)
 
 
@@ -74,13 +74,13 @@ def test_pictures_are_those_of_frames_that_wait(own_renderer: Renderer, scene: S
         frame = own_renderer.render(scene, moved_camera(number))
         np.testing.assert_array_equal(actual, frame.rgba)
     assert not own_renderer.settle()
-    assert not own_renderer.late
+    assert not own_renderer.late_counts
 
 
 def test_room_for_pairs_grows_without_waiting(
     device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    monkeypatch.setattr(renderers, "FIRST_PAIR_CAPACITY", 16)
     own = Renderer(device, rasteriser="tiles")
     nothing = np.eye(4)
     nothing[0, 3] = 1e4  # the scene is beside the image
@@ -98,11 +98,11 @@ def test_room_for_pairs_grows_without_waiting(
 def test_frames_that_are_read_grow_room_before_they_need_it(
     device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    monkeypatch.setattr(renderers, "FIRST_PAIR_CAPACITY", 16)
     own, pairs, drawn = Renderer(device, rasteriser="tiles"), list[int](), list[Plan]()
     draw = Plan.draw
 
-    def noted_draw(plan: Plan, *arguments: Any, **options: Any) -> Drawing:
+    def noted_draw(plan: Plan, *arguments: Any, **options: Any) -> CountsAndImages:
         drawn.append(plan)
         return draw(plan, *arguments, **options)
 
@@ -119,7 +119,7 @@ def test_frames_that_are_read_grow_room_before_they_need_it(
 def test_incomplete_last_frame_is_reported(
     device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    monkeypatch.setattr(renderers, "FIRST_PAIR_CAPACITY", 16)
     own = Renderer(device, rasteriser="tiles")
     nothing = np.eye(4)
     nothing[0, 3] = 1e4

@@ -42,7 +42,7 @@ def test_a_cell_of_more_tiles_than_a_binding_holds_pairs_is_an_error(
     view = view.scaled(800, 700)
     expected = renderer.render(scene, view)
     assert expected.pairs > 2048
-    monkeypatch.setattr(renderers, "MOST_GROUPS", 1)
+    monkeypatch.setattr(renderers, "MAX_WORKGROUPS", 1)
     monkeypatch.setattr(renderer, "_pairs", 2048)
     image = renderer.draw(scene, view).image
     actual = renderer.device.read(image, np.float32, expected.rgba.size)
@@ -58,7 +58,7 @@ def test_more_pairs_than_a_dispatch_has_are_drawn_in_bands(
     scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
     expected = renderer.render(scene, camera(width=120, height=120))
     assert expected.pairs > 61_440
-    monkeypatch.setattr(renderers, "MOST_GROUPS", 30)
+    monkeypatch.setattr(renderers, "MAX_WORKGROUPS", 30)
     assert renderer._most_pairs == 61_440
     assert np.array_equal(renderer.render(scene, camera(width=120, height=120)).rgba, expected.rgba)
 
@@ -68,7 +68,7 @@ def test_more_splats_than_a_dispatch_has_is_an_error(
 ) -> None:
     scene = Scene([cloud(5000, size=0.01)])
     renderer.render(scene, camera())
-    monkeypatch.setattr(kernel_set, "MOST_GROUPS", 1 if renderer.device.software else 16)
+    monkeypatch.setattr(kernel_set, "MAX_WORKGROUPS", 1 if renderer.device.software else 16)
     with pytest.raises(
         CapacityExceeded, match=r"scene: the scene has 4,\d+ splats .* draws at most 4,096"
     ):

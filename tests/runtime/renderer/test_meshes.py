@@ -189,10 +189,10 @@ def test_two_mesh_layers_agree_with_the_reference(device: Device, variant: str) 
     buffers = [other.storage("layers", shown.nbytes), other.storage("depths", depths.nbytes)]
     for buffer, values in zip(buffers, (shown, depths), strict=True):
         other.write(buffer, values)
-    tile = renderer._kernels.cut.tile
+    tile = renderer._kernels.sort_config.tile
     records = renderer._kernels.records(250)
     kernel = BlendTiles(other, pick=False, layers=2, tile=tile, records=records).kernel
-    (own,) = plan.stages["blend"][0].binds
+    (own,) = plan.stages["blend"][0].bind_groups
     step = Step(kernel, (own, kernel.bind(*buffers, group=1)), plan.stages["blend"][0].groups)
     encoder = other.raw.create_command_encoder()
     run(encoder, [step], "layers")

@@ -279,7 +279,7 @@ def test_a_flight_through_a_pool_draws_no_frame_twice(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The capacity for pairs is that of the pool's rows, so that it rarely has to grow."""
-    monkeypatch.setattr(renderers, "FIRST_PAIRS", 64)
+    monkeypatch.setattr(renderers, "FIRST_PAIR_CAPACITY", 64)
     drawer, plans = Renderer(renderer.device, rasteriser="tiles"), []
     plan = renderers.Plan
     monkeypatch.setattr(renderers, "Plan", lambda *a, **k: plans.append(1) or plan(*a, **k))
@@ -434,5 +434,7 @@ def test_staged_rows_are_drawn_once_they_are_complete() -> None:
 def test_a_row_of_a_pool_has_the_bytes_of_its_buffers(
     device: Device, channels: int, size: int
 ) -> None:
-    page = allocate_pool_page(device, SplatPool(SLOT, channels, slot_rows=SLOT), 0, 1, half=False)
+    page = allocate_pool_page(
+        device, SplatPool(SLOT, channels, slot_rows=SLOT), 0, 1, is_half=False
+    )
     assert pool_row_bytes(channels) == size == (page.rows.size + page.appearance.size) / SLOT

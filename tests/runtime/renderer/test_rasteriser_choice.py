@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.sort.sort import cut_for
+from gsgen.runtime.kernels.sort.sort import sort_config_for
 from gsgen.runtime.renderer import rasteriser_choice
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, chosen_cut, probe
+from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, chosen_sort_config, probe
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -67,18 +67,18 @@ def test_rasteriser_choice_is_explained(gpu: Device, kernels: Kernels, choices_f
 def test_the_faster_tiles_are_used(
     gpu: Device, kernels: Kernels, renderer: Renderer, choices_file: Path
 ) -> None:
-    assert chosen_cut(gpu) == cut_for(gpu)  # nothing was measured
+    assert chosen_sort_config(gpu) == sort_config_for(gpu)  # nothing was measured
     assert choose(gpu, kernels, Stopwatch(2.0, 0.9, 1.0)) == "tiles"
-    assert chosen_cut(gpu) == replace(cut_for(gpu), tile=16)
+    assert chosen_sort_config(gpu) == replace(sort_config_for(gpu), tile=16)
     assert "tiles of 16 pixels" in rasteriser_choice.explain(gpu)
     scene, camera = SCENES["many"]()
     small = Renderer(gpu)
-    assert small._kernels.cut.tile == 16
-    assert Renderer(gpu, rasteriser="tiles")._kernels.cut.tile == 32
+    assert small._kernels.sort_config.tile == 16
+    assert Renderer(gpu, rasteriser="tiles")._kernels.sort_config.tile == 32
     actual, expected = small.render(scene, camera), renderer.render(scene, camera)
     assert np.abs(actual.rgba - expected.rgba).max() <= 1e-6
     gpu.software = True
-    assert chosen_cut(gpu) == cut_for(gpu)
+    assert chosen_sort_config(gpu) == sort_config_for(gpu)
 
 
 @pytest.mark.parametrize(
@@ -183,11 +183,11 @@ def test_probe_draws_with_both_rasterisers(device: Device, kernels: Kernels, clo
 
 
 def test_probed_scenes_are_crowded(device: Device) -> None:
-    width, height = rasteriser_choice._SIZE
+    width, height = rasteriser_choice._IMAGE_SIZE
     camera = Camera(
         np.eye(4), fx=width, fy=width, cx=width / 2, cy=height / 2, width=width, height=height
     )
-    data = rasteriser_choice._crowd(rasteriser_choice._GAUSSIANS, height / width)
+    data = rasteriser_choice._random_splats(rasteriser_choice._GAUSSIANS, height / width)
     own = Renderer(device, rasteriser="tiles")  # it keeps the room that it has made
     frame = own.render(Scene([data]), camera)
     assert frame.visible > 0.95 * len(data)

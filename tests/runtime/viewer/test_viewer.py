@@ -327,7 +327,7 @@ def test_viewer_does_not_wait_for_the_gpu(cloud: SplatData, painter: SurfaceRend
     hand.press("w")
     for _ in range(20):  # the first ones are coarser, and each size begins with a wait
         hand.look(0.3)
-        if gpu.renderer.late:
+        if gpu.renderer.late_counts:
             break
     rows = dict(hand.viewer._overlay.statistics.rows)
     assert rows["counts"].startswith("2 frames late, waited ")
@@ -337,7 +337,7 @@ def test_viewer_does_not_wait_for_the_gpu(cloud: SplatData, painter: SurfaceRend
     assert rows["buffers"] == f"grew {gpu.renderer.growths}×"
     hand.send("key_up", key="w", modifiers=())
     last = [hand.bare() for _ in range(3)][-1]
-    assert not gpu.renderer.late
+    assert not gpu.renderer.late_counts
     other = Hand(LivePlayback(sources_of(cloud)), painter)
     other.viewer.controls = hand.viewer.controls
     assert np.abs(other.bare().astype(int) - last).max() <= 1

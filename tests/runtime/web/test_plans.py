@@ -55,7 +55,7 @@ Pools = Sequence[tuple[Appearance, int]]
 
 
 def kind_name(kind: Appearance) -> str:
-    return f"{'float16' if kind.half else 'float32'} {kind.stride}"
+    return f"{'float16' if kind.half else 'float32'} {kind.appearance_stride}"
 
 
 def pool_kind(kind: Appearance) -> str:
@@ -186,7 +186,7 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
                 step.kernel.pipeline.entry,
                 step.kernel.pipeline.module.code,
                 step.kernel.pipeline.groups,
-                [[entry_of(*entry) for entry in bind.entries] for bind in step.binds],
+                [[entry_of(*entry) for entry in bind.entries] for bind in step.bind_groups],
                 groups_of(step.groups),
             )
             for step in steps
@@ -209,7 +209,7 @@ def fresh_plan(
         projection="panorama" if panorama else "plane",
     )
     method = Method(pair_capacity=sizes["pairs"], sort="deep" if deep else "by key")
-    plan = Plan(Kernels(device, one_shape=True), placed, image, method, layers=layers)
+    plan = Plan(Kernels(device, is_single_shape=True), placed, image, method, layers=layers)
     return plan, [page for _, page in placed]
 
 

@@ -10,8 +10,8 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.project import frame_uniform, page_uniforms
 from gsgen.runtime.kernels.project.slots import slot_table
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.renderer.placed_pages import Placed
-from gsgen.runtime.renderer.renderer import FIRST_PAIRS, Renderer
+from gsgen.runtime.renderer.placed_pages import PlacedPage
+from gsgen.runtime.renderer.renderer import FIRST_PAIR_CAPACITY, Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -33,11 +33,11 @@ def document() -> dict[str, Any]:
 def card(device: Device) -> Renderer:
     """A renderer whose kernels are those of GPUs, as the plans are, with two slots a page."""
     other = Device(device.raw)
-    other.subgroups = other.software = other.maps = False
+    other.subgroups = other.software = other.maps_buffers = False
     return Renderer(other, rasteriser="tiles", page_rows=2 * SLOT_ROWS)
 
 
-def write_uniforms(executor: PlanExecutor, placed: list[Placed], view: Camera) -> None:
+def write_uniforms(executor: PlanExecutor, placed: list[PlacedPage], view: Camera) -> None:
     """Write what hosts compute in float64: the frame, its pages, and the slots of pools."""
     write = executor.device.write
     write(executor.input("frame"), frame_uniform(view, BACKGROUND))
@@ -76,7 +76,7 @@ def test_a_written_plan_draws_pools_bit_by_bit(
     placed = card.placed(scene)
     pages = [page for _, page in placed]
     assert len(pages) == 4  # the set, and three pages of the pool
-    sizes = {"width": view.width, "height": view.height, "pairs": FIRST_PAIRS}
+    sizes = {"width": view.width, "height": view.height, "pairs": FIRST_PAIR_CAPACITY}
     shape = {"panorama": kind == "panorama", "deep": False, "layers": 0, "weighted": False}
     chosen = choose(document, sizes, outputs=outputs, **shape)
     executor = PlanExecutor(card.device, document, chosen, sizes, pages)

@@ -10,7 +10,7 @@ import numpy as np
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import cut_for
+from gsgen.runtime.kernels.sort.sort import sort_config_for
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
@@ -74,7 +74,9 @@ def unmet(renderer: Renderer) -> list[str]:
 def unsorted(device: Device, sizes: list[int]) -> list[str]:
     """Sort all keys of all sizes, in three ways; return where NumPy finds another order."""
     wrong = []
-    for n, (cut, counted) in product(sizes, ((cut_for(device), False), (GPU, False), (GPU, True))):
+    for n, (cut, counted) in product(
+        sizes, ((sort_config_for(device), False), (GPU, False), (GPU, True))
+    ):
         sort = Bench(device, cut, 32, max(n, 1), compact=True, counted=counted)
         for kind in KEYS:
             keys = keys_of(n, kind) if n else np.full(1, 0xFFFFFFFF, np.uint32)

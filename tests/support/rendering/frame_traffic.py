@@ -64,14 +64,14 @@ def recorded_plan(workload: Workload) -> tuple[Plan, Kernels]:
     n = workload.gaussians
     capacities = [min(GPU_PAGE_ROWS, n - first) for first in range(0, n, GPU_PAGE_ROWS)]
     placed = recorded_pages([DEGREE_3] * len(capacities), capacities)
-    pairs = workload.pairs(kernels.cut.tile)
+    pairs = workload.pairs(kernels.sort_config.tile)
     image, method = ImageSpec(size=workload.size), Method(pair_capacity=pairs)
     return Plan(kernels, placed, image, method), kernels
 
 
 def digit_words(step: Step) -> dict[str, int]:
     """Return what the uniform of a step of the sort says."""
-    uniform: Any = step.binds[0].entries[0][0]
+    uniform: Any = step.bind_groups[0].entries[0][0]
     names = ("shift", "bits", "source", "first", "next_bits", "rows")
     words = np.frombuffer(uniform.data[0], np.uint32)
     return dict(zip(names, words.tolist(), strict=False))
@@ -98,13 +98,13 @@ KEYS, HISTOGRAM = 2, 4  # bindings of the sort
 
 def bound(step: Step, binding: int) -> Any:
     """Return a buffer that a recorded step of the sort binds."""
-    binds: Any = step.binds
+    binds: Any = step.bind_groups
     return binds[0].entries[binding][0]
 
 
 def names_of(step: Step, buffer: Any) -> list[str]:
     """Return the variables of a recorded step that name a buffer which it may write."""
-    binds, pipeline = step.binds, step.kernel.pipeline  # type: Any, Any
+    binds, pipeline = step.bind_groups, step.kernel.pipeline  # type: Any, Any
     return [
         name
         for group, bind in enumerate(binds)
@@ -160,9 +160,9 @@ def first_histogram_bytes(
 def stage_bytes(workload: Workload) -> dict[str, int]:
     """Return the bytes of each stage of a recorded frame."""
     plan, kernels = recorded_plan(workload)
-    pairs, visible = workload.pairs(kernels.cut.tile), workload.visible
-    pixels, tiles = math.prod(workload.size), workload.tiles(kernels.cut.tile)
-    runs = visible // kernels.cut.walk
+    pairs, visible = workload.pairs(kernels.sort_config.tile), workload.visible
+    pixels, tiles = math.prod(workload.size), workload.tiles(kernels.sort_config.tile)
+    runs = visible // kernels.sort_config.walk_rows
     splat = SECTOR if kernels.records(workload.gaussians) else 2 * SECTOR
     project = workload.gaussians * (ROW + 8) + visible * (HARMONICS + 48)
     sizes = {
@@ -176,7 +176,7 @@ def stage_bytes(workload: Workload) -> dict[str, int]:
         "mark": 4 * pairs + 8 * tiles,
         "blend": pairs * (4 + splat + SECTOR) + 8 * tiles + 16 * pixels,
     }
-    block = kernels.cut.block
+    block = kernels.sort_config.block
     result = {
         name: sum(
             sizes[step.kernel.label]
@@ -251,7 +251,8 @@ def table(workload: Workload) -> dict[str, Any]:
         "dispatches": steps | {"sum": sum(steps.values()), "earlier": EARLIER_DISPATCHES},
         "reads of keys in each pass": key_reads(workload),
         "pairs": {
-            size: workload.pairs(size) for size in (TILE, recorded_plan(workload)[1].cut.tile)
+            size: workload.pairs(size)
+            for size in (TILE, recorded_plan(workload)[1].sort_config.tile)
         },
     }
 

@@ -13,7 +13,7 @@ from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
 from references.sorting import first_digits_reference
 
-GPU = SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=32)
+GPU = SortConfig(threads=256, run=8, digit_bits=8, walk_rows=4, tile=32)
 """How work is cut where there are many invocations."""
 
 
@@ -70,7 +70,7 @@ class Bench:
         gpu_like_device = Device(device.raw)
         gpu_like_device.software = device.software and cut.threads < GPU.threads
         sort = RadixSort(device, cut, Scan(gpu_like_device, cut.block, 64, 256))
-        self.counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
+        self.counts = device.storage("counts", counting.BYTES, extra_usage="INDIRECT")
         self.columns = [
             Columns(device.storage("keys", 4 * room), device.storage("values", 4 * room))
             for _ in range(2)
@@ -84,8 +84,8 @@ class Bench:
             bits=bits,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
-            compacting=room if compact else None,
-            counted=counted,
+            compact_counter=room if compact else None,
+            has_histogram=counted,
         )
 
     def __call__(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -26,36 +26,42 @@ def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
     packed = np.empty((len(rows), PACKED_BYTES // 4), np.uint32)
     packed[:, :4] = rows[:, :4].astype(np.float32).view(np.uint32)
     with np.errstate(all="ignore"):
-        root = _root(rows[:, layout.COVARIANCE].astype(np.float64))
+        root = _cholesky_factors(rows[:, layout.COVARIANCE].astype(np.float64))
         scale = np.abs(root).max(axis=1).astype(np.float32)
         scale[~np.isfinite(scale)] = np.nan
         share = np.divide(root, scale[:, None], where=scale[:, None] > 0, out=np.zeros_like(root))
-        fixed = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _FIXED_POINT_ONE)).astype(np.int16)
-    packed[:, 4:7] = fixed.view(np.uint32)
+        fixed_point = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _FIXED_POINT_ONE)).astype(
+            np.int16
+        )
+    packed[:, 4:7] = fixed_point.view(np.uint32)
     packed[:, 7] = scale.view(np.uint32)
     return packed
 
 
-def _root(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
+def _cholesky_factors(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
     """Return the Cholesky factors xx, yx, zx, yy, zy, zz of covariances; NaN where none exists."""
     xx, xy, xz, yy, yz, zz = covariance.T
-    least = -_ROUNDING * np.maximum(xx, np.maximum(yy, zz))
-    l_xx = _pivot_roots(xx, least)
-    l_yx, l_zx = _over(xy, l_xx), _over(xz, l_xx)
-    l_yy = _pivot_roots(yy - l_yx**2, least)
-    l_zy = _over(yz - l_yx * l_zx, l_yy)
-    l_zz = _pivot_roots(zz - l_zx**2 - l_zy**2, least)
+    min_pivots = -_ROUNDING * np.maximum(xx, np.maximum(yy, zz))
+    l_xx = _pivot_roots(xx, min_pivots)
+    l_yx, l_zx = _divide_or_zero(xy, l_xx), _divide_or_zero(xz, l_xx)
+    l_yy = _pivot_roots(yy - l_yx**2, min_pivots)
+    l_zy = _divide_or_zero(yz - l_yx * l_zx, l_yy)
+    l_zz = _pivot_roots(zz - l_zx**2 - l_zy**2, min_pivots)
     return np.stack([l_xx, l_yx, l_zx, l_yy, l_zy, l_zz], axis=1)
 
 
 def _pivot_roots(
-    square: Float64[np.ndarray, " n"], least: Float64[np.ndarray, " n"]
+    squared_pivots: Float64[np.ndarray, " n"], min_pivots: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Return the square roots of Cholesky pivots; pivots that rounding made negative give zero."""
-    return np.asarray(np.sqrt(np.where((square < 0) & (square >= least), 0.0, square)))
+    return np.asarray(
+        np.sqrt(
+            np.where((squared_pivots < 0) & (squared_pivots >= min_pivots), 0.0, squared_pivots)
+        )
+    )
 
 
-def _over(
+def _divide_or_zero(
     number: Float64[np.ndarray, " n"], side: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     quotient = np.zeros_like(number)

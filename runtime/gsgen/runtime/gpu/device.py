@@ -1,6 +1,6 @@
 """The graphics device: it creates labelled buffers and textures, and translates wgpu's errors."""
 
-__all__ = ["MAPPED_ALIGNMENT", "MAPPED_FROM", "MOST_GROUPS", "Device"]
+__all__ = ["MAPPED_ALIGNMENT", "MAX_WORKGROUPS", "MIN_MAPPED_BYTES", "Device"]
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -22,16 +22,16 @@ from gsgen.runtime.gpu.handles import (
     Texture,
 )
 from gsgen.runtime.gpu.native import parse_native_types
-from gsgen.runtime.gpu.sizes import at_least
+from gsgen.runtime.gpu.sizes import symbolic_max
 
 STORAGE_BUFFERS: Final = 8
 """Storage buffers that a kernel may bind on every WebGPU device."""
 
-MOST_GROUPS: Final = 65_535
+MAX_WORKGROUPS: Final = 65_535
 """Workgroups per dimension that every WebGPU device dispatches; larger indirect dispatches do
 nothing."""
 
-MAPPED_FROM: Final = 1 << 20
+MIN_MAPPED_BYTES: Final = 1 << 20
 """Least size in bytes of buffers that are faster to map than to copy into."""
 
 MAPPED_ALIGNMENT: Final = 8
@@ -41,7 +41,7 @@ _SUBGROUP_FEATURE: Final = "subgroup"
 _FLOAT_BLEND_FEATURE: Final = "float32-blendable"
 _TIMESTAMP_FEATURE: Final = "timestamp-query"
 _MAPPABLE_FEATURE: Final = "mappable-primary-buffers"
-_WIDE: Final = "shader-int64"
+_INT64_FEATURE: Final = "shader-int64"
 _RETRY_HINT = (
     "Try again; if that happens again, draw a smaller image or fewer Gaussians, or on another "
     "device: see `gsgen doctor`."
@@ -82,8 +82,8 @@ class Device:
         self.subgroups = _SUBGROUP_FEATURE in raw.features
         self.blends_floats = _FLOAT_BLEND_FEATURE in raw.features
         self.has_clock = _TIMESTAMP_FEATURE in raw.features
-        self.maps = self.software and _MAPPABLE_FEATURE in raw.features
-        self.wide = self.software and _WIDE in raw.features
+        self.maps_buffers = self.software and _MAPPABLE_FEATURE in raw.features
+        self.has_int64 = self.software and _INT64_FEATURE in raw.features
         self.largest_buffer = int(raw.limits["max-buffer-size"])
         self.largest_binding = min(
             int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
@@ -123,7 +123,7 @@ class Device:
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
         features = {_SUBGROUP_FEATURE, _FLOAT_BLEND_FEATURE, _TIMESTAMP_FEATURE}
         if adapter.info["adapter_type"] == "CPU":  # a GPU would read mapped memory over its bus
-            features |= {_MAPPABLE_FEATURE, _WIDE}
+            features |= {_MAPPABLE_FEATURE, _INT64_FEATURE}
         try:
             return cls(
                 adapter.request_device_sync(
@@ -137,13 +137,13 @@ class Device:
                 f"cannot open {adapter.info['device']}: {error}", hint=_DRIVER_HINT
             ) from error
 
-    def storage(self, label: str, size: int, *, extra: str = "") -> Buffer:
+    def storage(self, label: str, size: int, *, extra_usage: str = "") -> Buffer:
         """Return a new GPU storage buffer of ``size`` bytes, filled with zeros.
 
         Args:
             label: Name of the buffer in errors.
             size: Bytes, rounded up to whole vectors of 16 bytes, which kernels may read.
-            extra: Further wgpu usages, separated by ``|``.
+            extra_usage: Further wgpu usages, separated by ``|``.
 
         Raises:
             CapacityExceeded: No binding may be that large.
@@ -155,8 +155,8 @@ class Device:
                 where=label,
                 hint="Draw fewer Gaussians or a smaller image.",
             )
-        usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
-        return self._buffer(label, at_least(-(-size // 16) * 16, 16), usage)
+        usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra_usage}" if extra_usage else "")
+        return self._buffer(label, symbolic_max(-(-size // 16) * 16, 16), usage)
 
     def dynamic_storage(self, label: str, size: int) -> Buffer:
         """Return a new GPU storage buffer for data that changes often.
@@ -165,8 +165,8 @@ class Device:
             CapacityExceeded: No binding may be that large.
             MemoryFull: There is no memory for it.
         """
-        mapped = self.maps and size >= MAPPED_FROM
-        return self.storage(label, size, extra="MAP_WRITE" if mapped else "")
+        is_mapped = self.maps_buffers and size >= MIN_MAPPED_BYTES
+        return self.storage(label, size, extra_usage="MAP_WRITE" if is_mapped else "")
 
     def can_map(self, buffer: Buffer) -> bool:
         """Return whether this process can map a GPU buffer for writing."""

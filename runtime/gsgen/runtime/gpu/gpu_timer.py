@@ -31,7 +31,7 @@ class StageClock:
         self._query_set = raw.create_query_set(
             label="stage clock", type="timestamp", count=2 * _MAX_STAGES
         )
-        self._resolved = raw.create_buffer(
+        self._resolve_buffer = raw.create_buffer(
             label="stage clock",
             size=2 * _MAX_STAGES * _TIMESTAMP_BYTES,
             usage="QUERY_RESOLVE|COPY_SRC",
@@ -43,7 +43,7 @@ class StageClock:
         """Clear the recorded stages of the GPU timer for a new frame."""
         self._names.clear()
 
-    def around(self, stage: str) -> PassTimestamps:
+    def timestamp_writes(self, stage: str) -> PassTimestamps:
         """Return the ``timestamp_writes`` of the compute or render pass of a stage."""
         index = 2 * len(self._names)
         self._names.append(stage)
@@ -57,13 +57,13 @@ class StageClock:
         """Encode the copy of all GPU timestamp query results into a readable buffer."""
         if self._names:
             count = 2 * len(self._names)
-            encoder.resolve_query_set(self._query_set, 0, count, self._resolved, 0)
+            encoder.resolve_query_set(self._query_set, 0, count, self._resolve_buffer, 0)
 
     def seconds(self) -> dict[str, float]:
         """Return the GPU seconds of each stage of the last frame; passes of one name are added."""
-        ticks = self._device.read(self._resolved, np.uint64, 2 * len(self._names))
-        spans = (ticks[1::2].astype(np.int64) - ticks[::2].astype(np.int64)) * self._period
+        ticks = self._device.read(self._resolve_buffer, np.uint64, 2 * len(self._names))
+        stage_seconds = (ticks[1::2].astype(np.int64) - ticks[::2].astype(np.int64)) * self._period
         seconds = dict.fromkeys(self._names, 0.0)
-        for name, span in zip(self._names, spans, strict=True):
+        for name, span in zip(self._names, stage_seconds, strict=True):
             seconds[name] += float(span) * _SECONDS_PER_NANOSECOND
         return seconds

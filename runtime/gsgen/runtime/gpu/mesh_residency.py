@@ -14,7 +14,7 @@ from gsgen.runtime.gpu.handles import Buffer, TextureView
 from gsgen.runtime.scene.mesh import MeshData
 
 _DUMMY_UV = np.zeros((1, 2), np.float32)
-_WHITE = np.full((1, 1, 4), 255, np.uint8)
+_WHITE_TEXEL = np.full((1, 1, 4), 255, np.uint8)
 
 
 @final
@@ -45,7 +45,7 @@ class MeshResidency:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._held: WeakKeyDictionary[MeshData, MeshBuffers] = WeakKeyDictionary()
+        self._buffers_by_mesh: WeakKeyDictionary[MeshData, MeshBuffers] = WeakKeyDictionary()
         self._versions: WeakKeyDictionary[MeshData, int] = WeakKeyDictionary()
 
     def buffers(self, data: MeshData) -> MeshBuffers:
@@ -54,21 +54,21 @@ class MeshResidency:
         Raises:
             CapacityExceeded: An array or the texture is larger than the device binds.
         """
-        if data not in self._held:
-            self._held[data] = MeshBuffers(
-                vertices=self._uploaded("mesh vertices", data.vertices),
-                faces=self._uploaded("mesh faces", data.faces),
-                colors=self._uploaded("mesh colors", data.colors),
-                uvs=self._uploaded("mesh uv", _DUMMY_UV if data.uv is None else data.uv),
-                picture=self._picture(_WHITE if data.texture is None else data.texture),
+        if data not in self._buffers_by_mesh:
+            self._buffers_by_mesh[data] = MeshBuffers(
+                vertices=self._upload("mesh vertices", data.vertices),
+                faces=self._upload("mesh faces", data.faces),
+                colors=self._upload("mesh colors", data.colors),
+                uvs=self._upload("mesh uv", _DUMMY_UV if data.uv is None else data.uv),
+                picture=self._picture(_WHITE_TEXEL if data.texture is None else data.texture),
                 count=len(data),
             )
         elif self._versions[data] != data.version:
-            self._device.write(self._held[data].vertices, data.vertices)
+            self._device.write(self._buffers_by_mesh[data].vertices, data.vertices)
         self._versions[data] = data.version
-        return self._held[data]
+        return self._buffers_by_mesh[data]
 
-    def _uploaded(self, label: str, values: np.ndarray) -> Buffer:
+    def _upload(self, label: str, values: np.ndarray) -> Buffer:
         buffer = self._device.storage(label, values.nbytes)
         self._device.write(buffer, values)
         return buffer

@@ -30,15 +30,15 @@ _TYPES_STRUCT: Final = "struct gsgen_native_types"
 
 # Types besides pointers to structures, as wgpu spells them. Each is a key of cffi's table, so spaces
 # count; one that a version of wgpu spells otherwise is parsed when it is needed.
-_PLAIN: Final = ("intptr_t", "uintptr_t", "uint8_t *", "uint32_t *", "WGPUChainedStruct * ")
-_ARRAYS: Final = (
+_PLAIN_TYPES: Final = ("intptr_t", "uintptr_t", "uint8_t *", "uint32_t *", "WGPUChainedStruct * ")
+_ARRAY_TYPES: Final = (
     *("char []", "char[]", "uint8_t []", "uint8_t[]", "uint32_t []"),
     *("WGPUBindGroupEntry[]", "WGPUBindGroupLayout[]", "WGPUBindGroupLayoutEntry[]"),
     *("WGPUColorTargetState[]", "WGPUCommandBuffer[]", "WGPUConstantEntry[]", "WGPUFeatureName[]"),
     *("WGPURenderPassColorAttachment[]", "WGPUTextureFormat[]"),
     *("WGPUVertexAttribute[]", "WGPUVertexBufferLayout[]"),
 )
-_CALLBACKS: Final = (
+_CALLBACK_TYPES: Final = (
     "void(WGPURequestAdapterStatus, WGPUAdapter, WGPUStringView, void *, void *)",
     "void(WGPURequestDeviceStatus, WGPUDevice, WGPUStringView, void *, void *)",
     "void(WGPUDevice const *, WGPUDeviceLostReason, WGPUStringView, void *, void *)",
@@ -58,22 +58,22 @@ def parse_native_types() -> int:
     """
     from wgpu.backends.wgpu_native import ffi
 
-    parsed = _parsed_types()
-    if parsed is None:
+    parsed_types = _parsed_types()
+    if parsed_types is None:
         return 0
     names = ffi.list_types()[0]
     members = {f"{name} *": f"{name} *{{}}" for name in names}
-    members |= {text: f"{text}{{}}" for text in _PLAIN if _are_known(text, names)}
-    for text in filter(lambda text: _are_known(text, names), _ARRAYS):
+    members |= {text: f"{text}{{}}" for text in _PLAIN_TYPES if _are_known(text, names)}
+    for text in filter(lambda text: _are_known(text, names), _ARRAY_TYPES):
         members[text] = text.replace("[]", "(*{})[]")
-    for text in filter(lambda text: _are_known(text, names), _CALLBACKS):
+    for text in filter(lambda text: _are_known(text, names), _CALLBACK_TYPES):
         members[text] = text.replace("void(", "void (*{})(")
     fields = "".join(f"{member.format(f' _{k}')};" for k, member in enumerate(members.values()))
     ffi.cdef(f"{_TYPES_STRUCT} {{{fields}}};")
     for text, (_, field) in zip(members, ffi.typeof(_TYPES_STRUCT).fields, strict=True):
         # cffi keeps a type beside whether its name was that of a function.
-        kind = field.type.item if text in _ARRAYS else field.type
-        parsed.setdefault(text, (kind, text in _CALLBACKS))
+        kind = field.type.item if text in _ARRAY_TYPES else field.type
+        parsed_types.setdefault(text, (kind, text in _CALLBACK_TYPES))
     return len(members)
 
 
@@ -81,8 +81,8 @@ def _parsed_types() -> dict[str, tuple[Any, bool]] | None:
     """Return cffi's table of types by their text, or None if it keeps them elsewhere."""
     from wgpu.backends.wgpu_native import ffi
 
-    parsed = getattr(ffi, "_parsed_types", None)
-    return parsed if isinstance(parsed, dict) else None
+    parsed_types = getattr(ffi, "_parsed_types", None)
+    return parsed_types if isinstance(parsed_types, dict) else None
 
 
 def _are_known(text: str, names: list[str]) -> bool:
@@ -90,7 +90,7 @@ def _are_known(text: str, names: list[str]) -> bool:
     return set(re.findall(r"WGPU\w+", text)) <= set(names)
 
 
-_CREATE: Final = "wgpuDeviceCreateShaderModuleTrusted"
+_CREATE_FUNCTION: Final = "wgpuDeviceCreateShaderModuleTrusted"
 _BOUNDED_LOOPS: Final = 2  # a bit of WGPUShaderRuntimeChecks in wgpu.h
 _RUNTIME_CHECKS: Final = 0x1F ^ _BOUNDED_LOOPS
 
@@ -98,7 +98,7 @@ _RUNTIME_CHECKS: Final = 0x1F ^ _BOUNDED_LOOPS
 def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
     """Compile the WGSL text of a shader whose loops all end; other checks of wgpu stay."""
     native = getattr(raw, "_internal", None)  # a device that records has none
-    create = None if native is None else _function(_CREATE)
+    create = None if native is None else _function(_CREATE_FUNCTION)
     if create is None:
         return raw.create_shader_module(label=label, code=code)
     from wgpu.backends.wgpu_native import GPUShaderModule, ffi, lib
@@ -116,8 +116,8 @@ def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
 def timestamp_period(raw: RawDevice) -> float:
     """Return the nanoseconds of a tick of the GPU's clock."""
     queue = getattr(raw.queue, "_internal", None)
-    period = _function("wgpuQueueGetTimestampPeriod")
-    return 1.0 if queue is None or period is None else float(period(queue))
+    timestamp_period = _function("wgpuQueueGetTimestampPeriod")
+    return 1.0 if queue is None or timestamp_period is None else float(timestamp_period(queue))
 
 
 _READ_MODE: Final = "READ_NOSYNC"

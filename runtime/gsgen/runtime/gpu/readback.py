@@ -19,10 +19,10 @@ class Staging:
     """A mappable GPU buffer with room for a copy of each named source buffer."""
 
     def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
-        self._device, self._sources = device, dict(sources)
+        self._device, self._source_buffers = device, dict(sources)
         self._offsets: dict[str, int] = {}
         size = 0
-        for name, buffer in self._sources.items():
+        for name, buffer in self._source_buffers.items():
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
         self._buffer = device.readable("staging", size)
@@ -33,8 +33,8 @@ class Staging:
         if self._map_promise is not None:  # a frame that was never read, as after an interrupt
             self._map_promise.sync_wait()
             self._unmap()
-        for name in self._sources if names is None else names:
-            source = self._sources[name]
+        for name in self._source_buffers if names is None else names:
+            source = self._source_buffers[name]
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
     def begin(self) -> None:
@@ -47,7 +47,7 @@ class Staging:
 
     def read_words(self) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each source buffer as 32-bit words."""
-        return self.read(dict.fromkeys(self._sources, np.uint32))
+        return self.read(dict.fromkeys(self._source_buffers, np.uint32))
 
     def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each named source buffer as an array.
@@ -63,7 +63,9 @@ class Staging:
         try:
             memory = np.frombuffer(self._buffer.read_mapped(copy=False), np.uint8)
             return {
-                name: memory[self._offsets[name] :][: self._sources[name].size].view(dtype).copy()
+                name: memory[self._offsets[name] :][: self._source_buffers[name].size]
+                .view(dtype)
+                .copy()
                 for name, dtype in dtypes.items()
             }
         finally:

@@ -1,9 +1,9 @@
 """Arithmetic of GPU buffer and dispatch sizes, which may be numbers or symbolic formulas."""
 
-__all__ = ["at_least"]
+__all__ = ["symbolic_max"]
 
 
-def at_least(value: int, least: int) -> int:
+def symbolic_max(value: int, least: int) -> int:
     """Return the larger of two integers without comparing them, since a size may be a formula.
 
     ``max`` compares, and a comparison of recorded sizes is a branch that holds for some of them

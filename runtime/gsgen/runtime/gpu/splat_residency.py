@@ -9,9 +9,9 @@ __all__ = [
     "PageSlots",
     "Residency",
     "allocate_pool_page",
+    "appearance_stride",
     "bytes_of",
     "exceeds_binding",
-    "stride",
 ]
 
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.compact_rows import PACKED_BYTES, pack_rows
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.spatial_order import ARRANGED_FROM, SpatialOrder
+from gsgen.runtime.gpu.spatial_order import MIN_ORDERED_ROWS, SpatialOrder
 from gsgen.runtime.gpu.upload import Target, upload
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SplatPool
@@ -44,23 +44,23 @@ SLOT_BYTES: Final = 96
 PAGE_SLOTS: Final = 64
 """Most tile slots in a page (GPU buffer) of a pool: every device binds uniforms of 64 KiB."""
 
-_WORD: Final = 16
+_VECTOR_BYTES: Final = 16
 
 
-def stride(channels: int, *, half: bool) -> int:
+def appearance_stride(channels: int, *, is_half: bool) -> int:
     """Return the size of a Gaussian's colour coefficients on the GPU, in vectors of 16 bytes.
 
     Shaders read whole vectors, so rows are padded to them; 0 means that two rows share one.
     """
-    size = channels * (2 if half else 4)
-    return 0 if size <= _WORD // 2 else -(-size // _WORD)
+    size = channels * (2 if is_half else 4)
+    return 0 if size <= _VECTOR_BYTES // 2 else -(-size // _VECTOR_BYTES)
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
     """Return the bytes of GPU memory of a splat set: Gaussians, colours, groups of Gaussians."""
-    half = compact or data.appearance.dtype == np.float16
+    is_half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
-    row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
+    row += _bytes_of_appearance(appearance_stride(data.appearance.shape[1], is_half=is_half))
     cells = 0 if data.cells is None else 4 * layout.ROW * len(data.cells)
     return len(data) * row + cells
 
@@ -74,8 +74,8 @@ def _bytes_of_row(*, packed: bool) -> int:
     return PACKED_BYTES if packed else 4 * layout.ROW
 
 
-def _bytes_of_appearance(stride: int) -> int:
-    return _WORD * stride or _WORD // 2
+def _bytes_of_appearance(appearance_stride: int) -> int:
+    return _VECTOR_BYTES * appearance_stride or _VECTOR_BYTES // 2
 
 
 @final
@@ -119,8 +119,8 @@ class Page:
         capacity: Number of rows.
         rows: Buffer of rows.
         appearance: Buffer of SH coefficients or colours.
-        half: Whether the appearance is float16.
-        stride: Length of an appearance row, see :func:`stride`.
+        is_half: Whether the appearance is float16.
+        appearance_stride: Length of an appearance row, see :func:`appearance_stride`.
         packed: Whether rows are packed into 32 bytes (compact_rows.py).
         cells: Buffer of all cells of the set, or of those of the page if all exceed a binding;
             None without cells.
@@ -133,8 +133,8 @@ class Page:
     capacity: int
     rows: Buffer
     appearance: Buffer
-    half: bool
-    stride: int
+    is_half: bool
+    appearance_stride: int
     packed: bool = False
     cells: Buffer | None = None
     first_cell: int = 0
@@ -143,7 +143,7 @@ class Page:
 
 
 def allocate_pool_page(
-    device: Device, pool: SplatPool, first: int, count: int, *, half: bool
+    device: Device, pool: SplatPool, first: int, count: int, *, is_half: bool
 ) -> Page:
     """Allocate the GPU buffers of consecutive slots of a splat pool, for streamed tiles.
 
@@ -152,34 +152,34 @@ def allocate_pool_page(
         pool: The pool.
         first: Index of the page's first slot.
         count: Number of slots, at most ``PAGE_SLOTS``; it may be a recorded size.
-        half: Whether the appearance is float16.
+        is_half: Whether the appearance is float16.
     """
-    words = stride(pool.channels, half=half)
+    words = appearance_stride(pool.channels, is_half=is_half)
     capacity = count * pool.slot_rows
-    dispatch = device.storage("dispatch of a pool", 12, extra="INDIRECT")
+    dispatch = device.storage("dispatch of a pool", 12, extra_usage="INDIRECT")
     device.write(dispatch, np.array([0, 1, 1], np.uint32))
     return Page(
         first=first * pool.slot_rows,
         capacity=capacity,
         rows=device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
         appearance=device.storage("appearance of a pool", _bytes_of_appearance(words) * capacity),
-        half=half,
-        stride=words,
+        is_half=is_half,
+        appearance_stride=words,
         slots=PageSlots(
             pool_reference=ref(pool),
             first=first,
             count=count,
             slot_rows=pool.slot_rows,
             table=device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
-            seen=device.storage("slots in view", 4 * PAGE_SLOTS, extra="UNIFORM"),
+            seen=device.storage("slots in view", 4 * PAGE_SLOTS, extra_usage="UNIFORM"),
             dispatch=dispatch,
         ),
     )
 
 
 def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
-    make = pack_rows if page.packed else None if rows.dtype == np.float32 else _to_float32
-    return Target(page.rows, first, _bytes_of_row(packed=page.packed), make)
+    convert = pack_rows if page.packed else None if rows.dtype == np.float32 else _to_float32
+    return Target(page.rows, first, _bytes_of_row(packed=page.packed), convert)
 
 
 def _to_float32(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
@@ -187,11 +187,11 @@ def _to_float32(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
 
 
 def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"]) -> Target:
-    dtype = np.dtype(np.float16 if page.half else np.float32)
-    size = _bytes_of_appearance(page.stride)
-    same = appearance.dtype == dtype and size == appearance.strides[0]
-    make = None if same else partial(_convert_appearance, dtype=dtype, size=size)
-    return Target(page.appearance, first, size, make)
+    dtype = np.dtype(np.float16 if page.is_half else np.float32)
+    size = _bytes_of_appearance(page.appearance_stride)
+    is_same_layout = appearance.dtype == dtype and size == appearance.strides[0]
+    convert = None if is_same_layout else partial(_convert_appearance, dtype=dtype, size=size)
+    return Target(page.appearance, first, size, convert)
 
 
 def _convert_appearance(
@@ -221,7 +221,7 @@ class _UploadedPart:
 
 
 @final
-class _State(NamedTuple):
+class _SetVersions(NamedTuple):
     """The versions of a splat set's arrays and its number of Gaussians, at the start of a frame."""
 
     rows: int
@@ -244,12 +244,12 @@ class _Resident:
     rows: _UploadedPart
     appearance: _UploadedPart
     cells: _UploadedPart
-    state: _State | None = None
+    state: _SetVersions | None = None
     order: SpatialOrder | None = None
     is_unordered: bool = False
 
 
-def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
+def _page_slices(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
     """Yield each page (GPU buffers) with its rows of a slice, and their offset in the page."""
     for page in pages:
         first = max(live.start, page.first)
@@ -276,8 +276,8 @@ class Residency:
         self._compact = compact
         self._device = device
         self._page_rows = page_rows
-        self._held: WeakKeyDictionary[SplatData, _Resident]
-        self._held = WeakKeyDictionary()
+        self._resident_by_data: WeakKeyDictionary[SplatData, _Resident]
+        self._resident_by_data = WeakKeyDictionary()
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
@@ -289,22 +289,34 @@ class Residency:
         sets whose count changes, rows return to their own order for good.
         """
         resident = self._get_resident(data)
-        now = _State(data.rows_version, data.appearance_version, data.count)
+        new_versions = _SetVersions(data.rows_version, data.appearance_version, data.count)
         if resident.state is not None:
-            self._follow(data, resident, resident.state, now)
-        resident.state = now  # only now: after an error for lack of memory, the next frame follows
+            self._update_layout(data, resident, resident.state, new_versions)
+        resident.state = (
+            new_versions  # only now: after an error for lack of memory, the next frame follows
+        )
 
-    def _follow(self, data: SplatData, resident: _Resident, before: _State, now: _State) -> None:
+    def _update_layout(
+        self,
+        data: SplatData,
+        resident: _Resident,
+        old_versions: _SetVersions,
+        new_versions: _SetVersions,
+    ) -> None:
         """Choose the order and the packing of Gaussians by the changes since the last frame."""
-        moved = before.rows != now.rows
-        if moved:
+        has_new_rows = old_versions.rows != new_versions.rows
+        if has_new_rows:
             self._store_unpacked(resident)
-        if before != now and not (self._device.maps and before.live == now.live):
+        if old_versions != new_versions and not (
+            self._device.maps_buffers and old_versions.live == new_versions.live
+        ):
             if resident.order is not None:
                 self.restore_order(data)
-        elif resident.is_unordered or len(data) < ARRANGED_FROM or data.cells is not None:
+        elif resident.is_unordered or len(data) < MIN_ORDERED_ROWS or data.cells is not None:
             return
-        elif resident.order is None or (moved and not resident.order.is_valid_after_change(data)):
+        elif resident.order is None or (
+            has_new_rows and not resident.order.is_valid_after_change(data)
+        ):
             self._set_row_order(resident, SpatialOrder.of(data))
 
     def restore_order(self, data: SplatData) -> None:
@@ -342,14 +354,14 @@ class Residency:
         ]
 
     def _get_resident(self, data: SplatData) -> _Resident:
-        if data not in self._held:
-            self._held[data] = _Resident(
+        if data not in self._resident_by_data:
+            self._resident_by_data[data] = _Resident(
                 pages=list(self._allocate(data)),
                 rows=_UploadedPart(),
                 appearance=_UploadedPart(),
                 cells=_UploadedPart(),
             )
-        return self._held[data]
+        return self._resident_by_data[data]
 
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""
@@ -376,16 +388,20 @@ class Residency:
             first = write.first - page.first
             size = _bytes_of_row(packed=False)
             self._device.write(page.rows, write.rows.astype(np.float32), first * size)
-            to = _appearance_of(page, first, write.appearance)
-            appearance = write.appearance if to.make is None else to.make(write.appearance)
-            self._device.write(page.appearance, appearance, first * to.size)
+            upload_target = _appearance_of(page, first, write.appearance)
+            appearance = (
+                write.appearance
+                if upload_target.convert is None
+                else upload_target.convert(write.appearance)
+            )
+            self._device.write(page.appearance, appearance, first * upload_target.size)
         return pages
 
     def _allocate_pool(self, pool: SplatPool) -> Iterator[Page]:
         slots_per_page = min(PAGE_SLOTS, max(1, self._page_rows // pool.slot_rows))
         for first in range(0, pool.slots, slots_per_page):
             count = min(slots_per_page, pool.slots - first)
-            yield allocate_pool_page(self._device, pool, first, count, half=self._compact)
+            yield allocate_pool_page(self._device, pool, first, count, is_half=self._compact)
 
     def _upload(
         self,
@@ -395,17 +411,17 @@ class Residency:
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
         """Write a slice of an array's rows into the GPU buffers (pages) that hold the array."""
-        for page, part, first in _parts(resident.pages, live):
-            to = target(page, first, array)
+        for page, part, first in _page_slices(resident.pages, live):
+            upload_target = target(page, first, array)
             if resident.order is None:
-                upload(self._device, to, array[part])
+                upload(self._device, upload_target, array[part])
             else:
-                upload(self._device, to, array, resident.order.rows[part])
+                upload(self._device, upload_target, array, resident.order.rows[part])
 
     def _write_cells(self, data: SplatData, resident: _Resident) -> None:
         if data.cells is None or not resident.pages:
             return
-        size, make = (
+        size, convert = (
             _bytes_of_row(packed=False),
             None if data.cells.dtype == np.float32 else _to_float32,
         )
@@ -413,11 +429,11 @@ class Residency:
             for buffer, first in {page.cells: page.first_cell for page in resident.pages}.items():
                 assert buffer is not None
                 part = data.cells[first : first + buffer.size // size]
-                upload(self._device, Target(buffer, 0, size, make), part)
+                upload(self._device, Target(buffer, 0, size, convert), part)
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
-        half = self._compact or data.appearance.dtype == np.float16
-        words = stride(data.appearance.shape[1], half=half)
+        is_half = self._compact or data.appearance.dtype == np.float16
+        words = appearance_stride(data.appearance.shape[1], is_half=is_half)
         packed = self._compact and data.cells is None
         cells, first_cell, is_paged = None, 0, False
         if data.cells is not None:
@@ -436,8 +452,8 @@ class Residency:
                 appearance=self._device.dynamic_storage(
                     "appearance", capacity * _bytes_of_appearance(words)
                 ),
-                half=half,
-                stride=words,
+                is_half=is_half,
+                appearance_stride=words,
                 packed=packed,
                 cells=cells,
                 first_cell=first_cell,

@@ -12,7 +12,7 @@ from jaxtyping import Shaped, UInt32
 from gsgen.runtime.gpu.device import MAPPED_ALIGNMENT, Device
 from gsgen.runtime.gpu.handles import Buffer
 
-_BLOCK: Final = 1 << 13  # rows that are converted at a time, so that they stay in the cache
+_BLOCK_ROWS: Final = 1 << 13  # rows that are converted at a time, so that they stay in the cache
 
 
 @final
@@ -24,13 +24,13 @@ class Target:
         buffer: A buffer of ``Device.dynamic_storage``.
         first: Index of the first row.
         size: Bytes of a row.
-        make: Converts rows of an array to rows of the buffer; None if they are equal bit by bit.
+        convert: Converts rows of an array to rows of the buffer; None if they are equal bit by bit.
     """
 
     buffer: Buffer
     first: int
     size: int
-    make: Callable[[Shaped[np.ndarray, "n c"]], Shaped[np.ndarray, "n d"]] | None = None
+    convert: Callable[[Shaped[np.ndarray, "n c"]], Shaped[np.ndarray, "n d"]] | None = None
 
 
 def upload(
@@ -53,7 +53,7 @@ def upload(
     """
     start = target.first * target.size
     if device.can_map(target.buffer) and start % MAPPED_ALIGNMENT == 0:
-        device.write_mapped(target.buffer, _blocks(target, array, order, _BLOCK), start)
+        device.write_mapped(target.buffer, _blocks(target, array, order, _BLOCK_ROWS), start)
         return
     for rows in _blocks(target, array, order, max(1, len(array))):
         device.write(target.buffer, rows, start)
@@ -70,4 +70,4 @@ def _blocks(
     for first in range(0, count, length):
         part = slice(first, first + length)
         rows = array[part] if order is None else array.take(order[part], axis=0)
-        yield np.ascontiguousarray(rows if target.make is None else target.make(rows))
+        yield np.ascontiguousarray(rows if target.convert is None else target.convert(rows))

@@ -44,8 +44,8 @@ class Surface:
 
 def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]) -> Surface:
     """Cast a camera's rays at meshes; return the nearest surfaces, coloured in ``color_space``."""
-    start, ahead = _rays(camera)
-    shape = ahead.shape[:3]
+    start, ray_direction = _rays(camera)
+    shape = ray_direction.shape[:3]
     depth = np.full(shape, np.inf)
     color, normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     for mesh in meshes:
@@ -56,20 +56,22 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
         for face, triangle in enumerate(corners):
             rows, columns = _window(triangle, camera)
             part = (slice(None), rows, columns)
-            met = _intersect_triangle(triangle, start[part], ahead[part], camera.near)
-            if met is None:
+            intersection = _intersect_triangle(
+                triangle, start[part], ray_direction[part], camera.near
+            )
+            if intersection is None:
                 continue
-            hit_depth, weights, upright = met
-            nearer = hit_depth < depth[part]
-            depth[part] = np.where(nearer, hit_depth, depth[part])
-            facing = (ahead[part] @ upright)[..., None]
-            toward = np.where(facing > 0, -upright, upright)
-            normal[part] = np.where(nearer[..., None], toward, normal[part])
+            hit_depth, weights, unit_normal = intersection
+            is_nearer = hit_depth < depth[part]
+            depth[part] = np.where(is_nearer, hit_depth, depth[part])
+            facing = (ray_direction[part] @ unit_normal)[..., None]
+            facing_normal = np.where(facing > 0, -unit_normal, unit_normal)
+            normal[part] = np.where(is_nearer[..., None], facing_normal, normal[part])
             mesh_color = _converted(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
-                length = np.linalg.norm(ahead[part], axis=-1, keepdims=True)
+                length = np.linalg.norm(ray_direction[part], axis=-1, keepdims=True)
                 mesh_color = mesh_color * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
-            color[part] = np.where(nearer[..., None], mesh_color, color[part])
+            color[part] = np.where(is_nearer[..., None], mesh_color, color[part])
     return Surface(depth[0], color[0], normal[0], _edge_pixels(depth, color, normal))
 
 
@@ -80,11 +82,11 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     shape = (len(_SAMPLE_SHIFTS), camera.height, camera.width)
     across = np.broadcast_to(((x - camera.cx) / camera.fx)[:, None, :], shape)
     down = np.broadcast_to(((y - camera.cy) / camera.fy)[:, :, None], shape)
-    none, ones = np.zeros(shape), np.ones(shape)
+    zeros, ones = np.zeros(shape), np.ones(shape)
     to_world = camera.view[:3, :3]  # rows times R are Rᵀ times columns
     if camera.kind == "orthographic":
-        start = np.stack([across, down, none], -1) @ to_world + camera.eye
-        return start, np.stack([none, none, ones], -1) @ to_world
+        start = np.stack([across, down, zeros], -1) @ to_world + camera.eye
+        return start, np.stack([zeros, zeros, ones], -1) @ to_world
     start = np.broadcast_to(camera.eye, (*shape, 3))
     if camera.kind == "panorama":  # points of the unit sphere by longitude and latitude
         level = np.cos(down)
@@ -96,12 +98,12 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     """Return the rows and columns of pixels that a projected triangle may cover."""
     corners = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
-    everything = slice(0, camera.height), slice(0, camera.width)
+    full_image = slice(0, camera.height), slice(0, camera.width)
     if camera.kind == "panorama":
-        return everything
+        return full_image
     if camera.kind == "pinhole":
         if not (corners[:, 2] > 0.5 * camera.near).all():
-            return everything
+            return full_image
         corners = corners[:, :2] / corners[:, 2:]
     x = camera.fx * corners[:, 0] + camera.cx
     y = camera.fy * corners[:, 1] + camera.cy
@@ -111,7 +113,7 @@ def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
 
 
 def _intersect_triangle(
-    triangle: np.ndarray, start: np.ndarray, ahead: np.ndarray, near: float
+    triangle: np.ndarray, start: np.ndarray, ray_direction: np.ndarray, near: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Intersect rays with a triangle: depths (infinite if missed), vertex weights, unit normal."""
     a, b, c = triangle
@@ -119,19 +121,23 @@ def _intersect_triangle(
     size = np.linalg.norm(area)
     if not size > 0 or not start.size:
         return None
-    upright = area / size
+    unit_normal = area / size
     with np.errstate(all="ignore"):
-        distance = ((a - start) @ upright) / (ahead @ upright)
-        point = start + distance[..., None] * ahead
+        distance = ((a - start) @ unit_normal) / (ray_direction @ unit_normal)
+        point = start + distance[..., None] * ray_direction
         weights = np.stack(
             [
-                np.cross(second - point, third - point) @ upright / size
+                np.cross(second - point, third - point) @ unit_normal / size
                 for second, third in ((b, c), (c, a), (a, b))
             ],
             -1,
         )
-        hit = (weights >= 0).all(axis=-1) & (distance > near)
-    return np.where(hit, distance, np.inf), np.where(hit[..., None], weights, 0), upright
+        is_hit_at = (weights >= 0).all(axis=-1) & (distance > near)
+    return (
+        np.where(is_hit_at, distance, np.inf),
+        np.where(is_hit_at[..., None], weights, 0),
+        unit_normal,
+    )
 
 
 def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
@@ -147,15 +153,15 @@ def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
 def _sample_texture(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Interpolate a repeating texture at coordinates whose origin is its lower left corner."""
     height, width = texture.shape[:2]
-    blended = np.zeros((*uv.shape[:-1], 3))
+    sampled_color = np.zeros((*uv.shape[:-1], 3))
     x, y = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5
     for right in (0, 1):
-        for below in (0, 1):
-            column, row = np.floor(x) + right, np.floor(y) + below
+        for row_step in (0, 1):
+            column, row = np.floor(x) + right, np.floor(y) + row_step
             share = np.maximum(1 - np.abs(x - column), 0) * np.maximum(1 - np.abs(y - row), 0)
             color = texture[(row % height).astype(int), (column % width).astype(int), :3]
-            blended += share[..., None] * (color / 255.0)
-    return blended
+            sampled_color += share[..., None] * (color / 255.0)
+    return sampled_color
 
 
 def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:

@@ -4,10 +4,10 @@ It shares no code with the kernels, nor the method where two methods exist.
 """
 
 __all__ = [
-    "BAND",
-    "CULL",
-    "MOST_ALPHA",
-    "TIE",
+    "FRAGILE_BAND",
+    "MAX_ALPHA",
+    "MIN_ALPHA",
+    "TIE_TOLERANCE",
     "Ellipses",
     "Picture",
     "Splats",
@@ -27,12 +27,14 @@ from gsgen.contract.spec.spherical_harmonics import basis, degree_of
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 
-CULL: Final = 1 / 255
-MOST_ALPHA: Final = 0.99
-BAND: Final = 2e-3  # relative distance from a threshold within which float32 may decide otherwise
-TIE: Final = 1e-12  # relative difference of depths that sums of two floats resolve
-_MARGIN: Final = 0.3
-_POLE: Final = 1e-3
+MIN_ALPHA: Final = 1 / 255
+MAX_ALPHA: Final = 0.99
+FRAGILE_BAND: Final = (
+    2e-3  # relative distance from a threshold within which float32 may decide otherwise
+)
+TIE_TOLERANCE: Final = 1e-12  # relative difference of depths that sums of two floats resolve
+_JACOBIAN_MARGIN: Final = 0.3
+_MIN_POLE_COSINE: Final = 1e-3
 
 
 @final
@@ -72,7 +74,7 @@ class Ellipses:
         covariance: 2D covariances, in pixels².
         dilated: 2D covariances with the dilation.
         depth: Along the camera's +z; in a panorama from the camera.
-        sound: Whether a row is finite and its ellipse has a positive finite size.
+        is_finite: Whether a row is finite and its ellipse has a positive finite size.
         sigma: Covariances in camera space.
         position: Centres in camera space.
     """
@@ -81,7 +83,7 @@ class Ellipses:
     covariance: Float[np.ndarray, "n 2 2"]
     dilated: Float[np.ndarray, "n 2 2"]
     depth: Float[np.ndarray, " n"]
-    sound: Bool[np.ndarray, " n"]
+    is_finite: Bool[np.ndarray, " n"]
     sigma: Float[np.ndarray, "n 3 3"]
     position: Float[np.ndarray, "n 3"]
 
@@ -93,21 +95,23 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
         # Step 1: turn centres and covariances into camera space.
         position = (rows[:, :3] @ linear.T + offset - camera.eye) @ turn.T
-        both = turn @ linear
-        sigma = np.einsum("ij,njk,lk->nil", both, symmetric(rows[:, 4:]), both)
+        camera_from_model = turn @ linear
+        sigma = np.einsum(
+            "ij,njk,lk->nil", camera_from_model, symmetric(rows[:, 4:]), camera_from_model
+        )
         # Step 2: project them by the derivative of the projection at the centre, and dilate.
         mean, covariance = _project_planar(position, sigma, camera)
         dilated = covariance + camera.dilation * np.eye(2)
         depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
         # Step 3: a row is drawn only if all of its numbers make an ellipse.
-        sound = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
-        sound &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
+        is_finite = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
+        is_finite &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
     return Ellipses(
         mean=mean,
         covariance=covariance,
         dilated=dilated,
         depth=depth,
-        sound=sound,
+        is_finite=is_finite,
         sigma=sigma,
         position=position,
     )
@@ -167,18 +171,18 @@ def drawn_splats(
         color = _colors(splat_set, camera)
         low, high = (-np.inf, np.inf) if clip is None else (clip.low, clip.high)
         # Step 2: drop what is clipped, too near, nearly transparent or not finite.
-        drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= CULL)
+        drawn = shapes.is_finite & (shapes.depth > camera.near) & (opacity >= MIN_ALPHA)
         drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
         drawn &= np.isfinite(color).all(axis=1)
-    ahead = np.tile([0.0, 0.0, 1.0], (len(rows), 1))
-    sight = ahead if camera.kind == "orthographic" else shapes.position
+    forward = np.tile([0.0, 0.0, 1.0], (len(rows), 1))
+    view_direction = forward if camera.kind == "orthographic" else shapes.position
     return Splats(
         mean=shapes.mean[drawn],
         covariance=shapes.dilated[drawn],
         opacity=opacity[drawn],
         depth=shapes.depth[drawn],
         color=np.maximum(color[drawn], 0),
-        normal=_shortest_axes(shapes.sigma[drawn], sight[drawn]) @ camera.view[:3, :3],
+        normal=_shortest_axes(shapes.sigma[drawn], view_direction[drawn]) @ camera.view[:3, :3],
         index=first + np.flatnonzero(drawn),
     )
 
@@ -191,14 +195,14 @@ def _project_planar(
     center = np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
     if camera.kind == "orthographic":
-        ahead = np.diag(focal) @ np.eye(2, 3)
-        return focal * position[:, :2] + center, ahead @ sigma @ ahead.T
+        forward = np.diag(focal) @ np.eye(2, 3)
+        return focal * position[:, :2] + center, forward @ sigma @ forward.T
     if camera.kind == "panorama":
-        return _unrolled(position, sigma, focal, center)
+        return _project_panorama(position, sigma, focal, center)
     # Far beside the image the derivative is that at its margin: else it would grow without limit.
     slope = position[:, :2] / position[:, 2:]
-    low = -(center + _MARGIN * size / 2) / focal
-    high = (size - center + _MARGIN * size / 2) / focal
+    low = -(center + _JACOBIAN_MARGIN * size / 2) / focal
+    high = (size - center + _JACOBIAN_MARGIN * size / 2) / focal
     bent = np.clip(slope, low, high)
     jacobian = np.zeros((len(position), 2, 3))
     jacobian[:, [0, 1], [0, 1]] = focal / position[:, 2:]
@@ -206,7 +210,7 @@ def _project_planar(
     return focal * slope + center, np.einsum("nij,njk,nlk->nil", jacobian, sigma, jacobian)
 
 
-def _unrolled(
+def _project_panorama(
     position: np.ndarray, sigma: np.ndarray, focal: np.ndarray, center: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the centres of Gaussians in a panorama, in pixels, and their 2D covariances."""
@@ -215,12 +219,14 @@ def _unrolled(
         np.arctan2(position[:, 0], position[:, 2]),
         np.arcsin(position[:, 1] / distance),
     )
-    ahead = np.stack([np.sin(longitude), np.cos(longitude)], 1)
-    east = np.stack([ahead[:, 1], np.zeros(len(position)), -ahead[:, 0]], 1)
+    forward = np.stack([np.sin(longitude), np.cos(longitude)], 1)
+    east = np.stack([forward[:, 1], np.zeros(len(position)), -forward[:, 0]], 1)
     sin, cos = np.sin(latitude), np.cos(latitude)
-    south = np.stack([-sin * ahead[:, 0], cos, -sin * ahead[:, 1]], 1)
-    circle = distance * np.maximum(cos, _POLE)  # radius of the circle of latitude
-    jacobian = np.stack([east / circle[:, None], south / distance[:, None]], 1)
+    south = np.stack([-sin * forward[:, 0], cos, -sin * forward[:, 1]], 1)
+    latitude_radius = distance * np.maximum(
+        cos, _MIN_POLE_COSINE
+    )  # radius of the circle of latitude
+    jacobian = np.stack([east / latitude_radius[:, None], south / distance[:, None]], 1)
     jacobian *= focal[:, None]
     mean = focal * np.stack([longitude, latitude], 1) + center
     return mean, jacobian @ sigma @ jacobian.transpose(0, 2, 1)
@@ -239,22 +245,22 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
     offsets = rows @ linear.T + offset - camera.eye
     if camera.kind == "orthographic":
         offsets = np.tile(camera.view[2, :3], (len(rows), 1))
-    toward = offsets @ (left_vectors @ right)
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    camera_direction = offsets @ (left_vectors @ right)
+    camera_direction /= np.linalg.norm(camera_direction, axis=1, keepdims=True)
     sh = channels.reshape(len(rows), channels.shape[1] // 3, 3)  # there may be no rows
     degree = degree_of(sh.shape[1])
     degree = degree if splat_set.degree is None else min(degree, splat_set.degree)
-    weights = basis(toward, degree)
+    weights = basis(camera_direction, degree)
     sums = np.einsum("nk,nkc->nc", weights, sh[:, : weights.shape[1]])
     return np.asarray(0.5 + sums)
 
 
 def _shortest_axes(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return Gaussians' normals: shortest axes turned to the camera; spheres face the camera."""
-    values, vectors = np.linalg.eigh(sigma)
+    values, eigenvectors = np.linalg.eigh(sigma)
     ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
-    toward = -position / np.linalg.norm(position, axis=1, keepdims=True)
-    axes = np.where(ball[:, None], toward, vectors[:, :, 0])
+    camera_direction = -position / np.linalg.norm(position, axis=1, keepdims=True)
+    axes = np.where(ball[:, None], camera_direction, eigenvectors[:, :, 0])
     is_averted = np.einsum("nd,nd->n", axes, position) > 0
     return np.asarray(np.where(is_averted[:, None], -axes, axes))
 

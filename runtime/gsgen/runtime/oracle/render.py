@@ -16,13 +16,20 @@ import numpy as np
 
 from gsgen.runtime.oracle import projection
 from gsgen.runtime.oracle.meshes import Surface, cast
-from gsgen.runtime.oracle.projection import BAND, CULL, MOST_ALPHA, TIE, Picture, Splats
-from gsgen.runtime.oracle.weighted_sums import Veil, alone, sums
+from gsgen.runtime.oracle.projection import (
+    FRAGILE_BAND,
+    MAX_ALPHA,
+    MIN_ALPHA,
+    TIE_TOLERANCE,
+    Picture,
+    Splats,
+)
+from gsgen.runtime.oracle.weighted_sums import ImageLayer, render_alone, sums
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
-_FINISHED: Final = 1e-4
+_MIN_TRANSMITTANCE: Final = 1e-4
 _TOUCH_TOLERANCE: Final = 1e-4  # relative difference of depths at which a Gaussian touches a mesh
 _SEAM_PIXELS: Final = 2e-3  # pixels from half a turn, where rounding may choose the other copy
 
@@ -43,10 +50,10 @@ def render(
         published: Whether weighted sums count backgrounds as the method's own renderer does.
     """
     # Step 1: draw what is no depth-sorted splat: meshes, and the layer of weighted sums before them.
-    walls = cast(scene.meshes, camera, scene.color_space)
-    veil = sums(scene, camera, walls.depth)
+    surfaces = cast(scene.meshes, camera, scene.color_space)
+    image_layer = sums(scene, camera, surfaces.depth)
     if not scene.meshes and scene.sets and all(splat_set.weighted for splat_set in scene.sets):
-        return alone(veil, background, published=published)
+        return render_alone(image_layer, background, published=published)
     # Step 2: project all depth-sorted sets, and sort their splats together.
     no_rows = SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
     first, parts = 0, [projection.drawn_splats(SplatSet(no_rows), camera, 0)]
@@ -60,82 +67,92 @@ def render(
     )
     # A stable sort: splats of one depth stay in the order of the sets.
     splats = joined.take(np.argsort(joined.depth, kind="stable"))
-    return _blend(splats, camera, background, walls, veil.veil())
+    return _blend(splats, camera, background, surfaces, image_layer.image_layer())
 
 
 def _blend(
-    splats: Splats, camera: Camera, background: Sequence[float], walls: Surface, veil: Veil
+    splats: Splats,
+    camera: Camera,
+    background: Sequence[float],
+    surfaces: Surface,
+    image_layer: ImageLayer,
 ) -> Picture:
     height, width = camera.height, camera.width
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
-    through, depth = np.ones((height, width)), np.zeros((height, width))
+    transmittance, depth = np.ones((height, width)), np.zeros((height, width))
     median = np.full((height, width), np.inf)
     ids, finished = np.full((height, width), -1), np.zeros((height, width), bool)
-    fragile, fragile_median = walls.fragile | veil.fragile, finished.copy()
-    waiting = np.isfinite(veil.depth)
-    close = _ties(splats.depth)
-    nearer_hit, nearer_window = finished.copy(), (slice(0), slice(0))
+    fragile, fragile_median = surfaces.fragile | image_layer.fragile, finished.copy()
+    is_layer_pending = np.isfinite(image_layer.depth)
+    is_tied = _tied_depths(splats.depth)
+    previous_hit, previous_window = finished.copy(), (slice(0), slice(0))
     visible = 0
     inverses, windows = np.linalg.inv(splats.covariance), _pixel_windows(splats, camera)
     for i, (left, top, right, bottom) in enumerate(windows):
         window = slice(top, bottom), slice(left, right)
         if left >= right or top >= bottom:
-            nearer_hit[nearer_window] = False
+            previous_hit[previous_window] = False
             continue
         # Step 1: the splat's opacity at the pixels that it may reach.
         unclamped, dx = _opacity(splats, i, inverses[i], window, camera)
-        alpha = np.minimum(unclamped, MOST_ALPHA)
+        alpha = np.minimum(unclamped, MAX_ALPHA)
         # Step 2: where the layer of weighted sums is nearer, it takes its light first.
-        if waiting[window].any():
-            covered = np.zeros_like(waiting)
-            covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
-            _blend_layer(covered, veil, color, normal, depth, through, median, fragile_median)
-            waiting &= ~covered
+        if is_layer_pending[window].any():
+            covered = np.zeros_like(is_layer_pending)
+            covered[window] = (is_layer_pending[window]) & (
+                splats.depth[i] > image_layer.depth[window]
+            )
+            _blend_layer(
+                covered, image_layer, color, normal, depth, transmittance, median, fragile_median
+            )
+            is_layer_pending &= ~covered
         # Step 3: the splat is drawn where it is opaque enough, before walls, and leaves enough light.
-        before = through[window].copy()
-        in_front = splats.depth[i] <= walls.depth[window]
-        hit = (alpha >= CULL) & ~finished[window] & in_front
-        visible += bool((alpha >= CULL).any())
+        before = transmittance[window].copy()
+        in_front = splats.depth[i] <= surfaces.depth[window]
+        hit = (alpha >= MIN_ALPHA) & ~finished[window] & in_front
+        visible += bool((alpha >= MIN_ALPHA).any())
         after = before * (1 - alpha)
-        stop = hit & (after <= _FINISHED)
+        is_stopped = hit & (after <= _MIN_TRANSMITTANCE)
         # Step 4: mark pixels where the last bits of float32 may decide otherwise.
-        near_edge = _is_near_edge(unclamped, dx, camera)
-        near_wall = _is_touching(splats.depth[i], walls.depth[window])
-        near_wall |= _is_touching(splats.depth[i], veil.depth[window])
-        fragile[window] |= ~finished[window] & (alpha >= CULL) & near_wall
-        near_stop = hit & (np.abs(after / _FINISHED - 1) <= BAND)
-        fragile[window] |= ~finished[window] & (near_edge | near_stop)
-        if close[i]:
-            fragile[window] |= hit & nearer_hit[window]
-        nearer_hit[nearer_window] = False
-        nearer_hit[window], nearer_window = hit, window
+        is_near_edge = _is_near_edge(unclamped, dx, camera)
+        is_near_surface = _is_touching(splats.depth[i], surfaces.depth[window])
+        is_near_surface |= _is_touching(splats.depth[i], image_layer.depth[window])
+        fragile[window] |= ~finished[window] & (alpha >= MIN_ALPHA) & is_near_surface
+        is_near_stop = hit & (np.abs(after / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND)
+        fragile[window] |= ~finished[window] & (is_near_edge | is_near_stop)
+        if is_tied[i]:
+            fragile[window] |= hit & previous_hit[window]
+        previous_hit[previous_window] = False
+        previous_hit[window], previous_window = hit, window
         # Step 5: add the share of the light that the splat takes, and keep the rest.
-        finished[window] |= stop
-        drawn = hit & ~stop
-        amount = np.where(drawn, alpha * before, 0)
-        color[window] += amount[..., None] * splats.color[i]
-        normal[window] += amount[..., None] * splats.normal[i]
-        depth[window] += amount * splats.depth[i]
+        finished[window] |= is_stopped
+        drawn = hit & ~is_stopped
+        contribution = np.where(drawn, alpha * before, 0)
+        color[window] += contribution[..., None] * splats.color[i]
+        normal[window] += contribution[..., None] * splats.normal[i]
+        depth[window] += contribution * splats.depth[i]
         # Step 6: the median depth is where half of the light is gone.
-        halved = hit & (before >= 0.5) & (after < 0.5)
-        median[window] = np.where(halved, splats.depth[i], median[window])
-        ids[window] = np.where(halved, splats.index[i], ids[window])
-        fragile_median[window] |= hit & (np.abs(after - 0.5) <= BAND)
-        through[window] = np.where(drawn, after, before)
+        is_median = hit & (before >= 0.5) & (after < 0.5)
+        median[window] = np.where(is_median, splats.depth[i], median[window])
+        ids[window] = np.where(is_median, splats.index[i], ids[window])
+        fragile_median[window] |= hit & (np.abs(after - 0.5) <= FRAGILE_BAND)
+        transmittance[window] = np.where(drawn, after, before)
     # Step 7: behind all splats come the layer, and the meshes, which take the remaining light.
-    _blend_layer(waiting, veil, color, normal, depth, through, median, fragile_median)
-    wall = np.isfinite(walls.depth)
-    remaining = np.where(wall, through, 0)
-    color += remaining[..., None] * walls.color
-    normal += remaining[..., None] * walls.normal
-    depth += remaining * np.where(wall, walls.depth, 0)
-    median = np.where(wall & (through >= 0.5), walls.depth, median)
-    through = through - remaining
-    covered = through < 1
+    _blend_layer(
+        is_layer_pending, image_layer, color, normal, depth, transmittance, median, fragile_median
+    )
+    is_surface = np.isfinite(surfaces.depth)
+    remaining = np.where(is_surface, transmittance, 0)
+    color += remaining[..., None] * surfaces.color
+    normal += remaining[..., None] * surfaces.normal
+    depth += remaining * np.where(is_surface, surfaces.depth, 0)
+    median = np.where(is_surface & (transmittance >= 0.5), surfaces.depth, median)
+    transmittance = transmittance - remaining
+    covered = transmittance < 1
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     return Picture(
-        rgba=_over(background, color, through),
-        depth=np.where(covered, depth / np.where(covered, 1 - through, 1), np.inf),
+        rgba=_over(background, color, transmittance),
+        depth=np.where(covered, depth / np.where(covered, 1 - transmittance, 1), np.inf),
         median_depth=median,
         ids=ids,
         normal=normal / np.where(size > 0, size, 1),
@@ -156,21 +173,23 @@ def _opacity(
     return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx
 
 
-def _over(background: Sequence[float], color: np.ndarray, through: np.ndarray) -> np.ndarray:
+def _over(background: Sequence[float], color: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
     """Composite colours over the background, and append alpha."""
-    red, green, blue, opaque = background
-    mixed = color + through[..., None] * np.array([red, green, blue]) * opaque
-    alpha = 1 - through + through * opaque
-    return np.concatenate([mixed, alpha[..., None]], axis=-1)
+    red, green, blue, background_alpha = background
+    mixed_color = color + transmittance[..., None] * np.array([red, green, blue]) * background_alpha
+    alpha = 1 - transmittance + transmittance * background_alpha
+    return np.concatenate([mixed_color, alpha[..., None]], axis=-1)
 
 
 def _is_near_edge(unclamped: np.ndarray, dx: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the pixels at which rounding decides whether a Gaussian is drawn."""
-    near_edge = np.abs(unclamped / CULL - 1) <= BAND
+    is_near_edge = np.abs(unclamped / MIN_ALPHA - 1) <= FRAGILE_BAND
     if camera.kind == "panorama":
-        behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _SEAM_PIXELS
-        near_edge |= behind & (np.minimum(unclamped, MOST_ALPHA) >= CULL * (1 - BAND))
-    return np.asarray(near_edge)
+        is_near_seam = np.abs(np.abs(dx) - np.pi * camera.fx) <= _SEAM_PIXELS
+        is_near_edge |= is_near_seam & (
+            np.minimum(unclamped, MAX_ALPHA) >= MIN_ALPHA * (1 - FRAGILE_BAND)
+        )
+    return np.asarray(is_near_edge)
 
 
 def _is_touching(depth: float, surface: np.ndarray) -> np.ndarray:
@@ -180,35 +199,35 @@ def _is_touching(depth: float, surface: np.ndarray) -> np.ndarray:
 
 def _blend_layer(
     pixels: np.ndarray,
-    veil: Veil,
+    image_layer: ImageLayer,
     color: np.ndarray,
     normal: np.ndarray,
     depth: np.ndarray,
-    through: np.ndarray,
+    transmittance: np.ndarray,
     median: np.ndarray,
     fragile_median: np.ndarray,
 ) -> None:
     """Blend the image layer of weighted-sum rendering into selected pixels, in place."""
-    remaining = through[pixels]
-    color[pixels] += remaining[:, None] * veil.color[pixels]
-    normal[pixels] += remaining[:, None] * veil.normal[pixels]
-    depth[pixels] += remaining * veil.alpha[pixels] * veil.depth[pixels]
-    through[pixels] = remaining * (1 - veil.alpha[pixels])
-    halved = (remaining >= 0.5) & (through[pixels] < 0.5)
-    median[pixels] = np.where(halved, veil.depth[pixels], median[pixels])
-    fragile_median[pixels] |= np.abs(through[pixels] - 0.5) <= BAND
+    remaining = transmittance[pixels]
+    color[pixels] += remaining[:, None] * image_layer.color[pixels]
+    normal[pixels] += remaining[:, None] * image_layer.normal[pixels]
+    depth[pixels] += remaining * image_layer.alpha[pixels] * image_layer.depth[pixels]
+    transmittance[pixels] = remaining * (1 - image_layer.alpha[pixels])
+    is_median = (remaining >= 0.5) & (transmittance[pixels] < 0.5)
+    median[pixels] = np.where(is_median, image_layer.depth[pixels], median[pixels])
+    fragile_median[pixels] |= np.abs(transmittance[pixels] - 0.5) <= FRAGILE_BAND
 
 
-def _ties(depth: np.ndarray) -> np.ndarray:
+def _tied_depths(depth: np.ndarray) -> np.ndarray:
     """Return the mask of sorted depths so near the previous depth that rounding may swap both."""
     gap = np.diff(depth, prepend=-np.inf)
-    return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
+    return np.asarray((gap > 0) & (gap < TIE_TOLERANCE * np.abs(depth)))
 
 
 def _pixel_windows(splats: Splats, camera: Camera) -> list[list[int]]:
     """Return the pixels that each Gaussian may reach: left, top, right, bottom."""
     diagonals = np.diagonal(splats.covariance, axis1=1, axis2=2)
-    spread = 2 * np.log(splats.opacity / CULL)[:, None] * diagonals
+    spread = 2 * np.log(splats.opacity / MIN_ALPHA)[:, None] * diagonals
     reach = np.sqrt(np.maximum(spread, 0)) + 0.01
     limits = np.array([camera.width, camera.height])
     low = np.clip(np.floor(splats.mean - reach - 0.5), 0, limits).astype(int)

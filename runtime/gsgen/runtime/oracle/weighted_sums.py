@@ -4,7 +4,7 @@ It follows the specification's page on cells. Cells end at whole tiles and Gauss
 whole pixels, as in the renderer of Liu et al. 2025.
 """
 
-__all__ = ["Sums", "Veil", "alone", "sums"]
+__all__ = ["ImageLayer", "WeightedSums", "render_alone", "sums"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,20 +14,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from gsgen.runtime.oracle import projection
-from gsgen.runtime.oracle.projection import BAND, CULL, MOST_ALPHA, TIE, Picture, Splats
+from gsgen.runtime.oracle.projection import (
+    FRAGILE_BAND,
+    MAX_ALPHA,
+    MIN_ALPHA,
+    TIE_TOLERANCE,
+    Picture,
+    Splats,
+)
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 
-_FINISHED: Final = 0.01
+_MIN_TRANSMITTANCE: Final = 0.01
 _TILE: Final = 16
 
 _PIXELS: Final = 2e-3  # distance from a circle's edge within which float32 may decide otherwise
-_EQUAL: Final = 1e-4  # relative difference of depths or opacities that counts as equal
+_EQUALITY_TOLERANCE: Final = 1e-4  # relative difference of depths or opacities that counts as equal
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Sums:
+class WeightedSums:
     """The sums of weighted-sum rendering at each pixel: Σ w of colour, normal and depth.
 
     Attributes:
@@ -35,8 +42,8 @@ class Sums:
         normal: Σ w n, in world space.
         depth: Σ w z.
         total: Σ w.
-        behind: Σ w b, where b is the set's weight of the background.
-        through: The light that passes.
+        depth_behind: Σ w b, where b is the set's weight of the background.
+        transmittance: The light that passes.
         median_depth: Depth of the Gaussian that covers most in the cell where half of the light
             is gone.
         ids: Index of that Gaussian in the scene; −1 for none.
@@ -49,8 +56,8 @@ class Sums:
     normal: Float[np.ndarray, "h w 3"]
     depth: Float[np.ndarray, "h w"]
     total: Float[np.ndarray, "h w"]
-    behind: Float[np.ndarray, "h w"]
-    through: Float[np.ndarray, "h w"]
+    depth_behind: Float[np.ndarray, "h w"]
+    transmittance: Float[np.ndarray, "h w"]
     median_depth: Float[np.ndarray, "h w"]
     ids: Int64[np.ndarray, "h w"]
     fragile: Bool[np.ndarray, "h w"]
@@ -61,19 +68,19 @@ class Sums:
     def weight_behind(self) -> Float[np.ndarray, "h w"]:
         """The weight of the background: 1 at pixels without Gaussians, 0 at opaque pixels."""
         mean = np.divide(
-            self.behind, self.total, out=np.ones_like(self.total), where=self.total > 0
+            self.depth_behind, self.total, out=np.ones_like(self.total), where=self.total > 0
         )
-        return np.asarray(np.where(self.through < _FINISHED, 0, mean))
+        return np.asarray(np.where(self.transmittance < _MIN_TRANSMITTANCE, 0, mean))
 
     @property
     def scale(self) -> Float[np.ndarray, "h w"]:
         """The divisor of weighted sums: all weights at a pixel, and that of the background."""
-        return np.asarray(self.total + self.weight_behind * self.through)
+        return np.asarray(self.total + self.weight_behind * self.transmittance)
 
-    def veil(self) -> "Veil":
+    def image_layer(self) -> "ImageLayer":
         """Return weighted sums as a translucent image layer, to composite with other splat sets."""
         covered = self.total > 0
-        return Veil(
+        return ImageLayer(
             color=self.color / self.scale[..., None],
             alpha=self.total / self.scale,
             normal=self.normal / self.scale[..., None],
@@ -84,7 +91,7 @@ class Sums:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Veil:
+class ImageLayer:
     """A translucent image layer: a colour, an alpha, a normal and a depth at each pixel.
 
     Attributes:
@@ -109,42 +116,49 @@ class _Cell:
     Attributes:
         depth: Depth of the cell's centre.
         box: Pixels of the cell's tiles.
-        unsure: Pixels of tiles that float32 may add or leave out.
+        is_uncertain: Pixels of tiles that float32 may add or leave out.
         factors: Divisor of the opacity, and weight of the background.
         splats: The drawn Gaussians.
         radius: Radius of each Gaussian's circle, in whole pixels.
-        ring: Distance from the circle within which float32 may decide otherwise, in pixels.
+        ring_radius: Distance from the circle within which float32 may decide otherwise, in pixels.
     """
 
     depth: float
     box: np.ndarray
-    unsure: np.ndarray
+    is_uncertain: np.ndarray
     factors: tuple[float, float]
     splats: Splats
     radius: np.ndarray
-    ring: np.ndarray
+    ring_radius: np.ndarray
 
 
-def alone(partial: Sums, background: Sequence[float], *, published: bool = False) -> Picture:
+def render_alone(
+    partial: WeightedSums, background: Sequence[float], *, published: bool = False
+) -> Picture:
     """Return the picture of weighted-sum rendering over a background."""
-    veil, backdrop = partial.veil(), partial.weight_behind / partial.scale
-    share = backdrop if published else backdrop * partial.through
-    *color, opaque = background
-    image = veil.color + share[..., None] * np.array(color) * opaque
-    size = np.linalg.norm(veil.normal, axis=-1, keepdims=True)
+    image_layer, background_weight = partial.image_layer(), partial.weight_behind / partial.scale
+    share = background_weight if published else background_weight * partial.transmittance
+    *color, background_alpha = background
+    image = image_layer.color + share[..., None] * np.array(color) * background_alpha
+    size = np.linalg.norm(image_layer.normal, axis=-1, keepdims=True)
     return Picture(
-        rgba=np.concatenate([image, (veil.alpha + (1 - veil.alpha) * opaque)[..., None]], axis=-1),
-        depth=veil.depth,
+        rgba=np.concatenate(
+            [image, (image_layer.alpha + (1 - image_layer.alpha) * background_alpha)[..., None]],
+            axis=-1,
+        ),
+        depth=image_layer.depth,
         median_depth=partial.median_depth,
         ids=partial.ids,
-        normal=veil.normal / np.where(size > 0, size, 1),
+        normal=image_layer.normal / np.where(size > 0, size, 1),
         fragile=partial.fragile,
         fragile_median=partial.fragile_median | partial.fragile,
         visible=partial.visible,
     )
 
 
-def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None) -> Sums:
+def sums(
+    scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None
+) -> WeightedSums:
     """Sum the Gaussians of a scene's weighted splat sets that are in front of the meshes."""
     shape = (camera.height, camera.width)
     limit = np.full(shape, np.inf) if walls is None else walls
@@ -158,20 +172,20 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
     # Step 2: add the cells, nearest first; cells of nearly one depth may change places in float32.
     state = _State(shape)
     before: _Cell | None = None
-    touched = np.zeros(shape, bool)
+    touched_pixels = np.zeros(shape, bool)
     for cell in cells:
         gap = np.inf if before is None else cell.depth - before.depth
-        tied = touched if 0 < gap < TIE * cell.depth else np.zeros(shape, bool)
-        touched = state.add(cell, camera, limit, tied)
+        tied = touched_pixels if 0 < gap < TIE_TOLERANCE * cell.depth else np.zeros(shape, bool)
+        touched_pixels = state.add(cell, camera, limit, tied)
         before = cell
-    end = np.abs(state.through / _FINISHED - 1) <= BAND
-    return Sums(
+    end = np.abs(state.transmittance / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND
+    return WeightedSums(
         color=state.color,
         normal=state.normal,
         depth=state.depth,
         total=state.total,
-        behind=state.behind,
-        through=state.through,
+        depth_behind=state.depth_behind,
+        transmittance=state.transmittance,
         median_depth=state.median,
         ids=state.ids,
         fragile=state.fragile | end,
@@ -185,19 +199,22 @@ class _State:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
-        self.depth, self.total, self.behind = (np.zeros(shape) for _ in range(3))
-        self.through, self.visible = np.ones(shape), 0
+        self.depth, self.total, self.depth_behind = (np.zeros(shape) for _ in range(3))
+        self.transmittance, self.visible = np.ones(shape), 0
         self.median, self.ids = np.full(shape, np.inf), np.full(shape, -1)
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
     def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
         """Add the weighted sums of the next cell (group of Gaussians); return touched pixels."""
-        (divisor, behind), splats = cell.factors, cell.splats
+        (divisor, depth_behind), splats = cell.factors, cell.splats
         # Step 1: all Gaussians of the cell are weighted by the light before it; finished pixels take none.
-        entered = self.through.copy()
-        entered_pixels = cell.box & (entered >= _FINISHED)
+        entered_transmittance = self.transmittance.copy()
+        entered_pixels = cell.box & (entered_transmittance >= _MIN_TRANSMITTANCE)
         changed, most = np.zeros_like(entered_pixels), np.zeros(entered_pixels.shape)
-        second, strongest = (np.zeros(entered_pixels.shape), np.full(entered_pixels.shape, -1))
+        second, strongest_index = (
+            np.zeros(entered_pixels.shape),
+            np.full(entered_pixels.shape, -1),
+        )
         x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
         for k, depth in enumerate(splats.depth):
             # Step 2: a Gaussian counts within its circle, where it is opaque enough, and before meshes.
@@ -206,41 +223,46 @@ class _State:
             (a, b), (_, c) = np.linalg.inv(splats.covariance[k])
             unclamped = splats.opacity[k] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
             far = np.hypot(dx, dy)
-            reached = (unclamped >= CULL) & (far <= cell.radius[k])
-            hit = reached & entered_pixels & (depth <= limit)
+            is_inside = (unclamped >= MIN_ALPHA) & (far <= cell.radius[k])
+            hit = is_inside & entered_pixels & (depth <= limit)
             # Step 3: mark pixels where the last bits of float32 may decide otherwise.
-            near = np.abs(unclamped / CULL - 1) <= BAND
-            near |= np.abs(far - cell.radius[k]) <= cell.ring[k]
-            near |= np.abs(depth - limit) <= _EQUAL * depth
-            is_reached = unclamped >= CULL * (1 - BAND)
-            around = cell.box | cell.unsure
-            self.fragile |= is_reached & near & around & (entered >= _FINISHED * (1 - BAND))
-            self.fragile |= reached & cell.unsure
+            near = np.abs(unclamped / MIN_ALPHA - 1) <= FRAGILE_BAND
+            near |= np.abs(far - cell.radius[k]) <= cell.ring_radius[k]
+            near |= np.abs(depth - limit) <= _EQUALITY_TOLERANCE * depth
+            is_reached = unclamped >= MIN_ALPHA * (1 - FRAGILE_BAND)
+            around = cell.box | cell.is_uncertain
+            self.fragile |= (
+                is_reached
+                & near
+                & around
+                & (entered_transmittance >= _MIN_TRANSMITTANCE * (1 - FRAGILE_BAND))
+            )
+            self.fragile |= is_inside & cell.is_uncertain
             # Step 4: add its weighted values, and take its share of the light.
-            alpha = np.where(hit, np.minimum(unclamped, MOST_ALPHA) / divisor, 0)
-            self.through *= np.maximum(1 - alpha, 0)
-            amount = alpha * entered
-            self.color += amount[..., None] * splats.color[k]
-            self.normal += amount[..., None] * splats.normal[k]
-            self.depth += amount * depth
-            self.total += amount
-            self.behind += amount * behind
-            changed |= reached & cell.box
-            self.visible += bool((reached & cell.box).any())
+            alpha = np.where(hit, np.minimum(unclamped, MAX_ALPHA) / divisor, 0)
+            self.transmittance *= np.maximum(1 - alpha, 0)
+            contribution = alpha * entered_transmittance
+            self.color += contribution[..., None] * splats.color[k]
+            self.normal += contribution[..., None] * splats.normal[k]
+            self.depth += contribution * depth
+            self.total += contribution
+            self.depth_behind += contribution * depth_behind
+            changed |= is_inside & cell.box
+            self.visible += bool((is_inside & cell.box).any())
             # Step 5: remember the most opaque Gaussian: at the median depth, it stands for the cell.
             is_larger = alpha > most
             second = np.where(is_larger, most, np.maximum(second, alpha))
             most = np.where(is_larger, alpha, most)
-            strongest = np.where(is_larger, k, strongest)
+            strongest_index = np.where(is_larger, k, strongest_index)
         # Step 6: the median depth is in the cell where half of the light is gone.
-        near_end = np.abs(entered / _FINISHED - 1) <= BAND
-        self.fragile |= changed & (near_end | tied)
-        halved = (entered >= 0.5) & (self.through < 0.5)
-        self.median[halved] = splats.depth[strongest[halved]]
-        self.ids[halved] = splats.index[strongest[halved]]
-        near_half = np.abs(self.through - 0.5) <= BAND
-        doubtful = halved & (second >= most * (1 - _EQUAL))
-        self.fragile_median |= changed & (near_half | doubtful)
+        is_near_end = np.abs(entered_transmittance / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND
+        self.fragile |= changed & (is_near_end | tied)
+        is_median = (entered_transmittance >= 0.5) & (self.transmittance < 0.5)
+        self.median[is_median] = splats.depth[strongest_index[is_median]]
+        self.ids[is_median] = splats.index[strongest_index[is_median]]
+        is_near_half = np.abs(self.transmittance - 0.5) <= FRAGILE_BAND
+        is_uncertain_median = is_median & (second >= most * (1 - _EQUALITY_TOLERANCE))
+        self.fragile_median |= changed & (is_near_half | is_uncertain_median)
         return changed
 
 
@@ -252,25 +274,25 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
     live = -(-data.count // data.per_cell)
     rows = data.cells[:live].astype(np.float64)
     shapes = projection.ellipses(rows, splat_set, camera)
-    drawn = shapes.sound & (shapes.depth > camera.near) & (rows[:, 3] > 0)
+    drawn = shapes.is_finite & (shapes.depth > camera.near) & (rows[:, 3] > 0)
     visibility = np.repeat(rows[:, 3], data.per_cell)[: data.count]
     splats = projection.drawn_splats(splat_set, camera, first, visibility)
     cells = []
     for number in np.flatnonzero(drawn):
-        box, unsure = _box(shapes.mean[number], shapes.dilated[number], camera)
-        if not box.any() and not unsure.any():
+        box, is_uncertain = _box(shapes.mean[number], shapes.dilated[number], camera)
+        if not box.any() and not is_uncertain.any():
             continue
         members = splats.take((splats.index - first) // data.per_cell == number)
-        radius, ring = _bounding_radii(members.covariance, 3)
+        radius, ring_radius = _bounding_radii(members.covariance, 3)
         cells.append(
             _Cell(
                 depth=float(shapes.depth[number]),
                 box=box,
-                unsure=unsure,
+                is_uncertain=is_uncertain,
                 factors=(weighted.opacity_divisor, weighted.background),
                 splats=members,
                 radius=radius,
-                ring=ring,
+                ring_radius=ring_radius,
             )
         )
     return cells
@@ -281,17 +303,17 @@ def _bounding_radii(covariance: np.ndarray, deviations: float) -> tuple[np.ndarr
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = deviations * np.sqrt(longest)
-    unsure = np.abs(radius - np.round(radius)) <= 1e-5 * radius + 1e-5
-    return np.ceil(radius), np.where(unsure, 1.1, _PIXELS)
+    is_uncertain = np.abs(radius - np.round(radius)) <= 1e-5 * radius + 1e-5
+    return np.ceil(radius), np.where(is_uncertain, 1.1, _PIXELS)
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return masks: pixels covered by a group of Gaussians; pixels where rounding decides that."""
-    (radius,), (ring,) = _bounding_radii(covariance[None], 2)
+    (radius,), (ring_radius,) = _bounding_radii(covariance[None], 2)
     boxes = [
-        _tiles(mean + shift * np.array(way), radius, camera)
-        for shift in ([-_PIXELS, _PIXELS] if ring < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])
-        for way in ((1, 1), (1, -1))
+        _tiles(mean + shift * np.array(diagonal), radius, camera)
+        for shift in ([-_PIXELS, _PIXELS] if ring_radius < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])
+        for diagonal in ((1, 1), (1, -1))
     ]
     box = _tiles(mean, radius, camera)
     return box, np.any([candidate != box for candidate in boxes], axis=0)
@@ -302,15 +324,15 @@ def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:
     inside = []
     for axis, side in enumerate((camera.width, camera.height)):
         tile = np.arange(side) // _TILE
-        extent, turns = radius, [0.0]
+        half_extent, pixel_turns = radius, [0.0]
         if camera.kind == "panorama" and axis == 0:
             turn = 2 * np.pi * camera.fx
-            extent, turns = min(radius, turn / 2), [-turn, 0.0, turn]
+            half_extent, pixel_turns = min(radius, turn / 2), [-turn, 0.0, turn]
         along = np.zeros(side, bool)
-        for shift in turns:
+        for shift in pixel_turns:
             middle = mean[axis] + shift - 0.5
-            begin = np.floor((middle - extent) / _TILE)
-            end = np.floor((middle + extent + _TILE - 1) / _TILE)
+            begin = np.floor((middle - half_extent) / _TILE)
+            end = np.floor((middle + half_extent + _TILE - 1) / _TILE)
             along |= (tile >= begin) & (tile < end)
         inside.append(along)
     return np.asarray(inside[1][:, None] & inside[0])

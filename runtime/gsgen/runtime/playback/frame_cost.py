@@ -14,7 +14,7 @@ from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.frame_plan import Plan
-from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.placed_pages import PlacedPage
 from gsgen.runtime.scene.camera import Camera
 
 _WARM_UP_FRAMES: Final = 2  # these compile kernels and grow the buffer of pairs
@@ -205,7 +205,7 @@ class _PlannedFrame:
     """The recorded GPU work of a frame, which can be drawn again up to any stage."""
 
     plan: Plan
-    placed: list[Placed]
+    placed: list[PlacedPage]
     meshes: list[PlacedMesh]
     camera: Camera
 

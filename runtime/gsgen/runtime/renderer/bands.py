@@ -1,6 +1,14 @@
 """Divides an image too large for one GPU buffer binding into bands of rows, drawn one by one."""
 
-__all__ = ["Band", "BandImages", "Drawing", "Drawn", "PairsExceeded", "band_rows", "draw_bands"]
+__all__ = [
+    "Band",
+    "BandImages",
+    "CountsAndImages",
+    "DrawnImage",
+    "PairsExceeded",
+    "band_rows",
+    "draw_bands",
+]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,7 +27,7 @@ from gsgen.runtime.scene.camera import Camera
 _ROW_ALIGNMENT: Final = 256  # bytes; rows of an image of quads are padded to it
 _COUNTER_BYTES: Final = 1024  # bytes of a frame's counters in the buffer that is read back
 
-Drawing = tuple[np.ndarray, dict[str, np.ndarray]]
+CountsAndImages = tuple[np.ndarray, dict[str, np.ndarray]]
 """The counters of a frame, and its images as [rows, width, 4] words."""
 
 
@@ -57,7 +65,7 @@ class Band:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Drawn:
+class DrawnImage:
     """A rendered image that stays in GPU memory, to be shown from there.
 
     Attributes:
@@ -75,7 +83,7 @@ class Drawn:
     first: int = 0
 
     @classmethod
-    def of(cls, image: Buffer, band: Band, counts: np.ndarray) -> "Drawn":
+    def of(cls, image: Buffer, band: Band, counts: np.ndarray) -> "DrawnImage":
         """Return the image of a band, with the GPU counters of its frame."""
         return cls(
             image=image,
@@ -135,8 +143,11 @@ def _round_to_tiles(rows: int) -> int:
 
 
 def draw_bands(
-    camera: Camera, rows: int, draw: Callable[[Band], Drawing], count: Callable[[], int | None]
-) -> Drawing:
+    camera: Camera,
+    rows: int,
+    draw: Callable[[Band], CountsAndImages],
+    count: Callable[[], int | None],
+) -> CountsAndImages:
     """Draw an image in bands of rows; return the summed GPU counters, and the whole images.
 
     A band with more pairs of a splat and a tile than a binding holds is halved.

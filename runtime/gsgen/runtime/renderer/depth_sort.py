@@ -25,25 +25,27 @@ class DepthOrder:
 
     Args:
         device: Device of the kernels.
-        cut: Configuration of the sort.
+        sort_config: Configuration of the sort.
         sort: The radix sort.
     """
 
-    def __init__(self, device: Device, cut: SortConfig, sort: RadixSort) -> None:
+    def __init__(self, device: Device, sort_config: SortConfig, sort: RadixSort) -> None:
         self._sort = sort
-        self._ties = cache(lambda arranged: OrderTies(device, cut.walk, arranged=arranged))
-        self._gather = cache(lambda: GatherKeys(device, cut.block))
+        self._tie_kernel = cache(
+            lambda arranged: OrderTies(device, sort_config.walk_rows, arranged=arranged)
+        )
+        self._gather = cache(lambda: GatherKeys(device, sort_config.block))
 
     def steps(
         self,
         capacity: int,
         counts: Buffer,
         columns: tuple[Columns, Columns],
-        lows: Buffer,
+        low_keys: Buffer,
         origins: Buffer | None = None,
-        spare: Buffer | None = None,
+        spare_keys: Buffer | None = None,
         *,
-        counted: tuple[Buffer, ...] = (),
+        has_histogram: tuple[Buffer, ...] = (),
     ) -> tuple[list[Step], Buffer]:
         """Return the GPU dispatches of a depth sort, and the buffer of splats, nearest first.
 
@@ -52,25 +54,27 @@ class DepthOrder:
             counts: The frame's counts.
             columns: First the keys of all splats, ABSENT for splats that are not drawn; second a
                 scratch pair. Both are overwritten, but a deep sort leaves the keys.
-            lows: Remainders of the depths beyond the keys, as bits that sort alike; ABSENT for
+            low_keys: Remainders of the depths beyond the keys, as bits that sort alike; ABSENT for
                 splats that are not drawn.
             origins: Index of each splat in the order of the sets; None if splats are in it.
-            spare: Scratch buffer for more keys, which makes the sort deep.
-            counted: Histograms of the sort, if the kernel that writes the keys has counted their
+            spare_keys: Scratch buffer for more keys, which makes the sort deep.
+            has_histogram: Histograms of the sort, if the kernel that writes the keys has counted their
                 first digits there. A deep sort, which begins with the remainders, counts itself.
         """
-        histograms = counted or self._sort.histograms(capacity, KEY_BITS)
-        if spare is None:
+        histograms = has_histogram or self._sort.histograms(capacity, KEY_BITS)
+        if spare_keys is None:
             steps, side = self._by_key(
-                capacity, counts, list(columns), histograms, counted=bool(counted)
+                capacity, counts, list(columns), histograms, has_histogram=bool(has_histogram)
             )
             sorted_ = columns[side]
         else:
-            steps, sorted_ = self._deep(capacity, counts, columns, lows, spare, histograms)
+            steps, sorted_ = self._deep_steps(
+                capacity, counts, columns, low_keys, spare_keys, histograms
+            )
         arranged = () if origins is None else (origins,)
-        ties = self._ties(bool(arranged))
+        tie_kernel = self._tie_kernel(bool(arranged))
         keys, order = sorted_
-        return [*steps, ties.step(capacity, counts, keys, lows, order, *arranged)], order
+        return [*steps, tie_kernel.step(capacity, counts, keys, low_keys, order, *arranged)], order
 
     def _by_key(
         self,
@@ -80,7 +84,7 @@ class DepthOrder:
         histograms: tuple[Buffer, ...],
         first_keys: Buffer | None = None,
         *,
-        counted: bool = False,
+        has_histogram: bool = False,
     ) -> tuple[list[Step], int]:
         """Return the dispatches that sort splats by ``first_keys``, or by depth keys if None."""
         return self._sort.steps(
@@ -90,36 +94,36 @@ class DepthOrder:
             bits=KEY_BITS,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
-            compacting=capacity,
+            compact_counter=capacity,
             first_keys=first_keys,
-            counted=counted,
+            has_histogram=has_histogram,
         )
 
-    def _deep(
+    def _deep_steps(
         self,
         capacity: int,
         counts: Buffer,
         columns: tuple[Columns, Columns],
-        lows: Buffer,
-        spare: Buffer,
+        low_keys: Buffer,
+        spare_keys: Buffer,
         histograms: tuple[Buffer, ...],
     ) -> tuple[list[Step], Columns]:
         """Return the dispatches that sort splats by the depths' low parts, then by depth keys."""
-        keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
+        keys, low_columns = columns[0].keys, [columns[0]._replace(keys=spare_keys), columns[1]]
         # Step 1: sort by the remainders, which drops absent splats.
-        first, side = self._by_key(capacity, counts, by_low, histograms, first_keys=lows)
-        sorted_lows = by_low[side]
+        first, side = self._by_key(capacity, counts, low_columns, histograms, first_keys=low_keys)
+        sorted_lows = low_columns[side]
         # Step 2: fetch the depth key of each splat in that order.
         gather = self._gather().step(counts, keys, sorted_lows.values, sorted_lows.keys)
         if side:
-            by_low.reverse()
+            low_columns.reverse()
         # Step 3: sort by the keys; this sort is stable, so that equal keys keep the order of remainders.
-        then, side = self._sort.steps(
+        next_steps, side = self._sort.steps(
             counts,
             histograms,
-            by_low,
+            low_columns,
             bits=KEY_BITS,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
         )
-        return [*first, gather, *then], by_low[side]
+        return [*first, gather, *next_steps], low_columns[side]

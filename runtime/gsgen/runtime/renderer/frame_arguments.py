@@ -37,29 +37,29 @@ def checked(
     requested = _known_outputs(outputs)
     if published:
         _require_alone(scene)
-    return requested, _premultiplied(background)
+    return requested, _premultiply(background)
 
 
 def too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
     """Add the memory that the Gaussians take, and ways to need less, to an out-of-memory error."""
     sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
-    now, less = (
+    now, memory_hint = (
         sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)
         for is_compact in (compact, True)
     )
     count = sum(map(len, sets))
     message = f"{error.message}; {count:,} Gaussians take {now:,} bytes"
     hint = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
-    if less < now:
-        hint = f"With `--compact` (`compact=True`) they take {less:,}. {hint}"
+    if memory_hint < now:
+        hint = f"With `--compact` (`compact=True`) they take {memory_hint:,}. {hint}"
     hint = f"{hint} A smaller image than {camera.width}×{camera.height} takes less, too."
     return MemoryFull(message, where=error.where, hint=hint)
 
 
 def _require_alone(scene: Scene) -> None:
     """Raise if a scene has meshes or depth-sorted sets besides weighted splat sets."""
-    summed = [splat_set.weighted is not None for splat_set in scene.sets]
-    if any(summed) and (scene.meshes or not all(summed)):
+    is_weighted = [splat_set.weighted is not None for splat_set in scene.sets]
+    if any(is_weighted) and (scene.meshes or not all(is_weighted)):
         raise SceneInvalid(
             "is True, but the scene has depth-sorted sets or meshes, expected weighted sums alone",
             where="published",
@@ -77,7 +77,7 @@ def _known_outputs(outputs: Collection[Output]) -> frozenset[Output]:
     return requested
 
 
-def _premultiplied(background: Sequence[float]) -> np.ndarray:
+def _premultiply(background: Sequence[float]) -> np.ndarray:
     """Return the background of a frame with its colour multiplied by alpha; raise if invalid."""
     color = np.asarray(background, np.float64)
     if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:

@@ -23,7 +23,7 @@ def frame_counts(
     Raises:
         CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.
     """
-    most = kernels.most_binned
+    most = kernels.max_binned_splats
     for part in counts:
         if (visible := int(part[Counts.VISIBLE])) > most:
             raise CapacityExceeded(

@@ -1,6 +1,6 @@
 """Reads a frame's counters and images back from the GPU, and converts them to a frame."""
 
-__all__ = ["Counted", "FrameReadback", "frame_of"]
+__all__ = ["CountedItems", "FrameReadback", "frame_of"]
 
 from collections.abc import Mapping
 from typing import Literal, final
@@ -14,14 +14,14 @@ from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.renderer.bands import Drawing
+from gsgen.runtime.renderer.bands import CountsAndImages
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import NOTHING, Frame
 from gsgen.runtime.scene.scene import Scene
 
-Counted = Literal["all", "splats", "cells"]
+CountedItems = Literal["all", "splats", "cells"]
 """Whose counters count: of all, of depth-sorted splats alone, or of weighted sums alone."""
 
 
@@ -58,7 +58,7 @@ class FrameReadback:
         self._size, self._origins = size, origins
         self.staging = Staging(device, {**counters, **images})
 
-    def collect(self, *, fetch: bool = True, counted: Counted = "all") -> Drawing:
+    def collect(self, *, fetch: bool = True, counted: CountedItems = "all") -> CountsAndImages:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Args:
@@ -69,8 +69,8 @@ class FrameReadback:
             CapacityExceeded: More splats are drawn than the device dispatches at once.
         """
         names = [*self._counters, *(self.images if fetch else ())]
-        words_by_name = self.staging.read(dict.fromkeys(names, np.uint32))
-        parts = [words_by_name.pop(name) for name in self._counters]
+        arrays_by_name = self.staging.read(dict.fromkeys(names, np.uint32))
+        parts = [arrays_by_name.pop(name) for name in self._counters]
         if counted == "cells":
             parts[0] = counting.initial(0, int(parts[0][Counts.PAIR_CAPACITY]))
         if counted == "splats":
@@ -80,7 +80,7 @@ class FrameReadback:
         images = {
             # Rows of a copied texture are padded.
             name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
-            for name, words in words_by_name.items()
+            for name, words in arrays_by_name.items()
         }
         if self._origins is not None and "depth" in images:
             ids = images["depth"][..., 2]
@@ -120,8 +120,8 @@ def frame_of(
 
 def _mean_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
     total, alpha = pick[..., 0], pick[..., 3]
-    nothing = np.full(alpha.shape, np.inf, np.float32)
-    return np.asarray(np.divide(total, alpha, out=nothing, where=alpha > 0))
+    infinite_depth = np.full(alpha.shape, np.inf, np.float32)
+    return np.asarray(np.divide(total, alpha, out=infinite_depth, where=alpha > 0))
 
 
 def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
@@ -133,12 +133,12 @@ def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h
     """Convert splat ids, which skip weighted-sum splat sets, to row indices of the whole scene."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
     weighted = [splat_set.weighted is not None for splat_set in scene.sets]
-    summed = np.array([*weighted, *(False for _ in scene.pools)], bool)
-    if not summed.any() or summed.all():
+    is_weighted = np.array([*weighted, *(False for _ in scene.pools)], bool)
+    if not is_weighted.any() or is_weighted.all():
         return np.asarray(ids)
     own_sizes = [len(splat_set.data) for splat_set in scene.sets]
     sizes = np.array([*own_sizes, *(len(pooled.pool) for pooled in scene.pools)])
-    first, set_sizes = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
+    first, set_sizes = (np.cumsum(sizes) - sizes)[~is_weighted], sizes[~is_weighted]
     start = np.cumsum(set_sizes) - set_sizes
     set_index = np.searchsorted(start, ids, side="right") - 1
     return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[set_index]))

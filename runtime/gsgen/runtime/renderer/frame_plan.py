@@ -25,11 +25,11 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
-from gsgen.runtime.renderer.bands import Band, Drawing
-from gsgen.runtime.renderer.frame_images import Counted, FrameReadback
-from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
+from gsgen.runtime.renderer.bands import Band, CountsAndImages
+from gsgen.runtime.renderer.frame_images import CountedItems, FrameReadback
+from gsgen.runtime.renderer.kernel_set import RECORD_BYTES, Kernels
 from gsgen.runtime.renderer.placed_pages import (
-    Placed,
+    PlacedPage,
     scene_order,
     sorted_pages,
     weighted_pages,
@@ -72,7 +72,7 @@ class Plan:
     def __init__(
         self,
         kernels: Kernels,
-        placed: Sequence[Placed],
+        placed: Sequence[PlacedPage],
         image: ImageSpec,
         method: Method,
         *,
@@ -81,13 +81,13 @@ class Plan:
     ) -> None:
         device, sizes, outputs = kernels.device, method.slabs, image.outputs
         # Step 1: divide the sets by the way in which they are blended.
-        summed, placed = weighted_pages(placed), sorted_pages(placed)
+        weighted_pairs, placed = weighted_pages(placed), sorted_pages(placed)
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
         self.image, self._method = image, method
-        self._tiles = image.tiles(kernels.cut.tile)
+        self._tiles = image.tiles(kernels.sort_config.tile)
         n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         # Step 2: allocate what each frame writes: uniforms, counts, and buffers that begin as zeros.
@@ -97,7 +97,7 @@ class Plan:
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
         self.slabs = self._slabs(placed, sizes.splats, with_ids="depth" in outputs)
-        self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
+        self._counts = self._storage("counts", counting.BYTES, extra_usage="INDIRECT")
         initial = counting.initial(n, method.pair_capacity, panorama=image.panorama)
         device.write(self._counts, initial)
         self._held = {"counts": self._counts}
@@ -112,12 +112,14 @@ class Plan:
         # Step 3: find out who writes the image. Meshes and weighted sets become layers among the splats,
         # unless weighted sets are alone.
         # Weighted sets become a layer, which quads do not blend.
-        quads = method.rasteriser == "quads" and not summed
-        alone = bool(summed) and not placed and not meshes  # they write the image, without layers
-        tiled = outputs - {"color"} if quads else outputs
-        if tiled and not alone and (meshes or summed):
-            count, normal = bool(summed) + bool(meshes), "normal" in tiled
-            numbers = sizes.kept_numbers(count, normal=normal)
+        quads = method.rasteriser == "quads" and not weighted_pairs
+        is_weighted_only = (
+            bool(weighted_pairs) and not placed and not meshes
+        )  # they write the image, without layers
+        tiled_outputs = outputs - {"color"} if quads else outputs
+        if tiled_outputs and not is_weighted_only and (meshes or weighted_pairs):
+            count, normal = bool(weighted_pairs) + bool(meshes), "normal" in tiled_outputs
+            numbers = sizes.numbers_per_pixel(count, normal=normal)
             self._layers = allocate_layers(
                 self._storage, count, image.size, normal=normal, numbers=numbers
             )
@@ -125,11 +127,13 @@ class Plan:
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
-        if summed:
+        if weighted_pairs:
             frames = (self._frame, self._bare_frame)
-            self._weighted = WeightedPart(kernels, summed, image, method, frames, self._layers)
+            self._weighted = WeightedPart(
+                kernels, weighted_pairs, image, method, frames, self._layers
+            )
             self._add_weighted_part(self._weighted)
-        if alone and self._weighted is not None:
+        if is_weighted_only and self._weighted is not None:
             self.inputs |= self._weighted.inputs
         else:
             self.stages |= self._record(placed, outputs, quads=quads)
@@ -150,7 +154,7 @@ class Plan:
         self._held["counts of cells"] = part.counts
 
     def _slabs(
-        self, placed: Sequence[Placed], splats: int | None, *, with_ids: bool
+        self, placed: Sequence[PlacedPage], splats: int | None, *, with_ids: bool
     ) -> Slabs | None:
         """Return the depth ranges (slabs) in which a scene is drawn, one after the other."""
         if splats is None:
@@ -161,8 +165,8 @@ class Plan:
         self._origins = None
         return slabs
 
-    def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
-        self.buffers[name] = self._device.storage(name, size, extra=extra)
+    def _storage(self, name: str, size: int, *, extra_usage: str = "") -> Buffer:
+        self.buffers[name] = self._device.storage(name, size, extra_usage=extra_usage)
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
@@ -170,7 +174,7 @@ class Plan:
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
-        records = self._storage("shapes", RECORD * n)
+        records = self._storage("shapes", RECORD_BYTES * n)
         return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self) -> list[tuple[Buffer, int, int | None]]:
@@ -182,19 +186,19 @@ class Plan:
         ]
 
     def _record(
-        self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
+        self, placed: Sequence[PlacedPage], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
         """Record the GPU stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         a, b = (allocate_columns(self._storage, f"Gaussians {side}", n) for side in "ab")
         colors = self._storage("colors", VEC4 * n)
-        lows = self._storage("lows", (8 if self._kernels.lists else 4) * n)
+        low_keys = self._storage("lows", (8 if self._kernels.lists else 4) * n)
         normals = self._storage("normals", VEC4 * n) if "normal" in outputs else None
         digits = self._first_digits()
-        stages = self._project(placed, a.keys, colors, lows, normals, digits[:1])
+        stages = self._project(placed, a.keys, colors, low_keys, normals, digits[:1])
         # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
-        stages["sort"], order = self._sort_by_depth((a, b), lows, digits)
+        stages["sort"], order = self._sort_by_depth((a, b), low_keys, digits)
         # Stage 3, by the hardware: quads need no tiles, so colours are complete here.
         if quads and "color" in outputs:
             self._quads = self._draw_quads(order, colors)
@@ -202,14 +206,14 @@ class Plan:
         if not outputs:
             return stages
         # Stages 3 and 4, by tiles: list the splats of each tile, in order of depth.
-        tile_stages, members, cleared = list_splats(
+        tile_stages, members, cleared_buffers = list_splats(
             self._kernels,
             TileLists(
                 storage=self._storage,
                 frame=self._frame,
                 counts=self._counts,
                 order=order,
-                tiles_of=lows if self._kernels.lists else colors,
+                tiles_of=low_keys if self._kernels.lists else colors,
                 splats=self._splats,
                 ranges=self._ranges,
                 scratch=a.keys,
@@ -221,7 +225,7 @@ class Plan:
             records=self._records,
         )
         stages |= tile_stages
-        self.clears += [(buffer, 0, None) for buffer in cleared]
+        self.clears += [(buffer, 0, None) for buffer in cleared_buffers]
         # Stage 5: blend each tile, once per output.
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors)]
@@ -248,7 +252,9 @@ class Plan:
 
     def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
         kernel = self._kernels.quads(
-            tested=self._meshes is not None, panorama=self.image.panorama, records=self._records
+            has_depth_test=self._meshes is not None,
+            panorama=self.image.panorama,
+            records=self._records,
         )
         size = self.image.size
         self.images["color"] = self._storage("color image", kernel.row_bytes(size[0]) * size[1])
@@ -258,10 +264,10 @@ class Plan:
 
     def _project(
         self,
-        placed: Sequence[Placed],
+        placed: Sequence[PlacedPage],
         keys: Buffer,
         colors: Buffer,
-        lows: Buffer,
+        low_keys: Buffer,
         normals: Buffer | None,
         digits: tuple[Buffer, ...],
     ) -> dict[str, list[Step]]:
@@ -269,7 +275,7 @@ class Plan:
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
-        outputs = (self._frame, keys, *self._projected, colors, lows)
+        outputs = (self._frame, keys, *self._projected, colors, low_keys)
         if self.slabs is not None:
             steps = self.slabs.project_steps(
                 outputs,
@@ -284,20 +290,22 @@ class Plan:
                 "tally": self.slabs.tally_steps(self._slots),
                 "project": steps,
             }
-        recorded = list[Step]()
+        recorded_stages = list[Step]()
         for slot, (_, page) in enumerate(placed):
             if page.slots is not None:
-                cull = self._kernels.cull_slots(page, panorama=self.image.panorama)
-                recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
+                cull_kernel = self._kernels.cull_slots(page, panorama=self.image.panorama)
+                recorded_stages.append(
+                    cull_kernel.step(self._frame, keys, low_keys, self._slots, slot, page)
+                )
             kernel = self._kernels.project(
                 page, panorama=self.image.panorama, records=self._records
             )
-            recorded.append(kernel.step((*outputs, *digits), self._slots, slot, page))
+            recorded_stages.append(kernel.step((*outputs, *digits), self._slots, slot, page))
         if normals is not None:
             for slot, (_, page) in enumerate(placed):
-                find = self._kernels.normals(page)
-                recorded.append(find.step(keys, normals, self._slots, slot, page))
-        return {"project": recorded}
+                normals_kernel = self._kernels.normals(page)
+                recorded_stages.append(normals_kernel.step(keys, normals, self._slots, slot, page))
+        return {"project": recorded_stages}
 
     def _first_digits(self) -> tuple[Buffer, ...]:
         """Return the histograms of the depth sort, if projection counts the keys' first digits."""
@@ -308,7 +316,7 @@ class Plan:
         return digits
 
     def _sort_by_depth(
-        self, columns: tuple[Columns, Columns], lows: Buffer, digits: tuple[Buffer, ...]
+        self, columns: tuple[Columns, Columns], low_keys: Buffer, digits: tuple[Buffer, ...]
     ) -> tuple[list[Step], Buffer]:
         """Return the dispatches of the depth sort, and the buffer of Gaussians, nearest first."""
         n, origins = self._gaussians, None
@@ -317,9 +325,11 @@ class Plan:
         elif self._origins is not None:
             origins = self._storage("origins", 4 * n)
             self._device.write(origins, self._origins)
-        spare = self._storage("keys of Gaussians c", 4 * n) if self._method.sort == "deep" else None
+        spare_keys = (
+            self._storage("keys of Gaussians c", 4 * n) if self._method.sort == "deep" else None
+        )
         return self._kernels.order.steps(
-            n, self._counts, columns, lows, origins, spare, counted=digits
+            n, self._counts, columns, low_keys, origins, spare_keys, has_histogram=digits
         )
 
     def _blend(self, name: Output, members: Buffer, colors: Buffer) -> Step:
@@ -332,48 +342,48 @@ class Plan:
             panorama=self.image.panorama,
             layers=layers.count if layers else 0,
             records=self._records,
-            steep=self.image.dilation == "small",
-            carried=self.slabs is not None,
+            has_small_dilation=self.image.dilation == "small",
+            carried_layers=self.slabs is not None,
         )
-        among = None
+        input_layers = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors
-            among = (layer_colors, layers.depths)
-        return kernel.step(self._tiles, (*resources, self.images[name]), among)
+            input_layers = (layer_colors, layers.depths)
+        return kernel.step(self._tiles, (*resources, self.images[name]), input_layers)
 
     def draw(
         self,
-        placed: Sequence[Placed],
+        placed: Sequence[PlacedPage],
         band: Band,
         background: Float[np.ndarray, "3"],
         *,
         meshes: Sequence[PlacedMesh] = (),
         fetch: bool = True,
         only: Sequence[str] | None = None,
-    ) -> Drawing:
+    ) -> CountsAndImages:
         """Draw a frame, if needed in depth slabs, and wait for its GPU counters and images.
 
         Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
         """
 
-        def run(only: Sequence[str] | None, state: SlabState) -> Drawing:
+        def run(only: Sequence[str] | None, state: SlabState) -> CountsAndImages:
             is_last = not (state.continues or (state.weighted and self._layers is not None))
-            fetched = fetch and is_last
+            is_fetched = fetch and is_last
             self.submit(
                 placed,
                 band.camera,
                 background,
                 meshes=meshes,
                 only=only,
-                fetch=fetched,
+                fetch=is_fetched,
                 band=band,
                 state=state,
             )
-            return self.collect(fetch=fetched, state=state)
+            return self.collect(fetch=is_fetched, state=state)
 
         return draw_parts(list(only or self.stages), run, self.weighted_slabs, self.slabs)
 
-    def visible(self, placed: Sequence[Placed], camera: Camera) -> int | None:
+    def visible(self, placed: Sequence[PlacedPage], camera: Camera) -> int | None:
         """Return the number of splats in view; None if sets are blended by weighted sums."""
         if self._weighted is not None or not placed:
             return None
@@ -383,7 +393,7 @@ class Plan:
 
     def submit(
         self,
-        placed: Sequence[Placed],
+        placed: Sequence[PlacedPage],
         camera: Camera,
         background: Float[np.ndarray, "3"],
         *,
@@ -436,12 +446,16 @@ class Plan:
             encoder.clear_buffer(*clear)
         # Step 3: encode meshes, whose depths hide splats, then the compute stages, then quads.
         if self._meshes is not None and (only is None or "meshes" in only):
-            self._meshes.encode(encoder, background, clock.around("meshes") if clock else None)
+            self._meshes.encode(
+                encoder, background, clock.timestamp_writes("meshes") if clock else None
+            )
         for name, steps in self.stages.items():
             if only is None or name in only:
-                run(encoder, steps, name, clock.around(name) if clock else None)
+                run(encoder, steps, name, clock.timestamp_writes(name) if clock else None)
         if self._quads is not None:
-            self._quads.encode(encoder, background, clock.around("quads") if clock else None)
+            self._quads.encode(
+                encoder, background, clock.timestamp_writes("quads") if clock else None
+            )
         if clock is not None:
             clock.encode(encoder)
         # Step 4: copy what the host reads, and submit all at once.
@@ -458,7 +472,7 @@ class Plan:
             self._device, self._kernels, self._held, self.images, self.image.size, self._origins
         )
 
-    def collect(self, *, fetch: bool = True, state: SlabState | None = None) -> Drawing:
+    def collect(self, *, fetch: bool = True, state: SlabState | None = None) -> CountsAndImages:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Errors are those of :class:`FrameReadback`. Counters of weighted sums that are not drawn in
@@ -468,7 +482,7 @@ class Plan:
             fetch: Whether images are read, as in :meth:`submit`.
             state: The slab of depth that was drawn, or None.
         """
-        counted: Counted = "all"
+        counted: CountedItems = "all"
         if state is not None and state.weighted:
             counted = "cells"
         elif state is not None and (state.resumes or self.weighted_slabs is not None):

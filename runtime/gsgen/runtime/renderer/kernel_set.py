@@ -1,11 +1,11 @@
 """The rendering kernels of a device, each compiled when a frame first needs it."""
 
-__all__ = ["RECORD", "Kernels"]
+__all__ = ["RECORD_BYTES", "Kernels"]
 
 from collections.abc import Callable
 from typing import Any, Final, Literal, TypeVar, final
 
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
@@ -19,7 +19,7 @@ from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import KEY_BITS, RadixSort, SortConfig, cut_for
+from gsgen.runtime.kernels.sort.sort import KEY_BITS, RadixSort, SortConfig, sort_config_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
 from gsgen.runtime.kernels.tiles.blend_wsr import BlendWsr
@@ -29,7 +29,7 @@ from gsgen.runtime.renderer.depth_sort import DepthOrder
 from gsgen.runtime.renderer.placed_pages import slot_rows
 from gsgen.runtime.scene.frame import OUTPUTS, Output
 
-RECORD: Final = 2 * VEC4
+RECORD_BYTES: Final = 2 * VEC4
 """Bytes of a splat that is one record; its colour is elsewhere."""
 
 SlabPart = Literal["keys", "splats"]
@@ -44,13 +44,13 @@ class Kernels:
 
     Args:
         device: Device of the kernels.
-        one_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
+        is_single_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
             that larger images need more passes of the tile sort.
-        cut: How work is divided among invocations; :func:`cut_for` by default.
+        sort_config: How work is divided among invocations; :func:`cut_for` by default.
 
     Attributes:
         device: Device of the kernels.
-        cut: How work is divided among invocations.
+        sort_config: How work is divided among invocations.
         lists: Whether splats are listed by tile without a sort of pairs.
         scan: The prefix sums.
         sort: The radix sort.
@@ -59,19 +59,27 @@ class Kernels:
     """
 
     def __init__(
-        self, device: Device, *, one_shape: bool = False, cut: SortConfig | None = None
+        self,
+        device: Device,
+        *,
+        is_single_shape: bool = False,
+        sort_config: SortConfig | None = None,
     ) -> None:
-        self.device, self._is_single_shape = device, one_shape
-        self.cut = cut or cut_for(device)
+        self.device, self._is_single_shape = device, is_single_shape
+        self.sort_config = sort_config or sort_config_for(device)
         self._compiled: dict[tuple[object, ...], Any] = {}
-        walk_block = WALK_THREADS * self.cut.walk
+        walk_block = WALK_THREADS * self.sort_config.walk_rows
         self.scan = Scan(
-            device, self.cut.block, walk_block, RANGE_BLOCK, always_in_blocks=one_shape
+            device,
+            self.sort_config.block,
+            walk_block,
+            RANGE_BLOCK,
+            always_in_blocks=is_single_shape,
         )
-        self.sort = RadixSort(device, self.cut, self.scan)
-        self.order = DepthOrder(device, self.cut, self.sort)
+        self.sort = RadixSort(device, self.sort_config, self.scan)
+        self.order = DepthOrder(device, self.sort_config, self.sort)
         self.ranges = TileRanges(device)
-        self.lists = device.software and self.cut.tile == TILE and not one_shape
+        self.lists = device.software and self.sort_config.tile == TILE and not is_single_shape
 
     def _cached_kernel(
         self, kind: Callable[..., _Kernel], *arguments: object, **words: object
@@ -95,12 +103,12 @@ class Kernels:
         """Return the kernel that projects the rows of a page to splats that are sorted."""
         return self._cached_kernel(
             ProjectKernel,
-            page.stride,
-            half=page.half,
+            page.appearance_stride,
+            is_half=page.is_half,
             panorama=panorama,
             packed=page.packed,
             slot_rows=slot_rows(page),
-            tile=self.cut.tile,
+            tile=self.sort_config.tile,
             records=records,
             slab=slab,
             windows=self.lists,
@@ -112,7 +120,12 @@ class Kernels:
     ) -> ProjectKernel:
         """Return the kernel that projects the rows of a page for weighted sums."""
         return self._cached_kernel(
-            ProjectKernel, page.stride, half=page.half, panorama=panorama, weighted=True, slab=slab
+            ProjectKernel,
+            page.appearance_stride,
+            is_half=page.is_half,
+            panorama=panorama,
+            weighted=True,
+            slab=slab,
         )
 
     def project_cells(self, *, panorama: bool) -> ProjectCells:
@@ -141,16 +154,16 @@ class Kernels:
         """Return the kernels that list the tiles of splats."""
         return self._cached_kernel(
             BinTiles,
-            self.cut.walk,
+            self.sort_config.walk_rows,
             panorama=panorama,
             digits=digits,
-            tile=self.cut.tile,
+            tile=self.sort_config.tile,
             records=records,
         )
 
     def bin_cells(self, *, panorama: bool) -> BinTiles:
         """Return the kernels that list the tiles of cells."""
-        return self._cached_kernel(BinTiles, self.cut.walk, panorama=panorama)
+        return self._cached_kernel(BinTiles, self.sort_config.walk_rows, panorama=panorama)
 
     def list_tiles(self, *, panorama: bool) -> ListTiles:
         """Return the kernels that list splats by tile without a sort of pairs."""
@@ -163,19 +176,19 @@ class Kernels:
         panorama: bool,
         layers: int,
         records: bool,
-        steep: bool,
-        carried: bool,
+        has_small_dilation: bool,
+        carried_layers: bool,
     ) -> BlendTiles:
-        """Return the kernel that blends an output; ``carried`` says that slabs go on from it."""
+        """Return the kernel that blends an output; ``carried_layers`` says that slabs go on from it."""
         return self._cached_kernel(
             BlendTiles,
             pick=output == "depth",
             panorama=panorama,
             layers=layers,
-            tile=self.cut.tile,
+            tile=self.sort_config.tile,
             records=records,
-            carried=1 + OUTPUTS.index(output) if carried else 0,
-            steep=steep,
+            carried_layers=1 + OUTPUTS.index(output) if carried_layers else 0,
+            has_small_dilation=has_small_dilation,
             windows=output == "color" and self.lists,
         )
 
@@ -198,9 +211,11 @@ class Kernels:
             first_plane=first_plane,
         )
 
-    def quads(self, *, tested: bool, panorama: bool, records: bool) -> DrawQuads:
-        """Return what draws quads; ``tested`` against the depths of meshes."""
-        return self._cached_kernel(DrawQuads, tested=tested, panorama=panorama, records=records)
+    def quads(self, *, has_depth_test: bool, panorama: bool, records: bool) -> DrawQuads:
+        """Return what draws quads; ``has_depth_test`` against the depths of meshes."""
+        return self._cached_kernel(
+            DrawQuads, has_depth_test=has_depth_test, panorama=panorama, records=records
+        )
 
     def meshes(self, *, panorama: bool) -> DrawMeshes:
         """Return what draws meshes."""
@@ -209,20 +224,20 @@ class Kernels:
     @property
     def counts_keys(self) -> bool:
         """Whether projection counts the first digits of depth keys; it never counts those of slabs."""
-        return self.cut.staged
+        return self.sort_config.is_staged
 
     @property
-    def most_binned(self) -> int:
+    def max_binned_splats(self) -> int:
         """The most splats that one GPU dispatch can assign to tiles."""
-        return MOST_GROUPS * WALK_THREADS * self.cut.walk
+        return MAX_WORKGROUPS * WALK_THREADS * self.sort_config.walk_rows
 
     def records(self, gaussians: int) -> bool:
         """Return whether all projected splats are stored as structs in one GPU buffer."""
-        is_possible = self.cut.tile != TILE and not self._is_single_shape
-        return is_possible and RECORD * gaussians <= self.device.largest_binding
+        is_possible = self.sort_config.tile != TILE and not self._is_single_shape
+        return is_possible and RECORD_BYTES * gaussians <= self.device.largest_binding
 
     def tile_bits(self, last: int) -> int:
         """Return the number of sort-key bits for tile indices up to ``last``."""
         bits = max(1, last.bit_length())
-        digit = self.cut.digit_bits
+        digit = self.sort_config.digit_bits
         return -(-bits // digit) * digit if self._is_single_shape else bits

@@ -10,7 +10,7 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.runtime.gpu.readback import Staging
-from gsgen.runtime.renderer.bands import Drawing
+from gsgen.runtime.renderer.bands import CountsAndImages
 from gsgen.runtime.renderer.frame_images import FrameReadback
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.scene.camera import Camera
@@ -54,12 +54,12 @@ class LateCounts:
         Those of a frame are several if it has cells: see
         :func:`gsgen.runtime.renderer.frame_counts.frame_counts`.
         """
-        began, counts = time.perf_counter(), []
+        start_time, counts = time.perf_counter(), []
         while len(self._in_flight) > in_flight:
             staging, free = self._in_flight.popleft()
             counts.append(list(staging.read_words().values()))
             free.append(staging)
-        self.waited = time.perf_counter() - began
+        self.waited = time.perf_counter() - start_time
         return counts
 
 
@@ -81,7 +81,7 @@ class Readbacks:
         """Free the readbacks that no frame uses."""
         self._free, self._layout = [], None
 
-    def give_back(self, readback: FrameReadback) -> None:
+    def return_readback(self, readback: FrameReadback) -> None:
         """Keep a readback for a later frame, unless there is another plan now."""
         if readback.images is self._layout:
             self._free.append(readback)
@@ -102,4 +102,4 @@ class FrameInFlight:
     scene: Scene
     camera: Camera
     opacity_behind: float
-    images: FrameReadback | Drawing
+    images: FrameReadback | CountsAndImages

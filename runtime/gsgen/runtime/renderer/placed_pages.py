@@ -1,9 +1,9 @@
 """The GPU pages (buffers) of a scene with their splat sets, in drawing order."""
 
 __all__ = [
-    "Placed",
-    "bare_set",
+    "PlacedPage",
     "scene_order",
+    "settings_set",
     "slot_rows",
     "sorted_pages",
     "weighted_pages",
@@ -26,11 +26,11 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
 
-Placed = tuple[SplatSet, Page]
+PlacedPage = tuple[SplatSet, Page]
 """A splat set with one of its pages (GPU buffers)."""
 
 
-def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
+def scene_order(placed: Sequence[PlacedPage]) -> UInt32[np.ndarray, " n"] | None:
     """Return each Gaussian's index in the scene, in GPU buffer order; None if both orders agree."""
     if all(page.rows_of is None for _, page in placed):
         return None
@@ -47,17 +47,19 @@ def slot_rows(page: Page) -> int:
     return 0 if page.slots is None else page.slots.slot_rows
 
 
-def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
+def weighted_pages(placed: Sequence[PlacedPage]) -> list[PlacedPage]:
     """Return the pages (GPU buffers) of splat sets that are blended by weighted sums."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is not None]
 
 
-def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
+def sorted_pages(placed: Sequence[PlacedPage]) -> list[PlacedPage]:
     """Return the pages (GPU buffers) of splat sets that are sorted by depth."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
 
 
-def write_pages(device: Device, placed: Sequence[Placed], camera: Camera, uniform: Buffer) -> None:
+def write_pages(
+    device: Device, placed: Sequence[PlacedPage], camera: Camera, uniform: Buffer
+) -> None:
     """Write a frame's uniforms of the pages (GPU buffers) of sorted sets, and their slot tables.
 
     Args:
@@ -78,7 +80,7 @@ def write_pages(device: Device, placed: Sequence[Placed], camera: Camera, unifor
     device.write(uniform, page_uniforms(pages, camera))
 
 
-def bare_set(pooled: PooledSet) -> SplatSet:
+def settings_set(pooled: PooledSet) -> SplatSet:
     """Return an empty splat set that has the drawing settings of a splat pool (streamed tiles)."""
     pool = pooled.pool
     rows = np.zeros((0, layout.ROW), np.float32)

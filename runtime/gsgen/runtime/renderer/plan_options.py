@@ -13,7 +13,7 @@ __all__ = [
 from dataclasses import dataclass
 from typing import Literal, final
 
-from gsgen.runtime.renderer.slabs import AT_ONCE, SlabSizes
+from gsgen.runtime.renderer.slabs import UNSLABBED, SlabSizes
 from gsgen.runtime.scene.frame import COLOR_ONLY, Output
 
 Projection = Literal["plane", "panorama"]
@@ -81,4 +81,4 @@ class Method:
     rasteriser: Rasteriser = "tiles"
     sort: DepthSort = "by key"
     backgrounds: Backgrounds = "composed"
-    slabs: SlabSizes = AT_ONCE
+    slabs: SlabSizes = UNSLABBED

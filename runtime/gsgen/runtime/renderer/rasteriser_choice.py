@@ -7,7 +7,7 @@ does not touch. That varies more than tenfold between GPUs of equal arithmetic (
 data centres have few such units), and no limit or feature of the device reports it.
 """
 
-__all__ = ["RasteriserOption", "Timings", "choose", "chosen_cut", "explain", "probe"]
+__all__ = ["RasteriserOption", "Timings", "choose", "chosen_sort_config", "explain", "probe"]
 
 import json
 import os
@@ -25,10 +25,10 @@ from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE, TILE
-from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for
+from gsgen.runtime.kernels.sort.sort import SortConfig, sort_config_for
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.placed_pages import Placed
+from gsgen.runtime.renderer.placed_pages import PlacedPage
 from gsgen.runtime.renderer.plan_options import ImageSpec, Method, Rasteriser
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
@@ -37,8 +37,8 @@ from gsgen.runtime.scene.splat_data import SplatData
 RasteriserOption = Literal["auto", "tiles", "quads"]
 
 _GAUSSIANS: Final = 1 << 17
-_SIZE: Final = (1280, 720)
-_PAIRS: Final = 1 << 16  # first capacity
+_IMAGE_SIZE: Final = (1280, 720)
+_FIRST_PAIR_CAPACITY: Final = 1 << 16  # first capacity
 _WARM_UP_FRAMES: Final = 2  # frames before the measurement: drivers compile, clocks rise
 _FRAMES: Final = 7
 _QUAD_TIME_FACTOR: Final = (
@@ -108,35 +108,39 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
     return _measured[key].best
 
 
-def chosen_cut(device: Device) -> SortConfig:
+def chosen_sort_config(device: Device) -> SortConfig:
     """Return a device's sort settings, with the tile size that :func:`choose` measured, if any."""
-    cut, timings = cut_for(device), _measured.get(_key(device))
+    sort_config, timings = sort_config_for(device), _measured.get(_key(device))
     if device.software or timings is None:
-        return cut
-    return replace(cut, tile=timings.tile)
+        return sort_config
+    return replace(sort_config, tile=timings.tile)
 
 
 def explain(device: Device) -> str:
     """Return a line on a device's kernels and rasteriser; may first measure the rasterisers."""
     if not device.software and device.blends_floats:
         choose(device, Kernels(device))
-    cut = chosen_cut(device)
+    sort_config = chosen_sort_config(device)
     kind = "CPUs, which is where the driver runs" if device.software else "GPUs"
-    text = f"kernels for {kind}; tiles of {cut.tile} pixels, {cut.digit_bits} bits a sort pass; "
+    text = f"kernels for {kind}; tiles of {sort_config.tile} pixels, {sort_config.digit_bits} bits a sort pass; "
     if device.software:
         return f"{text}rasteriser tiles: software drivers always use them"
     if not device.blends_floats:
         return f"{text}rasteriser tiles: the device cannot blend 32-bit floats"
     timings = _measured[_key(device)]
-    large, small, quads = (
+    large, small_kernels, quads = (
         f"{1e3 * seconds:.2f} ms" for seconds in (timings.tiles, timings.small_tiles, timings.quads)
     )
-    measured = f"tiles of {LARGE_TILE} {large}, of {TILE} {small}, quads {quads}"
+    measured = f"tiles of {LARGE_TILE} {large}, of {TILE} {small_kernels}, quads {quads}"
     return f"{text}rasteriser {timings.best}: {measured}"
 
 
 def probe(
-    device: Device, kernels: Kernels, *, gaussians: int = _GAUSSIANS, size: tuple[int, int] = _SIZE
+    device: Device,
+    kernels: Kernels,
+    *,
+    gaussians: int = _GAUSSIANS,
+    size: tuple[int, int] = _IMAGE_SIZE,
 ) -> Timings:
     """Draw a test frame with each rasteriser several times, and return the median seconds.
 
@@ -158,34 +162,36 @@ def probe(
         width=size[0],
         height=size[1],
     )
-    data = _crowd(gaussians, size[1] / size[0])
+    data = _random_splats(gaussians, size[1] / size[0])
     residency = Residency(device)
     residency.begin(data)
     placed = [(SplatSet(data), page) for page in residency.pages(data)]
-    small = Kernels(device, cut=replace(kernels.cut, tile=TILE))
-    ways = {
+    small_kernels = Kernels(device, sort_config=replace(kernels.sort_config, tile=TILE))
+    options = {
         "tiles": (kernels, _TILE_STAGES),
         "quads": (kernels, ("quads",)),
-        "small": (small, _TILE_STAGES),
+        "small": (small_kernels, _TILE_STAGES),
     }
     seconds = {
-        way: _seconds(device, plan, placed, camera, stages)
-        for way, (way_kernels, stages) in ways.items()
+        option: _seconds(device, plan, placed, camera, stages)
+        for option, (option_kernels, stages) in options.items()
         for plan in [
-            _plan_with_capacity(way_kernels, placed, camera, "quads" if way == "quads" else "tiles")
+            _plan_with_capacity(
+                option_kernels, placed, camera, "quads" if option == "quads" else "tiles"
+            )
         ]
     }
     # GPU timestamps of one and wall clock of the other would not compare.
-    by = 0 if min(on_device for on_device, _ in seconds.values()) > 0 else 1
-    return Timings(*(seconds[way][by] for way in ("tiles", "quads", "small")))
+    clock_index = 0 if min(gpu_seconds for gpu_seconds, _ in seconds.values()) > 0 else 1
+    return Timings(*(seconds[option][clock_index] for option in ("tiles", "quads", "small")))
 
 
-def _crowd(n: int, tall: float) -> SplatData:
+def _random_splats(n: int, aspect: float) -> SplatData:
     """Return random Gaussians of a few pixels that cover the image several times over."""
     rng = np.random.default_rng(0)
     rows = np.zeros((n, 10), np.float32)
     z = rng.uniform(2, 8, n)
-    across = rng.uniform(-0.5, 0.5, (n, 2)) * (1, tall)
+    across = rng.uniform(-0.5, 0.5, (n, 2)) * (1, aspect)
     rows[:, :2], rows[:, 2] = across * z[:, None], z
     rows[:, 3] = rng.beta(1.2, 0.8, n)
     for column in (4, 7, 9):
@@ -194,22 +200,22 @@ def _crowd(n: int, tall: float) -> SplatData:
 
 
 def _plan_with_capacity(
-    kernels: Kernels, placed: list[Placed], camera: Camera, rasteriser: Rasteriser
+    kernels: Kernels, placed: list[PlacedPage], camera: Camera, rasteriser: Rasteriser
 ) -> Plan:
     """Record a frame's GPU commands with buffers large enough for all splat-tile pairs."""
-    room, image = _PAIRS, ImageSpec(size=(camera.width, camera.height))
+    pair_capacity, image = _FIRST_PAIR_CAPACITY, ImageSpec(size=(camera.width, camera.height))
     while True:
-        method = Method(pair_capacity=room, rasteriser=rasteriser)
+        method = Method(pair_capacity=pair_capacity, rasteriser=rasteriser)
         plan = Plan(kernels, placed, image, method)
         plan.submit(placed, camera, _NOTHING, fetch=False)
         counts, _ = plan.collect(fetch=False)
-        if rasteriser == "quads" or counts[Counts.WANTED_PAIRS] <= room:
+        if rasteriser == "quads" or counts[Counts.WANTED_PAIRS] <= pair_capacity:
             return plan
-        room = int(counts[Counts.WANTED_PAIRS])
+        pair_capacity = int(counts[Counts.WANTED_PAIRS])
 
 
 def _seconds(
-    device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
+    device: Device, plan: Plan, placed: list[PlacedPage], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
     """Return the median GPU seconds of given stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
@@ -218,11 +224,11 @@ def _seconds(
         started = time.perf_counter()
         plan.submit(placed, camera, _NOTHING, clock=clock, fetch=False)
         plan.collect(fetch=False)
-        wall = time.perf_counter() - started
-        on_device = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
+        wall_seconds = time.perf_counter() - started
+        gpu_seconds = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
         if number >= _WARM_UP_FRAMES:
-            walls.append(wall)
-            ticks.append(sum(on_device[name] for name in stages))
+            walls.append(wall_seconds)
+            ticks.append(sum(gpu_seconds[name] for name in stages))
     return float(np.median(ticks)), float(np.median(walls))
 
 

@@ -1,6 +1,6 @@
 """The renderer: draws a scene from a camera and returns a frame."""
 
-__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Renderer"]
+__all__ = ["FIRST_PAIR_CAPACITY", "PAIR_CAPACITY_FACTOR", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,19 +9,19 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.runtime.errors import DeviceUnavailable, MemoryFull
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
-from gsgen.runtime.kernels.tiles.blend_tiles import LEAST_DILATION
+from gsgen.runtime.kernels.tiles.blend_tiles import MIN_DILATION
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.bands import (
     Band,
     BandImages,
-    Drawing,
-    Drawn,
+    CountsAndImages,
+    DrawnImage,
     PairsExceeded,
     band_rows,
     draw_bands,
@@ -32,17 +32,17 @@ from gsgen.runtime.renderer.frame_images import FrameReadback, frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import FrameInFlight, LateCounts, Readbacks
-from gsgen.runtime.renderer.placed_pages import Placed, bare_set
+from gsgen.runtime.renderer.placed_pages import PlacedPage, settings_set
 from gsgen.runtime.renderer.plan_options import ImageSpec, Method, Rasteriser
-from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption, choose, chosen_cut
-from gsgen.runtime.renderer.slabs import SlabSizes, kept_layers, most_splats, rows_at_once
+from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption, choose, chosen_sort_config
+from gsgen.runtime.renderer.slabs import SlabSizes, extra_layer_count, max_sorted_rows, most_splats
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 
-FIRST_PAIRS: Final = 1 << 16
+FIRST_PAIR_CAPACITY: Final = 1 << 16
 """Pairs of a splat and a tile for which a new renderer has room."""
-PAIRS_ROOM: Final = 1.25
+PAIR_CAPACITY_FACTOR: Final = 1.25
 """Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
 _GROW_THRESHOLD: Final = 0.9  # of the room for pairs; more are made room for before they are needed
 _UNLIMITED: Final = 1 << 32  # splats: more than any device draws at once
@@ -94,7 +94,7 @@ class Renderer:
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
-        self._pairs = min(FIRST_PAIRS, self._most_pairs)
+        self._pairs = min(FIRST_PAIR_CAPACITY, self._most_pairs)
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
@@ -106,15 +106,15 @@ class Renderer:
                 self.rasteriser = rasteriser
             else:
                 self.rasteriser = choose(self.device, self._kernels)
-                if (cut := chosen_cut(self.device)) != self._kernels.cut:
-                    self._kernels = Kernels(self.device, cut=cut)
-        self._deep, self._slab_limit = False, _UNLIMITED
+                if (sort_config := chosen_sort_config(self.device)) != self._kernels.sort_config:
+                    self._kernels = Kernels(self.device, sort_config=sort_config)
+        self._is_deep, self._slab_limit = False, _UNLIMITED
         self._rows: object = None
         self._key: object = None
         self._plan: Plan | None = None
         self._shape: object = None
         self._steady_counts: tuple[object, np.ndarray] | None = None
-        self.late, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
+        self.late_counts, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
         self._bands = BandImages(self.device)
 
     def render(
@@ -155,20 +155,22 @@ class Renderer:
         The first frame of other sets or of another size is waited for, and so are frames in slabs
         or bands. Arguments and errors are those of :meth:`render`.
         """
-        requested, behind = checked(scene, outputs, background, published=self._published)
+        requested, premultiplied_background = checked(
+            scene, outputs, background, published=self._published
+        )
         with self._device_errors(scene, camera):
             if self._band_rows(scene, camera, len(requested)) >= camera.height:
                 placed, meshes = self._uploaded(scene)
                 plan = self.plan(placed, camera, requested, meshes)
                 if self._is_steady(plan):
-                    images, color = self._readbacks.take(plan), behind[:3]
+                    images, color = self._readbacks.take(plan), premultiplied_background[:3]
                     plan.submit(placed, camera, color, meshes=meshes, staging=images.staging)
                     images.staging.begin()
-                    return FrameInFlight(scene, camera, float(behind[3]), images)
+                    return FrameInFlight(scene, camera, float(premultiplied_background[3]), images)
                 del plan  # its memory goes before that of a larger one comes
         drawn = self._drawn(scene, camera, background, outputs)
         self._steady_counts = (self._shape, drawn[0])
-        return FrameInFlight(scene, camera, float(behind[3]), drawn)
+        return FrameInFlight(scene, camera, float(premultiplied_background[3]), drawn)
 
     def collect(self, frame: FrameInFlight) -> Frame | None:
         """Return the images of a frame of :meth:`submit`, once; wait for this frame alone.
@@ -180,7 +182,7 @@ class Renderer:
         if isinstance(drawn, FrameReadback):
             with self._device_errors(frame.scene, frame.camera):
                 readback, drawn = drawn, drawn.collect()
-                self._readbacks.give_back(readback)
+                self._readbacks.return_readback(readback)
                 if self._is_incomplete(drawn[0]):
                     return None
         return frame_of(frame.scene, frame.camera, *drawn, frame.opacity_behind)
@@ -193,7 +195,7 @@ class Renderer:
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         output: Output = "color",
         wait: bool = True,
-    ) -> Drawn:
+    ) -> DrawnImage:
         """Draw one output of a scene, and leave the image in GPU memory to be shown from there.
 
         Further arguments, and errors, are those of :meth:`render`.
@@ -211,10 +213,14 @@ class Renderer:
             self._steady_counts = None
             plan, counts = self._draw_in_one_buffer(scene, Band.of(camera), background, output)
         else:
-            requested, behind = checked(scene, (output,), background, published=self._published)
+            requested, premultiplied_background = checked(
+                scene, (output,), background, published=self._published
+            )
             with self._device_errors(scene, camera):
-                plan, counts = self._draw_with_late_counts(scene, camera, behind, requested)
-        return Drawn.of(plan.images[output], Band.of(camera), counts)
+                plan, counts = self._draw_with_late_counts(
+                    scene, camera, premultiplied_background, requested
+                )
+        return DrawnImage.of(plan.images[output], Band.of(camera), counts)
 
     def draw_bands(
         self,
@@ -224,7 +230,7 @@ class Renderer:
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         output: Output = "color",
         wait: bool = True,
-    ) -> list[Drawn]:
+    ) -> list[DrawnImage]:
         """Draw one output of a scene into one GPU buffer, or into several if it is too large.
 
         Arguments and errors are those of :meth:`draw`. Frames of several buffers are waited for,
@@ -234,11 +240,13 @@ class Renderer:
         if rows >= camera.height:
             self._bands.clear()
             return [self.draw(scene, camera, background=background, output=output, wait=wait)]
-        drawn = list[Drawn]()
+        drawn = list[DrawnImage]()
 
-        def draw(band: Band) -> Drawing:
+        def draw(band: Band) -> CountsAndImages:
             plan, counts = self._draw_in_one_buffer(scene, band, background, output)
-            drawn.append(Drawn.of(self._bands.copy(len(drawn), plan.images[output]), band, counts))
+            drawn.append(
+                DrawnImage.of(self._bands.copy(len(drawn), plan.images[output]), band, counts)
+            )
             return counts, {}
 
         self._steady_counts = None
@@ -248,14 +256,18 @@ class Renderer:
 
     def _drawn(
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
-    ) -> Drawing:
+    ) -> CountsAndImages:
         """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
-        requested, behind = checked(scene, outputs, background, published=self._published)
+        requested, premultiplied_background = checked(
+            scene, outputs, background, published=self._published
+        )
         with self._device_errors(scene, camera):
             placed, meshes = self._uploaded(scene)
 
-            def draw(band: Band) -> Drawing:
-                _, counts, images = self._fitted(scene, band, behind, requested, placed, meshes)
+            def draw(band: Band) -> CountsAndImages:
+                _, counts, images = self._fitted(
+                    scene, band, premultiplied_background, requested, placed, meshes
+                )
                 return counts, images
 
             rows = self._band_rows(scene, camera, len(requested))
@@ -266,17 +278,21 @@ class Renderer:
     def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
         """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
         layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
-        slab_layers = kept_layers(scene, self.device, self._max_slab_splats)
+        slab_layers = extra_layer_count(scene, self.device, self._max_slab_splats)
         return band_rows(self.device, camera, images, layers + slab_layers)
 
     def _draw_in_one_buffer(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""
-        requested, behind = checked(scene, (output,), background, published=self._published)
+        requested, premultiplied_background = checked(
+            scene, (output,), background, published=self._published
+        )
         with self._device_errors(scene, band.whole):
             placed, meshes = self._uploaded(scene)
-            return self._fitted(scene, band, behind, requested, placed, meshes, fetch=False)[:2]
+            return self._fitted(
+                scene, band, premultiplied_background, requested, placed, meshes, fetch=False
+            )[:2]
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
@@ -289,10 +305,10 @@ class Renderer:
             self._plan = self._key = self._rows = self._shape = self._steady_counts = None
             error.with_traceback(None)
             self._readbacks.clear()
-            self._pairs = min(FIRST_PAIRS, self._most_pairs)
+            self._pairs = min(FIRST_PAIR_CAPACITY, self._most_pairs)
             raise too_large(scene, camera, error, compact=self._compact) from error
 
-    def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
+    def _uploaded(self, scene: Scene) -> tuple[list[PlacedPage], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
@@ -304,9 +320,9 @@ class Renderer:
         self,
         scene: Scene,
         band: Band,
-        behind: np.ndarray,
+        premultiplied_background: np.ndarray,
         requested: frozenset[Output],
-        placed: list[Placed],
+        placed: list[PlacedPage],
         meshes: list[PlacedMesh],
         *,
         fetch: bool = True,
@@ -315,7 +331,9 @@ class Renderer:
         while True:
             # Step 1: draw with the present sizes of buffers.
             plan = self.plan(placed, band.camera, requested, meshes)
-            counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
+            counts, images = plan.draw(
+                placed, band, premultiplied_background[:3], meshes=meshes, fetch=fetch
+            )
             # Step 2: the counts tell if pairs, or the order of equal depths, are missing.
             try:
                 if not self._must_redraw(counts):
@@ -333,43 +351,54 @@ class Renderer:
                 placed[:] = self._pages(scene)
 
     def _draw_with_late_counts(
-        self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
+        self,
+        scene: Scene,
+        camera: Camera,
+        premultiplied_background: np.ndarray,
+        requested: frozenset[Output],
     ) -> tuple[Plan, np.ndarray]:
         """Draw a frame with an earlier frame's buffer sizes; if unknown, wait for the GPU."""
-        for parts in self.late.read():
-            self._take(parts)
+        for parts in self.late_counts.read():
+            self._read_late_counts(parts)
         placed, meshes = self._uploaded(scene)
         plan = self.plan(placed, camera, requested, meshes)
         if self._steady_counts is None or not self._is_steady(plan):
             self._steady_counts = None  # keeps the rows of other sets
             band = Band.of(camera)
             plan, counts, _ = self._fitted(
-                scene, band, behind, requested, placed, meshes, fetch=False
+                scene, band, premultiplied_background, requested, placed, meshes, fetch=False
             )
             self._steady_counts = (self._shape, counts)
             return plan, counts
-        staging = self.late.staging(plan)
-        plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=False, staging=staging)
-        self.late.add(staging)
+        staging = self.late_counts.staging(plan)
+        plan.submit(
+            placed,
+            camera,
+            premultiplied_background[:3],
+            meshes=meshes,
+            fetch=False,
+            staging=staging,
+        )
+        self.late_counts.add(staging)
         return plan, self._steady_counts[1]
 
     def _is_steady(self, plan: Plan) -> bool:
         """Return whether an earlier frame of the same sets and size told the buffers' sizes."""
-        in_slabs = plan.slabs or plan.weighted_slabs
+        uses_slabs = plan.slabs or plan.weighted_slabs
         return (
-            not in_slabs
+            not uses_slabs
             and self._steady_counts is not None
             and self._steady_counts[0] == self._shape
         )
 
-    def _take(self, parts: list[np.ndarray]) -> bool:
+    def _read_late_counts(self, parts: list[np.ndarray]) -> bool:
         """Read an earlier frame's counters; return whether splats were missing or unsorted."""
         return self._is_incomplete(frame_counts(self.device, self._kernels, parts))
 
     def _is_incomplete(self, counts: np.ndarray) -> bool:
         """Return whether an earlier frame lacks splats or their order; enlarge small buffers."""
         try:
-            incomplete = self._must_redraw(counts)
+            is_incomplete = self._must_redraw(counts)
         except PairsExceeded:  # the next frame is waited for, and drawn in thinner slabs
             self._steady_counts = None
             return True
@@ -377,7 +406,7 @@ class Renderer:
             # If rows must return to their own order, the next frame is waited for.
             self._steady_counts = None if counts[Counts.TIED] else (self._steady_counts[0], counts)
         self._grow_early(counts)
-        return incomplete
+        return is_incomplete
 
     def _grow_early(self, counts: np.ndarray) -> None:
         """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
@@ -386,36 +415,36 @@ class Renderer:
 
     def settle(self) -> bool:
         """Wait for frames of ``draw(wait=False)``; return whether the last one needs a redraw."""
-        incomplete = False
+        is_incomplete = False
         with self.device.translate_errors():
-            for parts in self.late.read(in_flight=0):
-                incomplete = self._take(parts)
-        if incomplete:
+            for parts in self.late_counts.read(in_flight=0):
+                is_incomplete = self._read_late_counts(parts)
+        if is_incomplete:
             self._steady_counts = None
-        return incomplete
+        return is_incomplete
 
     def _must_redraw(self, counts: np.ndarray) -> bool:
         """Return whether a frame must be drawn again; enlarge the buffers that were too small."""
-        short = int(counts[Counts.WANTED_PAIRS]) > int(counts[Counts.PAIR_CAPACITY])
+        has_too_few_pairs = int(counts[Counts.WANTED_PAIRS]) > int(counts[Counts.PAIR_CAPACITY])
         if int(counts[Counts.WANTED_PAIRS]) > self._pairs:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
         if counts[Counts.UNSORTED]:
-            self._deep = True
-        return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
+            self._is_deep = True
+        return bool(has_too_few_pairs or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
-    def placed(self, scene: Scene) -> list[Placed]:
+    def placed(self, scene: Scene) -> list[PlacedPage]:
         """Return the GPU buffers (pages) of each splat set of a scene, after uploading changes."""
         for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
         return self._pages(scene)
 
-    def _pages(self, scene: Scene) -> list[Placed]:
+    def _pages(self, scene: Scene) -> list[PlacedPage]:
         return [
             (splat_set, page)
             for splat_set in scene.sets
             for page in self._residency.pages(splat_set.data)
         ] + [
-            (bare_set(pooled), page)
+            (settings_set(pooled), page)
             for pooled in scene.pools
             for page in self._residency.pool_pages(pooled.pool)
         ]
@@ -429,7 +458,7 @@ class Renderer:
 
     def plan(
         self,
-        placed: Sequence[Placed],
+        placed: Sequence[PlacedPage],
         camera: Camera,
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
@@ -440,15 +469,15 @@ class Renderer:
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
-            self._rows, self._deep, self._slab_limit = rows, False, _UNLIMITED
+            self._rows, self._is_deep, self._slab_limit = rows, False, _UNLIMITED
         image = ImageSpec(
             size=(camera.width, camera.height),
             outputs=outputs,
             projection="panorama" if camera.kind == "panorama" else "plane",
-            dilation="small" if camera.dilation < LEAST_DILATION else "usual",
+            dilation="small" if camera.dilation < MIN_DILATION else "usual",
         )
         self._shape = (contents, image)
-        key = (self._shape, self._pairs, self._deep, self._slab_limit)
+        key = (self._shape, self._pairs, self._is_deep, self._slab_limit)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._readbacks.clear()
@@ -456,7 +485,7 @@ class Renderer:
             method = Method(
                 pair_capacity=self._pairs,
                 rasteriser="tiles" if slabs.splats else self._rasteriser_of(outputs),
-                sort="deep" if self._deep else "by key",
+                sort="deep" if self._is_deep else "by key",
                 backgrounds="published" if self._published else "composed",
                 slabs=slabs,
             )
@@ -473,28 +502,28 @@ class Renderer:
         """The most splats of a depth slab."""
         return min(most_splats(self.device, self._kernels), self._slab_limit)
 
-    def _halve_slabs(self, placed: Sequence[Placed]) -> bool:
+    def _halve_slabs(self, placed: Sequence[PlacedPage]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
-        most = min(rows_at_once(placed), self._max_slab_splats)
-        if most < 2:
+        max_splats = min(max_sorted_rows(placed), self._max_slab_splats)
+        if max_splats < 2:
             return False
-        self._slab_limit = most // 2
+        self._slab_limit = max_splats // 2
         return True
 
     @property
     def _most_pairs(self) -> int:
         """The largest number of splat-tile pairs that the GPU device can hold."""
-        return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
+        return int(min(self.device.largest_binding // 4, MAX_WORKGROUPS * RANGE_BLOCK))
 
     def _grow(self, pairs: int) -> None:
         """Increase the capacity for splat-tile pairs; raise if the device cannot hold as many."""
-        most = self._most_pairs
-        if pairs > most:
+        max_splats = self._most_pairs
+        if pairs > max_splats:
             raise PairsExceeded(
                 f"the image needs {pairs:,} pairs of a splat and a tile; "
-                f"{self.device.name} holds at most {most:,}",
+                f"{self.device.name} holds at most {max_splats:,}",
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
-        before, self._pairs = self._pairs, min(int(pairs * PAIRS_ROOM), most)
+        before, self._pairs = self._pairs, min(int(pairs * PAIR_CAPACITY_FACTOR), max_splats)
         self.growths += self._pairs > before

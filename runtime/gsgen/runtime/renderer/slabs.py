@@ -1,15 +1,15 @@
 """Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
 __all__ = [
-    "AT_ONCE",
+    "UNSLABBED",
     "KeyRange",
     "SlabSizes",
     "SlabState",
     "Slabs",
     "draw_parts",
-    "kept_layers",
+    "extra_layer_count",
+    "max_sorted_rows",
     "most_splats",
-    "rows_at_once",
     "slab_ranges",
 ]
 
@@ -30,10 +30,10 @@ from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.kernels.tiles.blend_wsr import PLANES
-from gsgen.runtime.renderer.bands import Drawing
+from gsgen.runtime.kernels.tiles.blend_wsr import PLANE_COUNT_BY_NORMAL
+from gsgen.runtime.renderer.bands import CountsAndImages
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.placed_pages import Placed, sorted_pages, weighted_pages
+from gsgen.runtime.renderer.placed_pages import PlacedPage, sorted_pages, weighted_pages
 from gsgen.runtime.scene.frame import OUTPUTS
 from gsgen.runtime.scene.scene import Scene
 
@@ -102,26 +102,26 @@ class SlabState:
         uniform["resumes"] = self.resumes + self.resumes_cell
         uniform["continues"] = self.continues
         uniform["rank"] = len(self.tied)
-        pair = (
+        tied_values = (
             (self.tied[-1], self.splats)
             if len(self.tied) == _CELL_TIED_COUNT
             else (*self.tied, 0, 0)
         )
-        uniform["tied_key"], uniform["tied_low"] = pair[:_ROW_TIED_COUNT]
+        uniform["tied_key"], uniform["tied_low"] = tied_values[:_ROW_TIED_COUNT]
         return uniform
 
 
-class Run(Protocol):
+class DrawSlab(Protocol):
     """Function that draws a depth slab; returns GPU counters, and images after the last slab."""
 
-    def __call__(self, only: Sequence[str], state: SlabState) -> Drawing:
+    def __call__(self, only: Sequence[str], state: SlabState) -> CountsAndImages:
         """Run the GPU stages named in ``only`` for one depth slab, as ``Plan.submit`` does."""
         ...
 
 
 def most_splats(device: Device, kernels: Kernels) -> int:
     """Return how many splats a GPU can sort, list and bind at once."""
-    return min(device.largest_binding // VEC4, kernels.most_binned)
+    return min(device.largest_binding // VEC4, kernels.max_binned_splats)
 
 
 class SlabSizes(NamedTuple):
@@ -136,16 +136,16 @@ class SlabSizes(NamedTuple):
     weighted: int | None = None
 
     @classmethod
-    def of(cls, placed: Sequence[Placed], most: int) -> "SlabSizes":
-        """Return the sizes for the pages (GPU buffers) of a scene, and ``most`` splats at once."""
-        summed = weighted_pages(placed)
-        is_paged = any(page.first_cell for _, page in summed)
+    def of(cls, placed: Sequence[PlacedPage], max_splats: int) -> "SlabSizes":
+        """Return the sizes for the pages (GPU buffers) of a scene, and ``max_splats`` splats at once."""
+        weighted_data = weighted_pages(placed)
+        is_paged = any(page.first_cell for _, page in weighted_data)
         return cls(
-            most if _rows(sorted_pages(placed)) > most else None,
-            most if _rows(summed) > most or is_paged else None,
+            max_splats if _rows(sorted_pages(placed)) > max_splats else None,
+            max_splats if _rows(weighted_data) > max_splats or is_paged else None,
         )
 
-    def kept_numbers(self, layers: int, *, normal: bool) -> int:
+    def numbers_per_pixel(self, layers: int, *, normal: bool) -> int:
         """Return how many numbers per pixel slabs keep with the depths of image layers.
 
         Args:
@@ -153,35 +153,37 @@ class SlabSizes(NamedTuple):
             normal: Whether normals are requested.
         """
         numbers = layers * len(OUTPUTS) if self.splats is not None else 0
-        return numbers + (PLANES[False] * (1 + normal) if self.weighted is not None else 0)
+        return numbers + (
+            PLANE_COUNT_BY_NORMAL[False] * (1 + normal) if self.weighted is not None else 0
+        )
 
 
-AT_ONCE: Final = SlabSizes()
+UNSLABBED: Final = SlabSizes()
 """The sizes for a scene that no slabs divide."""
 
 
-def kept_layers(scene: Scene, device: Device, most: int) -> int:
+def extra_layer_count(scene: Scene, device: Device, max_splats: int) -> int:
     """Return how many image layers more, of 16 bytes per pixel, hold what slabs of cells keep.
 
     Args:
         scene: The scene.
         device: The device.
-        most: Most splats of a slab.
+        max_splats: Most splats of a slab.
     """
-    summed = [splat_set.data for splat_set in scene.sets if splat_set.weighted is not None]
-    is_paged = any(exceeds_binding(device, data) for data in summed)
-    if sum(map(len, summed)) <= most and not is_paged:
+    weighted_data = [splat_set.data for splat_set in scene.sets if splat_set.weighted is not None]
+    is_paged = any(exceeds_binding(device, data) for data in weighted_data)
+    if sum(map(len, weighted_data)) <= max_splats and not is_paged:
         return 0
-    is_alone = len(summed) == len(scene.sets) and not scene.pools and not scene.meshes
+    is_alone = len(weighted_data) == len(scene.sets) and not scene.pools and not scene.meshes
     return 1 if is_alone else 2
 
 
-def rows_at_once(placed: Sequence[Placed]) -> int:
+def max_sorted_rows(placed: Sequence[PlacedPage]) -> int:
     """Return an upper bound of the splats of a scene that are sorted or summed at once."""
     return max(_rows(sorted_pages(placed)), _rows(weighted_pages(placed)))
 
 
-def _rows(placed: Sequence[Placed]) -> int:
+def _rows(placed: Sequence[PlacedPage]) -> int:
     return sum(page.capacity for _, page in placed)
 
 
@@ -205,14 +207,14 @@ def _ranges(tally: Tally, capacity: int, tied: tuple[int, ...]) -> Iterator[KeyR
     """Yield ranges of depth keys, or of finer keys of splats whose first keys are ``tied``."""
     bits = 32 if tied else _KEY_BITS
     low, splats = 0, 0
-    for start, amount in _bins(partial(tally, tied), 0, bits - _BIN_BITS, capacity):
+    for start, splat_count in _bins(partial(tally, tied), 0, bits - _BIN_BITS, capacity):
         # Case 1: the range is full.
-        if splats and splats + amount > capacity:
+        if splats and splats + splat_count > capacity:
             yield KeyRange(low, start, tied, splats)
             low, splats = start, 0
-        splats += amount
+        splats += splat_count
         # Case 2: too many splats have this key.
-        if amount > capacity:
+        if splat_count > capacity:
             yield from _ranges(tally, capacity, (*tied, start))
             low, splats = start + 1, 0
     if splats or not tied:
@@ -231,14 +233,14 @@ def _bins(
 
     A bin of one key is not split.
     """
-    amounts = tally(low, shift)[:bins]
-    for number in np.flatnonzero(amounts).tolist():
-        start, amount = low + (number << shift), int(amounts[number])
-        if amount <= capacity or shift == 0:
-            yield start, amount
+    splat_counts = tally(low, shift)[:bins]
+    for number in np.flatnonzero(splat_counts).tolist():
+        start, splat_count = low + (number << shift), int(splat_counts[number])
+        if splat_count <= capacity or shift == 0:
+            yield start, splat_count
         else:
-            narrower = max(shift - _BIN_BITS, 0)
-            yield from _bins(tally, start, narrower, capacity, bins=1 << (shift - narrower))
+            finer_shift = max(shift - _BIN_BITS, 0)
+            yield from _bins(tally, start, finer_shift, capacity, bins=1 << (shift - finer_shift))
 
 
 def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -251,8 +253,8 @@ def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def _is_redrawn(total: np.ndarray) -> bool:
     """Return whether a frame is drawn again: by other keys, or with more room for pairs."""
-    is_short = total[Counts.WANTED_PAIRS] > total[Counts.PAIR_CAPACITY]
-    return bool(total[_REDRAW_COUNTERS].any() or is_short)
+    has_too_few_pairs = total[Counts.WANTED_PAIRS] > total[Counts.PAIR_CAPACITY]
+    return bool(total[_REDRAW_COUNTERS].any() or has_too_few_pairs)
 
 
 @final
@@ -299,7 +301,7 @@ class Slabs:
         self._device, self._kernels, self._pages = device, kernels, pages
         self._weighted = weighted
         self._stages = _CELL_STAGES if weighted else _SLAB_STAGES
-        self._first = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
+        self._key_stages = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
         self.capacity = capacity
         self.buffers: dict[str, Buffer] = {}
         rows = max(page.capacity for page in pages)
@@ -334,27 +336,27 @@ class Slabs:
         """Set the range of depth sort keys that the next dispatches count or draw."""
         self._device.write(self._range_uniform, np.array([low, high, shift, 0], np.uint32))
 
-    def draw(self, stages: Sequence[str], run: Run) -> Drawing:
+    def draw(self, stages: Sequence[str], run: DrawSlab) -> CountsAndImages:
         """Draw all depth slabs, and return the summed GPU counters and the images.
 
         Args:
             stages: Names of the frame's stages. Those of others, as of meshes, run once.
             run: Runs stages of the plan.
         """
-        key_stage, tally_stage = self._first
-        others = (name for name in stages if name not in (*self._stages, *self._first))
-        before = [*self._first, *others]
+        key_stage, tally_stage = self._key_stages
+        others = (name for name in stages if name not in (*self._stages, *self._key_stages))
+        before = [*self._key_stages, *others]
         stages = [name for name in stages if name in self._stages]
-        ranked: tuple[int, ...] = ()  # by what the keys are
+        ranked_keys: tuple[int, ...] = ()  # by what the keys are
         total = np.zeros(0, np.uint32)
 
         def tally(tied: tuple[int, ...], low: int, shift: int) -> np.ndarray:
-            nonlocal ranked
-            if tied != ranked:
+            nonlocal ranked_keys
+            if tied != ranked_keys:
                 before.append(key_stage)
             self._set_key_range(low, min(low + (BINS << shift), ABSENT), shift)
             run(before, SlabState(continues=True, tied=tied, weighted=self._weighted))
-            before[:], ranked = [tally_stage], tied  # the keys stay the same
+            before[:], ranked_keys = [tally_stage], tied  # the keys stay the same
             return self._device.read(self.tally, np.uint32, BINS)
 
         # Step 1: count the keys of all splats, and choose ranges of at most ``capacity``.
@@ -368,8 +370,10 @@ class Slabs:
         for number, keys in enumerate(ranges):
             self._set_key_range(keys.low, keys.high)
             state = self._state(ranges, number)
-            counts, images = run([*([key_stage] if keys.tied != ranked else []), *stages], state)
-            ranked = keys.tied
+            counts, images = run(
+                [*([key_stage] if keys.tied != ranked_keys else []), *stages], state
+            )
+            ranked_keys = keys.tied
             if state.resumes_cell:
                 counts[Counts.PAIRS] = 0  # those of the cell were counted
             total = counts if number == 0 else _total(total, counts)
@@ -379,14 +383,14 @@ class Slabs:
 
     def _state(self, ranges: Sequence[KeyRange], number: int) -> SlabState:
         """Return how the depth slab ``number`` is drawn."""
-        own = ranges[number]
-        in_cell = len(own.tied) == _CELL_TIED_COUNT
+        slab_range = ranges[number]
+        is_in_cell = len(slab_range.tied) == _CELL_TIED_COUNT
         return SlabState(
             resumes=number > 0,
             continues=number + 1 < len(ranges),
-            tied=own.tied,
-            splats=own.splats,
-            resumes_cell=in_cell and number > 0 and ranges[number - 1].tied == own.tied,
+            tied=slab_range.tied,
+            splats=slab_range.splats,
+            resumes_cell=is_in_cell and number > 0 and ranges[number - 1].tied == slab_range.tied,
             weighted=self._weighted,
         )
 
@@ -403,8 +407,8 @@ class Slabs:
         steps, (frame, _, *others) = [], outputs
         for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True)):
             if page.slots is not None:
-                cull = self._kernels.cull_slots(page, panorama=panorama, keys_only=True)
-                steps.append(cull.step(frame, keys, others[-1], uniform, slot, page))
+                cull_kernel = self._kernels.cull_slots(page, panorama=panorama, keys_only=True)
+                steps.append(cull_kernel.step(frame, keys, others[-1], uniform, slot, page))
             project = self._kernels.project(page, panorama=panorama, slab="keys")
             steps.append(project.step((frame, keys, *others), uniform, slot, page))
         return steps
@@ -425,13 +429,13 @@ class Slabs:
             counts: The frame's counts.
             uniform: Buffer with the uniforms of all pages.
         """
-        numbering = self._kernels.place(arranged=bool(self._row_origins))
+        place_kernel = self._kernels.place(arranged=bool(self._row_origins))
         keys = self.keys[slot]
         row_origins = self._row_origins[slot] if self._row_origins else keys
         resources = (self._range_uniform, keys, self._block_counts, self.places, row_origins)
         written = (self.origins, self.takers, counts)
         page = self._pages[slot]
-        return numbering.steps((*resources, *written), self._page_ends, uniform, slot, page)
+        return place_kernel.steps((*resources, *written), self._page_ends, uniform, slot, page)
 
     def project_steps(
         self,
@@ -465,8 +469,8 @@ class Slabs:
 
 
 def draw_parts(
-    stages: Sequence[str], run: Run, weighted: Slabs | None, splats: Slabs | None
-) -> Drawing:
+    stages: Sequence[str], run: DrawSlab, weighted: Slabs | None, splats: Slabs | None
+) -> CountsAndImages:
     """Draw a frame: first weighted sums in slabs, if they need any, then all else, in slabs or not.
 
     Args:
@@ -480,9 +484,9 @@ def draw_parts(
     """
     earlier, rest = None, list(stages)
     if weighted is not None:
-        own = [name for name in stages if name in ("meshes", *_CELL_STAGES)]
-        earlier, images = weighted.draw(own, run)
-        rest = [name for name in stages if name not in own and "cells" not in name]
+        slab_range = [name for name in stages if name in ("meshes", *_CELL_STAGES)]
+        earlier, images = weighted.draw(slab_range, run)
+        rest = [name for name in stages if name not in slab_range and "cells" not in name]
         if not rest or _is_redrawn(earlier):
             return earlier, images
     counts, images = splats.draw(rest, run) if splats is not None else run(rest, SlabState())

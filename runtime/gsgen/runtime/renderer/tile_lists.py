@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.sort.scan import MANY
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.bin_tiles import BinTiles
-from gsgen.runtime.kernels.tiles.list_tiles import runs_for
+from gsgen.runtime.kernels.tiles.list_tiles import run_count
 from gsgen.runtime.renderer.kernel_set import Kernels
 
 Storage = Callable[[str, int], Buffer]
@@ -56,7 +56,7 @@ def list_splats(
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
     """Return stages that list splats by image tile, the buffer of lists, and buffers to clear."""
     if kernels.lists:
-        return _counted(kernels, lists, panorama=panorama)
+        return _counting_lists(kernels, lists, panorama=panorama)
     # A pair has the tile as its key. Pairs are listed in order of depth and sorted by tile, stably:
     # each tile then has its splats together, nearest first.
     pairs = [allocate_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
@@ -66,18 +66,18 @@ def list_splats(
         panorama=panorama, records=records, digits=kernels.sort.first_digits(bits)
     )
     stages = dict[str, list[Step]]()
-    stages["bin"] = _bin(kernels, lists, kernel, pairs[0], histograms[0])
-    stages["group"], members = _group(kernels, lists, pairs, bits, histograms)
+    stages["bin"] = _bin_steps(kernels, lists, kernel, pairs[0], histograms[0])
+    stages["group"], members = _group_steps(kernels, lists, pairs, bits, histograms)
     return stages, members, [histograms[0]]
 
 
-def _counted(
+def _counting_lists(
     kernels: Kernels, lists: TileLists, *, panorama: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
     """Return the results of ``list_splats`` for kernels that count splats instead of sorting."""
     # Each run of sorted splats counts its splats by tile. Sums of those counters tell where each run
     # lists its splats of a tile, so that a list is in order of depth without a sort.
-    counters = lists.storage("counters of tiles", 4 * runs_for(lists.tiles) * lists.tiles)
+    counters = lists.storage("counters of tiles", 4 * run_count(lists.tiles) * lists.tiles)
     totals = lists.storage("totals of tiles", 4 * lists.tiles)
     members = lists.storage("splats of tiles", 4 * lists.pair_capacity)
     uniforms = (lists.frame, lists.counts)
@@ -97,21 +97,21 @@ def _counted(
     return {"bin": [tally, total, *add, begin], "group": [fill]}, members, [counters]
 
 
-def _bin(
+def _bin_steps(
     kernels: Kernels, lists: TileLists, kernel: BinTiles, pairs: Columns, histogram: Buffer
 ) -> list[Step]:
     """Return dispatches that list splat-tile pairs, nearest first, and count their first digits."""
-    walk = kernels.cut.walk
-    run_pairs = lists.storage("run pairs", 4 * -(-lists.gaussians // walk))
+    walk_rows = kernels.sort_config.walk_rows
+    run_pairs = lists.storage("run pairs", 4 * -(-lists.gaussians // walk_rows))
     resources = (lists.frame, lists.counts, lists.order, lists.tiles_of, run_pairs)
     measure, emit = kernel.steps(lists.counts, (*resources, *pairs, *lists.splats), histogram)
     add = kernels.scan.steps(
-        lists.counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
+        lists.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
     )
     return [measure, *add, emit]
 
 
-def _group(
+def _group_steps(
     kernels: Kernels,
     lists: TileLists,
     pairs: list[Columns],
@@ -126,7 +126,7 @@ def _group(
         bits=bits,
         source=Counts.PAIRS,
         groups=Counts.SORT_PAIRS_GROUPS,
-        counted=kernels.cut.staged,
+        has_histogram=kernels.sort_config.is_staged,
     )
     mark = kernels.ranges.step(lists.counts, pairs[side].keys, lists.ranges)
     return [*steps, mark], pairs[side].values

@@ -23,7 +23,7 @@ from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
-from gsgen.runtime.kernels.tiles.blend_wsr import PLANES
+from gsgen.runtime.kernels.tiles.blend_wsr import PLANE_COUNT_BY_NORMAL
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.plan_options import ImageSpec, Method
 from gsgen.runtime.renderer.slabs import Slabs
@@ -72,7 +72,7 @@ class WeightedPart:
         self._gaussians_per_slot = min(splat_set.data.per_cell for splat_set, _ in placed)
         slab_splats = method.slabs.weighted
         self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
-        self._cells = sum(_cells(page) for _, page in _sets(placed))
+        self._cells = sum(_cells(page) for _, page in _weighted_sets(placed))
         self.slabs: Slabs | None = None
         if slab_splats is not None:
             self._cells = max(1, slab_splats // self._gaussians_per_slot)
@@ -80,7 +80,7 @@ class WeightedPart:
             with_ids = "depth" in image.outputs and layers is None
             self.slabs = Slabs(kernels, pages, slab_splats, None, with_ids=with_ids, weighted=True)
             self.buffers |= self.slabs.buffers
-        self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
+        self.counts = self._storage("counts of cells", counting.BYTES, extra_usage="INDIRECT")
         device.write(self.counts, counting.initial(self._cells, method.pair_capacity))
         self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
         self._slots = device.uniform("pages with cells", PAGE.itemsize * len(placed))
@@ -94,8 +94,8 @@ class WeightedPart:
             self.clears.append((self.slabs.tally, 0, None))
         self.stages = self._record(placed, image.outputs)
 
-    def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
-        self.buffers[name] = self._device.storage(name, size, extra=extra)
+    def _storage(self, name: str, size: int, *, extra_usage: str = "") -> Buffer:
+        self.buffers[name] = self._device.storage(name, size, extra_usage=extra_usage)
         return self.buffers[name]
 
     def _columns(self, name: str, length: int) -> Columns:
@@ -113,23 +113,23 @@ class WeightedPart:
             self._storage(f"weighted {name}", VEC4 * n) for name in ("shapes", "weights", "colors")
         )
         columns = (self._columns("cells a", self._cells), self._columns("cells b", self._cells))
-        lows = self._storage("lows of cells", 4 * self._cells)
+        low_keys = self._storage("lows of cells", 4 * self._cells)
         circles = self._storage("circles of cells", VEC4 * self._cells)
         spans = self._storage("spans of cells", VEC4 * self._cells)
         normals = self._storage("weighted normals", VEC4 * n) if "normal" in outputs else None
         splats, cells = (shapes, weights, colors), (columns[0].keys, circles, spans)
         if self.slabs is not None:
-            stages = self._project_slab(self.slabs, placed, splats, (*cells, lows), normals)
+            stages = self._project_slab(self.slabs, placed, splats, (*cells, low_keys), normals)
         else:
-            stages = self._project_all(placed, splats, (cells, lows), normals)
+            stages = self._project_all(placed, splats, (cells, low_keys), normals)
         # Stage 2: sort the cells by depth; within a cell the order of Gaussians does not matter.
-        stages["sort cells"], order = self._sort(columns, lows)
+        stages["sort cells"], order = self._sort(columns, low_keys)
         # Stage 3: list the tiles of each cell, and sort the pairs by tile.
         pairs = [
             self._columns(f"pairs of cells {side}", self._method.pair_capacity) for side in "ab"
         ]
-        stages["bin cells"] = self._bin(order, circles, pairs[0])
-        stages["group cells"], members = self._group(pairs)
+        stages["bin cells"] = self._bin_steps(order, circles, pairs[0])
+        stages["group cells"], members = self._group_steps(pairs)
         # Stage 4: sum the Gaussians of the cells of each tile, once per output.
         known = (self._ranges, members, spans, shapes, weights)
         if "color" in outputs or self._layers is not None:
@@ -156,10 +156,10 @@ class WeightedPart:
             cells: Buffers of the cells: keys, circles, spans; and remainders of depths.
             normals: Buffer of normals; None if they are not requested.
         """
-        keys, (projected, lows) = self._storage("keys of weighted", 4 * self._gaussians), cells
+        keys, (projected, low_keys) = self._storage("keys of weighted", 4 * self._gaussians), cells
         stages = {
             "project weighted": self._project(placed, (keys, *splats)),
-            "project cells": self._project_cells(placed, (*projected, keys, self.counts, lows)),
+            "project cells": self._project_cells(placed, (*projected, keys, self.counts, low_keys)),
         }
         if normals is not None:
             stages["project weighted"] += self._normals(placed, keys, normals)
@@ -191,8 +191,8 @@ class WeightedPart:
             written = (self._frame, *cells, slabs.places)
             steps.append(kernel.cell_step(written, self._slots, slot, page, page.cells))
             if normals is not None:
-                find = self._kernels.normals(page, placed=True)
-                steps.append(find.step(slabs.places, normals, self._slots, slot, page))
+                normals_kernel = self._kernels.normals(page, placed=True)
+                steps.append(normals_kernel.step(slabs.places, normals, self._slots, slot, page))
         return {
             "keys of cells": keys,
             "tally cells": slabs.tally_steps(self._slots),
@@ -202,12 +202,12 @@ class WeightedPart:
     def _project(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
-        recorded = []
+        recorded_stages = []
         for slot, (_, page) in enumerate(placed):
             kernel = self._kernels.project_weighted(page, panorama=self._image.panorama)
             bound = (self._frame, *outputs)
-            recorded.append(kernel.step(bound, self._slots, slot, page, page.cells))
-        return recorded
+            recorded_stages.append(kernel.step(bound, self._slots, slot, page, page.cells))
+        return recorded_stages
 
     def _project_cells(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
@@ -216,7 +216,7 @@ class WeightedPart:
         bound = (self._frame, *outputs)
         return [
             kernel.step(bound, self._cell_slots, slot, page.cells, _cells(page))
-            for slot, (_, page) in enumerate(_sets(placed))
+            for slot, (_, page) in enumerate(_weighted_sets(placed))
         ]
 
     def _normals(
@@ -227,24 +227,28 @@ class WeightedPart:
             for slot, (_, page) in enumerate(placed)
         ]
 
-    def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
+    def _sort(
+        self, columns: tuple[Columns, Columns], low_keys: Buffer
+    ) -> tuple[list[Step], Buffer]:
         """Return GPU dispatches that sort groups of Gaussians by depth, and the sorted buffer."""
         n = self._cells
-        spare = self._storage("keys of cells c", 4 * n) if self._method.sort == "deep" else None
-        return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
+        spare_keys = (
+            self._storage("keys of cells c", 4 * n) if self._method.sort == "deep" else None
+        )
+        return self._kernels.order.steps(n, self.counts, columns, low_keys, None, spare_keys)
 
-    def _bin(self, order: Buffer, circles: Buffer, pairs: Columns) -> list[Step]:
-        walk = self._kernels.cut.walk
-        run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk))
+    def _bin_steps(self, order: Buffer, circles: Buffer, pairs: Columns) -> list[Step]:
+        walk_rows = self._kernels.sort_config.walk_rows
+        run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk_rows))
         measure, emit = self._kernels.bin_cells(panorama=self._image.panorama).steps(
             self.counts, (self._frame, self.counts, order, circles, run_pairs, *pairs)
         )
         add = self._kernels.scan.steps(
-            self.counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
+            self.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
         )
         return [measure, *add, emit]
 
-    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
+    def _group_steps(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
         """Return GPU dispatches that sort pairs of Gaussian group and tile, and their buffer."""
         bits = self._kernels.tile_bits(self._tiles[0] * self._tiles[1] - 1)
         steps, side = self._kernels.sort.steps(
@@ -259,12 +263,12 @@ class WeightedPart:
         return [*steps, mark], pairs[side].values
 
     def _blend(self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False) -> Step:
-        pixels, in_slabs = self._image.pixels, self.slabs is not None
+        pixels, uses_slabs = self._image.pixels, self.slabs is not None
         if self._layers is not None:
             # What slabs keep is at the end of the layers' depths: of colours, then of normals.
             numbers, last = self._layers.depths.size // (4 * pixels), name == "normal"
             behind = 1 if last or self._layers.normals is None else 2
-            first_plane = numbers - behind * PLANES[False] if in_slabs else None
+            first_plane = numbers - behind * PLANE_COUNT_BY_NORMAL[False] if uses_slabs else None
             kernel = self._kernels.blend_wsr(
                 pick=False,
                 panorama=self._image.panorama,
@@ -276,12 +280,16 @@ class WeightedPart:
             return kernel.step(self._tiles, bound, self._layers.depths)
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
-        sums = self._storage(f"{name} kept", 4 * PLANES[pick] * pixels) if in_slabs else None
+        sums = (
+            self._storage(f"{name} kept", 4 * PLANE_COUNT_BY_NORMAL[pick] * pixels)
+            if uses_slabs
+            else None
+        )
         kernel = self._kernels.blend_wsr(
             pick=pick,
             panorama=self._image.panorama,
             published=self._method.backgrounds == "published",
-            first_plane=0 if in_slabs else None,
+            first_plane=0 if uses_slabs else None,
         )
         return kernel.step(self._tiles, (frame, *resources, self.images[name]), sums)
 
@@ -309,7 +317,7 @@ class WeightedPart:
         self._device.write(self._cell_slots, cell_slots)
 
 
-def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
+def _weighted_sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
     """Yield each splat set drawn by weighted sums, with the first of its pages (GPU buffers)."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 

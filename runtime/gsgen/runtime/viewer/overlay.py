@@ -79,8 +79,8 @@ class Statistics:
             seconds = sum(source.seconds for source in playback.sources)
             rows.append(("inference", f"{1000 * seconds:.1f} ms"))
         rows.append(("drawing", f"{1000 * renderer.seconds:.1f} ms"))
-        if late := renderer.renderer.late:
-            text = f"{FRAMES_LATE} frames late, waited {1000 * late.waited:.1f} ms"
+        if late_counts := renderer.renderer.late_counts:
+            text = f"{FRAMES_LATE} frames late, waited {1000 * late_counts.waited:.1f} ms"
             rows.append(("counts", text))
         if growths := renderer.renderer.growths:
             rows.append(("buffers", f"grew {growths}×"))

@@ -22,7 +22,7 @@ from gsgen.runtime.gpu.handles import (
 from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.shader import source
 from gsgen.runtime.media.pictures import MODES, Mode
-from gsgen.runtime.renderer.bands import Drawn
+from gsgen.runtime.renderer.bands import DrawnImage
 from gsgen.runtime.scene.camera import Camera
 
 _MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
@@ -71,7 +71,7 @@ class View:
     Its bands follow each other from the top to the bottom.
     """
 
-    bands: Sequence[Drawn]
+    bands: Sequence[DrawnImage]
     camera: Camera
     mode: Mode
     depths: tuple[float, float] = (0.0, 1.0)
@@ -183,7 +183,7 @@ class Present:
         return texture, _bind_group(raw, self._panel_layout, resources)
 
 
-def _uniforms(view: View, band: Drawn, surface: tuple[int, int]) -> np.ndarray:
+def _uniforms(view: View, band: DrawnImage, surface: tuple[int, int]) -> np.ndarray:
     camera = view.camera
     uniforms = np.zeros(1, PRESENT_UNIFORM)
     # The rows of world → camera are the columns of camera → world.

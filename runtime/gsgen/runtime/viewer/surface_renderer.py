@@ -15,7 +15,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.live_playback import LivePlayback
-from gsgen.runtime.renderer.bands import Drawn
+from gsgen.runtime.renderer.bands import DrawnImage
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -70,7 +70,7 @@ class SurfaceRenderer:
         self._present: Present | None = None
         self._configured_context: WgpuContext | None = None
         self._last_view: tuple[object, View] | None = None
-        self.drawn: Drawn | None = None
+        self.drawn: DrawnImage | None = None
 
     def view(self, playback: LivePlayback, request: ViewRequest) -> View:
         """Draw a picture of a playback, or return the last one if nothing has changed."""
@@ -129,7 +129,7 @@ class SurfaceRenderer:
             bands=bands, camera=camera, mode=request.mode, depths=depths, color_space=color_space
         )
 
-    def _uploaded(self, frame: Frame) -> list[Drawn]:
+    def _uploaded(self, frame: Frame) -> list[DrawnImage]:
         """Upload a frame that a post-process model computed on the CPU, in bands of rows."""
         assert frame.rgba is not None  # colours were drawn
         device, (height, width) = self.renderer.device, frame.rgba.shape[:2]
@@ -147,7 +147,7 @@ class SurfaceRenderer:
                 device.write(image, band)
         return [
             # The first band has the counts of all.
-            Drawn(
+            DrawnImage(
                 image=image,
                 row=width,
                 visible=0 if first else frame.visible,
@@ -172,7 +172,7 @@ class SurfaceRenderer:
             raise DeviceUnavailable(message, hint=error.hint) from error
 
 
-def _summed_counts(bands: Sequence[Drawn]) -> Drawn:
+def _summed_counts(bands: Sequence[DrawnImage]) -> DrawnImage:
     """Return the first band of rows of an image, with the summed splat counters of all bands."""
     visible, pairs = sum(band.visible for band in bands), sum(band.pairs for band in bands)
     return replace(bands[0], visible=visible, pairs=pairs)

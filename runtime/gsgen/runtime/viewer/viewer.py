@@ -162,7 +162,7 @@ class Viewer:
             message=self.message,
         )
         self._renderer.show(context, view, panels)
-        return is_moving or self.playback.busy or bool(self._renderer.renderer.late)
+        return is_moving or self.playback.busy or bool(self._renderer.renderer.late_counts)
 
     def _show_errors(self, action: Callable[[], None]) -> None:
         """Run an action of the viewer, and show its error as a message."""

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
-from gsgen.runtime.gpu.morton_order import along_curve
+from gsgen.runtime.gpu.morton_order import morton_sorted_indices
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.format.neural_tile import NeuralTile
@@ -132,7 +132,7 @@ class ContentReader:
         appearance = np.zeros((count, channels), np.float32)
         if count:
             data = SplatData.from_splats(join_placed(placed, origin))
-            order = along_curve(data.rows[:, :3])
+            order = morton_sorted_indices(data.rows[:, :3])
             rows[:] = data.rows[order]
             shared_channels = min(channels, data.appearance.shape[1])
             appearance[:, :shared_channels] = data.appearance[order, :shared_channels]

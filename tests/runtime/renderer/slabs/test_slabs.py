@@ -63,7 +63,7 @@ def test_arranged_rows_keep_their_ids(
     renderers: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of splats at one depth the earlier row is in front, in whatever order rows are."""
-    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
+    monkeypatch.setattr(splat_residency, "MIN_ORDERED_ROWS", 64)
     data = cloud(3000, 5)
     data.rows[:, 2] = np.repeat(np.linspace(2, 5, 1000), 3)  # three at each depth
     scene, view = Scene([cloud(20), data]), camera()
@@ -95,7 +95,7 @@ def test_more_splats_of_one_depth_than_a_slab_holds_are_divided(
     renderers: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch, tilt: float
 ) -> None:
     """They are divided by the remainders of their depths, and by their rows."""
-    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
+    monkeypatch.setattr(splat_residency, "MIN_ORDERED_ROWS", 64)
     data = cloud(SMALL // 16 + 500, 3, size=0.01)
     data.rows[:, 2] = 3
     data.rows[:, :2] *= 0.1

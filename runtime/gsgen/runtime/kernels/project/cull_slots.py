@@ -45,13 +45,13 @@ class CullSlots:
         )
 
     def step(
-        self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
+        self, frame: Buffer, keys: Buffer, low_keys: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
         """Return the dispatch that lists visible slots (of streamed tiles) in a page (buffers)."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-        binds = (
-            self.kernel.bind(frame, keys, lows, page.slots.seen, page.slots.dispatch),
+        bind_groups = (
+            self.kernel.bind(frame, keys, low_keys, page.slots.seen, page.slots.dispatch),
             self.kernel.bind(page_uniform, page.rows, page.appearance, page.slots.table, group=1),
         )
-        return Step(self.kernel, binds, (page.slots.count, 1, 1))
+        return Step(self.kernel, bind_groups, (page.slots.count, 1, 1))

@@ -40,9 +40,9 @@ class NormalsKernel:
     def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
         """Return the dispatch that computes the normals of the Gaussians whose buffers a page has."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-        further = () if page.slots is None else (page.appearance, page.slots.table)
-        binds = (
+        extra_buffers = () if page.slots is None else (page.appearance, page.slots.table)
+        bind_groups = (
             self.kernel.bind(keys, normals),
-            self.kernel.bind(page_uniform, page.rows, *further, group=1),
+            self.kernel.bind(page_uniform, page.rows, *extra_buffers, group=1),
         )
-        return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
+        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))

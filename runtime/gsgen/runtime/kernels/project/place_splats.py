@@ -11,8 +11,8 @@ from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
-_ROWS: Final = 16  # of an invocation
-PLACE_BLOCK: Final = THREADS * _ROWS
+_ROWS_PER_INVOCATION: Final = 16  # of an invocation
+PLACE_BLOCK: Final = THREADS * _ROWS_PER_INVOCATION
 """Rows of a workgroup."""
 
 PAGE_BYTES: Final = 256
@@ -36,7 +36,7 @@ class PlaceSplats:
                 entry,
                 ("urwwwrwww", "u"),
                 THREADS=THREADS,
-                RUN=_ROWS,
+                RUN=_ROWS_PER_INVOCATION,
                 ARRANGED=arranged,
                 PAGE_STEP=PAGE_BYTES // 4,
                 **COUNT_CONSTANTS,
@@ -45,18 +45,23 @@ class PlaceSplats:
         ]
 
     def steps(
-        self, resources: tuple[Buffer, ...], ends: Buffer, uniform: Buffer, slot: int, page: Page
+        self,
+        resources: tuple[Buffer, ...],
+        page_ends: Buffer,
+        uniform: Buffer,
+        slot: int,
+        page: Page,
     ) -> list[Step]:
         """Return the dispatches that give the splats of one page (GPU buffers) consecutive indices.
 
         Args:
-            resources: Resources of bind group 0 of the shader without ``ends``, in order.
-            ends: The number of splats before each page and after the last, PAGE_BYTES apart.
+            resources: Resources of bind group 0 of the shader without ``page_ends``, in order.
+            page_ends: The number of splats before each page and after the last, PAGE_BYTES apart.
             uniform: Buffer with the uniforms of all pages.
             slot: Index of the page in both.
             page: The page.
         """
-        part = (ends, slot * PAGE_BYTES, 2 * PAGE_BYTES)
+        part = (page_ends, slot * PAGE_BYTES, 2 * PAGE_BYTES)
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         groups = (-(-page.capacity // PLACE_BLOCK), 1, 1)
         return [

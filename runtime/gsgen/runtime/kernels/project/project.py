@@ -4,7 +4,7 @@ __all__ = [
     "FRAME",
     "NO_HARMONICS",
     "PAGE",
-    "SPLAT_REACH",
+    "SPLAT_RADIUS_SIGMAS",
     "ProjectKernel",
     "frame_uniform",
     "page_uniform",
@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE
 from gsgen.runtime.scene.camera import DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
 
-SPLAT_REACH: Final = 3.0
+SPLAT_RADIUS_SIGMAS: Final = 3.0
 """Radius of a splat in a weighted sum, in standard deviations (Liu et al. 2025, their code)."""
 
 NO_HARMONICS: Final = 0xFF
@@ -139,10 +139,10 @@ def frame_uniform(
 
 
 def page_uniform(
-    placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
+    placed: SplatSet, camera: Camera, first_index: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
     """Return the uniform data of one GPU page of Gaussians (WGSL struct ``Page``), from float64."""
-    return np.asarray(page_uniforms([(placed, base, capacity, count)], camera)[0])
+    return np.asarray(page_uniforms([(placed, first_index, capacity, count)], camera)[0])
 
 
 def page_uniforms(
@@ -163,23 +163,23 @@ def page_uniforms(
     sets, uniforms["base"], uniforms["capacity"], uniforms["count"] = zip(*pages, strict=True)
     transforms = np.stack([splat_set.transform for splat_set in sets])
     linear, offset = transforms[:, :3, :3], transforms[:, :3, 3]
-    turned = camera.view[:3, :3] @ linear
-    uniforms["linear"][:, :, :3] = turned.transpose(0, 2, 1)  # WGSL matrices are columns
+    camera_from_model = camera.view[:3, :3] @ linear
+    uniforms["linear"][:, :, :3] = camera_from_model.transpose(0, 2, 1)  # WGSL matrices are columns
     # The polar decomposition A = Q S: directions of the harmonics are Qᵀ(A d) = S d.
-    _, stretch, axes = np.linalg.svd(linear)
-    share = (stretch / stretch[:, :1])[:, :, None]
+    _, scales, axes = np.linalg.svd(linear)
+    share = (scales / scales[:, :1])[:, :, None]
     uniforms["local_to_sh"][:, :, :3] = axes.transpose(0, 2, 1) @ (share * axes)
     eye = np.linalg.solve(linear, (camera.eye - offset)[:, :, None])[:, :, 0]
     if camera.kind == "orthographic":
         uniforms["forward"] = np.linalg.solve(linear, camera.view[2, :3][:, None])[:, :, 0]
     uniforms["eye"] = eye
-    eye_rest = eye - uniforms["eye"].astype(np.float64)
-    uniforms["eye_rest"] = eye_rest
-    columns = turned.transpose(0, 2, 1)
+    eye_remainder = eye - uniforms["eye"].astype(np.float64)
+    uniforms["eye_rest"] = eye_remainder
+    columns = camera_from_model.transpose(0, 2, 1)
     uniforms["linear_rest"][:, :, :3] = columns - uniforms["linear"][:, :, :3].astype(np.float64)
-    eye_at = -(turned @ eye_rest[:, :, None])[:, :, 0]
-    uniforms["eye_at"] = eye_at
-    uniforms["eye_at_rest"] = eye_at - uniforms["eye_at"].astype(np.float64)
+    eye_in_camera = -(camera_from_model @ eye_remainder[:, :, None])[:, :, 0]
+    uniforms["eye_at"] = eye_in_camera
+    uniforms["eye_at_rest"] = eye_in_camera - uniforms["eye_at"].astype(np.float64)
     clips = [splat_set.clip for splat_set in sets]
     uniforms["clip_low"] = [(-np.inf,) * 3 if clip is None else clip.low for clip in clips]
     uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clips]
@@ -202,8 +202,8 @@ class ProjectKernel:
 
     Args:
         device: Device of the kernel.
-        stride: Length of an appearance row, in vectors of 16 bytes; 0 if two rows share one.
-        half: Whether the appearance is float16.
+        appearance_stride: Length of an appearance row, in vectors of 16 bytes; 0 if two rows share one.
+        is_half: Whether the appearance is float16.
         panorama: Whether the image is a panorama.
         weighted: Whether Gaussians are blended by weighted sums.
         packed: Whether rows are packed by compact_rows.py.
@@ -222,9 +222,9 @@ class ProjectKernel:
     def __init__(
         self,
         device: Device,
-        stride: int,
+        appearance_stride: int,
         *,
-        half: bool,
+        is_half: bool,
         panorama: bool = False,
         weighted: bool = False,
         packed: bool = False,
@@ -254,20 +254,25 @@ class ProjectKernel:
             KEYS_ONLY=slab == "keys",
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
-            HALF_APPEARANCE=half,
-            STRIDE=stride,
+            HALF_APPEARANCE=is_half,
+            STRIDE=appearance_stride,
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
             PACKED=packed,
             PANORAMA=panorama,
-            SPLAT_REACH=SPLAT_REACH,
+            SPLAT_REACH=SPLAT_RADIUS_SIGMAS,
             WINDOWS=windows,
             **({"DRAWN": int(Counts.DRAWN)} if weighted else {}),
             **(digits.constants if digits else {}),
         )
 
     def step(
-        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *others: Buffer
+        self,
+        outputs: tuple[Buffer, ...],
+        uniform: Buffer,
+        slot: int,
+        page: Page,
+        *extra_inputs: Buffer,
     ) -> Step:
         """Return the dispatch that projects the Gaussians of a page (GPU buffers).
 
@@ -276,18 +281,18 @@ class ProjectKernel:
             uniform: Buffer with the uniforms of all pages.
             slot: Index of this page's uniform.
             page: The page.
-            others: Buffer of the set's cells, for weighted sums, and of the rows' places in a slab.
+            extra_inputs: Buffer of the set's cells, for weighted sums, and of the rows' places in a slab.
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         slots = page.slots
         # Splats of a slab are not drawn by the list of seen slots: others are the rows' places.
-        further = others
+        extra_buffers = extra_inputs
         if slots is not None:
-            further = (slots.table, *(others or (slots.seen,)))
-        binds = (
+            extra_buffers = (slots.table, *(extra_inputs or (slots.seen,)))
+        bind_groups = (
             self.kernel.bind(*outputs),
-            self.kernel.bind(page_binding, page.rows, page.appearance, *further, group=1),
+            self.kernel.bind(page_binding, page.rows, page.appearance, *extra_buffers, group=1),
         )
-        if slots is not None and not others:
-            return Step(self.kernel, binds, (slots.dispatch, 0))
-        return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
+        if slots is not None and not extra_inputs:
+            return Step(self.kernel, bind_groups, (slots.dispatch, 0))
+        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))

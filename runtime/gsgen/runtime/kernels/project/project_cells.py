@@ -1,6 +1,6 @@
 """Projects cells (groups of Gaussians) for weighted-sum rendering: depth, circle, tile count."""
 
-__all__ = ["CELL_REACH", "ProjectCells", "SlabCells"]
+__all__ = ["CELL_RADIUS_SIGMAS", "ProjectCells", "SlabCells"]
 
 from typing import Final, final
 
@@ -11,7 +11,7 @@ from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
-CELL_REACH: Final = 2.0
+CELL_RADIUS_SIGMAS: Final = 2.0
 """Radius of a cell, in standard deviations (Liu et al. 2025, their code)."""
 
 
@@ -28,7 +28,7 @@ class ProjectCells:
             THREADS=THREADS,
             DRAWN=int(Counts.DRAWN),
             PANORAMA=panorama,
-            CELL_REACH=CELL_REACH,
+            CELL_REACH=CELL_RADIUS_SIGMAS,
         )
 
     def step(
@@ -44,8 +44,8 @@ class ProjectCells:
             count: Number of cells.
         """
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-        binds = (self.kernel.bind(*outputs), self.kernel.bind(page_uniform, cells, group=1))
-        return Step(self.kernel, binds, (-(-count // THREADS), 1, 1))
+        bind_groups = (self.kernel.bind(*outputs), self.kernel.bind(page_uniform, cells, group=1))
+        return Step(self.kernel, bind_groups, (-(-count // THREADS), 1, 1))
 
 
 @final
@@ -66,7 +66,7 @@ class SlabCells:
                 (resources, "ur"),
                 THREADS=THREADS,
                 PANORAMA=panorama,
-                CELL_REACH=CELL_REACH,
+                CELL_REACH=CELL_RADIUS_SIGMAS,
             )
             for entry, resources in (("find_keys", "uw"), ("place_cells", "uwwwwr"))
         )
@@ -111,5 +111,5 @@ def _dispatch_by_row(
 ) -> Step:
     """Return a kernel's dispatch with one invocation per Gaussian of a page (GPU buffers)."""
     page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-    binds = (kernel.bind(*resources), kernel.bind(page_uniform, cells, group=1))
-    return Step(kernel, binds, (-(-page.capacity // THREADS), 1, 1))
+    bind_groups = (kernel.bind(*resources), kernel.bind(page_uniform, cells, group=1))
+    return Step(kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))

@@ -35,11 +35,11 @@ def slot_table(
     linear, offset = transform[:3, :3], transform[:3, 3]
     eye = np.linalg.solve(linear, camera.eye - offset) - pool.origin[slots]
     table["eye"] = eye
-    rest = eye - table["eye"].astype(np.float64)
-    table["eye_rest"] = rest
-    eye_at = -rest @ (camera.view[:3, :3] @ linear).T
-    table["eye_at"] = eye_at
-    table["eye_at_rest"] = eye_at - table["eye_at"].astype(np.float64)
+    eye_remainder = eye - table["eye"].astype(np.float64)
+    table["eye_rest"] = eye_remainder
+    eye_in_camera = -eye_remainder @ (camera.view[:3, :3] @ linear).T
+    table["eye_at"] = eye_in_camera
+    table["eye_at_rest"] = eye_in_camera - table["eye_at"].astype(np.float64)
     table["fade"], table["live"] = pool.fade[slots], pool.live[slots]
     table["low"], table["high"] = pool.low[slots], pool.high[slots]
     return table

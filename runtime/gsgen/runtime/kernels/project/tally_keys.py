@@ -34,8 +34,8 @@ class TallyKeys:
             slot: Index of this page's uniform.
             page: The page.
         """
-        binds = (
+        bind_groups = (
             self.kernel.bind(slab, keys, tally),
             self.kernel.bind((uniform, slot * PAGE.itemsize, PAGE.itemsize), group=1),
         )
-        return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
+        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))

@@ -31,8 +31,8 @@ AMBIENT: Final = 0.2
 """The share of a headlit colour on surfaces seen edge-on."""
 _TRIANGLE_CORNERS: Final = 3
 _PANORAMA_CORNERS: Final = 6  # of the two triangles that bound a triangle in a panorama
-_ROW: Final = 256 // VEC4  # pixels: rows of a copied texture are multiples of this
-_FLOATS: Final = "rgba32float"
+_ROW_ALIGNMENT: Final = 256 // VEC4  # pixels: rows of a copied texture are multiples of this
+_FLOAT_FORMAT: Final = "rgba32float"
 DEPTHS: Final = "depth32float"
 
 
@@ -43,7 +43,7 @@ class MeshesStep:
 
     Attributes:
         pipeline: The render pipeline.
-        draws: The bind group and the number of triangles of each mesh.
+        draw_calls: The bind group and the number of triangles of each mesh.
         corners: Vertices that are drawn per triangle.
         color: Texture of colours over the background; alpha is 1 where a mesh is visible.
         surface: Texture of normals and depths.
@@ -55,7 +55,7 @@ class MeshesStep:
     """
 
     pipeline: RenderPipeline
-    draws: tuple[tuple[BindGroup, int], ...]
+    draw_calls: tuple[tuple[BindGroup, int], ...]
     corners: int
     color: Texture
     surface: Texture
@@ -69,12 +69,12 @@ class MeshesStep:
         self,
         encoder: Encoder,
         background: Float[np.ndarray, "3"],
-        stamps: PassTimestamps | None = None,
+        pass_timestamps: PassTimestamps | None = None,
     ) -> None:
         """Encode drawing meshes over ``background``, and copying the result to an image layer."""
         targets = [
-            _cleared(self.color, (*background.tolist(), 0.0)),
-            _cleared(self.surface, (0.0, 0.0, 0.0, 0.0)),
+            _clear_attachment(self.color, (*background.tolist(), 0.0)),
+            _clear_attachment(self.surface, (0.0, 0.0, 0.0, 0.0)),
         ]
         depth = {
             "view": self.depth,
@@ -82,17 +82,17 @@ class MeshesStep:
             "depth_load_op": "clear",
             "depth_store_op": "store",
         }
-        drawing = encoder.begin_render_pass(
+        render_pass = encoder.begin_render_pass(
             label="meshes",
             color_attachments=targets,
             depth_stencil_attachment=depth,
-            timestamp_writes=stamps,
+            timestamp_writes=pass_timestamps,
         )
-        drawing.set_pipeline(self.pipeline)
-        for bind, triangles in self.draws:
-            drawing.set_bind_group(0, bind)
-            drawing.draw(self.corners * triangles)
-        drawing.end()
+        render_pass.set_pipeline(self.pipeline)
+        for bind, triangles in self.draw_calls:
+            render_pass.set_bind_group(0, bind)
+            render_pass.draw(self.corners * triangles)
+        render_pass.end()
         if self.layers:
             for texture, copy in zip((self.color, self.surface), self.copies, strict=True):
                 encoder.copy_texture_to_buffer(
@@ -102,7 +102,7 @@ class MeshesStep:
                 )
 
 
-def _cleared(texture: Texture, value: tuple[float, ...]) -> dict[str, object]:
+def _clear_attachment(texture: Texture, value: tuple[float, ...]) -> dict[str, object]:
     return {
         "view": texture.create_view(),
         "clear_value": value,
@@ -136,7 +136,7 @@ class DrawMeshes:
                 ),
                 kinds,
                 fragment="seen_at",
-                targets=[{"format": _FLOATS}, {"format": _FLOATS}],
+                targets=[{"format": _FLOAT_FORMAT}, {"format": _FLOAT_FORMAT}],
                 depth_stencil={
                     "format": DEPTHS,
                     "depth_write_enabled": True,
@@ -177,9 +177,13 @@ class DrawMeshes:
             self._device.raw.create_texture(
                 label=f"mesh {name}", size=(*size, 1), format=form, usage=usage
             )
-            for name, form in (("colors", _FLOATS), ("surfaces", _FLOATS), ("depths", DEPTHS))
+            for name, form in (
+                ("colors", _FLOAT_FORMAT),
+                ("surfaces", _FLOAT_FORMAT),
+                ("depths", DEPTHS),
+            )
         )
-        row = -(-size[0] // _ROW) * _ROW
+        row = -(-size[0] // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
         copies: tuple[Buffer, ...] = ()
         if layers is not None:
             copies = tuple(
@@ -188,8 +192,8 @@ class DrawMeshes:
             )
         return MeshesStep(
             pipeline=self._pipeline,
-            draws=tuple(
-                (self._bound(mesh.buffers, slots, slot, rays), mesh.buffers.count)
+            draw_calls=tuple(
+                (self._bind_mesh(mesh.buffers, slots, slot, rays), mesh.buffers.count)
                 for slot, mesh in enumerate(meshes)
                 if mesh.buffers.count
             ),
@@ -203,7 +207,7 @@ class DrawMeshes:
             layers=() if layers is None else self._layer_steps(size, row, copies, layers),
         )
 
-    def _bound(self, mesh: MeshBuffers, slots: Buffer, slot: int, rays: Buffer) -> BindGroup:
+    def _bind_mesh(self, mesh: MeshBuffers, slots: Buffer, slot: int, rays: Buffer) -> BindGroup:
         buffers = [(slots, slot * MESH_UNIFORM.itemsize, MESH_UNIFORM.itemsize)]
         buffers += [
             (buffer, 0, buffer.size)
@@ -231,8 +235,11 @@ class DrawMeshes:
         self._device.write(shape, np.array([*size, row, first], np.uint32))
         groups = (-(-size[0] // TILE), -(-size[1] // TILE), 1)
         kernel = self._layer_kernels["lay_colors"]
-        binds = (kernel.bind(shape, *copies, layers.colors), kernel.bind(layers.depths, group=1))
-        steps = [Step(kernel, binds, groups)]
+        bind_groups = (
+            kernel.bind(shape, *copies, layers.colors),
+            kernel.bind(layers.depths, group=1),
+        )
+        steps = [Step(kernel, bind_groups, groups)]
         if layers.normals is not None:
             kernel = self._layer_kernels["lay_normals"]
             steps.append(Step(kernel, (kernel.bind(shape, *copies, layers.normals),), groups))

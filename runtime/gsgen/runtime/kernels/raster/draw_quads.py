@@ -63,7 +63,7 @@ class QuadsStep:
         self,
         encoder: Encoder,
         background: Float[np.ndarray, "3"],
-        stamps: PassTimestamps | None = None,
+        pass_timestamps: PassTimestamps | None = None,
     ) -> None:
         """Encode a render pass of quads over ``background`` or meshes, and a copy of its image."""
         target = {
@@ -72,17 +72,19 @@ class QuadsStep:
             "load_op": "clear" if self.depth is None else "load",
             "store_op": "store",
         }
-        tested = None if self.depth is None else {"view": self.depth, "depth_read_only": True}
-        drawing = encoder.begin_render_pass(
+        has_depth_test = (
+            None if self.depth is None else {"view": self.depth, "depth_read_only": True}
+        )
+        render_pass = encoder.begin_render_pass(
             label="quads",
             color_attachments=[target],
-            depth_stencil_attachment=tested,
-            timestamp_writes=stamps,
+            depth_stencil_attachment=has_depth_test,
+            timestamp_writes=pass_timestamps,
         )
-        drawing.set_pipeline(self.pipeline)
-        drawing.set_bind_group(0, self.bind)
-        drawing.draw_indirect(self.counts, 4 * Counts.DRAW_ARGUMENTS)
-        drawing.end()
+        render_pass.set_pipeline(self.pipeline)
+        render_pass.set_bind_group(0, self.bind)
+        render_pass.draw_indirect(self.counts, 4 * Counts.DRAW_ARGUMENTS)
+        render_pass.end()
         encoder.copy_texture_to_buffer(
             {"texture": self.texture},
             {"buffer": self.image, "bytes_per_row": self.row_bytes},
@@ -96,17 +98,26 @@ class DrawQuads:
 
     Args:
         device: A device that can blend 32-bit floats.
-        tested: Whether meshes may hide splats.
+        has_depth_test: Whether meshes may hide splats.
         panorama: Whether the image is a panorama.
         records: Whether each splat is one record.
     """
 
     def __init__(
-        self, device: Device, *, tested: bool = False, panorama: bool = False, records: bool = False
+        self,
+        device: Device,
+        *,
+        has_depth_test: bool = False,
+        panorama: bool = False,
+        records: bool = False,
     ) -> None:
         self._device = device
         code = source(
-            "draw_quads", TESTED=tested, RECORDS=records, PANORAMA=panorama, **COUNT_CONSTANTS
+            "draw_quads",
+            TESTED=has_depth_test,
+            RECORDS=records,
+            PANORAMA=panorama,
+            **COUNT_CONSTANTS,
         )
         kinds = ["uniform"] + ["read-only-storage"] * 5
         self._pipeline, self._layout = render_pipeline(
@@ -118,7 +129,7 @@ class DrawQuads:
             targets=[
                 {"format": "rgba32float", "blend": {"color": _BLEND_UNDER, "alpha": _BLEND_UNDER}}
             ],
-            depth_stencil=_DEPTH_TEST if tested else None,
+            depth_stencil=_DEPTH_TEST if has_depth_test else None,
         )
 
     @staticmethod

@@ -65,13 +65,13 @@ def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
     uniform["shaded"] = mesh.shading == "headlight"
     if data.color_space != placed.color_space:
         uniform["conversion"] = TO_LINEAR if placed.color_space == "linear" else TO_SRGB
-    center, period = np.array([camera.cx, camera.cy]), camera.period
-    if period:  # of the positions a full turn apart, the one nearest to the image
-        center[0] -= period * np.round((camera.cx - camera.width / 2) / period)
+    center, pixel_period = np.array([camera.cx, camera.cy]), camera.period
+    if pixel_period:  # of the positions a full turn apart, the one nearest to the image
+        center[0] -= pixel_period * np.round((camera.cx - camera.width / 2) / pixel_period)
     uniform["focal"], uniform["center"], uniform["period"] = (
         (camera.fx, camera.fy),
         center,
-        period,
+        pixel_period,
     )
     uniform["size"], uniform["near"] = (camera.width, camera.height), camera.near
     uniform["is_flat"] = camera.kind == "orthographic"
@@ -84,9 +84,9 @@ def mesh_rays(camera: Camera) -> Float32[np.ndarray, "n 2"]:
 
     In a panorama a direction is the sine and the cosine of an angle; elsewhere a slope and 0.
     """
-    across = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    down = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    angles = np.concatenate([across, down])
+    column_tangents = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    row_tangents = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    angles = np.concatenate([column_tangents, row_tangents])
     if camera.kind != "panorama":
         return np.stack([angles, np.zeros_like(angles)], 1).astype(np.float32)
     return np.stack([np.sin(angles), np.cos(angles)], 1).astype(np.float32)

@@ -58,7 +58,7 @@ class Kernel:
         raw = device.raw
         self._device = device
         self.label = entry
-        text = source(name, wide_words=device.wide, **constants)
+        text = source(name, wide_words=device.has_int64, **constants)
         key = text, entry, tuple(groups)
         if key not in device.pipelines:
             layouts = [_layout(raw, entry, kinds) for kinds in groups]
@@ -100,21 +100,24 @@ class Step:
     """One kernel dispatch of a frame, recorded once and encoded every frame."""
 
     kernel: Kernel
-    binds: tuple[BindGroup, ...]
+    bind_groups: tuple[BindGroup, ...]
     groups: Dispatch
 
 
 def run(
-    encoder: Encoder, steps: Iterable[Step], label: str, stamps: PassTimestamps | None = None
+    encoder: Encoder,
+    steps: Iterable[Step],
+    label: str,
+    pass_timestamps: PassTimestamps | None = None,
 ) -> None:
     """Encode kernel dispatches as one compute pass, which may write timestamps."""
-    compute = encoder.begin_compute_pass(label=label, timestamp_writes=stamps)
+    compute = encoder.begin_compute_pass(label=label, timestamp_writes=pass_timestamps)
     last: Kernel | None = None
     for step in steps:
         if step.kernel is not last:
             compute.set_pipeline(step.kernel.pipeline)
             last = step.kernel
-        for group, bind in enumerate(step.binds):
+        for group, bind in enumerate(step.bind_groups):
             compute.set_bind_group(group, bind)
         if len(step.groups) == 2:
             compute.dispatch_workgroups_indirect(*step.groups)

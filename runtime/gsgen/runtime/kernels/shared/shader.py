@@ -90,9 +90,16 @@ def _included(name: str, included_names: set[str], *, wide_words: bool) -> str:
 @cache
 def _shader_files() -> dict[str, str]:
     """Return the WGSL texts of all kernels, by file name without suffix."""
-    rooms = [room for room in files("gsgen.runtime.kernels").iterdir() if room.is_dir()]
+    kernel_folders = [
+        kernel_folder
+        for kernel_folder in files("gsgen.runtime.kernels").iterdir()
+        if kernel_folder.is_dir()
+    ]
     shaders: list[Traversable] = [
-        file for room in rooms for file in room.iterdir() if file.name.endswith(".wgsl")
+        file
+        for kernel_folder in kernel_folders
+        for file in kernel_folder.iterdir()
+        if file.name.endswith(".wgsl")
     ]
     return {file.name.removesuffix(".wgsl"): file.read_text("utf-8") for file in shaders}
 

@@ -1,6 +1,6 @@
 """Measures the subgroup size of a GPU: how many invocations run in lockstep."""
 
-__all__ = ["lanes"]
+__all__ = ["subgroup_size"]
 
 from typing import Final
 
@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.kernel import Kernel, Step, run
 _THREADS: Final = 8
 
 
-def lanes(device: Device) -> int:
+def subgroup_size(device: Device) -> int:
     """Return the subgroup size of a workgroup of eight invocations, or 0 without subgroups.
 
     The size is measured, because adapters only report a range.
@@ -24,5 +24,5 @@ def lanes(device: Device) -> int:
     encoder = device.raw.create_command_encoder(label="subgroups")
     run(encoder, [Step(kernel, (kernel.bind(sizes),), (1, 1, 1))], "subgroups")
     device.submit(encoder)
-    measured = device.read(sizes, np.uint32, _THREADS)
-    return int(measured[0]) if (measured == measured[0]).all() else 0
+    measured_sizes = device.read(sizes, np.uint32, _THREADS)
+    return int(measured_sizes[0]) if (measured_sizes == measured_sizes[0]).all() else 0

@@ -1,17 +1,17 @@
 """Sorts splats of equal float32 depth by the depth's rounding error, then by splat set."""
 
-__all__ = ["MOST_TIED", "OrderTies"]
+__all__ = ["MAX_TIED_KEYS", "OrderTies"]
 
 from typing import Final, final
 
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.sizes import at_least
+from gsgen.runtime.gpu.sizes import symbolic_max
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 
-MOST_TIED: Final = 64
+MAX_TIED_KEYS: Final = 64
 """Most splats of equal keys that the kernel sorts; for longer ties the sort is repeated."""
 
 
@@ -21,20 +21,20 @@ class OrderTies:
 
     Args:
         device: Device of the kernel.
-        walk: Splats per invocation.
+        walk_rows: Splats per invocation.
         arranged: Whether the order of splats in memory differs from that of their sets.
     """
 
-    def __init__(self, device: Device, walk: int, *, arranged: bool) -> None:
-        self._block = WALK_THREADS * walk
+    def __init__(self, device: Device, walk_rows: int, *, arranged: bool) -> None:
+        self._block = WALK_THREADS * walk_rows
         self.kernel = Kernel(
             device,
             "order_ties",
             "order_ties",
             ("wrrwr",),
             THREADS=WALK_THREADS,
-            RUN=walk,
-            MOST_TIED=MOST_TIED,
+            RUN=walk_rows,
+            MOST_TIED=MAX_TIED_KEYS,
             ARRANGED=arranged,
             **COUNT_CONSTANTS,
         )
@@ -44,7 +44,7 @@ class OrderTies:
         capacity: int,
         counts: Buffer,
         keys: Buffer,
-        lows: Buffer,
+        low_keys: Buffer,
         order: Buffer,
         *origins: Buffer,
     ) -> Step:
@@ -54,14 +54,14 @@ class OrderTies:
             capacity: Most splats.
             counts: The frame's counts.
             keys: Keys of the visible splats, in ascending order.
-            lows: Remainder of each splat's depth beyond its key, as bits that sort alike.
+            low_keys: Remainder of each splat's depth beyond its key, as bits that sort alike.
             order: The sorted splats.
             origins: If ``arranged``, the index of each splat in the order of the sets.
         """
         if not origins:
-            origins = (lows,)  # a buffer has to be bound, but is not read
-        bind = self.kernel.bind(counts, keys, lows, order, *origins)
+            origins = (low_keys,)  # a buffer has to be bound, but is not read
+        bind = self.kernel.bind(counts, keys, low_keys, order, *origins)
         # A direct dispatch: the kernel writes the counts, so they cannot be its indirect arguments.
-        groups = at_least(-(-capacity // self._block), 1)
-        lines = -(-groups // MOST_GROUPS)
+        groups = symbolic_max(-(-capacity // self._block), 1)
+        lines = -(-groups // MAX_WORKGROUPS)
         return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))

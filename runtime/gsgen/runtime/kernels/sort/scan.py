@@ -16,8 +16,8 @@ MANY: Final = 0x7FFFFFFF
 """The largest sum: larger ones saturate."""
 
 _THREADS: Final = 256
-_RUN: Final = 8
-_BLOCK: Final = _THREADS * _RUN
+_NUMBERS_PER_THREAD: Final = 8
+_BLOCK: Final = _THREADS * _NUMBERS_PER_THREAD
 _COUNTER_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 
@@ -60,10 +60,15 @@ class Scan:
             )
             for share in (1, _BLOCK)
         )
-        self._reduce_kernel, self._spread = (
+        self._reduce_kernel, self._add_sums_kernel = (
             cache(
                 lambda entry=entry: Kernel(
-                    device, "scan_blocks", entry, ("urww",), THREADS=_THREADS, RUN=_RUN
+                    device,
+                    "scan_blocks",
+                    entry,
+                    ("urww",),
+                    THREADS=_THREADS,
+                    RUN=_NUMBERS_PER_THREAD,
                 )
             )
             for entry in ("reduce", "spread")
@@ -94,10 +99,14 @@ class Scan:
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
         # Case 2: sum each block, scan the sums, and scan within the blocks from there.
         sums = self._device.storage("sums of blocks", 4 * blocks)
-        reduce, scan, spread = self._reduce_kernel(), self._scan_sums_kernel(), self._spread()
+        reduce, scan, add_sums = (
+            self._reduce_kernel(),
+            self._scan_sums_kernel(),
+            self._add_sums_kernel(),
+        )
         resources = (uniform, counts, numbers, sums)
         return [
             Step(reduce, (reduce.bind(*resources),), (blocks, 1, 1)),
             Step(scan, (scan.bind(uniform, counts, sums),), (1, 1, 1)),
-            Step(spread, (spread.bind(*resources),), (blocks, 1, 1)),
+            Step(add_sums, (add_sums.bind(*resources),), (blocks, 1, 1)),
         ]

@@ -1,6 +1,6 @@
 """A stable radix sort of 32-bit keys with values on the GPU."""
 
-__all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for"]
+__all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "sort_config_for"]
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
@@ -9,7 +9,7 @@ import numpy as np
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.sizes import at_least
+from gsgen.runtime.gpu.sizes import symbolic_max
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
@@ -36,14 +36,14 @@ class SortConfig:
         threads: Invocations of a workgroup of the sort.
         run: Keys per invocation of the sort.
         digit_bits: Most bits that one pass sorts by.
-        walk: Sorted splats per invocation of the binning.
+        walk_rows: Sorted splats per invocation of the binning.
         tile: Edge of the tiles that splats are listed by, in pixels.
     """
 
     threads: int
     run: int
     digit_bits: int
-    walk: int
+    walk_rows: int
     tile: int
 
     @property
@@ -52,16 +52,16 @@ class SortConfig:
         return self.threads * self.run
 
     @property
-    def staged(self) -> bool:
+    def is_staged(self) -> bool:
         """Whether sort keys are ordered in workgroup memory, by one invocation per digit value."""
         return self.threads >= 1 << self.digit_bits
 
 
-def cut_for(device: Device) -> SortConfig:
+def sort_config_for(device: Device) -> SortConfig:
     """Return a device's sort settings: many keys per invocation on a CPU, large tiles on a GPU."""
     if device.software:
-        return SortConfig(threads=8, run=2048, digit_bits=8, walk=64, tile=TILE)
-    return SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=LARGE_TILE)
+        return SortConfig(threads=8, run=2048, digit_bits=8, walk_rows=64, tile=TILE)
+    return SortConfig(threads=256, run=8, digit_bits=8, walk_rows=4, tile=LARGE_TILE)
 
 
 @final
@@ -70,22 +70,30 @@ class RadixSort:
 
     Args:
         device: Device of the kernels.
-        cut: Configuration of the sort.
+        sort_config: Configuration of the sort.
         scan: The scan between counting and scattering.
     """
 
-    def __init__(self, device: Device, cut: SortConfig, scan: Scan) -> None:
-        self._device, self._cut, self._scan = device, cut, scan
-        constants = {"THREADS": cut.threads, "RUN": cut.run, "DIGITS": 1 << cut.digit_bits}
-        shader, bindings = ("staged_sort", "urrrwwwww") if cut.staged else ("sort", "urrrwww")
-        entries = ("count", "scatter", "scan_rows") if cut.staged else ("count", "scatter")
+    def __init__(self, device: Device, sort_config: SortConfig, scan: Scan) -> None:
+        self._device, self._sort_config, self._scan = device, sort_config, scan
+        constants = {
+            "THREADS": sort_config.threads,
+            "RUN": sort_config.run,
+            "DIGITS": 1 << sort_config.digit_bits,
+        }
+        shader, bindings = (
+            ("staged_sort", "urrrwwwww") if sort_config.is_staged else ("sort", "urrrwww")
+        )
+        entries = (
+            ("count", "scatter", "scan_rows") if sort_config.is_staged else ("count", "scatter")
+        )
         self._kernels = [
             Kernel(device, shader, entry, (bindings,), **constants) for entry in entries
         ]
 
     def first_digits(self, bits: int) -> FirstDigits:
         """Return what kernels need to count the first digits of the ``bits``-bit keys they write."""
-        return FirstDigits(1 << self._width(bits), self._cut.block)
+        return FirstDigits(1 << self._width(bits), self._sort_config.block)
 
     def histograms(self, capacity: int, bits: int) -> tuple[Buffer, ...]:
         """Return new GPU buffers for the digit histograms of a radix sort.
@@ -97,19 +105,21 @@ class RadixSort:
         Returns:
             Of a staged sort two, which passes take by turns, the first pass the first; else one.
         """
-        rows = 1 << (self._width(bits) if self._cut.staged else self._cut.digit_bits)
-        tables = 1 if self._cut.staged else 1 + self._cut.threads
+        rows = 1 << (
+            self._width(bits) if self._sort_config.is_staged else self._sort_config.digit_bits
+        )
+        tables = 1 if self._sort_config.is_staged else 1 + self._sort_config.threads
         size = 4 * tables * rows * self.blocks(capacity)
-        names = ("histogram a", "histogram b") if self._cut.staged else ("histogram",)
+        names = ("histogram a", "histogram b") if self._sort_config.is_staged else ("histogram",)
         return tuple(self._device.storage(name, size) for name in names)
 
     def blocks(self, capacity: int) -> int:
         """Return the number of GPU workgroups that a radix sort of ``capacity`` keys takes."""
-        return at_least(-(-capacity // self._cut.block), 1)
+        return symbolic_max(-(-capacity // self._sort_config.block), 1)
 
     def _width(self, bits: int) -> int:
         """Return the number of bits that each pass but the last sorts by."""
-        return -(-bits // -(-bits // self._cut.digit_bits))
+        return -(-bits // -(-bits // self._sort_config.digit_bits))
 
     def steps(
         self,
@@ -120,9 +130,9 @@ class RadixSort:
         bits: int,
         source: Counts,
         groups: Counts,
-        compacting: int | None = None,
+        compact_counter: int | None = None,
         first_keys: Buffer | None = None,
-        counted: bool = False,
+        has_histogram: bool = False,
     ) -> tuple[list[Step], int]:
         """Return the dispatches of a GPU radix sort, and the index of the buffers with the result.
 
@@ -133,53 +143,55 @@ class RadixSort:
             bits: Number of low bits of the keys to sort by.
             source: The count that holds the number of keys.
             groups: The count that begins the arguments of a dispatch for as many keys.
-            compacting: If given, the first pass reads this many keys, takes their indices as
+            compact_counter: If given, the first pass reads this many keys, takes their indices as
                 values, drops ABSENT keys, and writes the number of the others to ``source``.
             first_keys: Keys that a compacting sort reads in place of those of ``columns``, and
                 does not overwrite.
-            counted: Whether the kernel that writes the keys has counted their first digits in the
+            has_histogram: Whether the kernel that writes the keys has counted their first digits in the
                 first histogram, as ``first_digits.wgsl`` does; only for a staged sort.
         """
-        passes, width = -(-bits // self._cut.digit_bits), self._width(bits)
+        passes, width = -(-bits // self._sort_config.digit_bits), self._width(bits)
         totals = []
-        if self._cut.staged:
-            totals.append(self._device.storage("digit totals", 4 << self._cut.digit_bits))
-        recorded: list[Step] = []
+        if self._sort_config.is_staged:
+            totals.append(self._device.storage("digit totals", 4 << self._sort_config.digit_bits))
+        recorded_steps: list[Step] = []
         for number in range(passes):
             # Step 1: a pass sorts by the next digit, stably, so that the digits before stay sorted.
             digits = min(width, bits - number * width)
             next_digits = max(0, min(width, bits - (number + 1) * width))
-            first = number == 0 and compacting is not None
+            first = number == 0 and compact_counter is not None
             # Step 2: a compacting first pass reads all keys; later ones only as many as it kept.
             now = Counts.GAUSSIANS if first else source
             dispatch: Dispatch = (counts, 4 * groups)
-            if number == 0 and compacting is not None:
-                dispatch = (self.blocks(compacting), 1, 1)
+            if number == 0 and compact_counter is not None:
+                dispatch = (self.blocks(compact_counter), 1, 1)
             words = [number * width, digits, now, first, next_digits, 1 << width, 0, 0]
             uniform = self._device.uniform("digit", 32)
             self._device.write(uniform, np.array(words, np.uint32))
             # Step 3: buffers and histograms take turns, so that no pass writes what it reads.
-            before, after = columns[number % 2], columns[1 - number % 2]
+            source_columns, target_columns = columns[number % 2], columns[1 - number % 2]
             if first and first_keys is not None:
-                before = Columns(first_keys, first_keys)  # a compacting pass reads no values
+                source_columns = Columns(
+                    first_keys, first_keys
+                )  # a compacting pass reads no values
             tables = (*histograms[number % 2 :], *histograms[: number % 2])
-            resources = (uniform, counts, *before, *tables, *after, *totals)
+            resources = (uniform, counts, *source_columns, *tables, *target_columns, *totals)
             count, scatter, *rows = (
                 Step(kernel, (kernel.bind(*resources),), dispatch) for kernel in self._kernels
             )
             # Step 4: count the digits, sum the counts before each, and scatter keys and values.
             # Else the scatter before, or the kernel that writes the keys, has counted.
-            if not self._cut.staged or (number == 0 and not counted):
-                recorded.append(count)
-            recorded += rows
-            if not self._cut.staged or first:
-                recorded += self._scan.steps(
+            if not self._sort_config.is_staged or (number == 0 and not has_histogram):
+                recorded_steps.append(count)
+            recorded_steps += rows
+            if not self._sort_config.is_staged or first:
+                recorded_steps += self._scan.steps(
                     counts,
-                    totals[0] if self._cut.staged else histograms[0],
+                    totals[0] if self._sort_config.is_staged else histograms[0],
                     source=now,
-                    block=MANY if self._cut.staged else self._cut.block,
+                    block=MANY if self._sort_config.is_staged else self._sort_config.block,
                     rows=1 << digits,
                     total=source if first else None,
                 )
-            recorded.append(scatter)
-        return recorded, passes % 2
+            recorded_steps.append(scatter)
+        return recorded_steps, passes % 2

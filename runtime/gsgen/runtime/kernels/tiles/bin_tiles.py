@@ -24,7 +24,7 @@ class BinTiles:
 
     Args:
         device: Device of the kernels.
-        walk: Splats per invocation.
+        walk_rows: Splats per invocation.
         panorama: Whether the image is a panorama.
         digits: How the first digits of listed tiles are counted; None to list the tiles of cells
             instead of splats, and to count none.
@@ -35,7 +35,7 @@ class BinTiles:
     def __init__(
         self,
         device: Device,
-        walk: int,
+        walk_rows: int,
         *,
         panorama: bool = False,
         digits: FirstDigits | None = None,
@@ -45,7 +45,7 @@ class BinTiles:
         shader = "bin_cells" if digits is None else "bin_tiles"
         constants = {
             "THREADS": WALK_THREADS,
-            "RUN": walk,
+            "RUN": walk_rows,
             "TILE": tile,
             "RECORDS": records,
             "PANORAMA": panorama,
@@ -70,10 +70,10 @@ class BinTiles:
             histogram: If digits are counted, the histogram to which they are added.
         """
         dispatch = (counts, 4 * Counts.WALK_VISIBLE_GROUPS)
-        emitted = resources
+        emit_resources = resources
         if histogram is not None:  # in place of the numbers of tiles, which only `measure` reads
-            emitted = (*resources[:3], histogram, *resources[4:])
+            emit_resources = (*resources[:3], histogram, *resources[4:])
         return (
             Step(self._measure, (self._measure.bind(*resources),), dispatch),
-            Step(self._emit, (self._emit.bind(*emitted),), dispatch),
+            Step(self._emit, (self._emit.bind(*emit_resources),), dispatch),
         )

@@ -1,7 +1,7 @@
 """Blends the splats of each image tile, front to back."""
 
 __all__ = [
-    "LEAST_DILATION",
+    "MIN_DILATION",
     "MIN_TRANSMITTANCE",
     "BlendTiles",
     "Layers",
@@ -17,9 +17,9 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import TILE
-from gsgen.runtime.kernels.shared.subgroups import lanes
+from gsgen.runtime.kernels.shared.subgroups import subgroup_size
 
-LEAST_DILATION: Final = 0.25
+MIN_DILATION: Final = 0.25
 """Dilation, in pixels², below which opacities may underflow within four pixels of a column."""
 
 MIN_TRANSMITTANCE: Final = 1e-4
@@ -101,7 +101,7 @@ def workgroup_shape(
         "PANORAMA": panorama,
         "LAYERS": layers,
     }
-    return device.software and lanes(device) == TILE // columns, constants
+    return device.software and subgroup_size(device) == TILE // columns, constants
 
 
 @final
@@ -119,10 +119,10 @@ class BlendTiles:
         layers: Number of image layers among the splats.
         tile: Edge of a tile, in pixels.
         records: Whether each splat is one record.
-        carried: The output, from 1 on in OUTPUTS, whose pixels keep their state in the
+        carried_layers: The output, from 1 on in OUTPUTS, whose pixels keep their state in the
             image between slabs; 0 if there are none. Ids of slabs are computed from arrays of
             ``place_splats.wgsl`` in place of colours.
-        steep: Whether the dilation may be below LEAST_DILATION.
+        has_small_dilation: Whether the dilation may be below LEAST_DILATION.
         windows: Whether colours are followed by variances, as ``ProjectKernel`` writes them.
 
     Attributes:
@@ -139,14 +139,18 @@ class BlendTiles:
         layers: int = 0,
         tile: int = TILE,
         records: bool = False,
-        carried: int = 0,
-        steep: bool = False,
+        carried_layers: int = 0,
+        has_small_dilation: bool = False,
         windows: bool = False,
     ) -> None:
-        together, constants = workgroup_shape(device, layers, panorama=panorama)
-        narrow = device.software and not together and lanes(device) == _NARROW_CELL["LANES"]
-        self.shader = "blend_subgroups" if together else "blend_tiles"
-        if tile != TILE or narrow:
+        is_cooperative, constants = workgroup_shape(device, layers, panorama=panorama)
+        uses_narrow_cell = (
+            device.software
+            and not is_cooperative
+            and subgroup_size(device) == _NARROW_CELL["LANES"]
+        )
+        self.shader = "blend_subgroups" if is_cooperative else "blend_tiles"
+        if tile != TILE or uses_narrow_cell:
             self.shader = "blend_staged"
             constants |= {"TILE": tile, "COLUMNS": 1, "QUADS": 1, "CELLS": 1}
             constants |= _GPU_CELL if tile != TILE else _NARROW_CELL
@@ -157,10 +161,10 @@ class BlendTiles:
             ("urrrrrw", "rw") if layers else ("urrrrrw",),
             PICK=pick,
             RECORDS=records,
-            CARRIED=carried > 0,
-            CARRIED_OUTPUT=carried,
+            CARRIED=carried_layers > 0,
+            CARRIED_OUTPUT=carried_layers,
             MIN_TRANSMITTANCE=MIN_TRANSMITTANCE,
-            STEEP=steep,
+            STEEP=has_small_dilation,
             WINDOWS=windows,
             MASKED=self.shader == "blend_subgroups" and not panorama,
             **constants,
@@ -179,7 +183,7 @@ class BlendTiles:
             resources: Resources of the shader, in order.
             layers: Colours or normals, and depths, of the layers; None without layers.
         """
-        binds = [self.kernel.bind(*resources)]
+        bind_groups = [self.kernel.bind(*resources)]
         if layers is not None:
-            binds.append(self.kernel.bind(*layers, group=1))
-        return Step(self.kernel, tuple(binds), (*tiles, 1))
+            bind_groups.append(self.kernel.bind(*layers, group=1))
+        return Step(self.kernel, tuple(bind_groups), (*tiles, 1))

@@ -1,6 +1,6 @@
 """Blends cells (groups of Gaussians) in each image tile front to back, by weighted sums."""
 
-__all__ = ["FINISHED", "PLANES", "BlendWsr"]
+__all__ = ["MIN_WSR_TRANSMITTANCE", "PLANE_COUNT_BY_NORMAL", "BlendWsr"]
 
 from typing import Final, final
 
@@ -9,10 +9,10 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
-FINISHED: Final = 0.01
+MIN_WSR_TRANSMITTANCE: Final = 0.01
 """Transmittance below which a pixel takes no further cell (Liu et al. 2025, their code)."""
 
-PLANES: Final = {False: 4, True: 6}
+PLANE_COUNT_BY_NORMAL: Final = {False: 4, True: 6}
 """Numbers per pixel that farther slabs go on from, beside the image: of colours, and of depths."""
 
 
@@ -42,20 +42,20 @@ class BlendWsr:
         first_plane: int | None = None,
     ) -> None:
         self._no_depths = device.storage("no layer depths", 16)
-        together, constants = workgroup_shape(device, layers, panorama=panorama)
+        is_cooperative, constants = workgroup_shape(device, layers, panorama=panorama)
         self.kernel = Kernel(
             device,
-            "blend_wsr_subgroups" if together else "blend_wsr",
+            "blend_wsr_subgroups" if is_cooperative else "blend_wsr",
             "blend",
             ("urrrrrrw", "w"),
             PARTS=constants["CELLS"],  # this shader means cells of Gaussians by cells
             PICK=pick,
             PUBLISHED=published,
-            FINISHED=FINISHED,
+            FINISHED=MIN_WSR_TRANSMITTANCE,
             LAYERED=layers > 0,
             CARRIED=first_plane is not None,
             FIRST_PLANE=first_plane or 0,
-            KEPT=4 + PLANES[pick] if first_plane is not None else 0,
+            KEPT=4 + PLANE_COUNT_BY_NORMAL[pick] if first_plane is not None else 0,
             **constants,
         )
 
@@ -71,5 +71,5 @@ class BlendWsr:
         """
         if depths is None:
             depths = self._no_depths
-        binds = (self.kernel.bind(*resources), self.kernel.bind(depths, group=1))
-        return Step(self.kernel, binds, (*tiles, 1))
+        bind_groups = (self.kernel.bind(*resources), self.kernel.bind(depths, group=1))
+        return Step(self.kernel, bind_groups, (*tiles, 1))

@@ -1,6 +1,6 @@
 """Lists the splats that touch each image tile, nearest first, on software drivers."""
 
-__all__ = ["ListTiles", "runs_for"]
+__all__ = ["ListTiles", "run_count"]
 
 from typing import Final, final
 
@@ -17,7 +17,7 @@ _FEWEST_GROUPS: Final = 8
 _COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
 
 
-def runs_for(tiles: int) -> int:
+def run_count(tiles: int) -> int:
     """Return into how many parts the sorted splats are divided to be listed by image tile."""
     return _INVOCATIONS * int(
         np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS)
@@ -59,7 +59,7 @@ class ListTiles:
         )  # fmt: skip
 
     def steps(
-        self, tiles: int, walked: tuple[Buffer, ...], ranged: tuple[Buffer, ...]
+        self, tiles: int, walk_buffers: tuple[Buffer, ...], range_buffers: tuple[Buffer, ...]
     ) -> tuple[Step, Step, Step, Step]:
         """Return the dispatches that list the sorted splats of each image tile by counting.
 
@@ -68,14 +68,14 @@ class ListTiles:
 
         Args:
             tiles: Number of tiles of the image.
-            walked: Resources of ``list_tiles.wgsl``, in order.
-            ranged: Resources of ``list_ranges.wgsl``, in order.
+            walk_buffers: Resources of ``list_tiles.wgsl``, in order.
+            range_buffers: Resources of ``list_ranges.wgsl``, in order.
         """
-        runs = (runs_for(tiles) // _INVOCATIONS, 1, 1)
-        by_tile = (-(-tiles // THREADS), 1, 1)
+        run_groups = (run_count(tiles) // _INVOCATIONS, 1, 1)
+        tile_groups = (-(-tiles // THREADS), 1, 1)
         return (
-            Step(self._tally, (self._tally.bind(*walked),), runs),
-            Step(self._total, (self._total.bind(*ranged),), by_tile),
-            Step(self._begin, (self._begin.bind(*ranged),), by_tile),
-            Step(self._list, (self._list.bind(*walked),), runs),
+            Step(self._tally, (self._tally.bind(*walk_buffers),), run_groups),
+            Step(self._total, (self._total.bind(*range_buffers),), tile_groups),
+            Step(self._begin, (self._begin.bind(*range_buffers),), tile_groups),
+            Step(self._list, (self._list.bind(*walk_buffers),), run_groups),
         )

@@ -10,8 +10,8 @@ from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 
 _THREADS: Final = 128
-_RUN: Final = 16
-RANGE_BLOCK: Final = _THREADS * _RUN
+_PAIRS_PER_THREAD: Final = 16
+RANGE_BLOCK: Final = _THREADS * _PAIRS_PER_THREAD
 """Pairs per workgroup, so large that the dispatch limit covers all pairs of a binding."""
 
 
@@ -21,7 +21,13 @@ class TileRanges:
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
-            device, "tile_ranges", "mark", ("rrw",), THREADS=_THREADS, RUN=_RUN, **COUNT_CONSTANTS
+            device,
+            "tile_ranges",
+            "mark",
+            ("rrw",),
+            THREADS=_THREADS,
+            RUN=_PAIRS_PER_THREAD,
+            **COUNT_CONSTANTS,
         )
 
     def step(self, counts: Buffer, tiles: Buffer, ranges: Buffer) -> Step:
