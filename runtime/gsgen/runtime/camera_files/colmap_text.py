@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.colmap_models import ColmapImage, ColmapLens
 
@@ -26,6 +28,8 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
                 where=where,
             )
         lens_number, width, height = _parse_integers([words[0], *words[2:4]], where)
+        if lens_number in lens_by_number:
+            raise ConfigInvalid(f"defines camera {lens_number} a second time", where=where)
         lens_by_number[lens_number] = ColmapLens(
             words[1], width, height, _parse_floats(words[4:], where)
         )
@@ -33,24 +37,53 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
 
 
 def images(path: Path) -> list[ColmapImage]:
-    """Read COLMAP's images.txt: per image a line of pose, camera and name, and a line of points."""
-    records = []
-    points = False  # whether the next line holds the points of an image
+    """Read COLMAP's images.txt: per image a line of pose, camera and name, and a line of points.
+
+    The second line holds ``X Y POINT3D_ID`` of each point, or nothing. Comments may be anywhere.
+    """
+    records: list[ColmapImage] = []
+    is_points_line = False
     for number, line in _read_lines(path):
-        if points or not line or line.startswith("#"):
-            points = False
+        where = f"{path}, line {number}"
+        if line.startswith("#"):
             continue
-        points = True
-        words, where = line.split(maxsplit=9), f"{path}, line {number}"
-        if len(words) < 10:
-            raise ConfigInvalid(
-                f"the line has {len(words)} words, expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
-                where=where,
-            )
-        pose = _parse_floats(words[1:8], where)
-        _, lens = _parse_integers([words[0], words[8]], where)
-        records.append(ColmapImage(words[9], pose[:4], pose[4:], lens))
+        if is_points_line:
+            _require_points(line, records[-1].name, where)
+            is_points_line = False
+        elif line:
+            records.append(_image(line, where))
+            is_points_line = True
     return records
+
+
+def _image(line: str, where: str) -> ColmapImage:
+    words = line.split(maxsplit=9)
+    if len(words) < 10:
+        raise ConfigInvalid(
+            f"the line has {len(words)} words, expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+            where=where,
+        )
+    pose = _parse_floats(words[1:8], where)
+    _, lens = _parse_integers([words[0], words[8]], where)
+    return ColmapImage(words[9], pose[:4], pose[4:], lens)
+
+
+def _require_points(line: str, image_name: str, where: str) -> None:
+    """Raise if the line after an image is not a list of points: triples of numbers, or empty."""
+    words = line.split()
+    try:
+        numbers = np.array(words, np.float64)
+        is_list = not len(words) % 3 and bool((numbers[2::3] == np.floor(numbers[2::3])).all())
+    except ValueError:
+        is_list = False
+    if not is_list:
+        shown = line if len(line) < 80 else line[:77] + "…"
+        raise ConfigInvalid(
+            f"the line after image {image_name!r} is {shown!r}, expected its 2D points as triples "
+            "X Y POINT3D_ID, or an empty line",
+            where=where,
+            hint="Each image of images.txt has two lines; the second is empty without points.",
+        )
 
 
 def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
