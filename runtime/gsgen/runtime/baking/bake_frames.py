@@ -332,7 +332,9 @@ class _Job:
     def _note_camera(self) -> None:
         self.view_dependence = "camera" if _camera_inputs(self.source) else "none"
         if self.view_dependence == "none":
-            self._add_note("the model does not depend on a camera: --camera changes nothing")
+            self._add_note(
+                "the model does not depend on a camera: poses of --camera change nothing"
+            )
 
     def _note_dependence(self, samples: ViewSamples) -> None:
         parts = ["rows"] * samples.rows_change + ["colors"] * (samples.colors is not None)

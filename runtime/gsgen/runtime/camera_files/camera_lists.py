@@ -5,8 +5,8 @@
    camera → world, its columns are the camera's axes (+x right, +y down, +z forward), ``position``
    is the camera centre. The principal point is the middle of the image, as in the training.
 3. nerfstudio's viewer: one camera per frame of a video. ``camera_to_world`` is the matrix of an
-   OpenGL camera, sixteen numbers row by row; ``fov`` is the vertical angle in degrees. The file
-   also holds the frames between the viewer's keyframes.
+   OpenGL camera, sixteen numbers row by row; ``fov`` is the vertical angle in degrees, and
+   ``render_time`` the time of the scene. The frames between the viewer's keyframes are in the file.
 """
 
 __all__ = [
@@ -23,7 +23,16 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.fields import camera_at, matrix, number, pixel_count, text
+from gsgen.runtime.camera_files.fields import (
+    Fields,
+    camera_at,
+    matrix,
+    number,
+    pixel_count,
+    require_object,
+    text,
+    unused_fields,
+)
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opencv, view_from_opengl
 from gsgen.runtime.errors import SceneInvalid
@@ -45,7 +54,7 @@ def read_gsgen_cameras(document: object, path: str) -> CameraFile:
     if not entries:
         raise ConfigInvalid("has no cameras, expected at least one", where=path)
     cameras = tuple(_gsgen_camera(entry, index, path) for index, entry in enumerate(entries))
-    return CameraFile(path, "cameras of gsgen", cameras)
+    return CameraFile(path=path, format="cameras of gsgen", cameras=cameras)
 
 
 def _gsgen_camera(document: object, index: int, path: str) -> NamedCamera:
@@ -68,20 +77,28 @@ def is_training(document: object) -> bool:
 
 def read_training_cameras(document: list[Any], path: str) -> CameraFile:
     """Read the cameras of a cameras.json of 3D Gaussian Splatting."""
-    cameras = tuple(_trained_camera(entry, index, path) for index, entry in enumerate(document))
-    return CameraFile(path, "cameras.json of 3D Gaussian Splatting", cameras)
+    objects = [
+        Fields(require_object(entry, f"{path}, camera {index}"))
+        for index, entry in enumerate(document)
+    ]
+    cameras = tuple(
+        _trained_camera(fields, index, f"{path}, camera {index}")
+        for index, fields in enumerate(objects)
+    )
+    notes = unused_fields(path, objects)
+    return CameraFile(
+        path=path, format="cameras.json of 3D Gaussian Splatting", cameras=cameras, notes=notes
+    )
 
 
-def _trained_camera(document: object, index: int, path: str) -> NamedCamera:
-    where = f"{path}, camera {index}"
-    entry = _require_object(document, where)
-    axes = matrix(entry, "rotation", (3, 3), where)
-    view = view_from_opencv(axes, matrix(entry, "position", (3,), where))
-    width, height = pixel_count(entry, "width", where), pixel_count(entry, "height", where)
-    fx, fy = number(entry, "fx", where), number(entry, "fy", where)
+def _trained_camera(fields: Fields, index: int, where: str) -> NamedCamera:
+    axes = matrix(fields, "rotation", (3, 3), where)
+    view = view_from_opencv(axes, matrix(fields, "position", (3,), where))
+    width, height = pixel_count(fields, "width", where), pixel_count(fields, "height", where)
+    fx, fy = number(fields, "fx", where), number(fields, "fy", where)
     image_center = {"cx": width / 2, "cy": height / 2}
     camera = camera_at(where, view=view, fx=fx, fy=fy, width=width, height=height, **image_center)
-    return NamedCamera(text(entry, "img_name", str(index)), camera)
+    return NamedCamera(text(fields, "img_name", text(fields, "id", str(index))), camera)
 
 
 def is_camera_path(document: object) -> bool:
@@ -90,32 +107,49 @@ def is_camera_path(document: object) -> bool:
 
 
 def read_camera_path(document: Mapping[str, Any], path: str) -> CameraFile:
-    """Read the camera of each frame of a nerfstudio camera path."""
-    kind = text(document, "camera_type", _PERSPECTIVE_TYPE).lower()
+    """Read the camera of each frame of a nerfstudio camera path, with its ``render_time``."""
+    shared = Fields(document)
+    kind = text(shared, "camera_type", _PERSPECTIVE_TYPE).lower()
     if kind not in (_PERSPECTIVE_TYPE, _PANORAMA):
         raise ConfigInvalid(
             f"camera_type is {kind!r}, expected {_PERSPECTIVE_TYPE} or {_PANORAMA}", where=path
         )
-    if not document["camera_path"]:
+    frames = shared["camera_path"]
+    if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
     width, height = (
-        pixel_count(document, "render_width", path),
-        pixel_count(document, "render_height", path),
+        pixel_count(shared, "render_width", path),
+        pixel_count(shared, "render_height", path),
     )
+    objects = [
+        Fields(require_object(frame, f"{path}, frame {index}"))
+        for index, frame in enumerate(frames)
+    ]
     cameras = tuple(
-        _path_camera(frame, index, path, (width, height), kind)
-        for index, frame in enumerate(document["camera_path"])
+        _path_camera(fields, index, f"{path}, frame {index}", (width, height), kind)
+        for index, fields in enumerate(objects)
     )
-    return CameraFile(path, "a camera path of nerfstudio", cameras)
+    fps = _path_rate(shared, len(frames), path)
+    notes = unused_fields(path, [shared, *objects])
+    return CameraFile(
+        path=path, format="a camera path of nerfstudio", cameras=cameras, notes=notes, fps=fps
+    )
+
+
+def _path_rate(shared: Fields, count: int, path: str) -> float | None:
+    """Return the frames per second of a camera path: ``seconds`` divides its frames, or ``fps``."""
+    fps = number(shared, "fps", path) if shared.get("fps") is not None else None
+    seconds = number(shared, "seconds", path) if shared.get("seconds") is not None else None
+    if seconds is not None and seconds > 0:
+        return count / seconds
+    return fps if fps is not None and fps > 0 else None
 
 
 def _path_camera(
-    document: object, index: int, path: str, size: tuple[int, int], kind: str
+    fields: Fields, index: int, where: str, size: tuple[int, int], kind: str
 ) -> NamedCamera:
-    where = f"{path}, frame {index}"
-    entry = _require_object(document, where)
     width, height = size
-    to_world = matrix(entry, "camera_to_world", (16,), where).reshape(4, 4)
+    to_world = matrix(fields, "camera_to_world", (16,), where).reshape(4, 4)
     values: dict[str, Any] = {
         "view": view_from_opengl(to_world),
         "cx": width / 2,
@@ -126,19 +160,13 @@ def _path_camera(
     if kind == _PANORAMA:
         values |= {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
     else:
-        degrees = number(entry, "fov", where)
+        degrees = number(fields, "fov", where)
         if not 0 < degrees < 180:
             raise ConfigInvalid(
                 f"fov is {degrees}, expected degrees between 0 and 180", where=where
             )
         focal = height / 2 / math.tan(math.radians(degrees) / 2)
         values |= {"fx": focal, "fy": focal}
-    return NamedCamera(str(index), camera_at(where, **values))
-
-
-def _require_object(document: object, where: str) -> dict[str, Any]:
-    if not isinstance(document, dict):
-        raise ConfigInvalid(
-            f"the JSON value is a {type(document).__name__}, expected an object", where=where
-        )
-    return document
+    has_time = fields.get("render_time") is not None
+    time = number(fields, "render_time", where) if has_time else None
+    return NamedCamera(str(index), camera_at(where, **values), time)

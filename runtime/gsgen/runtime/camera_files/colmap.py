@@ -49,7 +49,12 @@ def read_colmap(folder: Path) -> CameraFile:
     ordered = sorted(images, key=lambda image: image.name)
     cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
     used_lenses = {number: lenses[number] for number in sorted({image.lens for image in images})}
-    return CameraFile(str(folder), "a model of COLMAP", cameras, _lens_notes(used_lenses, folder))
+    return CameraFile(
+        path=str(folder),
+        format="a model of COLMAP",
+        cameras=cameras,
+        notes=_lens_notes(used_lenses, folder),
+    )
 
 
 def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> Camera:

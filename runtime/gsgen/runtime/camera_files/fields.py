@@ -1,10 +1,22 @@
-"""Reads typed fields of a camera file's JSON, with errors that name field and location."""
+"""Reads typed fields of a camera file, with errors that name field and location.
 
-__all__ = ["camera_at", "matrix", "number", "pixel_count", "text"]
+:class:`Fields` records which fields were read, so that every reader can name the others.
+"""
+
+__all__ = [
+    "Fields",
+    "camera_at",
+    "matrix",
+    "number",
+    "pixel_count",
+    "require_object",
+    "text",
+    "unused_fields",
+]
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final, final
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +24,70 @@ from jaxtyping import Float
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
+
+_LISTED_FIELDS: Final = 24  # unused fields that a note lists
+
+
+@final
+class Fields(Mapping[str, Any]):
+    """The fields of one object in a camera file, with a record of the fields that were read.
+
+    Args:
+        document: The object.
+        shared: Fields that hold where this object has no field of that name.
+    """
+
+    def __init__(self, document: Mapping[str, Any], shared: "Fields | None" = None) -> None:
+        self._document, self._shared = document, shared
+        self._read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a field, and record that it was read."""
+        if name not in self._document and self._shared is not None:
+            return self._shared[name]
+        value = self._document[name]
+        self._read.add(name)
+        return value
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a field exists, without reading it."""
+        return name in self._document or (self._shared is not None and name in self._shared)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the object's own fields."""
+        return iter(self._document)
+
+    def __len__(self) -> int:
+        """Return the number of the object's own fields."""
+        return len(self._document)
+
+    @property
+    def read_names(self) -> frozenset[str]:
+        """The names of the object's own fields that were read."""
+        return frozenset(self._read)
+
+
+def unused_fields(path: str, objects: Iterable[Fields]) -> tuple[str, ...]:
+    """Return a note on the fields that no object of a camera file was asked for; empty if none."""
+    declared: dict[str, None] = {}
+    read: set[str] = set()
+    for fields in objects:
+        declared.update(dict.fromkeys(fields))
+        read |= fields.read_names
+    names = [str(name)[:60] for name in declared if name not in read]
+    if not names:
+        return ()
+    rest = f" and {len(names) - _LISTED_FIELDS} more" if len(names) > _LISTED_FIELDS else ""
+    return (f"{path}: not used: {', '.join(names[:_LISTED_FIELDS])}{rest}",)
+
+
+def require_object(document: object, where: str) -> dict[str, Any]:
+    """Raise if a JSON value of a camera file is not an object."""
+    if not isinstance(document, dict):
+        raise ConfigInvalid(
+            f"the JSON value is a {type(document).__name__}, expected an object", where=where
+        )
+    return document
 
 
 def number(document: Mapping[str, Any], name: str, where: str) -> float:

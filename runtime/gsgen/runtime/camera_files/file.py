@@ -17,14 +17,18 @@ _SLICE_PATTERN: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 @final
 @dataclass(frozen=True, slots=True)
 class NamedCamera:
-    """A camera with its name in a camera file, most often the file name of an image."""
+    """A camera with its name in a camera file, most often the file name of an image.
+
+    ``time`` is the time of the scene in this camera's picture, if the file has one.
+    """
 
     name: str
     camera: Camera
+    time: float | None = None
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraFile:
     """The contents of a camera file: at least one camera.
 
@@ -32,13 +36,15 @@ class CameraFile:
         path: Path of the file.
         format: Title of the file's format.
         cameras: The cameras, in the order of the file.
-        notes: Sentences about losses, such as lens distortion.
+        notes: Sentences about losses, such as lens distortion, and fields that are not used.
+        fps: Frames per second of a camera path that has a rate.
     """
 
     path: str
     format: str
     cameras: tuple[NamedCamera, ...]
     notes: tuple[str, ...] = ()
+    fps: float | None = None
 
     def pick(self, selection: str | None) -> tuple[NamedCamera, ...]:
         """Return the cameras of a camera file that a name, a number or a slice selects.

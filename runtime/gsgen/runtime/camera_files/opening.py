@@ -18,22 +18,47 @@ from gsgen.runtime.camera_files.camera_lists import (
 )
 from gsgen.runtime.camera_files.colmap import FOLDERS, model_folder, read_colmap
 from gsgen.runtime.camera_files.file import CameraFile
+from gsgen.runtime.camera_files.other_programs import unreadable_camera_file
+from gsgen.runtime.camera_files.photogrammetry_json import (
+    is_openmvg,
+    is_opensfm,
+    read_openmvg,
+    read_opensfm,
+)
+from gsgen.runtime.camera_files.photogrammetry_text import (
+    is_bundler,
+    is_metashape,
+    read_bundler,
+    read_metashape,
+)
 from gsgen.runtime.camera_files.transforms_json import is_transforms, read_transforms
 
 _LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras take a tenth of them
 _KNOWN_FORMATS: Final = (
     "Supported: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
-    "nerfstudio, cameras.json of 3D Gaussian Splatting, and folders of COLMAP with cameras and "
-    "images as .bin or .txt."
+    "nerfstudio, cameras.json of 3D Gaussian Splatting, reconstruction.json of OpenSfM, "
+    "sfm_data.json of openMVG, bundle.out of Bundler, XML of Metashape, and folders of COLMAP with "
+    "cameras and images as .bin or .txt."
 )
-_FOLDER_FILES: Final = ("transforms.json", "cameras.json", "transforms_train.json")
+_START_BYTES: Final = 4096
+_FOLDER_FILES: Final = (
+    "transforms.json",
+    "cameras.json",
+    "transforms_train.json",
+    "transforms_test.json",
+    "reconstruction.json",
+    "sfm_data.json",
+    "bundle.out",
+)
 
 
-def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
+def open_cameras(path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> CameraFile:
     """Read the cameras of a file or a data set; the format is recognised by the content.
 
     Args:
         path: A file, or the folder of a data set or of a COLMAP model.
+        size: Width and height, in pixels, of cameras for which neither the file nor a picture
+            beside it has a size.
 
     Raises:
         ConfigInvalid: The file cannot be read, or its format is not supported.
@@ -41,31 +66,32 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
     """
     location = Path(path)
     if location.is_dir():
-        return _open_folder(location)
+        return _open_folder(location, size)
     try:
         if not location.is_file():
             problem = "is not a file" if location.exists() else "does not exist"
             raise ConfigInvalid(problem, where=str(location), hint=_KNOWN_FORMATS)
-        if location.stat().st_size > _LARGEST and location.suffix == ".json":
-            raise ConfigInvalid(
-                f"has {location.stat().st_size:,} bytes, expected at most {_LARGEST:,}",
-                where=str(location),
-            )
         with open(location, "rb") as file:
-            start = file.read(64)
-            content = start + file.read(_LARGEST) if _may_be_json(start) else b""
+            start = file.read(_START_BYTES)
+            is_text = _may_be_json(start) or is_bundler(start) or start.lstrip()[:1] == b"<"
+            file_size = location.stat().st_size
+            if is_text and file_size > _LARGEST:
+                raise ConfigInvalid(
+                    f"has {file_size:,} bytes, expected at most {_LARGEST:,}", where=str(location)
+                )
+            content = start + file.read() if is_text else start
     except (OSError, ValueError) as error:
         raise ConfigInvalid(f"cannot be read: {error}", where=str(location)) from error
-    if content:
-        return _from_json(content, location)
+    if _may_be_json(start):
+        return _from_json(content, location, size)
+    if is_bundler(content):
+        return read_bundler(content, location, size)
+    if is_metashape(content):
+        return read_metashape(content, str(location))
     model = model_folder(location.parent)
     if model is not None and location.stem in ("cameras", "images", "points3D"):
         return read_colmap(model)
-    raise ConfigInvalid(
-        f"begins with {start[:16]!r}, expected a camera file",
-        where=str(location),
-        hint=_KNOWN_FORMATS,
-    )
+    raise unreadable_camera_file(content, location, _KNOWN_FORMATS)
 
 
 def split_pick(text: str) -> tuple[Path, str | None]:
@@ -84,13 +110,13 @@ def _may_be_json(start: bytes) -> bool:
     return start.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"[")
 
 
-def _open_folder(folder: Path) -> CameraFile:
+def _open_folder(folder: Path, size: tuple[int, int] | None) -> CameraFile:
     model = model_folder(folder)
     if model is not None:
         return read_colmap(model)
     for name in _FOLDER_FILES:
         if (folder / name).is_file():
-            return open_cameras(folder / name)
+            return open_cameras(folder / name, size)
     raise ConfigInvalid(
         "is a folder without cameras",
         where=str(folder),
@@ -99,17 +125,21 @@ def _open_folder(folder: Path) -> CameraFile:
     )
 
 
-def _from_json(content: bytes, location: Path) -> CameraFile:
+def _from_json(content: bytes, location: Path, size: tuple[int, int] | None) -> CameraFile:
     try:
         document = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise ConfigInvalid(f"is not valid JSON: {error}", where=str(location)) from error
     if is_transforms(document):
-        return read_transforms(document, str(location))
+        return read_transforms(document, str(location), size)
     if is_camera_path(document):
         return read_camera_path(document, str(location))
     if is_training(document):
         return read_training_cameras(document, str(location))
+    if is_opensfm(document):
+        return read_opensfm(document, str(location))
+    if is_openmvg(document):
+        return read_openmvg(document, str(location))
     if is_gsgen_camera(document):
         return read_gsgen_cameras(document, str(location))
     if document in ([], {}):

@@ -212,7 +212,7 @@ def _read_source(path: Path, camera: Camera) -> _Source:
     except (Image.DecompressionBombError, UnidentifiedImageError, OSError) as error:
         raise InputUnreadable(f"is not a picture: {error}", where=str(path)) from error
     height, width = colors.shape[:2]
-    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
+    if not camera.has_shape(width, height):
         message = f"has {width}×{height} pixels, but its camera {camera.width}×{camera.height}"
         raise InputUnreadable(message, where=str(path), hint="Name the cameras of these pictures.")
     return _Source(path.name, colors, camera.scaled(width, height))

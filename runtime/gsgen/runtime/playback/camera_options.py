@@ -38,14 +38,18 @@ class Viewpoint:
         orbit: Azimuth and elevation in degrees, and the radius, or None for one that fits.
         look_at: Eye and target, six numbers.
         cameras: Cameras of a file.
-        width: Width of the image in pixels; None for the camera's own, or 1280.
-        height: Height of the image in pixels; None for the camera's own, or 720.
+        width: Width of the image in pixels; None for the camera's own (or in proportion to the
+            height), or 1280.
+        height: Height of the image in pixels; None for the camera's own (or in proportion to the
+            width), or 720.
         fov: Vertical field of view, in degrees.
         up: The upward direction; None for that of the source.
         is_orthographic: Whether there is no perspective; the scene's centre keeps its size.
         is_panorama: Whether the camera sees all directions. An orbit without a radius is then in
             the middle; a camera of a file keeps its rotation, unless ``up`` is set.
-        notes: Notes on the file of cameras, for the user.
+        file_notes: Notes on the file of cameras.
+        times: The time of the scene at each of ``cameras``, of a file that has times.
+        fps: Frames per second of a camera path with a rate.
     """
 
     orbit: tuple[float, float, float | None] | None = None
@@ -57,16 +61,50 @@ class Viewpoint:
     up: tuple[float, float, float] | None = None
     is_orthographic: bool = False
     is_panorama: bool = False
-    notes: tuple[str, ...] = ()
+    file_notes: tuple[str, ...] = ()
+    times: tuple[float, ...] = ()
+    fps: float | None = None
 
     @property
     def sizes(self) -> set[tuple[int, int]]:
         """The image sizes of the cameras from a camera file; empty without a file."""
-        return {
-            (self.width or camera.width, self.height or camera.height)
+        return {self._size(camera) for camera in self.cameras if not self.is_panorama}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the cameras for the user: losses of their file, and images of another shape."""
+        return self.file_notes + self._shape_notes()
+
+    def _shape_notes(self) -> tuple[str, ...]:
+        """Return a note if images have another shape than the cameras of the file."""
+        reshaped = [
+            camera
             for camera in self.cameras
-            if not self.is_panorama
-        }
+            if not self.is_panorama and not camera.has_shape(*self._size(camera))
+        ]
+        if not reshaped:
+            return ()
+        camera, (width, height) = reshaped[0], self._size(reshaped[0])
+        is_wider = width * camera.height > height * camera.width
+        effect = "shows more at" if is_wider else "crops"
+        sides = "the left and right"
+        if camera.kind == "panorama":
+            effect, sides = "crops", "the top and bottom" if is_wider else sides
+        return (
+            f"{len(reshaped)} of {len(self.cameras)} cameras have another shape, such as "
+            f"{camera.width}×{camera.height}: an image of {width}×{height} {effect} {sides}, and "
+            "nothing is stretched",
+        )
+
+    def _size(self, camera: Camera) -> tuple[int, int]:
+        """Return the image size of a camera of a file; one given side keeps the shape."""
+        if self.width is not None and self.height is not None:
+            return self.width, self.height
+        if self.width is not None:
+            return self.width, max(1, round(camera.height * self.width / camera.width))
+        if self.height is not None:
+            return max(1, round(camera.width * self.height / camera.height)), self.height
+        return camera.width, camera.height
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
         """Return the camera of frame ``number``, from 0; the cameras of a camera file repeat.
@@ -117,9 +155,7 @@ class Viewpoint:
     ) -> Camera:
         if self.cameras:
             file_camera = self.cameras[number % len(self.cameras)]
-            return file_camera.scaled(
-                self.width or file_camera.width, self.height or file_camera.height
-            )
+            return file_camera.resized(*self._size(file_camera))
         size = {"width": self.width or _WIDTH, "height": self.height or _HEIGHT}
         up = self.up or source.up
         if self.look_at is not None:
@@ -190,9 +226,21 @@ def viewpoint(
         raise ConfigInvalid(
             f"{text!r} is neither a camera nor an existing file", where="--camera", hint=_FORMS_HINT
         )
-    file = open_cameras(path)
-    cameras = tuple(entry.camera for entry in file.pick(selection))
-    return replace(viewpoint_base, cameras=cameras, notes=file.notes)
+    size = (width, height) if width is not None and height is not None else None
+    file = open_cameras(path, size)
+    entries = file.pick(selection)
+    times = [entry.time for entry in entries if entry.time is not None]
+    notes = file.notes
+    if 0 < len(times) < len(entries):
+        notes += (f"{path}: not used: the times, which only {len(times)} of {len(entries)} have",)
+        times = []
+    return replace(
+        viewpoint_base,
+        cameras=tuple(entry.camera for entry in entries),
+        file_notes=notes,
+        times=tuple(times),
+        fps=file.fps,
+    )
 
 
 def _exists(path: Path) -> bool:

@@ -13,11 +13,12 @@ from gsgen.runtime.media import deep_pictures, pictures
 from gsgen.runtime.media.output_formats import require_output_format
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
+from gsgen.runtime.playback.camera_times import camera_time_tracks
 from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.playback.playback import Playback
 from gsgen.runtime.playback.player import FrameRequest
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.playback.timeline import Timeline
+from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.sources.source import Source
@@ -46,6 +47,7 @@ class FrameSequence(Playback):
 
     Attributes:
         player: Computes and draws the frames.
+        notes: Notes on the cameras, for the user.
 
     Raises:
         ConfigInvalid: ``time`` is set but no source has a time, colour spaces differ, or a track
@@ -72,17 +74,19 @@ class FrameSequence(Playback):
     ) -> None:
         if turn is not None and not np.isfinite(turn):
             raise ConfigInvalid(f"is {turn}, expected a finite number of degrees", where="--turn")
-        timeline = Timeline([*sources, *post], tracks, time)
+        models: list[AnimatedInputs] = [*sources, *post]
+        camera_tracks, notes = camera_time_tracks(view, models, tracks, time)
+        timeline = Timeline(models, [*camera_tracks, *tracks], time)
         super().__init__(
             sources,
             post,
             timeline,
             frames=frames or max(len(view.cameras), timeline.frames),
-            fps=fps,
+            fps=fps or view.fps,
             sh_degree=sh_degree,
             antialias=antialias,
         )
-        self._view, self._mode = view, mode
+        self._view, self._mode, self.notes = view, mode, view.notes + notes
         is_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
         self._turn = turn if turn is not None else (FULL_TURN if is_turning else 0.0)
         self.player = self.make_player(renderer, background, MODES[mode], post)

@@ -374,6 +374,32 @@ class Camera:
             height=height,
         )
 
+    def has_shape(self, width: int, height: int) -> bool:
+        """Return whether an image of a size has the camera's proportions, to a rounded pixel."""
+        difference = abs(width * self.height - height * self.width)
+        return difference <= max(self.width, self.height)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """Return the camera in an image of another size and perhaps another shape, unstretched.
+
+        An image of another shape keeps the vertical field of view: it shows less or more at the
+        left and right. A panorama fills the image, and its edges are cropped.
+        """
+        if self.has_shape(width, height):
+            return self.scaled(width, height)
+        scale = height / self.height
+        if self.kind == "panorama":
+            scale = max(scale, width / self.width)
+        return replace(
+            self,
+            fx=self.fx * scale,
+            fy=self.fy * scale,
+            cx=width / 2 + (self.cx - self.width / 2) * scale,
+            cy=height / 2 + (self.cy - self.height / 2) * scale,
+            width=width,
+            height=height,
+        )
+
 
 def _require_number(name: str, value: object, *, must_be_positive: bool = False) -> None:
     good = isinstance(value, int | float) and math.isfinite(value)

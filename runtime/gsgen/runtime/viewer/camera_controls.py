@@ -71,7 +71,7 @@ class Controls:
         view[:3, :3] = self._rotation
         view[:3, 3] = -self._rotation @ self.eye
         if initial_camera.kind == "panorama":
-            return replace(initial_camera.scaled(width, height), view=view)
+            return replace(initial_camera.resized(width, height), view=view)
         scale = min(width / initial_camera.width, height / initial_camera.height)
         return replace(
             initial_camera,

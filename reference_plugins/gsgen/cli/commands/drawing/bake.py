@@ -18,6 +18,7 @@ from gsgen.formats.codecs import writable_formats
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.report import BakeReport
+    from gsgen.runtime.playback.camera_options import Viewpoint
     from gsgen.runtime.playback.input_tracks import Track
     from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.sources.source import GeneratorSource
@@ -109,14 +110,16 @@ def bake(
     from gsgen.runtime.baking.bake_frames import bake_source
     from gsgen.runtime.sources.source import GeneratorSource
 
-    tracks = _tracks(time, inputs)
+    tracks, view = _tracks(time, inputs), _viewpoint(camera, up)
     with closing(GeneratorSource(model, provider, sizes_of(size))) as source:
         try:
             report = bake_source(
                 source,
                 output,
-                tracks=[*tracks, *read_tracks(pose, None, [source])[0]],
-                cameras=_cameras(camera, up, source),
+                tracks=_with_camera_times(
+                    [*tracks, *read_tracks(pose, None, [source])[0]], view, source
+                ),
+                cameras=_cameras(view, source),
                 format=format,
                 views=views,
                 max_degree=sh_degree,
@@ -159,13 +162,33 @@ def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
     return tracks
 
 
-def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "list[Camera]":
-    """Return the cameras of ``--camera``; none without the option."""
+def _viewpoint(text: str | None, up: str | None) -> "Viewpoint | None":
+    """Return the cameras of ``--camera``; None without the option."""
     if text is None:
-        return []
+        return None
     from gsgen.runtime.playback.camera_options import viewpoint
 
-    view = viewpoint(text, up=up)
+    return viewpoint(text, up=up)
+
+
+def _with_camera_times(
+    tracks: "list[Track]", view: "Viewpoint | None", source: "GeneratorSource"
+) -> "list[Track]":
+    """Add the times of a camera file to the tracks, and print the notes on the cameras."""
+    if view is None:
+        return tracks
+    from gsgen.runtime.playback.camera_times import camera_time_tracks
+
+    camera_tracks, notes = camera_time_tracks(view, [source], tracks)
+    for note in (*view.notes, *notes):
+        typer.echo(f"note: {note}", err=True)
+    return [*camera_tracks, *tracks]
+
+
+def _cameras(view: "Viewpoint | None", source: "GeneratorSource") -> "list[Camera]":
+    """Return one camera per frame, or none if colours are fitted for all."""
+    if view is None:
+        return []
     return [view.camera(source, number, 0.0) for number in range(max(1, len(view.cameras)))]
 
 

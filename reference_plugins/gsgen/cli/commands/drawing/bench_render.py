@@ -64,6 +64,8 @@ def bench_render(
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.
         sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)
+        for note in sequence.notes:
+            typer.echo(f"note: {note}", err=True)
         cost = measure(sequence, progress)
     clear()
     document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}

@@ -127,8 +127,6 @@ def render(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
     color = _background(background, output, files)
-    for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
-        typer.echo(f"note: {note}", err=True)
     with open_scenes(
         scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=wait)
     ) as (sources, models):
@@ -151,6 +149,8 @@ def render(
             post=models,
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
+        for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):
+            typer.echo(f"note: {note}", err=True)
         _write(sequence, output, bits=bit_count, as_json=as_json)
 
 

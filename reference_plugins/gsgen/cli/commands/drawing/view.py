@@ -117,6 +117,8 @@ def view(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
     _print_notes(viewpoint.notes)
+    if viewpoint.times:
+        _print_notes(["not used: the times of the cameras; the window plays the time"])
     with open_scenes(
         scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
     ) as (sources, models):
