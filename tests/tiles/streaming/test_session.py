@@ -11,6 +11,7 @@ from time import monotonic, sleep
 import numpy as np
 import pytest
 
+from gsgen.contract.fetching import client
 from gsgen.formats import write_ply
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.errors import TilesetInvalid
@@ -21,7 +22,6 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.serving.server import serve_folder
-from gsgen.tiles.stores import http_store
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.streaming.clock import SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
@@ -315,8 +315,8 @@ def test_a_tile_that_another_one_displaces_in_its_own_frame_is_not_uploaded(town
 def test_a_faulty_server_still_gives_frames(
     town: Path, monkeypatch: pytest.MonkeyPatch, failures: tuple[FailureRule, ...]
 ) -> None:
-    monkeypatch.setattr(http_store, "_BACKOFF", 0.01)
-    monkeypatch.setattr(http_store, "_TIMEOUT", 0.3)
+    monkeypatch.setattr(client, "_BACKOFF", 0.01)
+    monkeypatch.setenv("GSGEN_FETCH_SECONDS", "0.3")
     faults = NetworkFaults(failures=(), seed=1)
     with served(town, faults) as address:
         lines: list[str] = []

@@ -46,7 +46,6 @@ def open_tileset(source: str | Path, *, limits: Limits | None = None) -> Tileset
 
     Raises:
         TilesetInvalid: A file is missing or wrong; the error names it and the JSON path.
-        ConfigInvalid: An address is given and urllib3 is not installed.
     """
     store, index = open_store(source)
     with store:

@@ -125,7 +125,6 @@ def open_session(
 
     Raises:
         TilesetInvalid: The index is wrong.
-        ConfigInvalid: An address is given and urllib3 is not installed.
     """
     options = options or SessionOptions()
     predictor_maker(options.predictor)  # fails before anything is read

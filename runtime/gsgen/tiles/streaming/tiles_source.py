@@ -242,7 +242,7 @@ def open_stream(
 
     Raises:
         TilesetInvalid: The index is wrong.
-        ConfigInvalid: A setting is wrong, or an address is given and urllib3 is not installed.
+        ConfigInvalid: A setting is wrong.
     """
     settings = settings or StreamSettings()
     options = SessionOptions(

@@ -1,0 +1,1 @@
+"""How is a file read from a web server, within a deadline and a byte budget?"""

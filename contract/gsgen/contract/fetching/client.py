@@ -1,0 +1,330 @@
+"""A client of web servers, with a deadline and a byte budget for each file."""
+
+__all__ = ["WebClient", "fetch"]
+
+import io
+import random
+import ssl
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from http.client import HTTPResponse
+from typing import BinaryIO, Final, TypeVar, final
+from urllib.parse import urljoin
+
+from gsgen.contract.fetching.addresses import WebAddress, parse_address, parse_origin
+from gsgen.contract.fetching.connections import FAILURES, ConnectionPool, WebConnection
+from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
+from gsgen.contract.fetching.errors import AddressRefused, ServerUnavailable
+from gsgen.contract.fetching.response_body import body_chunks
+from gsgen.contract.fetching.responses import FilePart, check_status
+
+_SECONDS: Final = 60.0  # for one file, all attempts together
+_STALL_SECONDS: Final = 10.0  # for the headers, and for each kilobyte after them
+_RETRIES: Final = 3
+_BACKOFF: Final = 0.25
+_MOST_REDIRECTS: Final = 5
+_REDIRECTS: Final = (301, 302, 303, 307, 308)
+_MAX_UNDECLARED: Final = 32 << 20
+"""Most bytes in memory of a response that is compressed, or does not declare its length."""
+
+Result = TypeVar("Result")
+OnBytes = Callable[[int], None]
+
+
+def _ignore_bytes(received: int) -> None:
+    """Report no progress."""
+
+
+def fetch(
+    address: str,
+    *,
+    max_bytes: int,
+    seconds: float | None = None,
+    headers: Mapping[str, str] | None = None,
+    allow_origins: Sequence[str] = (),
+) -> bytes:
+    """Return the bytes of a file on a web server.
+
+    Args:
+        address: Of the file, http or https.
+        max_bytes: More is an error.
+        seconds: For all attempts together; ``GSGEN_FETCH_SECONDS``, or else 60, where absent.
+        headers: Sent to the origin of the address, and to no other.
+        allow_origins: Other origins that redirects may lead to.
+
+    Raises:
+        FetchFailed: The file cannot be had; the subclass says why.
+    """
+    with WebClient(
+        address, seconds=seconds, headers=headers, allow_origins=allow_origins
+    ) as client:
+        return client.read(address, max_bytes=max_bytes)
+
+
+@final
+class WebClient:
+    """Reads files of one origin over connections that stay open; safe to use from many threads.
+
+    Errors of the server, connections that break and bodies that are cut short are tried three
+    times more, at growing distance, or when ``Retry-After`` says so. All attempts for a file end
+    at one deadline, and an attempt ends when the headers, or a kilobyte after them, take more than
+    ten seconds. Redirects are followed within the origin, and to the allowed ones. Bodies of
+    errors are not read.
+
+    Args:
+        home: An address of the origin.
+        seconds: For each file; ``GSGEN_FETCH_SECONDS``, or else 60, where absent.
+        headers: Sent to the origin, and to no other.
+        allow_origins: Other origins that redirects may lead to.
+
+    Raises:
+        AddressRefused: ``home`` is malformed.
+        ConfigInvalid: An allowed origin or ``GSGEN_FETCH_SECONDS`` is malformed.
+    """
+
+    def __init__(
+        self,
+        home: str,
+        *,
+        seconds: float | None = None,
+        headers: Mapping[str, str] | None = None,
+        allow_origins: Sequence[str] = (),
+    ) -> None:
+        self._home = _parse(home).origin
+        self._allowed = {self._home} | {
+            parse_origin(origin, "--allow-origin") for origin in allow_origins
+        }
+        self._headers = dict(headers or {})
+        self._seconds = fetch_seconds(_SECONDS) if seconds is None else seconds
+        self._stall = min(self._seconds, _STALL_SECONDS)
+        self._pool = ConnectionPool()
+
+    def size(self, address: str) -> int:
+        """Return the size of a file in bytes, by a HEAD request.
+
+        Raises:
+            FetchFailed: The server does not tell the size.
+        """
+
+        def attempt(deadline: Deadline) -> int:
+            with self._response("HEAD", address, {}, deadline) as (response, _):
+                length = response.getheader("Content-Length")
+                if length is None:
+                    raise ServerUnavailable(
+                        "the server's response has no Content-Length", where=address
+                    )
+                return int(length)
+
+        return self._with_retries(attempt)
+
+    def read(
+        self,
+        address: str,
+        *,
+        max_bytes: int,
+        start: int = 0,
+        size: int | None = None,
+        on_bytes: OnBytes = _ignore_bytes,
+    ) -> bytes:
+        """Return the bytes of a file on a web server, or a range of them.
+
+        Args:
+            address: Of the file.
+            max_bytes: More is an error. A response that is compressed, or does not declare its
+                length, may have 32 MiB.
+            start: The first byte.
+            size: How many; all that follow where absent. Fewer come where the file ends.
+            on_bytes: Called with the number of bytes that have come; an exception that it raises
+                ends the request and is passed on.
+
+        Raises:
+            FetchFailed: The file cannot be had; the subclass says why.
+        """
+        data = io.BytesIO()
+        part = FilePart(
+            address=address,
+            start=start,
+            size=size,
+            max_bytes=max_bytes,
+            max_undeclared=_MAX_UNDECLARED,
+        )
+        self._copy(part, data, on_bytes)
+        return data.getvalue()
+
+    def copy(self, address: str, into: BinaryIO, *, max_bytes: int) -> None:
+        """Copy a file of a web server into an empty file on disk.
+
+        Args:
+            address: Of the file.
+            into: Receives the bytes; emptied before each attempt.
+            max_bytes: More is an error.
+
+        Raises:
+            FetchFailed: The file cannot be had; the subclass says why.
+        """
+        part = FilePart(address=address, max_bytes=max_bytes, max_undeclared=max_bytes)
+        self._copy(part, into, _ignore_bytes)
+
+    def _copy(self, part: FilePart, into: BinaryIO, on_bytes: OnBytes) -> None:
+        def attempt(deadline: Deadline) -> None:
+            into.seek(0)
+            into.truncate()
+            on_bytes(0)
+            with self._response("GET", part.address, part.headers, deadline) as answer:
+                response = answer[0]
+                if response.status == 416:
+                    return
+                before, budget = part.bytes_before(response), part.budget(response)
+                chunks = self._chunks(answer, deadline, part.address, before + budget)
+                for piece in part.select(chunks, before, budget):
+                    into.write(piece)
+                    on_bytes(into.tell())
+
+        self._with_retries(attempt)
+
+    def close(self) -> None:
+        """Close all connections; requests that run end with an error."""
+        self._pool.close()
+
+    def __enter__(self) -> "WebClient":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _with_retries(self, attempt: Callable[[Deadline], Result]) -> Result:
+        """Try a request again after transient failures, until the deadline of its file."""
+        deadline = Deadline(self._seconds)
+        for backoff in [*(_BACKOFF * 2**index for index in range(_RETRIES)), 0.0]:
+            try:
+                return attempt(deadline)
+            except ServerUnavailable as error:
+                wait = max(error.retry_after, backoff + random.uniform(0, _BACKOFF))
+                can_retry = error.is_transient and backoff and not self._pool.is_closed
+                if not (can_retry and wait < deadline.remaining):
+                    raise
+            time.sleep(wait)
+        raise AssertionError("the last attempt returns or raises")
+
+    @contextmanager
+    def _response(
+        self, method: str, address: str, headers: Mapping[str, str], deadline: Deadline
+    ) -> Iterator[tuple[HTTPResponse, WebConnection]]:
+        """Send a request, follow its redirects, and release the connection in the end."""
+        target, current = _parse(address), address
+        for _ in range(_MOST_REDIRECTS + 1):
+            connection, response = self._send(method, target, address, headers, deadline)
+            try:
+                if response.status not in _REDIRECTS:
+                    check_status(response, address, is_ranged="Range" in headers)
+                    yield response, connection
+                    return
+                location = response.getheader("Location", "")
+            finally:
+                self._pool.release(connection, response)
+            target, current = self._redirected(address, current, location)
+        raise ServerUnavailable(f"more than {_MOST_REDIRECTS} redirects", where=address)
+
+    def _send(
+        self,
+        method: str,
+        target: WebAddress,
+        address: str,
+        headers: Mapping[str, str],
+        deadline: Deadline,
+    ) -> tuple[WebConnection, HTTPResponse]:
+        """Send a request, and return its response, whose body was not read."""
+        own_headers = self._headers if target.origin == self._home else {}
+        sent_headers = {"User-Agent": "gsgen", **own_headers, **headers}
+        while True:
+            with self._failures_of(address, deadline):
+                connection = self._pool.take(target.origin)
+            is_reused = connection.is_reused
+            try:
+                with self._failures_of(address, deadline):
+                    response = connection.ask(
+                        method, target.target, sent_headers, deadline.within(self._stall)
+                    )
+            except BaseException as error:
+                self._pool.release(connection, None)
+                # The server may have closed an idle connection: that is not a failed attempt.
+                if is_reused and isinstance(error, ServerUnavailable) and error.is_transient:
+                    continue
+                raise
+            return connection, response
+
+    def _redirected(self, address: str, current: str, location: str) -> tuple[WebAddress, str]:
+        """Return the address of an HTTP redirect; raise if its origin is not allowed."""
+        allowed = " or ".join(sorted(map(str, self._allowed)))
+        try:
+            redirected = urljoin(current, location)
+            target = parse_address(redirected) if location else None
+        except ValueError:
+            target = None
+        if target is None:
+            raise AddressRefused(
+                f"the server redirects to {location!r:.200}; expected an address of {allowed}",
+                where=address,
+            )
+        if target.origin not in self._allowed:
+            raise AddressRefused(
+                f"the server redirects to {redirected!r:.200}; expected an address of {allowed}",
+                where=address,
+                hint=f"Trust it with --allow-origin {target.origin}.",
+            )
+        return target, redirected
+
+    def _chunks(
+        self,
+        answer: tuple[HTTPResponse, WebConnection],
+        deadline: Deadline,
+        address: str,
+        max_bytes: int,
+    ) -> Iterator[bytes]:
+        """Yield the pieces of a response's body."""
+        response, connection = answer
+        chunks = body_chunks(
+            response, connection.wire, deadline, stall=self._stall, max_bytes=max_bytes
+        )
+        while True:
+            with self._failures_of(address, deadline, has_begun=True):
+                chunk = next(chunks, None)
+            if chunk is None:
+                return
+            yield chunk
+
+    @contextmanager
+    def _failures_of(
+        self, address: str, deadline: Deadline, *, has_begun: bool = False
+    ) -> Iterator[None]:
+        """Translate exceptions of sockets and ``http.client`` into those of this room."""
+        start = (
+            "the web server's response ended early" if has_begun else "the server gives no answer"
+        )
+        try:
+            yield
+        except TimeoutError as error:
+            if deadline.remaining <= 0:
+                text = f"the file did not come within {self._seconds:g} s"
+            elif has_begun:
+                text = f"less than a kilobyte came within {self._stall:g} s"
+            else:
+                text = f"{start} within {self._stall:g} s"
+            raise ServerUnavailable(
+                text, where=address, hint=f"{FETCH_SECONDS} sets the seconds for a file."
+            ) from error
+        except FAILURES as error:
+            reason = ascii(str(error) or type(error).__name__)[1:-1]  # it may quote the server
+            raise ServerUnavailable(
+                f"{start} ({reason:.200})",
+                where=address,
+                is_transient=not isinstance(error, ssl.SSLError),
+            ) from error
+
+
+def _parse(address: str) -> WebAddress:
+    try:
+        return parse_address(address)
+    except ValueError as error:
+        raise AddressRefused(f"is not a web address: {error}", where=address) from error

@@ -1,0 +1,111 @@
+"""What is requested of a file, and what the headers of a response say about it."""
+
+__all__ = ["FilePart", "check_status"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from http.client import HTTPResponse
+from typing import Final, final
+
+from gsgen.contract.fetching.errors import FileMissing, ResponseTooLarge, ServerUnavailable
+
+_NOT_FOUND: Final = (404, 410)
+_TRANSIENT: Final = (429, 500, 502, 503, 504)
+_MOST_DIGITS: Final = 15  # of a Retry-After
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilePart:
+    """The bytes of a file that are requested, and the most that are taken.
+
+    Attributes:
+        address: Of the file.
+        start: The first byte.
+        size: How many; None for all that follow.
+        max_bytes: More is an error.
+        max_undeclared: Most bytes of a response that is compressed or declares no length.
+    """
+
+    address: str
+    start: int = 0
+    size: int | None = None
+    max_bytes: int
+    max_undeclared: int
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """The header of a request for a range of bytes; empty for a whole file."""
+        if not self.start and self.size is None:
+            return {}
+        last = "" if self.size is None else str(self.start + self.size - 1)
+        return {"Range": f"bytes={self.start}-{last}"}
+
+    def bytes_before(self, response: HTTPResponse) -> int:
+        """Return how many bytes of a response come before those that were requested."""
+        if response.status != 206:
+            return self.start
+        content_range = response.getheader("Content-Range", "")
+        if not content_range.replace(" ", "").startswith(f"bytes{self.start}-"):
+            raise ServerUnavailable(
+                f"the server sends the range {content_range!r:.80}; expected one from "
+                f"byte {self.start}",
+                where=self.address,
+            )
+        return 0
+
+    def budget(self, response: HTTPResponse) -> int:
+        """Return how many bytes a response may have; raise if it declares more."""
+        if response.length is None or response.getheader("Content-Encoding"):
+            return min(self.max_bytes, self.max_undeclared)
+        if self.size is None and response.length > self.max_bytes + self.start:
+            raise self._too_large(f"{response.length:,} bytes", self.max_bytes)
+        return self.max_bytes
+
+    def select(self, chunks: Iterator[bytes], before: int, budget: int) -> Iterator[bytes]:
+        """Yield the requested bytes of a response's pieces; raise if there are too many."""
+        position, taken = 0, 0
+        for chunk in chunks:
+            piece = chunk[max(0, before - position) :]
+            position += len(chunk)
+            if self.size is not None:
+                piece = piece[: self.size - taken]
+            taken += len(piece)
+            if taken > budget:
+                raise self._too_large(f"{taken:,} bytes or more", budget)
+            yield piece
+            if taken == self.size:
+                return
+
+    def _too_large(self, actual: str, budget: int) -> ResponseTooLarge:
+        return ResponseTooLarge(f"{actual}; expected {budget:,} bytes or fewer", where=self.address)
+
+
+def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> None:
+    """Raise for a response that is not the requested file."""
+    status = response.status
+    if status == 200 or (is_ranged and status in (206, 416)):
+        return
+    if status in _NOT_FOUND:
+        raise FileMissing(f"the server answers {status}", where=address)
+    wait = _retry_after(response.getheader("Retry-After", ""))
+    suffix = f", and asks to wait {wait:,.0f} s" if wait else ""
+    raise ServerUnavailable(
+        f"the server answers {status}{suffix}",
+        where=address,
+        is_transient=status in _TRANSIENT,
+        retry_after=wait,
+    )
+
+
+def _retry_after(text: str) -> float:
+    """Return the seconds of a ``Retry-After`` header, which may be a date; 0 if malformed."""
+    if text.isascii() and text.isdigit():
+        return float(text[:_MOST_DIGITS])
+    try:
+        date = parsedate_to_datetime(text)
+        return max(0.0, (date - datetime.now(date.tzinfo or UTC)).total_seconds())
+    except (ValueError, TypeError, OverflowError):
+        return 0.0
