@@ -17,6 +17,7 @@ from importlib.metadata import (
 )
 from typing import Any
 
+from gsgen.contract._foreign_code import describe_exception, foreign_code
 from gsgen.contract.errors import ExitCode, GsgenError
 
 _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
@@ -82,9 +83,10 @@ class Extension:
                 ExitCode.USAGE,
             )
         try:
-            return self.point.load()
+            with foreign_code():
+                return self.point.load()
         except Exception as error:  # a third party's code may fail in any way
-            reason = f"{type(error).__name__}: {error}"
+            reason = describe_exception(error)
             raise ExtensionUnusable(
                 f"`{self.name}` ({self.point.value}) cannot be loaded: {reason}",
                 f"Broken: {reason}",

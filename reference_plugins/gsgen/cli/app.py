@@ -28,9 +28,11 @@ def main() -> None:
             _run()
     except KeyboardInterrupt:
         sys.exit(ExitCode.INTERRUPTED)
-    except SystemExit:
+    except SystemExit as ended:
         if interrupts.requested.is_set():  # a window's event loop closes it on Ctrl-C
             sys.exit(ExitCode.INTERRUPTED)
+        if ended.code == ExitCode.INTERNAL and ended.__cause__ is not None:
+            _report_early_end(ended)
         raise
 
 
@@ -54,7 +56,9 @@ def _run() -> None:
         if error.errno not in _UNWRITABLE_ERRORS:
             _crash()
         _fail_unwritable(error)
-    except Exception:  # a crash is neither a verdict nor a wrong option
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException:  # a crash is neither a verdict nor a wrong option
         _crash()
 
 
@@ -96,6 +100,19 @@ def _crash() -> Never:
     message = "gsgen: internal error: this is a fault of gsgen, not yours"
     print(traceback.format_exc(), message, sep="\n", file=sys.stderr)
     sys.exit(ExitCode.INTERNAL)
+
+
+def _report_early_end(ended: SystemExit) -> None:
+    """Print which line of code, of a plugin for example, ended a command with SystemExit."""
+    import traceback
+
+    from gsgen.contract._foreign_code import describe_exception
+
+    cause = ended.__cause__
+    assert cause is not None
+    frame = traceback.extract_tb(cause.__traceback__)[-1]
+    where = f"{frame.filename}:{frame.lineno} ({frame.line})"
+    print(f"gsgen: {describe_exception(cause)} ended the command: {where}", file=sys.stderr)
 
 
 def _fail(error: GsgenError) -> Never:

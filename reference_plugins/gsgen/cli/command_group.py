@@ -1,6 +1,6 @@
 """The typer program behind `gsgen`: a group of commands that imports only the one that runs."""
 
-__all__ = ["PASS_THROUGH_SETTINGS", "build", "click_command", "refusing", "runnable"]
+__all__ = ["PASS_THROUGH_SETTINGS", "EndedEarly", "build", "click_command", "refusing", "runnable"]
 
 import os
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typer.core import TyperCommand, TyperGroup
 from gsgen.cli.command_table import Command, find_command, panels
 from gsgen.cli.options import OPTION_ORDER
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
-from gsgen.contract.errors import UnknownName
+from gsgen.contract.errors import ExitCode, UnknownName
 
 # A command that only reports why it cannot run accepts all arguments.
 PASS_THROUGH_SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True}
@@ -34,6 +34,14 @@ def _root() -> None:
     pass
 
 
+class EndedEarly(SystemExit):
+    """Raised if other code than a command's own ended the command, which decided nothing."""
+
+    def __init__(self, command: str) -> None:
+        super().__init__(ExitCode.INTERNAL)
+        self.command = command
+
+
 class _CommandGroup(TyperGroup):
     """A click command group that loads a command when it is asked for."""
 
@@ -51,6 +59,16 @@ class _CommandGroup(TyperGroup):
         if not args[0].startswith("-") and find_command(args[0]) is None:
             raise _unknown_command(args[0], self.list_commands(ctx))
         return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; a SystemExit of code that it runs, such as a plugin's, is a crash."""
+        try:
+            return super().invoke(ctx)
+        except SystemExit as error:
+            command = find_command(ctx.invoked_subcommand or "")
+            if command is not None and command.code.owner != "gsgen":
+                raise
+            raise EndedEarly(ctx.invoked_subcommand or "") from error
 
 
 def click_command(command: Command) -> Any:

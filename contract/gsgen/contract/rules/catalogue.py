@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract._foreign_code import describe_exception, foreign_code
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import (
@@ -130,10 +131,11 @@ def installed_rules() -> Registry:
     backends: list[LevelBackend] = []
     for number, point in enumerate(registered_entry_points("gsgen.rules")):
         try:
-            loaded_rules, loaded_backends = _load(point)
-            # Raises if an id or a level is already taken.
-            Registry.from_rules([*rules, *loaded_rules], [*backends, *loaded_backends])
-            _require_owner(point, loaded_rules)
+            with foreign_code():
+                loaded_rules, loaded_backends = _load(point)
+                # Raises if an id or a level is already taken.
+                Registry.from_rules([*rules, *loaded_rules], [*backends, *loaded_backends])
+                _require_owner(point, loaded_rules)
         except Exception as error:  # a third party's import may fail in any way
             loaded_rules, loaded_backends = [_unloadable_rule(point, number, error)], []
         rules.extend(loaded_rules)
@@ -166,7 +168,7 @@ def _unloadable_rule(point: EntryPoint, number: int, error: Exception) -> Rule:
         Hint:
             Repair or uninstall the package that registers them.
         """
-        message = f"rules {point.name} = {point.value} do not load: {error!r}"
+        message = f"rules {point.name} = {point.value} do not load: {describe_exception(error)}"
         raise ImportError(f"{message}{_location_text(error)}")
 
     return plugin_loads

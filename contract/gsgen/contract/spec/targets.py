@@ -1,17 +1,26 @@
 """Validation targets: versioned data files with the limits and quirks of runtimes and viewers."""
 
-__all__ = ["Target", "known_targets", "load_target", "target_from_json"]
+__all__ = ["Target", "TargetUnusable", "known_targets", "load_target", "target_from_json"]
 
 import json
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from importlib.metadata import EntryPoint
-from typing import Any
+from typing import Any, ClassVar, cast
 
 from gsgen.contract._entry_points import registered_entry_points
-from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract._foreign_code import describe_exception, foreign_code
+from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 from gsgen.contract.spec.severity import Severity
+
+_MAX_CHARACTERS = 300
+
+
+class TargetUnusable(ConfigInvalid):
+    """Raised if the definition that a package registers under ``gsgen.targets`` does not load."""
+
+    exit_code: ClassVar[int] = ExitCode.INTERNAL
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +111,7 @@ def known_targets() -> dict[str, Target]:
     under the entry point group ``gsgen.targets``. It may build on ours with :func:`load_target`.
 
     Raises:
-        ConfigInvalid: A registered target cannot be loaded.
+        TargetUnusable: A registered target cannot be loaded.
     """
     targets = dict(_contract_targets())
     for point in registered_entry_points("gsgen.targets"):
@@ -114,15 +123,16 @@ def known_targets() -> dict[str, Target]:
 def _load_entry_point(point: EntryPoint) -> Target:
     where = f"target {point.name} = {point.value}"
     try:
-        loaded: Any = point.load()
-        target = loaded() if callable(loaded) else loaded
+        with foreign_code():
+            loaded: Any = point.load()
+            target = loaded() if callable(loaded) else loaded
+            is_target, returned = isinstance(target, Target), repr(target)[:_MAX_CHARACTERS]
     except Exception as error:  # a third party's code may fail in any way
-        raise ConfigInvalid(
-            f"the target runtime's definition cannot be loaded: {error!r}", where=where
-        ) from error
-    if not isinstance(target, Target):
-        raise ConfigInvalid(f"the entry point returns {target!r}, expected a Target", where=where)
-    return target
+        message = f"the target runtime's definition cannot be loaded: {describe_exception(error)}"
+        raise TargetUnusable(message, where=where) from error
+    if not is_target:
+        raise TargetUnusable(f"the entry point returns {returned}, expected a Target", where=where)
+    return cast(Target, target)
 
 
 def load_target(name: str, where: str = "--target") -> Target:

@@ -11,6 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
+from gsgen.contract._foreign_code import foreign_code
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
@@ -292,7 +293,8 @@ class _Validation:
     ) -> None:
         with ExitStack() as stack:
             try:
-                context = stack.enter_context(backend.prepare(probe_runs))
+                with foreign_code():
+                    context = stack.enter_context(backend.prepare(probe_runs))
             except LevelUnavailable as error:
                 self.levels.append(
                     LevelOutcome(level=backend.level, ran=False, reason=error.reason)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gsgen.contract._foreign_code import foreign_code
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding, Violation
 from gsgen.contract.validation.finding_counter import FindingCounter
@@ -17,6 +18,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
 _MAX_LOCATIONS = 20
+_MAX_CRASH_CHARACTERS = 4000
 
 
 @dataclass(slots=True, kw_only=True)
@@ -86,12 +88,11 @@ class ResultCollector:
         """Run the check of a rule once, and count its violations; return False if it crashed."""
         start_time = time.perf_counter()
         try:
-            with np.errstate(all="ignore"):  # outputs may hold NaN and infinity
+            with foreign_code(), np.errstate(all="ignore"):  # outputs may hold NaN and infinity
                 for violation in rule.check(subject):
                     self._add(rule, violation, probe, start)
         except Exception:  # a faulty rule must not prevent the report
-            last = traceback.format_exc(limit=-3).strip()
-            self.outcomes[rule.id] = Outcome(rule=rule, status="crashed", reason=last)
+            self.outcomes[rule.id] = Outcome(rule=rule, status="crashed", reason=_crash_text())
             return False
         finally:
             seconds = time.perf_counter() - start_time
@@ -130,9 +131,9 @@ class ResultCollector:
 
     def crash(self, rules: Iterable[Rule]) -> None:
         """Record validation rules as crashed, with the exception that is being handled."""
-        last = traceback.format_exc(limit=-3).strip()
+        reason = _crash_text()
         for rule in rules:
-            self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
+            self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=reason))
 
     def exclude(self, rules: Iterable[Rule], reason: str) -> None:
         """Record rules as not applicable to the model, with the reason."""
@@ -207,3 +208,10 @@ class ResultCollector:
             statistic=counter.statistic,
             distribution=counter.distribution(),
         )
+
+
+def _crash_text() -> str:
+    """Return the end of the traceback of the exception that is being handled."""
+    with foreign_code():  # the exception's class may be a third party's
+        text = traceback.format_exc(limit=-3).strip()
+    return text if len(text) <= _MAX_CRASH_CHARACTERS else f"… {text[-_MAX_CRASH_CHARACTERS:]}"

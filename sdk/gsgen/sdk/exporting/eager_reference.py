@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gsgen.contract._foreign_code import foreign_code
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
@@ -136,7 +137,7 @@ def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
         GeneratorInvalid: ``forward`` raised; the error names the line of the user's code.
     """
     try:
-        with torch.no_grad():
+        with foreign_code(), torch.no_grad():
             return module(*tensors)
     except GsgenError:
         raise

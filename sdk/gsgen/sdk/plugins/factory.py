@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from gsgen.contract._foreign_code import foreign_code
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.plugins.argument_values import convert, name_of
@@ -147,7 +148,8 @@ def _import(name: str, search_folder: Path) -> Any:
         sys.path.insert(0, str(search_folder))
     importlib.invalidate_caches()
     try:
-        return importlib.import_module(name)
+        with foreign_code():
+            return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise _no_module(name, error.name, search_folder) from error
@@ -211,7 +213,8 @@ def locate_errors(build: Callable[[], Any], where: str) -> Callable[[], Any]:
 
     def located_build() -> Any:
         try:
-            return build()
+            with foreign_code():
+                return build()
         except GsgenError:
             raise
         except Exception as error:  # that code may raise anything

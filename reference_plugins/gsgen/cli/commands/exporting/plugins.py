@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from gsgen.cli.model_options import AsJson, echo_json
-from gsgen.contract._entry_points import Extension
+from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 
@@ -55,10 +55,9 @@ def _plugin_facts(extension: Extension) -> dict[str, Any]:
         "publication": None,
     }
     try:
-        loaded_plugin = extension.point.load()
-    except Exception as error:  # a third party's code may fail in any way
-        reason = None if extension.missing else f"Broken: {type(error).__name__}: {error}"
-        return facts | {"summary": reason}
+        loaded_plugin = extension.load()
+    except ExtensionUnusable as error:
+        return facts | {"summary": None if extension.missing else error.summary}
     if not isinstance(loaded_plugin, Plugin):  # another kind of command
         summary = (getattr(loaded_plugin, "__doc__", None) or "").strip().partition("\n")[0]
         return facts | {"summary": summary or None}

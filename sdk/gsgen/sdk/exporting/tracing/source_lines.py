@@ -11,7 +11,9 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-_SDK_FOLDER = Path(__file__).parents[2]
+import gsgen.contract
+
+_OWN_FOLDERS = (Path(__file__).parents[2], Path(gsgen.contract.__file__).parent)
 _STDLIB_FOLDER = Path(sysconfig.get_path("stdlib"))
 _SITE_FOLDERS = ("site-packages", "dist-packages")
 # Packages that a user's line calls, so that their frames lie inside of its frame.
@@ -54,7 +56,7 @@ def _frames() -> Iterator[FrameType]:
 def is_user_file(filename: str) -> bool:
     """Return whether a source file holds a user's code, not that of Python, torch or gsgen."""
     path = Path(filename)
-    if not path.is_file() or path.is_relative_to(_SDK_FOLDER):
+    if not path.is_file() or any(path.is_relative_to(f) for f in _OWN_FOLDERS):
         return False
     package_indices = [path.parts.index(name) for name in _SITE_FOLDERS if name in path.parts]
     if package_indices:
