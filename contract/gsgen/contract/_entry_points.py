@@ -1,11 +1,24 @@
-"""Code that installed Python packages register under gsgen's entry point groups.
+"""Code of third parties: what installed Python packages register under entry point groups.
 
-An extra that the code needs stands in square brackets: ``static = "acme.plugin:PLUGIN [sdk]"``.
+It cannot end this process unnoticed: ``except Exception`` misses SystemExit, so a plugin that calls
+``sys.exit()`` would end a validation with exit code 0, which reads as a pass. An extra that the code needs stands in square brackets: ``static = "acme.plugin:PLUGIN [sdk]"``.
 """
 
-__all__ = ["Extension", "ExtensionUnusable", "find_extensions", "registered_entry_points"]
+__all__ = [
+    "Extension",
+    "ExtensionUnusable",
+    "ForeignExit",
+    "find_extensions",
+    "foreign_code",
+    "registered_entry_points",
+    "short_repr",
+]
 
+import os
 import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import (
@@ -15,12 +28,12 @@ from importlib.metadata import (
     entry_points,
     requires,
 )
-from typing import Any
+from typing import Any, Never
 
-from gsgen.contract._foreign_code import describe_exception, foreign_code
 from gsgen.contract.errors import ExitCode, GsgenError
 
 _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
+_MAX_REPR_LENGTH = 300
 
 
 class ExtensionUnusable(GsgenError):
@@ -86,7 +99,7 @@ class Extension:
             with foreign_code():
                 return self.point.load()
         except Exception as error:  # a third party's code may fail in any way
-            reason = describe_exception(error)
+            reason = short_repr(error)
             raise ExtensionUnusable(
                 f"`{self.name}` ({self.point.value}) cannot be loaded: {reason}",
                 f"Broken: {reason}",
@@ -123,3 +136,44 @@ def _is_installed(name: str) -> bool:
     except PackageNotFoundError:
         return False
     return True
+
+
+class ForeignExit(Exception):
+    """Raised if a third party's code tried to end this process; its cause is what was raised."""
+
+
+@contextmanager
+def foreign_code() -> Iterator[None]:
+    """Turn exceptions of the block that are no Exception, and ``os._exit``, into ForeignExit.
+
+    Ctrl-C still raises KeyboardInterrupt. ``os._exit`` ends other threads' processes as before, and
+    those that the block forks.
+    """
+    exit_process, caller = os._exit, (os.getpid(), threading.get_ident())
+
+    def refuse_exit(status: int) -> Never:
+        if (os.getpid(), threading.get_ident()) != caller:
+            exit_process(status)
+        raise ForeignExit(f"os._exit({status!r})")
+
+    os._exit = refuse_exit
+    try:
+        yield
+    except (Exception, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        described = ForeignExit(short_repr(error)).with_traceback(error.__traceback__)
+        raise described from error
+    finally:
+        os._exit = exit_process
+
+
+def short_repr(value: object) -> str:
+    """Return the ``repr`` of a third party's object in one short line, even if its class fails."""
+    try:
+        with foreign_code():
+            text = str(value) if isinstance(value, ForeignExit) else repr(value)
+            text = " ".join(text.split())
+    except Exception:  # the class is a third party's
+        text = f"{object.__repr__(value)}, which cannot be described"
+    return text if len(text) <= _MAX_REPR_LENGTH else f"{text[:_MAX_REPR_LENGTH]} …"

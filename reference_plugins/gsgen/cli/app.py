@@ -106,13 +106,13 @@ def _report_early_end(ended: SystemExit) -> None:
     """Print which line of code, of a plugin for example, ended a command with SystemExit."""
     import traceback
 
-    from gsgen.contract._foreign_code import describe_exception
+    from gsgen.contract._entry_points import short_repr
 
     cause = ended.__cause__
     assert cause is not None
     frame = traceback.extract_tb(cause.__traceback__)[-1]
     where = f"{frame.filename}:{frame.lineno} ({frame.line})"
-    print(f"gsgen: {describe_exception(cause)} ended the command: {where}", file=sys.stderr)
+    print(f"gsgen: {short_repr(cause)} ended the command: {where}", file=sys.stderr)
 
 
 def _fail(error: GsgenError) -> Never:

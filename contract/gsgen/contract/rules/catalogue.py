@@ -10,8 +10,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 
-from gsgen.contract._entry_points import registered_entry_points
-from gsgen.contract._foreign_code import describe_exception, foreign_code
+from gsgen.contract._entry_points import foreign_code, registered_entry_points, short_repr
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import (
@@ -168,7 +167,7 @@ def _unloadable_rule(point: EntryPoint, number: int, error: Exception) -> Rule:
         Hint:
             Repair or uninstall the package that registers them.
         """
-        message = f"rules {point.name} = {point.value} do not load: {describe_exception(error)}"
+        message = f"rules {point.name} = {point.value} do not load: {short_repr(error)}"
         raise ImportError(f"{message}{_location_text(error)}")
 
     return plugin_loads

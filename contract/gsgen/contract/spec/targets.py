@@ -7,14 +7,11 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from importlib.metadata import EntryPoint
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
-from gsgen.contract._entry_points import registered_entry_points
-from gsgen.contract._foreign_code import describe_exception, foreign_code
+from gsgen.contract._entry_points import foreign_code, registered_entry_points, short_repr
 from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 from gsgen.contract.spec.severity import Severity
-
-_MAX_CHARACTERS = 300
 
 
 class TargetUnusable(ConfigInvalid):
@@ -126,13 +123,13 @@ def _load_entry_point(point: EntryPoint) -> Target:
         with foreign_code():
             loaded: Any = point.load()
             target = loaded() if callable(loaded) else loaded
-            is_target, returned = isinstance(target, Target), repr(target)[:_MAX_CHARACTERS]
     except Exception as error:  # a third party's code may fail in any way
-        message = f"the target runtime's definition cannot be loaded: {describe_exception(error)}"
+        message = f"the target runtime's definition cannot be loaded: {short_repr(error)}"
         raise TargetUnusable(message, where=where) from error
-    if not is_target:
-        raise TargetUnusable(f"the entry point returns {returned}, expected a Target", where=where)
-    return cast(Target, target)
+    if not isinstance(target, Target):
+        message = f"the entry point returns {short_repr(target)}, expected a Target"
+        raise TargetUnusable(message, where=where)
+    return target
 
 
 def load_target(name: str, where: str = "--target") -> Target:

@@ -11,7 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from gsgen.contract._foreign_code import foreign_code
+from gsgen.contract._entry_points import foreign_code
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gsgen.contract._foreign_code import foreign_code
+from gsgen.contract._entry_points import foreign_code
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding, Violation
 from gsgen.contract.validation.finding_counter import FindingCounter

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsgen.contract._foreign_code import foreign_code
+from gsgen.contract._entry_points import foreign_code
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gsgen.contract._foreign_code import foreign_code
+from gsgen.contract._entry_points import foreign_code
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.plugins.argument_values import convert, name_of
