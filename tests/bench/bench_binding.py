@@ -140,8 +140,8 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
         alone = bare_frame(session)
         actions = [alone, lambda: session.run({"time": 0.3})["gaussians"], alone]
         entry, ours, again = np.median(alternating_seconds(actions, 30), axis=0)
-        inside = Inside(session._warm_session.bound.session)
-        session._warm_session.bound.session = inside
+        inside = Inside(session._warm_session.bound_buffers.session)
+        session._warm_session.bound_buffers.session = inside
         frames = np.zeros((60, 2))
         for frame in frames:
             start_time = time.perf_counter()

@@ -298,7 +298,7 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
     n, cut = 4 * MILLION, sort_config_for(device)
     keys = np.random.default_rng(0).uniform(0.01, 100, n).astype(np.float32).view(np.uint32)
     sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
-    counts = device.storage("counts", counting.BYTES, extra_usage="INDIRECT")
+    counts = device.storage("counts", counting.COUNTERS_BYTES, extra_usage="INDIRECT")
     columns = [
         Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]

@@ -17,7 +17,7 @@ import numpy as np
 from bench_renderer import NOTHING_BEHIND, room
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.oracle.projection import ellipses
 from gsgen.runtime.renderer.renderer import Renderer
@@ -65,13 +65,13 @@ def splats(renderer: Renderer, scene: Scene, camera: Camera) -> Splats:
     ]
     back = np.argsort(np.concatenate(where))
     keys, lows = keys[back], lows[back]
-    drawn = keys != ABSENT
+    drawn = keys != NO_ID
     rows = splat_set.data.rows[drawn].astype(np.float64)
     actual = ellipses(rows, splat_set, camera)
     naive_offsets = (rows[:, :3].astype(np.float32) - camera.eye.astype(np.float32)) @ camera.view[
         2, :3
     ].astype(np.float32)
-    inverse = np.linalg.inv(actual.dilated)
+    inverse = np.linalg.inv(actual.dilated_covariance)
     return Splats(
         actual.mean, inverse, rows[:, 3], actual.depth, naive_offsets, keys[drawn], lows[drawn]
     )

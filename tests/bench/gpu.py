@@ -227,7 +227,7 @@ class Frame:
         waited, start_time = [], time.perf_counter()
         for _ in range(frames):
             self.renderer.draw(scene, self.camera, wait=False)
-            waited.append(self.renderer.late_counts.waited)
+            waited.append(self.renderer.late_counts.wait_seconds)
         elapsed = time.perf_counter() - start_time
         self.renderer.settle()
         return {"frame": 1e3 * elapsed / frames, "waited": 1e3 * float(np.median(waited))}
@@ -354,7 +354,7 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
     cut = sort_config_for(device)
     keys = np.random.default_rng(0).uniform(0.01, 100, n).astype(np.float32).view(np.uint32)
     sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
-    counts = device.storage("counts", counting.BYTES, extra_usage="INDIRECT")
+    counts = device.storage("counts", counting.COUNTERS_BYTES, extra_usage="INDIRECT")
     columns = [
         Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]
@@ -486,13 +486,13 @@ def main() -> int:
 
 
 def _probed(device: Device) -> dict[str, Any]:
-    timings = rasteriser_choice.probe(device, Kernels(device))
+    timings = rasteriser_choice.measure_options(device, Kernels(device))
     return {
         "tiles, ms": 1e3 * timings.tiles,
         "quads, ms": 1e3 * timings.quads,
         "small tiles, ms": 1e3 * timings.small_tiles,
         "tile, pixels": timings.tile,
-        "best": timings.best,
+        "best": timings.fastest,
     }
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float16, Float32, Shaped, UInt32
 
-from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT
+from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT_LIGHT
 from gsgen.runtime.kernels.raster.mesh_place import TO_LINEAR, TO_SRGB
 from gsgen.runtime.kernels.shared.shader import NOWHERE
 from gsgen.runtime.scene.frame import srgb_of_linear
@@ -43,7 +43,7 @@ def mesh_reference(
         color = _surface_color(data, face, weights[is_nearer], int(uniform["conversion"]))
         if uniform["shaded"]:
             slant = np.abs(toward) / np.linalg.norm(ray[is_nearer], axis=-1)
-            color = color * (AMBIENT + (1 - AMBIENT) * slant)[:, None]
+            color = color * (AMBIENT_LIGHT + (1 - AMBIENT_LIGHT) * slant)[:, None]
         ones = np.ones((len(color), 1))
         image[is_nearer] = np.concatenate([color, ones, facing, depth[is_nearer][:, None]], -1)
     return image

@@ -12,8 +12,8 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
 from gsgen.runtime.kernels.project.cull_slots import CULL_MARGIN
 from gsgen.runtime.kernels.project.project import NO_HARMONICS
-from gsgen.runtime.kernels.project.tally_keys import BINS
-from gsgen.runtime.kernels.shared.shader import ABSENT, MIN_EIGENVALUE_GAP, POLE, TILE
+from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
+from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, NO_ID, POLE, TILE
 from gsgen.runtime.scene.camera import DILATION
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import REACH
@@ -217,7 +217,7 @@ def tally_reference(
 ) -> Int64[np.ndarray, " m"]:
     """Count sort keys from ``low`` to before ``high``: the reference of ``tally_keys.wgsl``."""
     counted = keys[(keys >= low) & (keys < high)]
-    return np.bincount((counted - np.uint32(low)) >> np.uint32(shift), minlength=BINS)
+    return np.bincount((counted - np.uint32(low)) >> np.uint32(shift), minlength=BIN_COUNT)
 
 
 def place_reference(
@@ -228,7 +228,7 @@ def place_reference(
     The reference of ``place_splats.wgsl``: the first index is ``before``.
     """
     is_in_slab = (keys >= low) & (keys < high)
-    return np.where(is_in_slab, before + np.cumsum(is_in_slab) - 1, ABSENT).astype(np.uint32)
+    return np.where(is_in_slab, before + np.cumsum(is_in_slab) - 1, NO_ID).astype(np.uint32)
 
 
 def live_counts_reference(total: int, pages: int) -> UInt32[np.ndarray, " n"]:

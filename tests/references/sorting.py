@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
-from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.kernels.sort.scan import MANY
+from gsgen.runtime.kernels.shared.shader import NO_ID
+from gsgen.runtime.kernels.sort.scan import MAX_COUNT
 
 
 def first_digits_reference(
@@ -13,14 +13,14 @@ def first_digits_reference(
 ) -> UInt32[np.ndarray, "values blocks"]:
     """Count the first digits of keys by block: reference of ``first_digits.wgsl``."""
     table = np.zeros((digits.values, max(1, -(-len(keys) // digits.block))), np.uint32)
-    present = np.flatnonzero(keys != ABSENT)
+    present = np.flatnonzero(keys != NO_ID)
     np.add.at(table, (keys[present] % digits.values, present // digits.block), 1)
     return table
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
     """Return the indices of the drawn Gaussians, sorted by key: the reference of the GPU sorts."""
-    present = np.flatnonzero(keys != ABSENT)
+    present = np.flatnonzero(keys != NO_ID)
     order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
     return present[order].astype(np.uint32)
 
@@ -28,7 +28,7 @@ def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarr
 def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
     """Return exclusive prefix sums, which saturate at 2³¹ − 1: the reference of ``scan.wgsl``."""
     before = np.cumsum(numbers, dtype=np.uint64) - numbers
-    return np.asarray(np.minimum(before, MANY), np.uint32)
+    return np.asarray(np.minimum(before, MAX_COUNT), np.uint32)
 
 
 def order_ties_reference(

@@ -9,7 +9,7 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 PICTURE: Final = np.dtype(
     {
@@ -36,7 +36,12 @@ class LiveCounts:
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
-            device, "live_counts", "divide", ("rw",), THREADS=THREADS, PAGE_ROWS=PAGE_ROWS
+            device,
+            "live_counts",
+            "divide",
+            ("rw",),
+            THREADS=THREADS_PER_WORKGROUP,
+            PAGE_ROWS=PAGE_ROWS,
         )
 
     def step(self, total: Buffer, live: Buffer) -> Step:
@@ -69,7 +74,7 @@ class RepackRows:
             "repack_rows",
             "repack",
             ("rw",),
-            THREADS=THREADS,
+            THREADS=THREADS_PER_WORKGROUP,
             COLUMNS=columns,
             WORDS=words,
             HALF_SOURCE=half_source,
@@ -78,4 +83,8 @@ class RepackRows:
 
     def step(self, numbers: Buffer, words: Buffer, rows: int) -> Step:
         """Return the dispatch that copies rows of a model output into a renderer's buffer."""
-        return Step(self.kernel, (self.kernel.bind(numbers, words),), (-(-rows // THREADS), 1, 1))
+        return Step(
+            self.kernel,
+            (self.kernel.bind(numbers, words),),
+            (-(-rows // THREADS_PER_WORKGROUP), 1, 1),
+        )

@@ -114,7 +114,9 @@ class _PlanWriter:
         recorded = self._recorded
         plan, shape = recorded.plan, recorded.shape
         stages = {name: self._steps(steps) for name, steps in plan.stages.items()}
-        clears = [[self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears]
+        clears = [
+            [self._buffer(buffer), offset, size] for buffer, offset, size in plan.buffer_clears
+        ]
         written = {
             "outputs": list(shape.outputs),
             "panorama": shape.panorama,

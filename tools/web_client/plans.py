@@ -13,9 +13,9 @@ from gsgen.contract.spec.layout import ROW
 from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, appearance_stride
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
-from gsgen.runtime.kernels.project.slots import SLOT
-from gsgen.runtime.kernels.shared.counts import BYTES, Counts
-from gsgen.runtime.kernels.shared.kernel import THREADS
+from gsgen.runtime.kernels.project.slots import SLOT_UNIFORM_DTYPE
+from gsgen.runtime.kernels.shared.counts import COUNTERS_BYTES, Counts
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.renderer import FIRST_PAIR_CAPACITY, PAIR_CAPACITY_FACTOR
@@ -80,9 +80,9 @@ def plans_document() -> dict[str, Any]:
             "page": _fields(PAGE),
             "showing": _fields(PRESENT_UNIFORM),
             "picture": _fields(PICTURE),
-            "slot": _fields(SLOT),
+            "slot": _fields(SLOT_UNIFORM_DTYPE),
         },
-        "counts": {member.name: int(member) for member in Counts} | {"BYTES": BYTES},
+        "counts": {member.name: int(member) for member in Counts} | {"BYTES": COUNTERS_BYTES},
         "appearances": [
             {
                 "kind": f"{'float16' if each.half else 'float32'} {each.appearance_stride}",
@@ -151,7 +151,7 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
                 "columns": columns,
                 "words": words,
                 "pipeline": tables.pipeline(kernel.pipeline),
-                "groups": [["ceil_div", "capacity", THREADS], 1, 1],
+                "groups": [["ceil_div", "capacity", THREADS_PER_WORKGROUP], 1, 1],
             }
         )
     live = LiveCounts(device).kernel

@@ -24,7 +24,7 @@ from gsgen.runtime.gpu.splat_residency import Page, allocate_pool_page, appearan
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import PlacedPage
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -137,7 +137,7 @@ def record(shape: Shape) -> RecordedPlan:
         outputs=frozenset(shape.outputs),
         projection="panorama" if shape.panorama else "plane",
     )
-    method = Method(pair_capacity=pairs, sort="deep" if shape.deep else "by key")
+    method = RasterMethod(pair_capacity=pairs, sort="deep" if shape.deep else "by key")
     plan = Plan(Kernels(device, is_single_shape=True), placed, image, method, layers=shape.layers)
     gaussians = sum(page.capacity for _, page in placed)
     totals = {"gaussians": gaussians, "cells": sum(cell_counts)}

@@ -15,7 +15,7 @@ import gsgen.runtime
 from gsgen.runtime.gpu import native
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.native import create_shader_module, parse_native_types, timestamp_period
-from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.gpu.readback import StagingBuffers
 from support.commands import ROOT
 
 wgpu = pytest.importorskip("wgpu")
@@ -106,7 +106,7 @@ def result(device: Device, code: str) -> int:
 @pytest.fixture(params=["chosen checks", "all checks"])
 def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Device:
     if request.param == "all checks":
-        monkeypatch.setattr(native, "_function", lambda name: None)
+        monkeypatch.setattr(native, "_load_function", lambda name: None)
     return Device.open()
 
 
@@ -121,14 +121,14 @@ def test_wgsl_error_is_raised_where_the_shader_is_compiled(device: Device) -> No
 
 def test_shader_keeps_all_checks_but_that_of_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     device, checks = Device.open(), list[int]()
-    function = native._function(native._CREATE_FUNCTION)
+    function = native._load_function(native._CREATE_FUNCTION)
     assert function is not None
 
     def create(raw: object, descriptor: object, chosen: int) -> object:
         checks.append(chosen)
         return function(raw, descriptor, chosen)
 
-    monkeypatch.setattr(native, "_function", lambda name: create)
+    monkeypatch.setattr(native, "_load_function", lambda name: create)
     assert result(device, SUM_SHADER) == 4950
     from wgpu.backends.wgpu_native import lib
 
@@ -153,7 +153,7 @@ def test_staging_reads_what_was_submitted(monkeypatch: pytest.MonkeyPatch, mode:
     monkeypatch.setattr(native, "_READ_MODE", mode)
     device = Device.open()
     numbers = device.storage("numbers", 16)
-    staging = Staging(device, {"numbers": numbers})
+    staging = StagingBuffers(device, {"numbers": numbers})
     for first in (0, 4):
         device.write(numbers, np.arange(first, first + 4, dtype=np.uint32))
         encoder = device.raw.create_command_encoder()
@@ -167,7 +167,7 @@ def test_staging_that_was_not_read_is_used_again() -> None:
     """Catches a buffer that an interrupt left mapped."""
     device = Device.open()
     numbers = device.storage("numbers", 16)
-    staging = Staging(device, {"numbers": numbers})
+    staging = StagingBuffers(device, {"numbers": numbers})
     for number in (1, 2):
         device.write(numbers, np.full(4, number, np.uint32))
         encoder = device.raw.create_command_encoder()

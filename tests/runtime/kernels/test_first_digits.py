@@ -5,7 +5,7 @@ import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer.renderer import Renderer
 from references.sorting import first_digits_reference
 from support.rendering.first_digits import CASES, counted, like_gpu
@@ -35,7 +35,7 @@ def test_cases_cover_block_and_capacity_limits(large_tiles: Renderer) -> None:
 
 
 def test_the_twin_counts_present_keys_by_block() -> None:
-    keys = np.array([0, 5, 5, ABSENT, 1, 4, 9], np.uint32)
+    keys = np.array([0, 5, 5, NO_ID, 1, 4, 9], np.uint32)
     table = first_digits_reference(keys, FirstDigits(4, 3))
     assert table.tolist() == [[1, 1, 0], [2, 1, 1], [0, 0, 0], [0, 0, 0]]
     assert first_digits_reference(keys[:0], FirstDigits(2, 3)).tolist() == [[0], [0]]

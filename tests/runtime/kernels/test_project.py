@@ -7,7 +7,7 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project import project
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT, source
+from gsgen.runtime.kernels.shared.shader import NO_ID, source
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -74,7 +74,7 @@ def test_projected_splats_agree_with_the_reference(renderer: Renderer, name: str
         floats(renderer, plan, part, n) for part in ("shapes", "weights", "colors")
     )
     expected = reference(scene.sets[0], view_camera)
-    drawn = keys != ABSENT
+    drawn = keys != NO_ID
     assert drawn.any()
     assert not (drawn & ~expected.drawn).any()
     # What the kernel leaves out beyond that is beside the image.
@@ -135,7 +135,7 @@ def test_tiles_list_every_splat_that_reaches_them(device: Device, name: str, lis
         windows = both[len(both) // 2 :]  # remainders of depths are before them
         for i in np.flatnonzero(drawn):
             rows, columns = np.divmod(np.flatnonzero(listed[i]), 10)
-            if windows[i] == ABSENT:  # larger than a window, but for rows that it misses
+            if windows[i] == NO_ID:  # larger than a window, but for rows that it misses
                 assert view_camera.period or np.ptp(rows) > 1 or np.ptp(columns) > 3
             else:
                 assert window_tiles(int(windows[i]), 10) == np.flatnonzero(listed[i]).tolist()
@@ -197,7 +197,7 @@ def test_projected_normals_agree_with_the_reference(renderer: Renderer) -> None:
     plan.submit(placed, view_camera, NOTHING_BEHIND, only=["project"])
     plan.collect()
     actual = floats(renderer, plan, "normals", n)[:, :3]
-    drawn = read_words(renderer, plan, "keys of Gaussians a", n) != ABSENT
+    drawn = read_words(renderer, plan, "keys of Gaussians a", n) != NO_ID
     turn = view_camera.view[:3, :3]
     upper = data.rows[:, 4:].astype(np.float64)
     sigma = turn @ upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) @ turn.T
@@ -230,7 +230,7 @@ def test_shader_harmonics_agree_with_the_contract(renderer: Renderer) -> None:
     basis_index = np.arange(len(data)) % 16
     data.appearance[np.arange(len(data)), 3 * basis_index + 1] = 0.25
     plan = run(renderer, Scene([data]), camera(), "project")
-    drawn = read_words(renderer, plan, "keys of Gaussians a", len(data)) != ABSENT
+    drawn = read_words(renderer, plan, "keys of Gaussians a", len(data)) != NO_ID
     colors = floats(renderer, plan, "colors", len(data))
     toward = data.rows[:, :3] / np.linalg.norm(data.rows[:, :3], axis=1, keepdims=True)
     expected = 0.5 + 0.25 * basis(toward)[np.arange(len(data)), basis_index]

@@ -8,7 +8,7 @@ import pytest
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.project import NO_HARMONICS, SPLAT_RADIUS_SIGMAS
 from gsgen.runtime.kernels.project.project_cells import CELL_RADIUS_SIGMAS
-from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT
+from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT_LIGHT
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.shader import source
 from gsgen.runtime.kernels.sort.order_ties import MAX_TIED_KEYS
@@ -68,7 +68,7 @@ CONSTANTS: dict[str, int | float | bool] = {
     "LAYERS": 2,
     "TESTED": True,
     "CORNERS": 3,
-    "AMBIENT": AMBIENT,
+    "AMBIENT": AMBIENT_LIGHT,
     "SLOT_ROWS": 128,
     "PAGE_SLOTS": 64,
     "PAGE_ROWS": 512,

@@ -9,7 +9,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import SortConfig, sort_config_for
 from references.sorting import scan_reference, sort_reference
@@ -37,7 +37,7 @@ def compacting(request: pytest.FixtureRequest, device: Device) -> Bench:
 @pytest.mark.parametrize("n", [0, 1, 7, 4096, 4097, 65_536])
 def test_compacting_sort_agrees_with_numpy(compacting: Bench, n: int, kind: str) -> None:
     # Keys behind the n are absent: the first pass looks at all there is room for.
-    keys = np.full(KEY_CAPACITY, ABSENT, np.uint32)
+    keys = np.full(KEY_CAPACITY, NO_ID, np.uint32)
     keys[:n] = keys_of(n, kind)
     keys_out, places = compacting(keys)
     expected = sort_reference(keys, 32)
@@ -46,9 +46,9 @@ def test_compacting_sort_agrees_with_numpy(compacting: Bench, n: int, kind: str)
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(st.sampled_from([0, 1, 2, 255, 256, 1 << 31, ABSENT - 1, ABSENT])))
+@given(st.lists(st.sampled_from([0, 1, 2, 255, 256, 1 << 31, NO_ID - 1, NO_ID])))
 def test_arbitrary_keys_are_sorted(compacting_here: Bench, keys: list[int]) -> None:
-    padded_keys = np.full(KEY_CAPACITY, ABSENT, np.uint32)
+    padded_keys = np.full(KEY_CAPACITY, NO_ID, np.uint32)
     padded_keys[: len(keys)] = keys
     np.testing.assert_array_equal(compacting_here(padded_keys)[1], sort_reference(padded_keys, 32))
 
@@ -117,7 +117,7 @@ def scan(request: pytest.FixtureRequest, device: Device) -> Scan:
 @pytest.mark.parametrize("most", [5, 1 << 31])
 def test_scan_agrees_with_cumulative_sum(device: Device, scan: Scan, n: int, most: int) -> None:
     numbers = np.random.default_rng(n).integers(0, most, n, np.uint32) // np.uint32(2)
-    counts, room = device.storage("counts", counting.BYTES), n + 5000
+    counts, room = device.storage("counts", counting.COUNTERS_BYTES), n + 5000
     buffer = device.storage("numbers", 4 * room)
     result = counting.initial(n, 77)
     trailing_values = np.full(room - n, 7, np.uint32)  # is neither added nor touched
@@ -132,7 +132,7 @@ def test_scan_agrees_with_cumulative_sum(device: Device, scan: Scan, n: int, mos
     left = device.read(buffer, np.uint32, room)
     np.testing.assert_array_equal(left[:n], scan_reference(numbers))
     np.testing.assert_array_equal(left[n:], trailing_values)
-    after = device.read(counts, np.uint32, counting.BYTES // 4)
+    after = device.read(counts, np.uint32, counting.COUNTERS_BYTES // 4)
     total = min(int(numbers.sum(dtype=np.uint64)), 0x7FFFFFFF)
     assert after[Counts.WANTED_PAIRS] == total
     assert after[Counts.PAIRS] == min(total, 77)
@@ -155,7 +155,7 @@ def test_scan_of_arbitrary_numbers_agrees_with_cumulative_sum(
     length = rows * -(-n // 3)
     rng = np.random.default_rng(seed)
     numbers = rng.integers(0, most, length, np.uint32, endpoint=True)
-    counts = device.storage("counts", counting.BYTES)
+    counts = device.storage("counts", counting.COUNTERS_BYTES)
     buffer = device.storage("numbers", 4 * 4 * 3000)
     device.write(counts, counting.initial(n, 0))
     device.write(buffer, numbers)

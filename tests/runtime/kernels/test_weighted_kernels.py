@@ -9,7 +9,7 @@ from gsgen.runtime.kernels.project import project
 from gsgen.runtime.kernels.project.project import SPLAT_RADIUS_SIGMAS
 from gsgen.runtime.kernels.project.project_cells import CELL_RADIUS_SIGMAS
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -107,7 +107,7 @@ def test_weighted_projection_agrees_with_the_reference(renderer: Renderer, name:
         kernel_run.floats("weighted shapes", n),
         kernel_run.floats("weighted weights", n),
     )
-    drawn = keys != ABSENT
+    drawn = keys != NO_ID
     assert drawn.sum() > 20
     assert not (drawn & ~expected.drawn).any()
     np.testing.assert_array_equal(weights[:, 1] >= 0, drawn)  # what blending goes by
@@ -128,7 +128,7 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
         kernel_run.words("keys of cells a", count),
         kernel_run.floats("circles of cells", count),
     )
-    drawn = keys != ABSENT
+    drawn = keys != NO_ID
     assert drawn.sum() > 10
     assert not (drawn & ~expected.drawn).any()
     for i in np.flatnonzero(expected.drawn & ~drawn):  # beside the image
@@ -138,7 +138,7 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
     wanted_keys, wanted_lows = depth_reference(expected.depth[drawn])
     np.testing.assert_array_equal(keys[drawn], wanted_keys)
     lows = kernel_run.words("lows of cells", count)
-    np.testing.assert_array_equal(lows == ABSENT, ~drawn)
+    np.testing.assert_array_equal(lows == NO_ID, ~drawn)
     remaining = [decoded(array).astype(np.float64) for array in (lows[drawn], wanted_lows)]
     assert (np.abs(remaining[0] - remaining[1]) <= DEPTH_LEFT * expected.depth[drawn]).all()
     covariance = dilated(expected)[drawn]
@@ -157,7 +157,7 @@ def test_projected_cells_agree_with_the_reference(renderer: Renderer, name: str)
     keys_of_splats = kernel_run.words("keys of weighted", len(kernel_run.splat_set.data)).reshape(
         count, -1
     )
-    actual = int((keys_of_splats[drawn] != ABSENT).sum())
+    actual = int((keys_of_splats[drawn] != NO_ID).sum())
     assert kernel_run.words("counts of cells", 6)[Counts.DRAWN] == actual
 
 

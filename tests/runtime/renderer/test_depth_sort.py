@@ -11,7 +11,7 @@ from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step, run
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.kernels.sort.gather_keys import GatherKeys
 from gsgen.runtime.kernels.sort.order_ties import MAX_TIED_KEYS, OrderTies
 from gsgen.runtime.kernels.sort.scan import Scan
@@ -78,9 +78,9 @@ def assert_two_floats(renderer: Renderer, splat_set: SplatSet, view_camera: Came
         renderer.device.read(plan.buffers[part], np.uint32, n)
         for part in ("keys of Gaussians a", "lows")
     )
-    drawn = keys != ABSENT
+    drawn = keys != NO_ID
     assert drawn.any()
-    np.testing.assert_array_equal(lows == ABSENT, ~drawn)
+    np.testing.assert_array_equal(lows == NO_ID, ~drawn)
     high, low = keys.view(np.float32), decoded(lows)
     depths, distances = exact_depths(splat_set, view_camera)
     for i in np.flatnonzero(drawn):
@@ -136,7 +136,7 @@ def ordered(
     counts = counting.initial(len(keys), 0)
     counts[Counts.VISIBLE] = len(keys)
     buffers = [filled_buffer(device, words) for words in (counts, keys, lows, order, *origins)]
-    ties = OrderTies(device, walk, arranged=bool(origins))
+    ties = OrderTies(device, walk, is_reordered=bool(origins))
     submit(device, [ties.step(len(keys), *buffers)])
     message = device.read(buffers[0], np.uint32, 8)
     flags = bool(message[Counts.UNSORTED]), bool(message[Counts.TIED])
@@ -208,9 +208,9 @@ def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
     keys = rng.integers(0, count, n, np.uint32) << np.uint32(18)
     lows = rng.integers(0, 1 << 32, n, np.uint32, endpoint=False)
     lows[::3] = 1 << 31
-    lows[rng.random(n) < 0.3] = keys[rng.random(n) < 0.3] = ABSENT
-    is_absent = (keys == ABSENT) | (lows == ABSENT)
-    keys[is_absent] = lows[is_absent] = ABSENT
+    lows[rng.random(n) < 0.3] = keys[rng.random(n) < 0.3] = NO_ID
+    is_absent = (keys == NO_ID) | (lows == NO_ID)
+    keys[is_absent] = lows[is_absent] = NO_ID
     counts = filled_buffer(device, counting.initial(n, 0))
     columns = tuple(Columns(*(filled_buffer(device, np.zeros(n)) for _ in "kv")) for _ in "ab")
     device.write(columns[0].keys, keys)
@@ -230,7 +230,7 @@ def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
 def test_keys_are_gathered(device: Device) -> None:
     rng = np.random.default_rng(2)
     keys, order = (
-        rng.integers(0, ABSENT, 900, np.uint32),
+        rng.integers(0, NO_ID, 900, np.uint32),
         rng.permutation(900)[:700].astype(np.uint32),
     )
     counts = counting.initial(900, 0)

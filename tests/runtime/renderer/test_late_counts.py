@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.gpu.readback import StagingBuffers
 from gsgen.runtime.renderer import renderer as renderers
 from gsgen.runtime.renderer.bands import CountsAndImages, DrawnImage
 from gsgen.runtime.renderer.frame_plan import Plan
-from gsgen.runtime.renderer.late_counts import FRAMES_LATE
+from gsgen.runtime.renderer.late_counts import MAX_FRAMES_IN_FLIGHT
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -46,25 +46,25 @@ def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
     own_renderer: Renderer, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own_renderer.draw(scene, moved_camera(0), wait=False)  # the first one is waited for
-    started: list[Staging] = []
+    started: list[StagingBuffers] = []
     read: list[int] = []
-    original_begin, read_words = Staging.begin, Staging.read_words
+    original_begin, read_words = StagingBuffers.begin, StagingBuffers.read_words
 
-    def noted_begin(staging: Staging) -> None:
+    def noted_begin(staging: StagingBuffers) -> None:
         started.append(staging)
         original_begin(staging)
 
-    def noted_read(staging: Staging) -> dict[str, np.ndarray]:
+    def noted_read(staging: StagingBuffers) -> dict[str, np.ndarray]:
         read.append(max(i for i, entry in enumerate(started) if entry is staging))
         return read_words(staging)
 
-    monkeypatch.setattr(Staging, "begin", noted_begin)
-    monkeypatch.setattr(Staging, "read_words", noted_read)
+    monkeypatch.setattr(StagingBuffers, "begin", noted_begin)
+    monkeypatch.setattr(StagingBuffers, "read_words", noted_read)
     monkeypatch.delattr(Plan, "collect")  # would wait for the frame
     for number in range(8):
         own_renderer.draw(scene, moved_camera(number), wait=False)
-        assert read == list(range(max(0, number + 1 - FRAMES_LATE)))
-    assert len(set(map(id, started))) == FRAMES_LATE  # staging buffers are used again
+        assert read == list(range(max(0, number + 1 - MAX_FRAMES_IN_FLIGHT)))
+    assert len(set(map(id, started))) == MAX_FRAMES_IN_FLIGHT  # staging buffers are used again
 
 
 def test_pictures_are_those_of_frames_that_wait(own_renderer: Renderer, scene: Scene) -> None:
@@ -88,7 +88,7 @@ def test_room_for_pairs_grows_without_waiting(
     own.draw(scene, away, wait=False)
     collect = Plan.collect
     monkeypatch.delattr(Plan, "collect")
-    drawn = [own.draw(scene, moved_camera(0), wait=False) for _ in range(2 + FRAMES_LATE)]
+    drawn = [own.draw(scene, moved_camera(0), wait=False) for _ in range(2 + MAX_FRAMES_IN_FLIGHT)]
     monkeypatch.setattr(Plan, "collect", collect, raising=False)
     complete = own.render(scene, moved_camera(0))
     assert drawn[-1].pairs < complete.pairs  # the counts are those of a frame without room

@@ -59,7 +59,7 @@ def test_more_pairs_than_a_dispatch_has_are_drawn_in_bands(
     expected = renderer.render(scene, camera(width=120, height=120))
     assert expected.pairs > 61_440
     monkeypatch.setattr(renderers, "MAX_WORKGROUPS", 30)
-    assert renderer._most_pairs == 61_440
+    assert renderer._max_pairs == 61_440
     assert np.array_equal(renderer.render(scene, camera(width=120, height=120)).rgba, expected.rgba)
 
 
@@ -132,9 +132,9 @@ def test_lost_device_is_reported_for_every_call() -> None:
     device = Device.open()
     scene, renderer = Scene([single()]), Renderer(device, rasteriser="tiles")
     renderer.render(scene, camera())
-    assert not device.lost
+    assert not device.is_lost
     device.raw.destroy()
-    assert device.lost
+    assert device.is_lost
     with pytest.raises(DeviceLost, match="the graphics device was lost"):
         renderer.render(scene, camera())
     with pytest.raises(DeviceLost, match="the graphics device was lost"):

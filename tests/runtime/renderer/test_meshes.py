@@ -323,7 +323,7 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
     colors = rng.uniform(size=(120, 3))
     shape = MeshData(points.reshape(-1, 3), np.arange(120).reshape(40, 3), colors)
     for kind in (view_camera, view_camera.all_around(96, 48)):
-        expected = meshes.cast([Mesh(shape)], kind, "srgb")
+        expected = meshes.cast_rays([Mesh(shape)], kind, "srgb")
         frame = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
         firm = ~expected.fragile & np.isfinite(expected.depth)
         assert firm.sum() > 40
@@ -342,7 +342,7 @@ def test_triangles_from_near_plane_to_horizon_are_drawn(renderer: Renderer) -> N
         points = rng.normal(size=(3, 3)) * np.exp(rng.uniform(-3, 7, (3, 1)))
         shape = MeshData(np.array(near_triangle) if seed == 0 else points, FACE, np.eye(3))
         for view_camera in (ahead, around):
-            expected = meshes.cast([Mesh(shape)], view_camera, "srgb")
+            expected = meshes.cast_rays([Mesh(shape)], view_camera, "srgb")
             frame = renderer.render(Scene([], meshes=[shape]), view_camera, outputs=EVERYTHING)
             reference, firm = np.isfinite(expected.depth), ~expected.fragile
             assert ((frame.alpha == 1) == reference)[firm].all(), seed

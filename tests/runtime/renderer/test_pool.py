@@ -11,7 +11,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import allocate_pool_page
 from gsgen.runtime.kernels.project import project
 from gsgen.runtime.kernels.project.slots import slot_table
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer import renderer as renderers
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -340,7 +340,7 @@ def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -
     plan.collect()
     frame = project.frame_uniform(view, np.zeros(3))
     keys = renderer.device.read(plan.buffers["keys of Gaussians a"], np.uint32, len(pool))
-    is_absent = (keys.reshape(count, 64) == ABSENT).all(axis=1)
+    is_absent = (keys.reshape(count, 64) == NO_ID).all(axis=1)
     differences = total = 0
     for splat_set, page in placed:
         assert page.slots is not None

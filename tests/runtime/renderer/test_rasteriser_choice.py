@@ -11,7 +11,12 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.sort.sort import sort_config_for
 from gsgen.runtime.renderer import rasteriser_choice
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, chosen_sort_config, probe
+from gsgen.runtime.renderer.rasteriser_choice import (
+    Timings,
+    choose,
+    chosen_sort_config,
+    measure_options,
+)
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -39,7 +44,7 @@ def choices_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def forget(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rasteriser_choice, "_measured", {})
+    monkeypatch.setattr(rasteriser_choice, "_timings_by_device", {})
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +62,13 @@ def gpu(device: Device) -> Device:
 
 def test_rasteriser_choice_is_explained(gpu: Device, kernels: Kernels, choices_file: Path) -> None:
     choose(gpu, kernels, Stopwatch(0.0021, 0.0034, 0.0025))
-    text = rasteriser_choice.explain(gpu)
+    text = rasteriser_choice.describe_choice(gpu)
     assert text.startswith("kernels for GPUs; tiles of 32 pixels, 8 bits a sort pass; ")
     assert text.endswith("tiles: tiles of 32 2.10 ms, of 16 2.50 ms, quads 3.40 ms")
     gpu.blends_floats = False
-    assert rasteriser_choice.explain(gpu).endswith("tiles: the device cannot blend 32-bit floats")
+    assert rasteriser_choice.describe_choice(gpu).endswith(
+        "tiles: the device cannot blend 32-bit floats"
+    )
 
 
 def test_the_faster_tiles_are_used(
@@ -70,7 +77,7 @@ def test_the_faster_tiles_are_used(
     assert chosen_sort_config(gpu) == sort_config_for(gpu)  # nothing was measured
     assert choose(gpu, kernels, Stopwatch(2.0, 0.9, 1.0)) == "tiles"
     assert chosen_sort_config(gpu) == replace(sort_config_for(gpu), tile=16)
-    assert "tiles of 16 pixels" in rasteriser_choice.explain(gpu)
+    assert "tiles of 16 pixels" in rasteriser_choice.describe_choice(gpu)
     scene, camera = SCENES["many"]()
     small = Renderer(gpu)
     assert small._kernels.sort_config.tile == 16
@@ -147,7 +154,9 @@ def test_a_file_that_is_damaged_is_written_anew(
     gpu: Device, kernels: Kernels, choices_file: Path, text: str
 ) -> None:
     choices_file.parent.mkdir()
-    choices_file.write_text(text.replace("KEY", rasteriser_choice._key(gpu)), encoding="utf-8")
+    choices_file.write_text(
+        text.replace("KEY", rasteriser_choice._device_key(gpu)), encoding="utf-8"
+    )
     watch = Stopwatch(2.0, 1.0)
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
@@ -176,7 +185,7 @@ def test_probe_draws_with_both_rasterisers(device: Device, kernels: Kernels, clo
         pytest.skip(f"{device.name} cannot blend 32-bit floats")
     other = Device(device.raw)
     other.has_clock = clock and device.has_clock
-    timings = probe(other, kernels, gaussians=9000, size=(160, 96))
+    timings = measure_options(other, kernels, gaussians=9000, size=(160, 96))
     seconds = timings.tiles, timings.quads, timings.small_tiles
     assert min(seconds) > 0
     assert max(seconds) < 60

@@ -14,7 +14,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.web.pages import client_file
 from runtime.web.plan_executor import choose
@@ -208,7 +208,7 @@ def fresh_plan(
         outputs=frozenset(outputs),
         projection="panorama" if panorama else "plane",
     )
-    method = Method(pair_capacity=sizes["pairs"], sort="deep" if deep else "by key")
+    method = RasterMethod(pair_capacity=sizes["pairs"], sort="deep" if deep else "by key")
     plan = Plan(Kernels(device, is_single_shape=True), placed, image, method, layers=layers)
     return plan, [page for _, page in placed]
 
@@ -243,7 +243,7 @@ def test_formulas_give_the_buffers_and_dispatches_of_python(
     for name, row in chosen["inputs"].items():
         assert reading.buffer(row)[:2] == (plan.inputs[name].label, plan.inputs[name].size)
     assert reading.clears() == [
-        (buffer.label, *clear_range) for buffer, *clear_range in plan.clears
+        (buffer.label, *clear_range) for buffer, *clear_range in plan.buffer_clears
     ]
 
 
@@ -277,7 +277,7 @@ def test_formulas_of_pools_give_the_buffers_and_dispatches_of_python(
     )
     assert reading.steps() == described(plan, pages)
     assert reading.clears() == [
-        (buffer.label, *clear_range) for buffer, *clear_range in plan.clears
+        (buffer.label, *clear_range) for buffer, *clear_range in plan.buffer_clears
     ]
     for (kind, count), page in zip(pools, pages[len(kinds) :], strict=True):
         assert page.slots is not None

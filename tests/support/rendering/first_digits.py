@@ -8,10 +8,10 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.kernels.sort.sort import KEY_BITS
 from gsgen.runtime.renderer.frame_plan import Plan
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -97,9 +97,9 @@ def counted(renderer: Renderer, case: Case) -> dict[str, tuple[np.ndarray, np.nd
     device, kernels = renderer.device, renderer._kernels
     placed, size = renderer.placed(scene), (view.width, view.height)
     image = ImageSpec(size=size, projection="panorama" if view.period else "plane")
-    plan = Plan(kernels, placed, image, Method(pair_capacity=capacity))
+    plan = Plan(kernels, placed, image, RasterMethod(pair_capacity=capacity))
     depths, tiles = [
-        buffer for buffer, *_ in plan.clears if getattr(buffer, "label", "") == "histogram a"
+        buffer for buffer, *_ in plan.buffer_clears if getattr(buffer, "label", "") == "histogram a"
     ]
 
     def submit_stages(*stages: str) -> None:
@@ -116,7 +116,7 @@ def counted(renderer: Renderer, case: Case) -> dict[str, tuple[np.ndarray, np.nd
     last = plan.buffers["ranges"].size // 8 - 1
     digits = kernels.sort.first_digits(kernels.tile_bits(max(last, 0)))
     listed = device.read(plan.buffers["keys of pairs a"], np.uint32, max(1, pairs))[:pairs]
-    assert not (listed == ABSENT).any()
+    assert not (listed == NO_ID).any()
     expected = first_digits_reference(listed, digits)
     result["tiles"] = counters(device, tiles, expected), expected
     return result

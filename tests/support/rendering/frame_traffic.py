@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from web_client.recording import APPEARANCES, recorded_pages
 from web_client.recording_device import RecordingDevice
 
@@ -65,7 +65,7 @@ def recorded_plan(workload: Workload) -> tuple[Plan, Kernels]:
     capacities = [min(GPU_PAGE_ROWS, n - first) for first in range(0, n, GPU_PAGE_ROWS)]
     placed = recorded_pages([DEGREE_3] * len(capacities), capacities)
     pairs = workload.pairs(kernels.sort_config.tile)
-    image, method = ImageSpec(size=workload.size), Method(pair_capacity=pairs)
+    image, method = ImageSpec(size=workload.size), RasterMethod(pair_capacity=pairs)
     return Plan(kernels, placed, image, method), kernels
 
 
@@ -142,7 +142,7 @@ def counting_steps(plan: Plan, stage: str) -> list[Step]:
         for step in steps
         if name != stage and names_of(step, histogram)
     ]
-    assert not actual or (histogram, 0, None) in plan.clears
+    assert not actual or (histogram, 0, None) in plan.buffer_clears
     return actual
 
 

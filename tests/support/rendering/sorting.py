@@ -8,7 +8,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
 from references.sorting import first_digits_reference
@@ -22,13 +22,13 @@ def _depths(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _mostly_absent_keys(n: int, rng: np.random.Generator) -> np.ndarray:
-    keys = rng.integers(0, ABSENT, n, np.uint32)
-    keys[rng.random(n) < 0.6] = ABSENT
+    keys = rng.integers(0, NO_ID, n, np.uint32)
+    keys[rng.random(n) < 0.6] = NO_ID
     return keys
 
 
 KEYS: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {
-    "random": lambda n, rng: rng.integers(0, ABSENT, n, np.uint32),
+    "random": lambda n, rng: rng.integers(0, NO_ID, n, np.uint32),
     "depths": _depths,
     "absent": _mostly_absent_keys,
     "few": lambda n, rng: rng.integers(0, 3, n, np.uint32) << np.uint32(20),
@@ -70,7 +70,7 @@ class Bench:
         gpu_like_device = Device(device.raw)
         gpu_like_device.software = device.software and cut.threads < GPU.threads
         sort = RadixSort(device, cut, Scan(gpu_like_device, cut.block, 64, 256))
-        self.counts = device.storage("counts", counting.BYTES, extra_usage="INDIRECT")
+        self.counts = device.storage("counts", counting.COUNTERS_BYTES, extra_usage="INDIRECT")
         self.columns = [
             Columns(device.storage("keys", 4 * room), device.storage("values", 4 * room))
             for _ in range(2)
@@ -114,7 +114,7 @@ class Bench:
 
 def scanned(scan: Scan, device: Device, numbers: np.ndarray) -> np.ndarray:
     """Return what a scan makes of numbers."""
-    counts = device.storage("counts", counting.BYTES)
+    counts = device.storage("counts", counting.COUNTERS_BYTES)
     buffer = device.storage("numbers", 4 * len(numbers))
     device.write(counts, counting.initial(len(numbers), 0))
     device.write(buffer, numbers)

@@ -13,7 +13,9 @@ PACKED_BYTES: Final = 32
 """Bytes of a packed row: x, y, z, opacity; six fixed-point numbers in [-1, 1]; their scale."""
 
 _FIXED_POINT_ONE: Final = 32767  # as in WGSL's unpack2x16snorm
-_ROUNDING: Final = 1e-5  # of the largest variance: negative pivots closer to zero are rounding
+_PIVOT_TOLERANCE: Final = (
+    1e-5  # of the largest variance: negative pivots closer to zero are rounding
+)
 
 
 def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
@@ -23,25 +25,30 @@ def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
     covariance; rounding Σ itself would make flat Gaussians far thicker. Rows whose covariance is
     not positive semidefinite, or not finite, get a NaN and are not drawn.
     """
-    packed = np.empty((len(rows), PACKED_BYTES // 4), np.uint32)
-    packed[:, :4] = rows[:, :4].astype(np.float32).view(np.uint32)
+    packed_rows = np.empty((len(rows), PACKED_BYTES // 4), np.uint32)
+    packed_rows[:, :4] = rows[:, :4].astype(np.float32).view(np.uint32)
     with np.errstate(all="ignore"):
-        root = _cholesky_factors(rows[:, layout.COVARIANCE].astype(np.float64))
-        scale = np.abs(root).max(axis=1).astype(np.float32)
+        cholesky_factors = _cholesky_factors(rows[:, layout.COVARIANCE].astype(np.float64))
+        scale = np.abs(cholesky_factors).max(axis=1).astype(np.float32)
         scale[~np.isfinite(scale)] = np.nan
-        share = np.divide(root, scale[:, None], where=scale[:, None] > 0, out=np.zeros_like(root))
-        fixed_point = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _FIXED_POINT_ONE)).astype(
-            np.int16
+        scaled_factors = np.divide(
+            cholesky_factors,
+            scale[:, None],
+            where=scale[:, None] > 0,
+            out=np.zeros_like(cholesky_factors),
         )
-    packed[:, 4:7] = fixed_point.view(np.uint32)
-    packed[:, 7] = scale.view(np.uint32)
-    return packed
+        fixed_point = np.nan_to_num(
+            np.rint(np.clip(scaled_factors, -1, 1) * _FIXED_POINT_ONE)
+        ).astype(np.int16)
+    packed_rows[:, 4:7] = fixed_point.view(np.uint32)
+    packed_rows[:, 7] = scale.view(np.uint32)
+    return packed_rows
 
 
 def _cholesky_factors(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
     """Return the Cholesky factors xx, yx, zx, yy, zy, zz of covariances; NaN where none exists."""
     xx, xy, xz, yy, yz, zz = covariance.T
-    min_pivots = -_ROUNDING * np.maximum(xx, np.maximum(yy, zz))
+    min_pivots = -_PIVOT_TOLERANCE * np.maximum(xx, np.maximum(yy, zz))
     l_xx = _pivot_roots(xx, min_pivots)
     l_yx, l_zx = _divide_or_zero(xy, l_xx), _divide_or_zero(xz, l_xx)
     l_yy = _pivot_roots(yy - l_yx**2, min_pivots)
@@ -62,7 +69,7 @@ def _pivot_roots(
 
 
 def _divide_or_zero(
-    number: Float64[np.ndarray, " n"], side: Float64[np.ndarray, " n"]
+    number: Float64[np.ndarray, " n"], divisor: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     quotient = np.zeros_like(number)
-    return np.asarray(np.divide(number, side, where=side != 0, out=quotient))
+    return np.asarray(np.divide(number, divisor, where=divisor != 0, out=quotient))

@@ -200,10 +200,10 @@ class Device:
         try:
             buffer = self.raw.create_buffer(label=label, size=size, usage=usage)
         except wgpu.GPUOutOfMemoryError as error:
-            allocated = sum(buffer.size for buffer in self._buffers)
+            allocated_bytes = sum(buffer.size for buffer in self._buffers)
             raise MemoryFull(
                 f"needs {size:,} bytes, but the memory of {self.name} is full: buffers already "
-                f"hold {allocated:,} bytes",
+                f"hold {allocated_bytes:,} bytes",
                 where=label,
                 hint=_MEMORY_HINT,
             ) from error
@@ -229,7 +229,7 @@ class Device:
         )
 
     @property
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """True if the graphics device was lost: even a write of 16 bytes fails.
 
         wgpu-py 0.32 does not implement ``lost_async``.
@@ -259,7 +259,7 @@ class Device:
         except GsgenError:
             raise
         except Exception as error:  # a lost device raises many types of errors in wgpu-py
-            if not self.lost:
+            if not self.is_lost:
                 raise
             raise self._device_lost_error() from error
 
@@ -278,7 +278,7 @@ class Device:
         Raises:
             DeviceLost: The device was lost.
         """
-        if self.lost:
+        if self.is_lost:
             raise self._device_lost_error()
 
     def _device_lost_error(self) -> DeviceLost:

@@ -36,17 +36,17 @@ class StageClock:
             size=2 * _MAX_STAGES * _TIMESTAMP_BYTES,
             usage="QUERY_RESOLVE|COPY_SRC",
         )
-        self._period = timestamp_period(raw)
-        self._names: list[str] = []
+        self._seconds_per_tick = timestamp_period(raw)
+        self._stage_names: list[str] = []
 
     def begin(self) -> None:
         """Clear the recorded stages of the GPU timer for a new frame."""
-        self._names.clear()
+        self._stage_names.clear()
 
     def timestamp_writes(self, stage: str) -> PassTimestamps:
         """Return the ``timestamp_writes`` of the compute or render pass of a stage."""
-        index = 2 * len(self._names)
-        self._names.append(stage)
+        index = 2 * len(self._stage_names)
+        self._stage_names.append(stage)
         return {
             "query_set": self._query_set,
             "beginning_of_pass_write_index": index,
@@ -55,15 +55,17 @@ class StageClock:
 
     def encode(self, encoder: Encoder) -> None:
         """Encode the copy of all GPU timestamp query results into a readable buffer."""
-        if self._names:
-            count = 2 * len(self._names)
+        if self._stage_names:
+            count = 2 * len(self._stage_names)
             encoder.resolve_query_set(self._query_set, 0, count, self._resolve_buffer, 0)
 
     def seconds(self) -> dict[str, float]:
         """Return the GPU seconds of each stage of the last frame; passes of one name are added."""
-        ticks = self._device.read(self._resolve_buffer, np.uint64, 2 * len(self._names))
-        stage_seconds = (ticks[1::2].astype(np.int64) - ticks[::2].astype(np.int64)) * self._period
-        seconds = dict.fromkeys(self._names, 0.0)
-        for name, span in zip(self._names, stage_seconds, strict=True):
+        timestamps = self._device.read(self._resolve_buffer, np.uint64, 2 * len(self._stage_names))
+        stage_seconds = (
+            timestamps[1::2].astype(np.int64) - timestamps[::2].astype(np.int64)
+        ) * self._seconds_per_tick
+        seconds = dict.fromkeys(self._stage_names, 0.0)
+        for name, span in zip(self._stage_names, stage_seconds, strict=True):
             seconds[name] += float(span) * _SECONDS_PER_NANOSECOND
         return seconds

@@ -46,7 +46,7 @@ class MeshResidency:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._buffers_by_mesh: WeakKeyDictionary[MeshData, MeshBuffers] = WeakKeyDictionary()
-        self._versions: WeakKeyDictionary[MeshData, int] = WeakKeyDictionary()
+        self._version_by_mesh: WeakKeyDictionary[MeshData, int] = WeakKeyDictionary()
 
     def buffers(self, data: MeshData) -> MeshBuffers:
         """Return the GPU buffers of a mesh; uploads new meshes and changed vertices.
@@ -63,9 +63,9 @@ class MeshResidency:
                 picture=self._picture(_WHITE_TEXEL if data.texture is None else data.texture),
                 count=len(data),
             )
-        elif self._versions[data] != data.version:
+        elif self._version_by_mesh[data] != data.version:
             self._device.write(self._buffers_by_mesh[data].vertices, data.vertices)
-        self._versions[data] = data.version
+        self._version_by_mesh[data] = data.version
         return self._buffers_by_mesh[data]
 
     def _upload(self, label: str, values: np.ndarray) -> Buffer:

@@ -63,10 +63,10 @@ def parse_native_types() -> int:
         return 0
     names = ffi.list_types()[0]
     members = {f"{name} *": f"{name} *{{}}" for name in names}
-    members |= {text: f"{text}{{}}" for text in _PLAIN_TYPES if _are_known(text, names)}
-    for text in filter(lambda text: _are_known(text, names), _ARRAY_TYPES):
+    members |= {text: f"{text}{{}}" for text in _PLAIN_TYPES if _are_declared(text, names)}
+    for text in filter(lambda text: _are_declared(text, names), _ARRAY_TYPES):
         members[text] = text.replace("[]", "(*{})[]")
-    for text in filter(lambda text: _are_known(text, names), _CALLBACK_TYPES):
+    for text in filter(lambda text: _are_declared(text, names), _CALLBACK_TYPES):
         members[text] = text.replace("void(", "void (*{})(")
     fields = "".join(f"{member.format(f' _{k}')};" for k, member in enumerate(members.values()))
     ffi.cdef(f"{_TYPES_STRUCT} {{{fields}}};")
@@ -85,7 +85,7 @@ def _parsed_types() -> dict[str, tuple[Any, bool]] | None:
     return parsed_types if isinstance(parsed_types, dict) else None
 
 
-def _are_known(text: str, names: list[str]) -> bool:
+def _are_declared(text: str, names: list[str]) -> bool:
     """Return whether the library declares all of its types that a text names."""
     return set(re.findall(r"WGPU\w+", text)) <= set(names)
 
@@ -98,7 +98,7 @@ _RUNTIME_CHECKS: Final = 0x1F ^ _BOUNDED_LOOPS
 def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
     """Compile the WGSL text of a shader whose loops all end; other checks of wgpu stay."""
     native = getattr(raw, "_internal", None)  # a device that records has none
-    create = None if native is None else _function(_CREATE_FUNCTION)
+    create = None if native is None else _load_function(_CREATE_FUNCTION)
     if create is None:
         return raw.create_shader_module(label=label, code=code)
     from wgpu.backends.wgpu_native import GPUShaderModule, ffi, lib
@@ -116,7 +116,7 @@ def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
 def timestamp_period(raw: RawDevice) -> float:
     """Return the nanoseconds of a tick of the GPU's clock."""
     queue = getattr(raw.queue, "_internal", None)
-    timestamp_period = _function("wgpuQueueGetTimestampPeriod")
+    timestamp_period = _load_function("wgpuQueueGetTimestampPeriod")
     return 1.0 if queue is None or timestamp_period is None else float(timestamp_period(queue))
 
 
@@ -131,7 +131,7 @@ def map_for_reading(buffer: Buffer) -> Promise:
         return buffer.map_async("READ")
 
 
-def _function(name: str) -> Any:
+def _load_function(name: str) -> Any:
     """Return a function of wgpu-native that raises errors as wgpu-py does; None without it."""
     from wgpu.backends import wgpu_native
 

@@ -1,6 +1,6 @@
 """Reads several GPU buffers back through one permanent staging buffer."""
 
-__all__ = ["Staging"]
+__all__ = ["StagingBuffers"]
 
 from collections.abc import Iterable, Mapping
 from typing import final
@@ -15,7 +15,7 @@ _ALIGNMENT = 256
 
 
 @final
-class Staging:
+class StagingBuffers:
     """A mappable GPU buffer with room for a copy of each named source buffer."""
 
     def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
@@ -32,7 +32,7 @@ class Staging:
         """Encode the copy of the named source buffers, or of all, into the staging buffer."""
         if self._map_promise is not None:  # a frame that was never read, as after an interrupt
             self._map_promise.sync_wait()
-            self._unmap()
+            self._unmap_buffer()
         for name in self._source_buffers if names is None else names:
             source = self._source_buffers[name]
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
@@ -69,8 +69,8 @@ class Staging:
                 for name, dtype in dtypes.items()
             }
         finally:
-            self._unmap()
+            self._unmap_buffer()
 
-    def _unmap(self) -> None:
+    def _unmap_buffer(self) -> None:
         self._buffer.unmap()
         self._map_promise = None

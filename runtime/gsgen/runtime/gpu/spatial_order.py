@@ -44,8 +44,8 @@ class SpatialOrder:
         """Compute the Morton order of the Gaussians that a splat set holds at present."""
         sorted_indices = morton_sorted_indices(data.rows[: data.count, layout.POSITION])
         rows = np.concatenate([sorted_indices, np.arange(data.count, len(data))]).astype(np.uint32)
-        samples = np.linspace(0, data.count - 2, _SAMPLE_PAIRS if data.count > 1 else 0)
-        first = samples.astype(np.int64)
+        sample_rows = np.linspace(0, data.count - 2, _SAMPLE_PAIRS if data.count > 1 else 0)
+        first = sample_rows.astype(np.int64)
         neighbours = sorted_indices[np.stack([first, first + 1])]
         return cls(rows, neighbours, _median_gap(data, neighbours))
 
@@ -62,5 +62,5 @@ def _median_gap(data: SplatData, neighbours: Int64[np.ndarray, "2 m"]) -> float:
     first, second = data.rows[neighbours][..., layout.POSITION].astype(np.float64)
     with np.errstate(invalid="ignore"):  # infinite positions have no distance
         median_gap = np.linalg.norm(first - second, axis=1)
-    known = median_gap[np.isfinite(median_gap)]
-    return float(np.median(known)) if len(known) else 0.0
+    finite_gaps = median_gap[np.isfinite(median_gap)]
+    return float(np.median(finite_gaps)) if len(finite_gaps) else 0.0

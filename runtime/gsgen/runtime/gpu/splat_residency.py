@@ -11,7 +11,7 @@ __all__ = [
     "allocate_pool_page",
     "appearance_stride",
     "bytes_of",
-    "exceeds_binding",
+    "is_larger_than_binding",
 ]
 
 from collections.abc import Callable, Iterator
@@ -65,7 +65,7 @@ def bytes_of(data: SplatData, *, compact: bool) -> int:
     return len(data) * row + cells
 
 
-def exceeds_binding(device: Device, data: SplatData) -> bool:
+def is_larger_than_binding(device: Device, data: SplatData) -> bool:
     """Return whether the cells of a splat set take more than one GPU binding."""
     return data.cells is not None and 4 * layout.ROW * len(data.cells) > device.largest_binding
 
@@ -154,7 +154,7 @@ def allocate_pool_page(
         count: Number of slots, at most ``PAGE_SLOTS``; it may be a recorded size.
         is_half: Whether the appearance is float16.
     """
-    words = appearance_stride(pool.channels, is_half=is_half)
+    appearance_words = appearance_stride(pool.channels, is_half=is_half)
     capacity = count * pool.slot_rows
     dispatch = device.storage("dispatch of a pool", 12, extra_usage="INDIRECT")
     device.write(dispatch, np.array([0, 1, 1], np.uint32))
@@ -162,9 +162,11 @@ def allocate_pool_page(
         first=first * pool.slot_rows,
         capacity=capacity,
         rows=device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
-        appearance=device.storage("appearance of a pool", _bytes_of_appearance(words) * capacity),
+        appearance=device.storage(
+            "appearance of a pool", _bytes_of_appearance(appearance_words) * capacity
+        ),
         is_half=is_half,
-        appearance_stride=words,
+        appearance_stride=appearance_words,
         slots=PageSlots(
             pool_reference=ref(pool),
             first=first,
@@ -177,7 +179,7 @@ def allocate_pool_page(
     )
 
 
-def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
+def _rows_target(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
     convert = pack_rows if page.packed else None if rows.dtype == np.float32 else _to_float32
     return Target(page.rows, first, _bytes_of_row(packed=page.packed), convert)
 
@@ -186,7 +188,7 @@ def _to_float32(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
     return rows.astype(np.float32)
 
 
-def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"]) -> Target:
+def _appearance_target(page: Page, first: int, appearance: Float[np.ndarray, "n c"]) -> Target:
     dtype = np.dtype(np.float16 if page.is_half else np.float32)
     size = _bytes_of_appearance(page.appearance_stride)
     is_same_layout = appearance.dtype == dtype and size == appearance.strides[0]
@@ -198,10 +200,10 @@ def _convert_appearance(
     appearance: Float[np.ndarray, "n c"], dtype: np.dtype[Any], size: int
 ) -> Float[np.ndarray, "n d"]:
     """Convert the appearance of Gaussians to a dtype, with rows padded by zeros to a fixed size."""
-    converted = np.zeros((len(appearance), size // dtype.itemsize), dtype)
+    converted_appearance = np.zeros((len(appearance), size // dtype.itemsize), dtype)
     with np.errstate(over="ignore"):  # overflows become infinite, and such Gaussians are not drawn
-        converted[:, : appearance.shape[1]] = appearance
-    return converted
+        converted_appearance[:, : appearance.shape[1]] = appearance
+    return converted_appearance
 
 
 @final
@@ -212,12 +214,12 @@ class _UploadedPart:
     version: int = -1
     rows: int = 0
 
-    def missing(self, version: int, live: int) -> Iterator[slice]:
+    def missing(self, version: int, live_rows: int) -> Iterator[slice]:
         """Yield the slice of an array's used rows that is not uploaded yet; mark it as uploaded."""
         first = self.rows if self.version == version else 0
-        if live > first:
-            yield slice(first, live)
-        self.version, self.rows = version, max(first, live)
+        if live_rows > first:
+            yield slice(first, live_rows)
+        self.version, self.rows = version, max(first, live_rows)
 
 
 @final
@@ -226,7 +228,7 @@ class _SetVersions(NamedTuple):
 
     rows: int
     appearance: int
-    live: int
+    live_rows: int
 
 
 @final
@@ -237,7 +239,7 @@ class _Resident:
     Attributes:
         state: Versions at the start of the last frame.
         order: Spatial order of the rows; None if they keep their own order.
-        is_unordered: Whether the rows keep their own order for good.
+        skips_reordering: Whether the rows keep their own order for good.
     """
 
     pages: list[Page]
@@ -246,14 +248,14 @@ class _Resident:
     cells: _UploadedPart
     state: _SetVersions | None = None
     order: SpatialOrder | None = None
-    is_unordered: bool = False
+    skips_reordering: bool = False
 
 
-def _page_slices(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
+def _page_slices(pages: list[Page], live_rows: slice) -> Iterator[tuple[Page, slice, int]]:
     """Yield each page (GPU buffers) with its rows of a slice, and their offset in the page."""
     for page in pages:
-        first = max(live.start, page.first)
-        last = min(live.stop, page.first + page.capacity)
+        first = max(live_rows.start, page.first)
+        last = min(live_rows.stop, page.first + page.capacity)
         if first < last:
             yield page, slice(first, last), first - page.first
 
@@ -308,11 +310,11 @@ class Residency:
         if has_new_rows:
             self._store_unpacked(resident)
         if old_versions != new_versions and not (
-            self._device.maps_buffers and old_versions.live == new_versions.live
+            self._device.maps_buffers and old_versions.live_rows == new_versions.live_rows
         ):
             if resident.order is not None:
                 self.restore_order(data)
-        elif resident.is_unordered or len(data) < MIN_ORDERED_ROWS or data.cells is not None:
+        elif resident.skips_reordering or len(data) < MIN_ORDERED_ROWS or data.cells is not None:
             return
         elif resident.order is None or (
             has_new_rows and not resident.order.is_valid_after_change(data)
@@ -322,7 +324,7 @@ class Residency:
     def restore_order(self, data: SplatData) -> None:
         """Store the rows of a splat set in their original order on the GPU from now on."""
         resident = self._get_resident(data)
-        resident.is_unordered = True
+        resident.skips_reordering = True
         self._set_row_order(resident, None)
 
     def _store_unpacked(self, resident: _Resident) -> None:
@@ -366,10 +368,10 @@ class Residency:
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""
         resident = self._get_resident(data)
-        for live in resident.rows.missing(data.rows_version, data.count):
-            self._upload(resident, live, data.rows, _rows_of)
-        for live in resident.appearance.missing(data.appearance_version, data.count):
-            self._upload(resident, live, data.appearance, _appearance_of)
+        for live_rows in resident.rows.missing(data.rows_version, data.count):
+            self._upload(resident, live_rows, data.rows, _rows_target)
+        for live_rows in resident.appearance.missing(data.appearance_version, data.count):
+            self._upload(resident, live_rows, data.appearance, _appearance_target)
         self._write_cells(data, resident)
         return resident.pages
 
@@ -388,7 +390,7 @@ class Residency:
             first = write.first - page.first
             size = _bytes_of_row(packed=False)
             self._device.write(page.rows, write.rows.astype(np.float32), first * size)
-            upload_target = _appearance_of(page, first, write.appearance)
+            upload_target = _appearance_target(page, first, write.appearance)
             appearance = (
                 write.appearance
                 if upload_target.convert is None
@@ -406,12 +408,12 @@ class Residency:
     def _upload(
         self,
         resident: _Resident,
-        live: slice,
+        live_rows: slice,
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
         """Write a slice of an array's rows into the GPU buffers (pages) that hold the array."""
-        for page, part, first in _page_slices(resident.pages, live):
+        for page, part, first in _page_slices(resident.pages, live_rows):
             upload_target = target(page, first, array)
             if resident.order is None:
                 upload(self._device, upload_target, array[part])
@@ -433,11 +435,11 @@ class Residency:
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
         is_half = self._compact or data.appearance.dtype == np.float16
-        words = appearance_stride(data.appearance.shape[1], is_half=is_half)
+        appearance_words = appearance_stride(data.appearance.shape[1], is_half=is_half)
         packed = self._compact and data.cells is None
         cells, first_cell, is_paged = None, 0, False
         if data.cells is not None:
-            is_paged = exceeds_binding(self._device, data)
+            is_paged = is_larger_than_binding(self._device, data)
             if not is_paged:
                 cells = self._cells(len(data.cells))
         for first in range(0, len(data), self._page_rows):
@@ -450,10 +452,10 @@ class Residency:
                 capacity=capacity,
                 rows=self._device.dynamic_storage("rows", capacity * _bytes_of_row(packed=packed)),
                 appearance=self._device.dynamic_storage(
-                    "appearance", capacity * _bytes_of_appearance(words)
+                    "appearance", capacity * _bytes_of_appearance(appearance_words)
                 ),
                 is_half=is_half,
-                appearance_stride=words,
+                appearance_stride=appearance_words,
                 packed=packed,
                 cells=cells,
                 first_cell=first_cell,

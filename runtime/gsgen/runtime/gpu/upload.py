@@ -53,13 +53,15 @@ def upload(
     """
     start = target.first * target.size
     if device.can_map(target.buffer) and start % MAPPED_ALIGNMENT == 0:
-        device.write_mapped(target.buffer, _blocks(target, array, order, _BLOCK_ROWS), start)
+        device.write_mapped(
+            target.buffer, _convert_blocks(target, array, order, _BLOCK_ROWS), start
+        )
         return
-    for rows in _blocks(target, array, order, max(1, len(array))):
+    for rows in _convert_blocks(target, array, order, max(1, len(array))):
         device.write(target.buffer, rows, start)
 
 
-def _blocks(
+def _convert_blocks(
     target: Target,
     array: Shaped[np.ndarray, "n c"],
     order: UInt32[np.ndarray, " m"] | None,

@@ -5,7 +5,7 @@ dimensions, in camera space; here rays in world space intersect planes, and area
 the barycentric weights.
 """
 
-__all__ = ["Surface", "cast"]
+__all__ = ["Surface", "cast_rays"]
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -42,7 +42,9 @@ class Surface:
     fragile: Bool[np.ndarray, "h w"]
 
 
-def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]) -> Surface:
+def cast_rays(
+    meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]
+) -> Surface:
     """Cast a camera's rays at meshes; return the nearest surfaces, coloured in ``color_space``."""
     start, ray_direction = _rays(camera)
     shape = ray_direction.shape[:3]
@@ -54,7 +56,7 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
             mesh.data.faces.astype(int)
         ]
         for face, triangle in enumerate(corners):
-            rows, columns = _window(triangle, camera)
+            rows, columns = _triangle_window(triangle, camera)
             part = (slice(None), rows, columns)
             intersection = _intersect_triangle(
                 triangle, start[part], ray_direction[part], camera.near
@@ -67,7 +69,7 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
             facing = (ray_direction[part] @ unit_normal)[..., None]
             facing_normal = np.where(facing > 0, -unit_normal, unit_normal)
             normal[part] = np.where(is_nearer[..., None], facing_normal, normal[part])
-            mesh_color = _converted(_color(mesh, face, weights), mesh, color_space)
+            mesh_color = _convert_color_space(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
                 length = np.linalg.norm(ray_direction[part], axis=-1, keepdims=True)
                 mesh_color = mesh_color * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
@@ -95,7 +97,7 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return start, np.stack([across, down, ones], -1) @ to_world
 
 
-def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
+def _triangle_window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     """Return the rows and columns of pixels that a projected triangle may cover."""
     corners = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
     full_image = slice(0, camera.height), slice(0, camera.width)
@@ -113,7 +115,7 @@ def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
 
 
 def _intersect_triangle(
-    triangle: np.ndarray, start: np.ndarray, ray_direction: np.ndarray, near: float
+    triangle: np.ndarray, start: np.ndarray, ray_direction: np.ndarray, neighbour_depth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Intersect rays with a triangle: depths (infinite if missed), vertex weights, unit normal."""
     a, b, c = triangle
@@ -132,7 +134,7 @@ def _intersect_triangle(
             ],
             -1,
         )
-        is_hit_at = (weights >= 0).all(axis=-1) & (distance > near)
+        is_hit_at = (weights >= 0).all(axis=-1) & (distance > neighbour_depth)
     return (
         np.where(is_hit_at, distance, np.inf),
         np.where(is_hit_at[..., None], weights, 0),
@@ -158,13 +160,15 @@ def _sample_texture(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     for right in (0, 1):
         for row_step in (0, 1):
             column, row = np.floor(x) + right, np.floor(y) + row_step
-            share = np.maximum(1 - np.abs(x - column), 0) * np.maximum(1 - np.abs(y - row), 0)
+            texel_weight = np.maximum(1 - np.abs(x - column), 0) * np.maximum(
+                1 - np.abs(y - row), 0
+            )
             color = texture[(row % height).astype(int), (column % width).astype(int), :3]
-            sampled_color += share[..., None] * (color / 255.0)
+            sampled_color += texel_weight[..., None] * (color / 255.0)
     return sampled_color
 
 
-def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
+def _convert_color_space(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
     """Convert mesh colours to another colour space (IEC 61966-2-1)."""
     if mesh.data.color_space == space:
         return color
@@ -176,9 +180,11 @@ def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
 def _edge_pixels(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Return the pixels whose depth, colour or normal changes if sampled slightly off centre."""
     is_hit = np.isfinite(depth)
-    edge = (is_hit != is_hit[0]).any(axis=0)
-    near = np.where(is_hit, depth, 0)
-    edge |= (np.abs(near - near[0]) > _EDGE_THRESHOLD * near[0]).any(axis=0)
+    is_edge = (is_hit != is_hit[0]).any(axis=0)
+    neighbour_depth = np.where(is_hit, depth, 0)
+    is_edge |= (
+        np.abs(neighbour_depth - neighbour_depth[0]) > _EDGE_THRESHOLD * neighbour_depth[0]
+    ).any(axis=0)
     for image in (color, normal):
-        edge |= (np.abs(image - image[0]) > _EDGE_THRESHOLD).any(axis=(0, 3))
-    return np.asarray(edge)
+        is_edge |= (np.abs(image - image[0]) > _EDGE_THRESHOLD).any(axis=(0, 3))
+    return np.asarray(is_edge)

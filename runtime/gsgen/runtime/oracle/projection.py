@@ -72,7 +72,7 @@ class Ellipses:
     Attributes:
         mean: Centres, in pixels.
         covariance: 2D covariances, in pixels².
-        dilated: 2D covariances with the dilation.
+        dilated_covariance: 2D covariances with the dilation.
         depth: Along the camera's +z; in a panorama from the camera.
         is_finite: Whether a row is finite and its ellipse has a positive finite size.
         sigma: Covariances in camera space.
@@ -81,7 +81,7 @@ class Ellipses:
 
     mean: Float[np.ndarray, "n 2"]
     covariance: Float[np.ndarray, "n 2 2"]
-    dilated: Float[np.ndarray, "n 2 2"]
+    dilated_covariance: Float[np.ndarray, "n 2 2"]
     depth: Float[np.ndarray, " n"]
     is_finite: Bool[np.ndarray, " n"]
     sigma: Float[np.ndarray, "n 3 3"]
@@ -91,25 +91,29 @@ class Ellipses:
 def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
     """Project Gaussians, or groups (cells) of them, of a splat set into an image, as ellipses."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
-    turn = camera.view[:3, :3]
+    rotation = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
         # Step 1: turn centres and covariances into camera space.
-        position = (rows[:, :3] @ linear.T + offset - camera.eye) @ turn.T
-        camera_from_model = turn @ linear
+        position = (rows[:, :3] @ linear.T + offset - camera.eye) @ rotation.T
+        camera_from_model = rotation @ linear
         sigma = np.einsum(
             "ij,njk,lk->nil", camera_from_model, symmetric(rows[:, 4:]), camera_from_model
         )
         # Step 2: project them by the derivative of the projection at the centre, and dilate.
         mean, covariance = _project_planar(position, sigma, camera)
-        dilated = covariance + camera.dilation * np.eye(2)
+        dilated_covariance = covariance + camera.dilation * np.eye(2)
         depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
         # Step 3: a row is drawn only if all of its numbers make an ellipse.
-        is_finite = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
-        is_finite &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
+        is_finite = np.isfinite(rows).all(axis=1) & np.isfinite(dilated_covariance).all(axis=(1, 2))
+        is_finite &= (
+            (np.linalg.det(dilated_covariance) > 0)
+            & (dilated_covariance[:, 0, 0] > 0)
+            & (dilated_covariance[:, 1, 1] > 0)
+        )
     return Ellipses(
         mean=mean,
         covariance=covariance,
-        dilated=dilated,
+        dilated_covariance=dilated_covariance,
         depth=depth,
         is_finite=is_finite,
         sigma=sigma,
@@ -156,34 +160,35 @@ def drawn_splats(
         first: Index of the set's first Gaussian in the scene.
         visibility: Factor of the opacities; for weighted sums, the visibility of each row's cell.
     """
-    data, far, clip = splat_set.data, splat_set.depth_range, splat_set.clip
+    data, depth_range, clip = splat_set.data, splat_set.depth_range, splat_set.clip
     rows = data.rows[: data.count].astype(np.float64)
     shapes = ellipses(rows, splat_set, camera)
     with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
         # Step 1: scale the opacity, fade it with the depth, and dim splats thinner than a pixel.
         opacity = rows[:, 3] * splat_set.opacity_scale * visibility
-        if far is not None:
-            opacity = opacity * (1 - shapes.depth / far)
+        if depth_range is not None:
+            opacity = opacity * (1 - shapes.depth / depth_range)
         opacity = np.minimum(opacity, 1)
         if splat_set.antialias == "mip":
-            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated)
+            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated_covariance)
             opacity = opacity * np.sqrt(np.maximum(ratio, 0))
         color = _colors(splat_set, camera)
         low, high = (-np.inf, np.inf) if clip is None else (clip.low, clip.high)
         # Step 2: drop what is clipped, too near, nearly transparent or not finite.
-        drawn = shapes.is_finite & (shapes.depth > camera.near) & (opacity >= MIN_ALPHA)
-        drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
-        drawn &= np.isfinite(color).all(axis=1)
+        is_drawn = shapes.is_finite & (shapes.depth > camera.near) & (opacity >= MIN_ALPHA)
+        is_drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
+        is_drawn &= np.isfinite(color).all(axis=1)
     forward = np.tile([0.0, 0.0, 1.0], (len(rows), 1))
     view_direction = forward if camera.kind == "orthographic" else shapes.position
     return Splats(
-        mean=shapes.mean[drawn],
-        covariance=shapes.dilated[drawn],
-        opacity=opacity[drawn],
-        depth=shapes.depth[drawn],
-        color=np.maximum(color[drawn], 0),
-        normal=_shortest_axes(shapes.sigma[drawn], view_direction[drawn]) @ camera.view[:3, :3],
-        index=first + np.flatnonzero(drawn),
+        mean=shapes.mean[is_drawn],
+        covariance=shapes.dilated_covariance[is_drawn],
+        opacity=opacity[is_drawn],
+        depth=shapes.depth[is_drawn],
+        color=np.maximum(color[is_drawn], 0),
+        normal=_shortest_axes(shapes.sigma[is_drawn], view_direction[is_drawn])
+        @ camera.view[:3, :3],
+        index=first + np.flatnonzero(is_drawn),
     )
 
 
@@ -203,10 +208,10 @@ def _project_planar(
     slope = position[:, :2] / position[:, 2:]
     low = -(center + _JACOBIAN_MARGIN * size / 2) / focal
     high = (size - center + _JACOBIAN_MARGIN * size / 2) / focal
-    bent = np.clip(slope, low, high)
+    clipped_slope = np.clip(slope, low, high)
     jacobian = np.zeros((len(position), 2, 3))
     jacobian[:, [0, 1], [0, 1]] = focal / position[:, 2:]
-    jacobian[:, :, 2] = -focal * bent / position[:, 2:]
+    jacobian[:, :, 2] = -focal * clipped_slope / position[:, 2:]
     return focal * slope + center, np.einsum("nij,njk,nlk->nil", jacobian, sigma, jacobian)
 
 
@@ -258,16 +263,16 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
 def _shortest_axes(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return Gaussians' normals: shortest axes turned to the camera; spheres face the camera."""
     values, eigenvectors = np.linalg.eigh(sigma)
-    ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
+    is_isotropic = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
     camera_direction = -position / np.linalg.norm(position, axis=1, keepdims=True)
-    axes = np.where(ball[:, None], camera_direction, eigenvectors[:, :, 0])
-    is_averted = np.einsum("nd,nd->n", axes, position) > 0
-    return np.asarray(np.where(is_averted[:, None], -axes, axes))
+    axes = np.where(is_isotropic[:, None], camera_direction, eigenvectors[:, :, 0])
+    faces_away = np.einsum("nd,nd->n", axes, position) > 0
+    return np.asarray(np.where(faces_away[:, None], -axes, axes))
 
 
 def across(pixels: Float[np.ndarray, " n"], mean: float, camera: Camera) -> Float[np.ndarray, " n"]:
     """Return the horizontal distances of pixels to a Gaussian; in a panorama, the shorter way."""
     if camera.kind != "panorama":
         return pixels - mean
-    turn = 2 * np.pi * camera.fx
-    return np.asarray((pixels - mean + turn / 2) % turn - turn / 2)
+    rotation = 2 * np.pi * camera.fx
+    return np.asarray((pixels - mean + rotation / 2) % rotation - rotation / 2)

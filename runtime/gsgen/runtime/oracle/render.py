@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from gsgen.runtime.oracle import projection
-from gsgen.runtime.oracle.meshes import Surface, cast
+from gsgen.runtime.oracle.meshes import Surface, cast_rays
 from gsgen.runtime.oracle.projection import (
     FRAGILE_BAND,
     MAX_ALPHA,
@@ -50,24 +50,24 @@ def render(
         published: Whether weighted sums count backgrounds as the method's own renderer does.
     """
     # Step 1: draw what is no depth-sorted splat: meshes, and the layer of weighted sums before them.
-    surfaces = cast(scene.meshes, camera, scene.color_space)
-    image_layer = sums(scene, camera, surfaces.depth)
+    surfaces = cast_rays(scene.meshes, camera, scene.color_space)
+    layer = sums(scene, camera, surfaces.depth)
     if not scene.meshes and scene.sets and all(splat_set.weighted for splat_set in scene.sets):
-        return render_alone(image_layer, background, published=published)
+        return render_alone(layer, background, published=published)
     # Step 2: project all depth-sorted sets, and sort their splats together.
     no_rows = SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
-    first, parts = 0, [projection.drawn_splats(SplatSet(no_rows), camera, 0)]
+    first, splat_parts = 0, [projection.drawn_splats(SplatSet(no_rows), camera, 0)]
     for splat_set in scene.sets:
         if splat_set.weighted is None:
-            parts.append(projection.drawn_splats(splat_set, camera, first))
+            splat_parts.append(projection.drawn_splats(splat_set, camera, first))
         first += len(splat_set.data)
     names = Splats.__slots__
-    joined = Splats(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    joined_splats = Splats(
+        **{name: np.concatenate([getattr(part, name) for part in splat_parts]) for name in names}
     )
     # A stable sort: splats of one depth stay in the order of the sets.
-    splats = joined.take(np.argsort(joined.depth, kind="stable"))
-    return _blend(splats, camera, background, surfaces, image_layer.image_layer())
+    splats = joined_splats.take(np.argsort(joined_splats.depth, kind="stable"))
+    return _blend(splats, camera, background, surfaces, layer.image_layer())
 
 
 def _blend(
@@ -75,84 +75,80 @@ def _blend(
     camera: Camera,
     background: Sequence[float],
     surfaces: Surface,
-    image_layer: ImageLayer,
+    layer: ImageLayer,
 ) -> Picture:
     height, width = camera.height, camera.width
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
     transmittance, depth = np.ones((height, width)), np.zeros((height, width))
     median = np.full((height, width), np.inf)
-    ids, finished = np.full((height, width), -1), np.zeros((height, width), bool)
-    fragile, fragile_median = surfaces.fragile | image_layer.fragile, finished.copy()
-    is_layer_pending = np.isfinite(image_layer.depth)
+    ids, is_finished = np.full((height, width), -1), np.zeros((height, width), bool)
+    fragile, fragile_median = surfaces.fragile | layer.fragile, is_finished.copy()
+    is_pending = np.isfinite(layer.depth)
     is_tied = _tied_depths(splats.depth)
-    previous_hit, previous_window = finished.copy(), (slice(0), slice(0))
+    previous_hit, previous_window = is_finished.copy(), (slice(0), slice(0))
     visible = 0
-    inverses, windows = np.linalg.inv(splats.covariance), _pixel_windows(splats, camera)
-    for i, (left, top, right, bottom) in enumerate(windows):
+    inverses, pixel_windows = np.linalg.inv(splats.covariance), _pixel_windows(splats, camera)
+    for i, (left, top, right, bottom) in enumerate(pixel_windows):
         window = slice(top, bottom), slice(left, right)
         if left >= right or top >= bottom:
             previous_hit[previous_window] = False
             continue
         # Step 1: the splat's opacity at the pixels that it may reach.
-        unclamped, dx = _opacity(splats, i, inverses[i], window, camera)
-        alpha = np.minimum(unclamped, MAX_ALPHA)
+        unclamped_alpha, dx = _opacity(splats, i, inverses[i], window, camera)
+        alpha = np.minimum(unclamped_alpha, MAX_ALPHA)
         # Step 2: where the layer of weighted sums is nearer, it takes its light first.
-        if is_layer_pending[window].any():
-            covered = np.zeros_like(is_layer_pending)
-            covered[window] = (is_layer_pending[window]) & (
-                splats.depth[i] > image_layer.depth[window]
-            )
+        if is_pending[window].any():
+            is_covered = np.zeros_like(is_pending)
+            is_covered[window] = (is_pending[window]) & (splats.depth[i] > layer.depth[window])
             _blend_layer(
-                covered, image_layer, color, normal, depth, transmittance, median, fragile_median
+                is_covered, layer, color, normal, depth, transmittance, median, fragile_median
             )
-            is_layer_pending &= ~covered
+            is_pending &= ~is_covered
         # Step 3: the splat is drawn where it is opaque enough, before walls, and leaves enough light.
         before = transmittance[window].copy()
-        in_front = splats.depth[i] <= surfaces.depth[window]
-        hit = (alpha >= MIN_ALPHA) & ~finished[window] & in_front
+        is_in_front = splats.depth[i] <= surfaces.depth[window]
+        is_hit = (alpha >= MIN_ALPHA) & ~is_finished[window] & is_in_front
         visible += bool((alpha >= MIN_ALPHA).any())
         after = before * (1 - alpha)
-        is_stopped = hit & (after <= _MIN_TRANSMITTANCE)
+        is_stopped = is_hit & (after <= _MIN_TRANSMITTANCE)
         # Step 4: mark pixels where the last bits of float32 may decide otherwise.
-        is_near_edge = _is_near_edge(unclamped, dx, camera)
+        is_near_edge = _is_near_edge(unclamped_alpha, dx, camera)
         is_near_surface = _is_touching(splats.depth[i], surfaces.depth[window])
-        is_near_surface |= _is_touching(splats.depth[i], image_layer.depth[window])
-        fragile[window] |= ~finished[window] & (alpha >= MIN_ALPHA) & is_near_surface
-        is_near_stop = hit & (np.abs(after / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND)
-        fragile[window] |= ~finished[window] & (is_near_edge | is_near_stop)
+        is_near_surface |= _is_touching(splats.depth[i], layer.depth[window])
+        fragile[window] |= ~is_finished[window] & (alpha >= MIN_ALPHA) & is_near_surface
+        is_near_stop = is_hit & (np.abs(after / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND)
+        fragile[window] |= ~is_finished[window] & (is_near_edge | is_near_stop)
         if is_tied[i]:
-            fragile[window] |= hit & previous_hit[window]
+            fragile[window] |= is_hit & previous_hit[window]
         previous_hit[previous_window] = False
-        previous_hit[window], previous_window = hit, window
+        previous_hit[window], previous_window = is_hit, window
         # Step 5: add the share of the light that the splat takes, and keep the rest.
-        finished[window] |= is_stopped
-        drawn = hit & ~is_stopped
-        contribution = np.where(drawn, alpha * before, 0)
+        is_finished[window] |= is_stopped
+        is_drawn = is_hit & ~is_stopped
+        contribution = np.where(is_drawn, alpha * before, 0)
         color[window] += contribution[..., None] * splats.color[i]
         normal[window] += contribution[..., None] * splats.normal[i]
         depth[window] += contribution * splats.depth[i]
         # Step 6: the median depth is where half of the light is gone.
-        is_median = hit & (before >= 0.5) & (after < 0.5)
+        is_median = is_hit & (before >= 0.5) & (after < 0.5)
         median[window] = np.where(is_median, splats.depth[i], median[window])
         ids[window] = np.where(is_median, splats.index[i], ids[window])
-        fragile_median[window] |= hit & (np.abs(after - 0.5) <= FRAGILE_BAND)
-        transmittance[window] = np.where(drawn, after, before)
+        fragile_median[window] |= is_hit & (np.abs(after - 0.5) <= FRAGILE_BAND)
+        transmittance[window] = np.where(is_drawn, after, before)
     # Step 7: behind all splats come the layer, and the meshes, which take the remaining light.
-    _blend_layer(
-        is_layer_pending, image_layer, color, normal, depth, transmittance, median, fragile_median
-    )
+    _blend_layer(is_pending, layer, color, normal, depth, transmittance, median, fragile_median)
     is_surface = np.isfinite(surfaces.depth)
-    remaining = np.where(is_surface, transmittance, 0)
-    color += remaining[..., None] * surfaces.color
-    normal += remaining[..., None] * surfaces.normal
-    depth += remaining * np.where(is_surface, surfaces.depth, 0)
+    remaining_transmittance = np.where(is_surface, transmittance, 0)
+    color += remaining_transmittance[..., None] * surfaces.color
+    normal += remaining_transmittance[..., None] * surfaces.normal
+    depth += remaining_transmittance * np.where(is_surface, surfaces.depth, 0)
     median = np.where(is_surface & (transmittance >= 0.5), surfaces.depth, median)
-    transmittance = transmittance - remaining
-    covered = transmittance < 1
+    transmittance = transmittance - remaining_transmittance
+    is_covered = transmittance < 1
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     return Picture(
         rgba=_over(background, color, transmittance),
-        depth=np.where(covered, depth / np.where(covered, 1 - transmittance, 1), np.inf),
+        depth=np.where(is_covered, depth / np.where(is_covered, 1 - transmittance, 1), np.inf),
         median_depth=median,
         ids=ids,
         normal=normal / np.where(size > 0, size, 1),
@@ -181,13 +177,13 @@ def _over(background: Sequence[float], color: np.ndarray, transmittance: np.ndar
     return np.concatenate([mixed_color, alpha[..., None]], axis=-1)
 
 
-def _is_near_edge(unclamped: np.ndarray, dx: np.ndarray, camera: Camera) -> np.ndarray:
+def _is_near_edge(unclamped_alpha: np.ndarray, dx: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the pixels at which rounding decides whether a Gaussian is drawn."""
-    is_near_edge = np.abs(unclamped / MIN_ALPHA - 1) <= FRAGILE_BAND
+    is_near_edge = np.abs(unclamped_alpha / MIN_ALPHA - 1) <= FRAGILE_BAND
     if camera.kind == "panorama":
         is_near_seam = np.abs(np.abs(dx) - np.pi * camera.fx) <= _SEAM_PIXELS
         is_near_edge |= is_near_seam & (
-            np.minimum(unclamped, MAX_ALPHA) >= MIN_ALPHA * (1 - FRAGILE_BAND)
+            np.minimum(unclamped_alpha, MAX_ALPHA) >= MIN_ALPHA * (1 - FRAGILE_BAND)
         )
     return np.asarray(is_near_edge)
 
@@ -199,7 +195,7 @@ def _is_touching(depth: float, surface: np.ndarray) -> np.ndarray:
 
 def _blend_layer(
     pixels: np.ndarray,
-    image_layer: ImageLayer,
+    layer: ImageLayer,
     color: np.ndarray,
     normal: np.ndarray,
     depth: np.ndarray,
@@ -208,31 +204,31 @@ def _blend_layer(
     fragile_median: np.ndarray,
 ) -> None:
     """Blend the image layer of weighted-sum rendering into selected pixels, in place."""
-    remaining = transmittance[pixels]
-    color[pixels] += remaining[:, None] * image_layer.color[pixels]
-    normal[pixels] += remaining[:, None] * image_layer.normal[pixels]
-    depth[pixels] += remaining * image_layer.alpha[pixels] * image_layer.depth[pixels]
-    transmittance[pixels] = remaining * (1 - image_layer.alpha[pixels])
-    is_median = (remaining >= 0.5) & (transmittance[pixels] < 0.5)
-    median[pixels] = np.where(is_median, image_layer.depth[pixels], median[pixels])
+    remaining_transmittance = transmittance[pixels]
+    color[pixels] += remaining_transmittance[:, None] * layer.color[pixels]
+    normal[pixels] += remaining_transmittance[:, None] * layer.normal[pixels]
+    depth[pixels] += remaining_transmittance * layer.alpha[pixels] * layer.depth[pixels]
+    transmittance[pixels] = remaining_transmittance * (1 - layer.alpha[pixels])
+    is_median = (remaining_transmittance >= 0.5) & (transmittance[pixels] < 0.5)
+    median[pixels] = np.where(is_median, layer.depth[pixels], median[pixels])
     fragile_median[pixels] |= np.abs(transmittance[pixels] - 0.5) <= FRAGILE_BAND
 
 
 def _tied_depths(depth: np.ndarray) -> np.ndarray:
     """Return the mask of sorted depths so near the previous depth that rounding may swap both."""
-    gap = np.diff(depth, prepend=-np.inf)
-    return np.asarray((gap > 0) & (gap < TIE_TOLERANCE * np.abs(depth)))
+    depth_gap = np.diff(depth, prepend=-np.inf)
+    return np.asarray((depth_gap > 0) & (depth_gap < TIE_TOLERANCE * np.abs(depth)))
 
 
 def _pixel_windows(splats: Splats, camera: Camera) -> list[list[int]]:
     """Return the pixels that each Gaussian may reach: left, top, right, bottom."""
     diagonals = np.diagonal(splats.covariance, axis1=1, axis2=2)
-    spread = 2 * np.log(splats.opacity / MIN_ALPHA)[:, None] * diagonals
-    reach = np.sqrt(np.maximum(spread, 0)) + 0.01
+    squared_extent = 2 * np.log(splats.opacity / MIN_ALPHA)[:, None] * diagonals
+    half_size = np.sqrt(np.maximum(squared_extent, 0)) + 0.01
     limits = np.array([camera.width, camera.height])
-    low = np.clip(np.floor(splats.mean - reach - 0.5), 0, limits).astype(int)
-    high = np.clip(np.ceil(splats.mean + reach + 0.5), 0, limits).astype(int)
+    low = np.clip(np.floor(splats.mean - half_size - 0.5), 0, limits).astype(int)
+    high = np.clip(np.ceil(splats.mean + half_size + 0.5), 0, limits).astype(int)
     if camera.kind == "panorama":  # a Gaussian may cross the seam
         low[:, 0], high[:, 0] = 0, camera.width
-    windows: list[list[int]] = np.concatenate([low, high], axis=1).tolist()
-    return windows
+    pixel_windows: list[list[int]] = np.concatenate([low, high], axis=1).tolist()
+    return pixel_windows

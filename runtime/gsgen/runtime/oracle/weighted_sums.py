@@ -26,7 +26,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 
 _MIN_TRANSMITTANCE: Final = 0.01
-_TILE: Final = 16
+_TILE_PIXELS: Final = 16
 
 _PIXELS: Final = 2e-3  # distance from a circle's edge within which float32 may decide otherwise
 _EQUALITY_TOLERANCE: Final = 1e-4  # relative difference of depths or opacities that counts as equal
@@ -79,12 +79,12 @@ class WeightedSums:
 
     def image_layer(self) -> "ImageLayer":
         """Return weighted sums as a translucent image layer, to composite with other splat sets."""
-        covered = self.total > 0
+        is_covered = self.total > 0
         return ImageLayer(
             color=self.color / self.scale[..., None],
             alpha=self.total / self.scale,
             normal=self.normal / self.scale[..., None],
-            depth=np.where(covered, self.depth / np.where(covered, self.total, 1), np.inf),
+            depth=np.where(is_covered, self.depth / np.where(is_covered, self.total, 1), np.inf),
             fragile=self.fragile,
         )
 
@@ -115,7 +115,7 @@ class _Cell:
 
     Attributes:
         depth: Depth of the cell's centre.
-        box: Pixels of the cell's tiles.
+        pixel_box: Pixels of the cell's tiles.
         is_uncertain: Pixels of tiles that float32 may add or leave out.
         factors: Divisor of the opacity, and weight of the background.
         splats: The drawn Gaussians.
@@ -124,7 +124,7 @@ class _Cell:
     """
 
     depth: float
-    box: np.ndarray
+    pixel_box: np.ndarray
     is_uncertain: np.ndarray
     factors: tuple[float, float]
     splats: Splats
@@ -133,13 +133,16 @@ class _Cell:
 
 
 def render_alone(
-    partial: WeightedSums, background: Sequence[float], *, published: bool = False
+    cell_sums: WeightedSums, background: Sequence[float], *, published: bool = False
 ) -> Picture:
     """Return the picture of weighted-sum rendering over a background."""
-    image_layer, background_weight = partial.image_layer(), partial.weight_behind / partial.scale
-    share = background_weight if published else background_weight * partial.transmittance
+    image_layer, background_weight = (
+        cell_sums.image_layer(),
+        cell_sums.weight_behind / cell_sums.scale,
+    )
+    cell_weight = background_weight if published else background_weight * cell_sums.transmittance
     *color, background_alpha = background
-    image = image_layer.color + share[..., None] * np.array(color) * background_alpha
+    image = image_layer.color + cell_weight[..., None] * np.array(color) * background_alpha
     size = np.linalg.norm(image_layer.normal, axis=-1, keepdims=True)
     return Picture(
         rgba=np.concatenate(
@@ -147,12 +150,12 @@ def render_alone(
             axis=-1,
         ),
         depth=image_layer.depth,
-        median_depth=partial.median_depth,
-        ids=partial.ids,
+        median_depth=cell_sums.median_depth,
+        ids=cell_sums.ids,
         normal=image_layer.normal / np.where(size > 0, size, 1),
-        fragile=partial.fragile,
-        fragile_median=partial.fragile_median | partial.fragile,
-        visible=partial.visible,
+        fragile=cell_sums.fragile,
+        fragile_median=cell_sums.fragile_median | cell_sums.fragile,
+        visible=cell_sums.visible,
     )
 
 
@@ -170,13 +173,15 @@ def sums(
         first += len(splat_set.data)
     cells.sort(key=lambda cell: cell.depth)  # stable
     # Step 2: add the cells, nearest first; cells of nearly one depth may change places in float32.
-    state = _State(shape)
+    state = _BlendState(shape)
     before: _Cell | None = None
     touched_pixels = np.zeros(shape, bool)
     for cell in cells:
-        gap = np.inf if before is None else cell.depth - before.depth
-        tied = touched_pixels if 0 < gap < TIE_TOLERANCE * cell.depth else np.zeros(shape, bool)
-        touched_pixels = state.add(cell, camera, limit, tied)
+        depth_gap = np.inf if before is None else cell.depth - before.depth
+        is_tied = (
+            touched_pixels if 0 < depth_gap < TIE_TOLERANCE * cell.depth else np.zeros(shape, bool)
+        )
+        touched_pixels = state.add_cell(cell, camera, limit, is_tied)
         before = cell
     end = np.abs(state.transmittance / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND
     return WeightedSums(
@@ -194,7 +199,7 @@ def sums(
     )
 
 
-class _State:
+class _BlendState:
     """Each pixel's weighted sums and transmittance after the groups of Gaussians added so far."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -204,14 +209,16 @@ class _State:
         self.median, self.ids = np.full(shape, np.inf), np.full(shape, -1)
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
-    def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
+    def add_cell(
+        self, cell: _Cell, camera: Camera, limit: np.ndarray, is_tied: np.ndarray
+    ) -> np.ndarray:
         """Add the weighted sums of the next cell (group of Gaussians); return touched pixels."""
         (divisor, depth_behind), splats = cell.factors, cell.splats
         # Step 1: all Gaussians of the cell are weighted by the light before it; finished pixels take none.
         entered_transmittance = self.transmittance.copy()
-        entered_pixels = cell.box & (entered_transmittance >= _MIN_TRANSMITTANCE)
+        entered_pixels = cell.pixel_box & (entered_transmittance >= _MIN_TRANSMITTANCE)
         changed, most = np.zeros_like(entered_pixels), np.zeros(entered_pixels.shape)
-        second, strongest_index = (
+        second_opacity, strongest_index = (
             np.zeros(entered_pixels.shape),
             np.full(entered_pixels.shape, -1),
         )
@@ -221,25 +228,27 @@ class _State:
             dx = projection.across(x, splats.mean[k, 0], camera)
             dy = y - splats.mean[k, 1]
             (a, b), (_, c) = np.linalg.inv(splats.covariance[k])
-            unclamped = splats.opacity[k] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
+            unclamped_opacity = splats.opacity[k] * np.exp(
+                -0.5 * (a * dx**2 + c * dy**2) - b * dx * dy
+            )
             far = np.hypot(dx, dy)
-            is_inside = (unclamped >= MIN_ALPHA) & (far <= cell.radius[k])
+            is_inside = (unclamped_opacity >= MIN_ALPHA) & (far <= cell.radius[k])
             hit = is_inside & entered_pixels & (depth <= limit)
             # Step 3: mark pixels where the last bits of float32 may decide otherwise.
-            near = np.abs(unclamped / MIN_ALPHA - 1) <= FRAGILE_BAND
-            near |= np.abs(far - cell.radius[k]) <= cell.ring_radius[k]
-            near |= np.abs(depth - limit) <= _EQUALITY_TOLERANCE * depth
-            is_reached = unclamped >= MIN_ALPHA * (1 - FRAGILE_BAND)
-            around = cell.box | cell.is_uncertain
+            is_near_threshold = np.abs(unclamped_opacity / MIN_ALPHA - 1) <= FRAGILE_BAND
+            is_near_threshold |= np.abs(far - cell.radius[k]) <= cell.ring_radius[k]
+            is_near_threshold |= np.abs(depth - limit) <= _EQUALITY_TOLERANCE * depth
+            is_reached = unclamped_opacity >= MIN_ALPHA * (1 - FRAGILE_BAND)
+            around = cell.pixel_box | cell.is_uncertain
             self.fragile |= (
                 is_reached
-                & near
+                & is_near_threshold
                 & around
                 & (entered_transmittance >= _MIN_TRANSMITTANCE * (1 - FRAGILE_BAND))
             )
             self.fragile |= is_inside & cell.is_uncertain
             # Step 4: add its weighted values, and take its share of the light.
-            alpha = np.where(hit, np.minimum(unclamped, MAX_ALPHA) / divisor, 0)
+            alpha = np.where(hit, np.minimum(unclamped_opacity, MAX_ALPHA) / divisor, 0)
             self.transmittance *= np.maximum(1 - alpha, 0)
             contribution = alpha * entered_transmittance
             self.color += contribution[..., None] * splats.color[k]
@@ -247,21 +256,21 @@ class _State:
             self.depth += contribution * depth
             self.total += contribution
             self.depth_behind += contribution * depth_behind
-            changed |= is_inside & cell.box
-            self.visible += bool((is_inside & cell.box).any())
+            changed |= is_inside & cell.pixel_box
+            self.visible += bool((is_inside & cell.pixel_box).any())
             # Step 5: remember the most opaque Gaussian: at the median depth, it stands for the cell.
             is_larger = alpha > most
-            second = np.where(is_larger, most, np.maximum(second, alpha))
+            second_opacity = np.where(is_larger, most, np.maximum(second_opacity, alpha))
             most = np.where(is_larger, alpha, most)
             strongest_index = np.where(is_larger, k, strongest_index)
         # Step 6: the median depth is in the cell where half of the light is gone.
         is_near_end = np.abs(entered_transmittance / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND
-        self.fragile |= changed & (is_near_end | tied)
+        self.fragile |= changed & (is_near_end | is_tied)
         is_median = (entered_transmittance >= 0.5) & (self.transmittance < 0.5)
         self.median[is_median] = splats.depth[strongest_index[is_median]]
         self.ids[is_median] = splats.index[strongest_index[is_median]]
         is_near_half = np.abs(self.transmittance - 0.5) <= FRAGILE_BAND
-        is_uncertain_median = is_median & (second >= most * (1 - _EQUALITY_TOLERANCE))
+        is_uncertain_median = is_median & (second_opacity >= most * (1 - _EQUALITY_TOLERANCE))
         self.fragile_median |= changed & (is_near_half | is_uncertain_median)
         return changed
 
@@ -271,23 +280,25 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
     data, weighted = splat_set.data, splat_set.weighted
     assert data.cells is not None
     assert weighted is not None
-    live = -(-data.count // data.per_cell)
-    rows = data.cells[:live].astype(np.float64)
+    live_cells = -(-data.count // data.per_cell)
+    rows = data.cells[:live_cells].astype(np.float64)
     shapes = projection.ellipses(rows, splat_set, camera)
-    drawn = shapes.is_finite & (shapes.depth > camera.near) & (rows[:, 3] > 0)
+    is_drawn = shapes.is_finite & (shapes.depth > camera.near) & (rows[:, 3] > 0)
     visibility = np.repeat(rows[:, 3], data.per_cell)[: data.count]
     splats = projection.drawn_splats(splat_set, camera, first, visibility)
     cells = []
-    for number in np.flatnonzero(drawn):
-        box, is_uncertain = _box(shapes.mean[number], shapes.dilated[number], camera)
-        if not box.any() and not is_uncertain.any():
+    for number in np.flatnonzero(is_drawn):
+        pixel_box, is_uncertain = _cell_pixels(
+            shapes.mean[number], shapes.dilated_covariance[number], camera
+        )
+        if not pixel_box.any() and not is_uncertain.any():
             continue
         members = splats.take((splats.index - first) // data.per_cell == number)
         radius, ring_radius = _bounding_radii(members.covariance, 3)
         cells.append(
             _Cell(
                 depth=float(shapes.depth[number]),
-                box=box,
+                pixel_box=pixel_box,
                 is_uncertain=is_uncertain,
                 factors=(weighted.opacity_divisor, weighted.background),
                 splats=members,
@@ -298,41 +309,46 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
     return cells
 
 
-def _bounding_radii(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
+def _bounding_radii(covariance: np.ndarray, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     """Return circle radii of projected Gaussians in pixels, and the radii's float32 error."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
-    radius = deviations * np.sqrt(longest)
+    radius = sigmas * np.sqrt(longest)
     is_uncertain = np.abs(radius - np.round(radius)) <= 1e-5 * radius + 1e-5
     return np.ceil(radius), np.where(is_uncertain, 1.1, _PIXELS)
 
 
-def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _cell_pixels(
+    mean: np.ndarray, covariance: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
     """Return masks: pixels covered by a group of Gaussians; pixels where rounding decides that."""
     (radius,), (ring_radius,) = _bounding_radii(covariance[None], 2)
     boxes = [
-        _tiles(mean + shift * np.array(diagonal), radius, camera)
-        for shift in ([-_PIXELS, _PIXELS] if ring_radius < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])
+        _tiles(mean + offset * np.array(diagonal), radius, camera)
+        for offset in ([-_PIXELS, _PIXELS] if ring_radius < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])
         for diagonal in ((1, 1), (1, -1))
     ]
-    box = _tiles(mean, radius, camera)
-    return box, np.any([candidate != box for candidate in boxes], axis=0)
+    pixel_box = _tiles(mean, radius, camera)
+    return pixel_box, np.any([candidate != pixel_box for candidate in boxes], axis=0)
 
 
 def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:
     """Return the mask of the pixels in image tiles that a circle around ``mean`` may touch."""
-    inside = []
-    for axis, side in enumerate((camera.width, camera.height)):
-        tile = np.arange(side) // _TILE
+    inside_boxes = []
+    for axis, image_side in enumerate((camera.width, camera.height)):
+        tile = np.arange(image_side) // _TILE_PIXELS
         half_extent, pixel_turns = radius, [0.0]
         if camera.kind == "panorama" and axis == 0:
-            turn = 2 * np.pi * camera.fx
-            half_extent, pixel_turns = min(radius, turn / 2), [-turn, 0.0, turn]
-        along = np.zeros(side, bool)
-        for shift in pixel_turns:
-            middle = mean[axis] + shift - 0.5
-            begin = np.floor((middle - half_extent) / _TILE)
-            end = np.floor((middle + half_extent + _TILE - 1) / _TILE)
-            along |= (tile >= begin) & (tile < end)
-        inside.append(along)
-    return np.asarray(inside[1][:, None] & inside[0])
+            panorama_width = 2 * np.pi * camera.fx
+            half_extent, pixel_turns = (
+                min(radius, panorama_width / 2),
+                [-panorama_width, 0.0, panorama_width],
+            )
+        along = np.zeros(image_side, bool)
+        for offset in pixel_turns:
+            middle = mean[axis] + offset - 0.5
+            first_tile = np.floor((middle - half_extent) / _TILE_PIXELS)
+            end = np.floor((middle + half_extent + _TILE_PIXELS - 1) / _TILE_PIXELS)
+            along |= (tile >= first_tile) & (tile < end)
+        inside_boxes.append(along)
+    return np.asarray(inside_boxes[1][:, None] & inside_boxes[0])

@@ -17,7 +17,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.runtime.errors import locate_in_frame
 from gsgen.runtime.playback.frame_queue import FrameQueue, PlayStatistics
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.renderer.late_counts import FRAMES_LATE
+from gsgen.runtime.renderer.late_counts import MAX_FRAMES_IN_FLIGHT
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
@@ -83,7 +83,7 @@ class Player:
         outputs: Collection[Output] = COLOR_ONLY,
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
-        frames_in_flight: int = FRAMES_LATE,
+        frames_in_flight: int = MAX_FRAMES_IN_FLIGHT,
     ) -> None:
         if post and "color" not in outputs:
             output_names = ", ".join(sorted(outputs))

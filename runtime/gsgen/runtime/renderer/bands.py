@@ -41,12 +41,12 @@ class Band:
     """A band of an image: consecutive rows, which are drawn together.
 
     Attributes:
-        whole: Camera of the whole image.
+        full_camera: Camera of the whole image.
         first: Index of the first row.
         rows: Number of rows.
     """
 
-    whole: Camera
+    full_camera: Camera
     first: int
     rows: int
 
@@ -58,9 +58,9 @@ class Band:
     @property
     def camera(self) -> Camera:
         """The camera that sees just this band of rows of the whole image."""
-        if self.rows == self.whole.height:
-            return self.whole
-        return replace(self.whole, cy=self.whole.cy - self.first, height=self.rows)
+        if self.rows == self.full_camera.height:
+            return self.full_camera
+        return replace(self.full_camera, cy=self.full_camera.cy - self.first, height=self.rows)
 
 
 @final

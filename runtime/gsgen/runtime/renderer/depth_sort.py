@@ -19,7 +19,7 @@ class DepthOrder:
     """Sorts splats by depth: by 32-bit keys, and equal keys by the low parts of the depths.
 
     A key is the depth rounded to float32. Of a million centres most have a key of their own, and
-    the tie pass orders the others. If a tie is longer than MOST_TIED, as in a slightly rotated
+    the tie pass orders the others. If a tie is longer than MAX_TIED_KEYS, as in a slightly rotated
     plane, the tie pass sets UNSORTED and the frame is drawn again with a deep sort: by the
     remainders first and then, stably, by the keys. That takes twice as long.
 
@@ -32,9 +32,9 @@ class DepthOrder:
     def __init__(self, device: Device, sort_config: SortConfig, sort: RadixSort) -> None:
         self._sort = sort
         self._tie_kernel = cache(
-            lambda arranged: OrderTies(device, sort_config.walk_rows, arranged=arranged)
+            lambda is_reordered: OrderTies(device, sort_config.walk_rows, is_reordered=is_reordered)
         )
-        self._gather = cache(lambda: GatherKeys(device, sort_config.block))
+        self._gather_kernel = cache(lambda: GatherKeys(device, sort_config.block))
 
     def steps(
         self,
@@ -63,7 +63,7 @@ class DepthOrder:
         """
         histograms = has_histogram or self._sort.histograms(capacity, KEY_BITS)
         if spare_keys is None:
-            steps, side = self._by_key(
+            steps, side = self._sort_by_key(
                 capacity, counts, list(columns), histograms, has_histogram=bool(has_histogram)
             )
             sorted_ = columns[side]
@@ -71,12 +71,15 @@ class DepthOrder:
             steps, sorted_ = self._deep_steps(
                 capacity, counts, columns, low_keys, spare_keys, histograms
             )
-        arranged = () if origins is None else (origins,)
-        tie_kernel = self._tie_kernel(bool(arranged))
+        origin_buffers = () if origins is None else (origins,)
+        tie_kernel = self._tie_kernel(bool(origin_buffers))
         keys, order = sorted_
-        return [*steps, tie_kernel.step(capacity, counts, keys, low_keys, order, *arranged)], order
+        return [
+            *steps,
+            tie_kernel.step(capacity, counts, keys, low_keys, order, *origin_buffers),
+        ], order
 
-    def _by_key(
+    def _sort_by_key(
         self,
         capacity: int,
         counts: Buffer,
@@ -111,10 +114,12 @@ class DepthOrder:
         """Return the dispatches that sort splats by the depths' low parts, then by depth keys."""
         keys, low_columns = columns[0].keys, [columns[0]._replace(keys=spare_keys), columns[1]]
         # Step 1: sort by the remainders, which drops absent splats.
-        first, side = self._by_key(capacity, counts, low_columns, histograms, first_keys=low_keys)
+        first, side = self._sort_by_key(
+            capacity, counts, low_columns, histograms, first_keys=low_keys
+        )
         sorted_lows = low_columns[side]
         # Step 2: fetch the depth key of each splat in that order.
-        gather = self._gather().step(counts, keys, sorted_lows.values, sorted_lows.keys)
+        gather = self._gather_kernel().step(counts, keys, sorted_lows.values, sorted_lows.keys)
         if side:
             low_columns.reverse()
         # Step 3: sort by the keys; this sort is stable, so that equal keys keep the order of remainders.

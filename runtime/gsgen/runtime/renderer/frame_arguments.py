@@ -1,6 +1,6 @@
 """Checks the arguments of a frame: its scene, background and outputs."""
 
-__all__ = ["checked", "too_large"]
+__all__ = ["checked", "memory_error"]
 
 from collections.abc import Collection, Sequence
 
@@ -40,7 +40,7 @@ def checked(
     return requested, _premultiply(background)
 
 
-def too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
+def memory_error(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
     """Add the memory that the Gaussians take, and ways to need less, to an out-of-memory error."""
     sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
     now, memory_hint = (

@@ -10,10 +10,10 @@ from jaxtyping import Float32, Int64, UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.gpu.readback import StagingBuffers
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer.bands import CountsAndImages
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.kernel_set import Kernels
@@ -54,9 +54,9 @@ class FrameReadback:
         origins: UInt32[np.ndarray, " n"] | None,
     ) -> None:
         self._device, self._kernels = device, kernels
-        self._counters, self.images = list(counters), images
-        self._size, self._origins = size, origins
-        self.staging = Staging(device, {**counters, **images})
+        self._counter_names, self.images = list(counters), images
+        self._image_size, self._origins = size, origins
+        self.staging = StagingBuffers(device, {**counters, **images})
 
     def collect(self, *, fetch: bool = True, counted: CountedItems = "all") -> CountsAndImages:
         """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
@@ -68,24 +68,24 @@ class FrameReadback:
         Raises:
             CapacityExceeded: More splats are drawn than the device dispatches at once.
         """
-        names = [*self._counters, *(self.images if fetch else ())]
+        names = [*self._counter_names, *(self.images if fetch else ())]
         arrays_by_name = self.staging.read(dict.fromkeys(names, np.uint32))
-        parts = [arrays_by_name.pop(name) for name in self._counters]
+        counter_parts = [arrays_by_name.pop(name) for name in self._counter_names]
         if counted == "cells":
-            parts[0] = counting.initial(0, int(parts[0][Counts.PAIR_CAPACITY]))
+            counter_parts[0] = counting.initial(0, int(counter_parts[0][Counts.PAIR_CAPACITY]))
         if counted == "splats":
-            parts = parts[:1]
-        counts = frame_counts(self._device, self._kernels, parts)
-        width, height = self._size
+            counter_parts = counter_parts[:1]
+        counts = frame_counts(self._device, self._kernels, counter_parts)
+        width, height = self._image_size
         images = {
             # Rows of a copied texture are padded.
-            name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
-            for name, words in arrays_by_name.items()
+            name: id_words[: id_words.size // height * height].reshape(height, -1, 4)[:, :width]
+            for name, id_words in arrays_by_name.items()
         }
         if self._origins is not None and "depth" in images:
             ids = images["depth"][..., 2]
-            known = ids != ABSENT
-            ids[known] = self._origins[ids[known]]
+            has_id = ids != NO_ID
+            ids[has_id] = self._origins[ids[has_id]]
         return counts, images
 
 
@@ -97,20 +97,20 @@ def frame_of(
     opacity_behind: float,
 ) -> Frame:
     """Convert the 32-bit words of rendered GPU images to a frame."""
-    color, pick, normal = (
+    color, depth_image, normal = (
         images[name].view(np.float32) if name in images else None
         for name in ("color", "depth", "normal")
     )
-    covered = next(image for image in (color, pick, normal) if image is not None)
-    alpha = covered[..., 3].copy()
+    first_image = next(image for image in (color, depth_image, normal) if image is not None)
+    alpha = first_image[..., 3].copy()
     if color is not None:
         color[..., 3] += (1 - alpha) * np.float32(opacity_behind)
     return Frame(
         rgba=color,
         alpha=alpha,
-        depth=None if pick is None else _mean_depth(pick),
-        median_depth=None if pick is None else _median_depth(pick),
-        ids=None if pick is None else _ids(images["depth"][..., 2], scene),
+        depth=None if depth_image is None else _mean_depth(depth_image),
+        median_depth=None if depth_image is None else _median_depth(depth_image),
+        ids=None if depth_image is None else _decode_ids(images["depth"][..., 2], scene),
         normal=None if normal is None else _world_normals(normal[..., :3], camera),
         visible=int(counts[Counts.VISIBLE]),
         pairs=int(counts[Counts.PAIRS]),
@@ -118,20 +118,20 @@ def frame_of(
     )
 
 
-def _mean_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
-    total, alpha = pick[..., 0], pick[..., 3]
+def _mean_depth(depth_image: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
+    total, alpha = depth_image[..., 0], depth_image[..., 3]
     infinite_depth = np.full(alpha.shape, np.inf, np.float32)
     return np.asarray(np.divide(total, alpha, out=infinite_depth, where=alpha > 0))
 
 
-def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
-    median = pick[..., 1]
+def _median_depth(depth_image: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
+    median = depth_image[..., 1]
     return np.asarray(np.where(median > 0, median, np.float32(np.inf)))
 
 
-def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
+def _decode_ids(id_words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
     """Convert splat ids, which skip weighted-sum splat sets, to row indices of the whole scene."""
-    ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
+    ids = np.where(id_words == NO_ID, NOTHING, id_words.astype(np.int64))
     weighted = [splat_set.weighted is not None for splat_set in scene.sets]
     is_weighted = np.array([*weighted, *(False for _ in scene.pools)], bool)
     if not is_weighted.any() or is_weighted.all():

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.gpu.readback import StagingBuffers
 from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform
 from gsgen.runtime.kernels.raster.draw_meshes import MeshesStep
 from gsgen.runtime.kernels.raster.draw_quads import QuadsStep
@@ -35,7 +35,7 @@ from gsgen.runtime.renderer.placed_pages import (
     weighted_pages,
     write_pages,
 )
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from gsgen.runtime.renderer.slabs import Slabs, SlabState, draw_parts
 from gsgen.runtime.renderer.tile_lists import TileLists, allocate_columns, list_splats
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
@@ -74,7 +74,7 @@ class Plan:
         kernels: Kernels,
         placed: Sequence[PlacedPage],
         image: ImageSpec,
-        method: Method,
+        method: RasterMethod,
         *,
         meshes: Sequence[PlacedMesh] = (),
         layers: int = 0,
@@ -82,11 +82,11 @@ class Plan:
         device, sizes, outputs = kernels.device, method.slabs, image.outputs
         # Step 1: divide the sets by the way in which they are blended.
         weighted_pairs, placed = weighted_pages(placed), sorted_pages(placed)
-        self._weighted: WeightedPart | None = None
+        self._weighted_part: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._device, self._kernels = device, kernels
-        self.image, self._method = image, method
+        self.image, self._rasterisation = image, method
         self._tiles = image.tiles(kernels.sort_config.tile)
         n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
@@ -97,17 +97,17 @@ class Plan:
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
         self.slabs = self._slabs(placed, sizes.splats, with_ids="depth" in outputs)
-        self._counts = self._storage("counts", counting.BYTES, extra_usage="INDIRECT")
-        initial = counting.initial(n, method.pair_capacity, panorama=image.panorama)
-        device.write(self._counts, initial)
+        self._counts = self._storage("counts", counting.COUNTERS_BYTES, extra_usage="INDIRECT")
+        initial_counts = counting.initial(n, method.pair_capacity, panorama=image.panorama)
+        device.write(self._counts, initial_counts)
         self._held = {"counts": self._counts}
         self._records = kernels.records(n)
-        self._projected, self._splats = self._splat_arrays(n)
+        self._projected_buffers, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
         self._layers = self._allocate_input_layers(layers) if layers else None
-        self.clears = self._cleared()
+        self.buffer_clears = self._cleared()
         self.images: dict[str, Buffer] = {}
         # Step 3: find out who writes the image. Meshes and weighted sets become layers among the splats,
         # unless weighted sets are alone.
@@ -129,28 +129,28 @@ class Plan:
             self.stages["meshes"] = self._draw_meshes(meshes)
         if weighted_pairs:
             frames = (self._frame, self._bare_frame)
-            self._weighted = WeightedPart(
+            self._weighted_part = WeightedPart(
                 kernels, weighted_pairs, image, method, frames, self._layers
             )
-            self._add_weighted_part(self._weighted)
-        if is_weighted_only and self._weighted is not None:
-            self.inputs |= self._weighted.inputs
+            self._add_weighted_part(self._weighted_part)
+        if is_weighted_only and self._weighted_part is not None:
+            self.inputs |= self._weighted_part.inputs
         else:
             self.stages |= self._record(placed, outputs, quads=quads)
-        self.clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots]
+        self.buffer_clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots]
         self._readback = self.readback()
 
     @property
     def weighted_slabs(self) -> Slabs | None:
         """Buffers and steps of weighted sets that are drawn in slabs of depth, or None."""
-        return None if self._weighted is None else self._weighted.slabs
+        return None if self._weighted_part is None else self._weighted_part.slabs
 
     def _add_weighted_part(self, part: WeightedPart) -> None:
         """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
         self.buffers |= part.buffers
         self.images |= part.images
         self.stages |= part.stages
-        self.clears += part.clears
+        self.buffer_clears += part.buffer_clears
         self._held["counts of cells"] = part.counts
 
     def _slabs(
@@ -182,7 +182,7 @@ class Plan:
         return [
             (self._ranges, 0, None),
             (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
-            *((slabs.tally, 0, None) for slabs in (self.slabs,) if slabs is not None),
+            *((slabs.key_counts, 0, None) for slabs in (self.slabs,) if slabs is not None),
         ]
 
     def _record(
@@ -218,19 +218,19 @@ class Plan:
                 ranges=self._ranges,
                 scratch=a.keys,
                 gaussians=n,
-                pair_capacity=self._method.pair_capacity,
+                pair_capacity=self._rasterisation.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],
             ),
             panorama=self.image.panorama,
             records=self._records,
         )
         stages |= tile_stages
-        self.clears += [(buffer, 0, None) for buffer in cleared_buffers]
+        self.buffer_clears += [(buffer, 0, None) for buffer in cleared_buffers]
         # Stage 5: blend each tile, once per output.
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors)]
         if "depth" in outputs:
-            ids = colors if self.slabs is None else self.slabs.takers
+            ids = colors if self.slabs is None else self.slabs.taker_ids
             stages["depth"] = [self._blend("depth", members, ids)]
         if normals is not None:  # they are blended like colours
             stages["normal"] = [self._blend("normal", members, normals)]
@@ -275,7 +275,7 @@ class Plan:
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
-        outputs = (self._frame, keys, *self._projected, colors, low_keys)
+        outputs = (self._frame, keys, *self._projected_buffers, colors, low_keys)
         if self.slabs is not None:
             steps = self.slabs.project_steps(
                 outputs,
@@ -312,7 +312,7 @@ class Plan:
         if self.slabs is not None or not self._kernels.counts_keys:
             return ()
         digits = self._kernels.sort.histograms(self._gaussians, KEY_BITS)
-        self.clears.append((digits[0], 0, None))
+        self.buffer_clears.append((digits[0], 0, None))
         return digits
 
     def _sort_by_depth(
@@ -326,7 +326,9 @@ class Plan:
             origins = self._storage("origins", 4 * n)
             self._device.write(origins, self._origins)
         spare_keys = (
-            self._storage("keys of Gaussians c", 4 * n) if self._method.sort == "deep" else None
+            self._storage("keys of Gaussians c", 4 * n)
+            if self._rasterisation.sort == "deep"
+            else None
         )
         return self._kernels.order.steps(
             n, self._counts, columns, low_keys, origins, spare_keys, has_histogram=digits
@@ -385,7 +387,7 @@ class Plan:
 
     def visible(self, placed: Sequence[PlacedPage], camera: Camera) -> int | None:
         """Return the number of splats in view; None if sets are blended by weighted sums."""
-        if self._weighted is not None or not placed:
+        if self._weighted_part is not None or not placed:
             return None
         only = ("project", "sort")
         counts, _ = self.draw(placed, Band.of(camera), np.zeros(3), fetch=False, only=only)
@@ -401,7 +403,7 @@ class Plan:
         only: Sequence[str] | None = None,
         clock: StageClock | None = None,
         fetch: bool = True,
-        staging: Staging | None = None,
+        staging: StagingBuffers | None = None,
         band: Band | None = None,
         state: SlabState | None = None,
     ) -> None:
@@ -424,12 +426,12 @@ class Plan:
         device = self._device
         # Step 1: write what changes from frame to frame. The uniforms of depths and normals have no
         # background.
-        if self._weighted is not None:
-            self._weighted.write(weighted_pages(placed), camera)
+        if self._weighted_part is not None:
+            self._weighted_part.write(weighted_pages(placed), camera)
         placed = sorted_pages(placed)
         for buffer, color in ((self._frame, background), (self._bare_frame, np.zeros(3))):
-            uniform = frame_uniform(band.whole, color, first_row=band.first, rows=band.rows)
-            device.write(buffer, state.written_to(uniform))
+            uniform = frame_uniform(band.full_camera, color, first_row=band.first, rows=band.rows)
+            device.write(buffer, state.write_uniform(uniform))
         write_pages(device, placed, camera, self._slots)
         if self._meshes is not None:
             device.write(self._mesh_rays, mesh_rays(camera))
@@ -440,9 +442,13 @@ class Plan:
         if clock is not None:
             clock.begin()
         # Later slabs of depth are blended among the cells that were drawn before the first.
-        keeps_cells = self._weighted and only and set(only).isdisjoint(self._weighted.stages)
-        cell_clears = self._weighted.clears if self._weighted and keeps_cells else []
-        for clear in [entry for entry in self.clears if entry not in cell_clears]:
+        reuses_cells = (
+            self._weighted_part and only and set(only).isdisjoint(self._weighted_part.stages)
+        )
+        cell_clears = (
+            self._weighted_part.buffer_clears if self._weighted_part and reuses_cells else []
+        )
+        for clear in [entry for entry in self.buffer_clears if entry not in cell_clears]:
             encoder.clear_buffer(*clear)
         # Step 3: encode meshes, whose depths hide splats, then the compute stages, then quads.
         if self._meshes is not None and (only is None or "meshes" in only):
@@ -462,9 +468,9 @@ class Plan:
         (staging or self._readback.staging).encode(encoder, None if fetch else self._held)
         device.submit(encoder)
 
-    def counts_staging(self) -> Staging:
+    def counts_staging(self) -> StagingBuffers:
         """Return a new staging buffer through which a frame's GPU counters are read."""
-        return Staging(self._device, self._held)
+        return StagingBuffers(self._device, self._held)
 
     def readback(self) -> FrameReadback:
         """Return a new readback of a frame's GPU counters and images."""

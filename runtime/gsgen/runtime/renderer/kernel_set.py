@@ -46,7 +46,7 @@ class Kernels:
         device: Device of the kernels.
         is_single_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
             that larger images need more passes of the tile sort.
-        sort_config: How work is divided among invocations; :func:`cut_for` by default.
+        sort_config: How work is divided among invocations; :func:`sort_config_for` by default.
 
     Attributes:
         device: Device of the kernels.
@@ -67,7 +67,7 @@ class Kernels:
     ) -> None:
         self.device, self._is_single_shape = device, is_single_shape
         self.sort_config = sort_config or sort_config_for(device)
-        self._compiled: dict[tuple[object, ...], Any] = {}
+        self._kernel_cache: dict[tuple[object, ...], Any] = {}
         walk_block = WALK_THREADS * self.sort_config.walk_rows
         self.scan = Scan(
             device,
@@ -82,13 +82,13 @@ class Kernels:
         self.lists = device.software and self.sort_config.tile == TILE and not is_single_shape
 
     def _cached_kernel(
-        self, kind: Callable[..., _Kernel], *arguments: object, **words: object
+        self, kind: Callable[..., _Kernel], *arguments: object, **keyword_arguments: object
     ) -> _Kernel:
         """Return a kernel of the device, the same one for the same arguments."""
-        key = (kind, arguments, *words.items())
-        if key not in self._compiled:
-            self._compiled[key] = kind(self.device, *arguments, **words)
-        kernel: _Kernel = self._compiled[key]
+        key = (kind, arguments, *keyword_arguments.items())
+        if key not in self._kernel_cache:
+            self._kernel_cache[key] = kind(self.device, *arguments, **keyword_arguments)
+        kernel: _Kernel = self._kernel_cache[key]
         return kernel
 
     def cull_slots(self, page: Page, *, panorama: bool, keys_only: bool = False) -> CullSlots:
@@ -146,9 +146,9 @@ class Kernels:
         """Return the kernel that counts sort keys."""
         return self._cached_kernel(TallyKeys)
 
-    def place(self, *, arranged: bool) -> PlaceSplats:
+    def place(self, *, is_reordered: bool) -> PlaceSplats:
         """Return the kernels that index the rows of a slab."""
-        return self._cached_kernel(PlaceSplats, arranged=arranged)
+        return self._cached_kernel(PlaceSplats, is_reordered=is_reordered)
 
     def bin_tiles(self, *, panorama: bool, records: bool, digits: FirstDigits) -> BinTiles:
         """Return the kernels that list the tiles of splats."""
@@ -233,8 +233,8 @@ class Kernels:
 
     def records(self, gaussians: int) -> bool:
         """Return whether all projected splats are stored as structs in one GPU buffer."""
-        is_possible = self.sort_config.tile != TILE and not self._is_single_shape
-        return is_possible and RECORD_BYTES * gaussians <= self.device.largest_binding
+        can_use_records = self.sort_config.tile != TILE and not self._is_single_shape
+        return can_use_records and RECORD_BYTES * gaussians <= self.device.largest_binding
 
     def tile_bits(self, last: int) -> int:
         """Return the number of sort-key bits for tile indices up to ``last``."""

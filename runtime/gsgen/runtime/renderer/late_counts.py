@@ -1,6 +1,6 @@
 """Reads a frame's GPU counters or images while the GPU draws the next one, without waiting."""
 
-__all__ = ["FRAMES_LATE", "FrameInFlight", "LateCounts", "Readbacks"]
+__all__ = ["MAX_FRAMES_IN_FLIGHT", "FrameInFlight", "LateCounts", "Readbacks"]
 
 import time
 from collections import deque
@@ -9,14 +9,14 @@ from typing import Final, final
 
 import numpy as np
 
-from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.gpu.readback import StagingBuffers
 from gsgen.runtime.renderer.bands import CountsAndImages
 from gsgen.runtime.renderer.frame_images import FrameReadback
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 
-FRAMES_LATE: Final = 2
+MAX_FRAMES_IN_FLIGHT: Final = 2
 """Frames that are in flight: the counts of a frame are read when the second one after it begins."""
 
 
@@ -29,26 +29,26 @@ class LateCounts:
     """
 
     def __init__(self) -> None:
-        self.waited = 0.0
-        self._in_flight: deque[tuple[Staging, list[Staging]]] = deque()
-        self._free: list[Staging] = []
+        self.wait_seconds = 0.0
+        self._in_flight: deque[tuple[StagingBuffers, list[StagingBuffers]]] = deque()
+        self._free_staging: list[StagingBuffers] = []
         self._layout: object = None
 
     def __bool__(self) -> bool:
         return bool(self._in_flight)
 
-    def staging(self, plan: Plan) -> Staging:
+    def staging(self, plan: Plan) -> StagingBuffers:
         """Return a staging buffer for a frame's GPU counters that no unfinished frame uses."""
         if self._layout is not plan.inputs:  # another plan has other buffers to copy from
-            self._free, self._layout = [], plan.inputs
-        return self._free.pop() if self._free else plan.counts_staging()
+            self._free_staging, self._layout = [], plan.inputs
+        return self._free_staging.pop() if self._free_staging else plan.counts_staging()
 
-    def add(self, staging: Staging) -> None:
+    def add(self, staging: StagingBuffers) -> None:
         """Begin to read the GPU counters of a frame that was just submitted."""
         staging.begin()
-        self._in_flight.append((staging, self._free))
+        self._in_flight.append((staging, self._free_staging))
 
-    def read(self, *, in_flight: int = FRAMES_LATE - 1) -> list[list[np.ndarray]]:
+    def read(self, *, in_flight: int = MAX_FRAMES_IN_FLIGHT - 1) -> list[list[np.ndarray]]:
         """Return the GPU counters of all frames but the newest ``in_flight``, oldest frame first.
 
         Those of a frame are several if it has cells: see
@@ -56,10 +56,10 @@ class LateCounts:
         """
         start_time, counts = time.perf_counter(), []
         while len(self._in_flight) > in_flight:
-            staging, free = self._in_flight.popleft()
+            staging, free_staging = self._in_flight.popleft()
             counts.append(list(staging.read_words().values()))
-            free.append(staging)
-        self.waited = time.perf_counter() - start_time
+            free_staging.append(staging)
+        self.wait_seconds = time.perf_counter() - start_time
         return counts
 
 
@@ -68,23 +68,23 @@ class Readbacks:
     """Readbacks of frames of one plan, which are used again once their images were read."""
 
     def __init__(self) -> None:
-        self._free: list[FrameReadback] = []
+        self._free_staging: list[FrameReadback] = []
         self._layout: object = None
 
     def take(self, plan: Plan) -> FrameReadback:
         """Return a readback of the plan's images that no frame in flight uses."""
         if self._layout is not plan.images:  # another plan has other buffers to copy from
-            self._free, self._layout = [], plan.images
-        return self._free.pop() if self._free else plan.readback()
+            self._free_staging, self._layout = [], plan.images
+        return self._free_staging.pop() if self._free_staging else plan.readback()
 
     def clear(self) -> None:
         """Free the readbacks that no frame uses."""
-        self._free, self._layout = [], None
+        self._free_staging, self._layout = [], None
 
     def return_readback(self, readback: FrameReadback) -> None:
         """Keep a readback for a later frame, unless there is another plan now."""
         if readback.images is self._layout:
-            self._free.append(readback)
+            self._free_staging.append(readback)
 
 
 @final

@@ -34,12 +34,14 @@ def scene_order(placed: Sequence[PlacedPage]) -> UInt32[np.ndarray, " n"] | None
     """Return each Gaussian's index in the scene, in GPU buffer order; None if both orders agree."""
     if all(page.rows_of is None for _, page in placed):
         return None
-    parts, base = [], 0
+    page_parts, base = [], 0
     for _, page in placed:
         row_indices = np.arange(page.first, page.first + page.capacity)
-        parts.append((row_indices if page.rows_of is None else page.rows_of) + (base - page.first))
+        page_parts.append(
+            (row_indices if page.rows_of is None else page.rows_of) + (base - page.first)
+        )
         base += page.capacity
-    return np.concatenate(parts).astype(np.uint32)
+    return np.concatenate(page_parts).astype(np.uint32)
 
 
 def slot_rows(page: Page) -> int:
@@ -70,12 +72,12 @@ def write_pages(
     """
     pages, base = list[tuple[SplatSet, int, int, int]](), 0
     for splat_set, page in placed:
-        live = min(max(splat_set.data.count - page.first, 0), page.capacity)
+        live_rows = min(max(splat_set.data.count - page.first, 0), page.capacity)
         if page.slots is not None:
-            slots, live = page.slots, page.capacity
+            slots, live_rows = page.slots, page.capacity
             table = slot_table(slots.pool, slots.first, slots.count, splat_set.transform, camera)
             device.write(slots.table, table)
-        pages.append((splat_set, base, page.capacity, live))
+        pages.append((splat_set, base, page.capacity, live_rows))
         base += page.capacity
     device.write(uniform, page_uniforms(pages, camera))
 

@@ -5,8 +5,8 @@ __all__ = [
     "DepthSort",
     "Dilation",
     "ImageSpec",
-    "Method",
     "Projection",
+    "RasterMethod",
     "Rasteriser",
 ]
 
@@ -66,7 +66,7 @@ class ImageSpec:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method:
+class RasterMethod:
     """How a plan draws its images.
 
     Attributes:

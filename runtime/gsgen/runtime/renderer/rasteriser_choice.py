@@ -7,7 +7,14 @@ does not touch. That varies more than tenfold between GPUs of equal arithmetic (
 data centres have few such units), and no limit or feature of the device reports it.
 """
 
-__all__ = ["RasteriserOption", "Timings", "choose", "chosen_sort_config", "explain", "probe"]
+__all__ = [
+    "RasteriserOption",
+    "Timings",
+    "choose",
+    "chosen_sort_config",
+    "describe_choice",
+    "measure_options",
+]
 
 import json
 import os
@@ -29,7 +36,7 @@ from gsgen.runtime.kernels.sort.sort import SortConfig, sort_config_for
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import PlacedPage
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method, Rasteriser
+from gsgen.runtime.renderer.plan_options import ImageSpec, Rasteriser, RasterMethod
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -40,14 +47,14 @@ _GAUSSIANS: Final = 1 << 17
 _IMAGE_SIZE: Final = (1280, 720)
 _FIRST_PAIR_CAPACITY: Final = 1 << 16  # first capacity
 _WARM_UP_FRAMES: Final = 2  # frames before the measurement: drivers compile, clocks rise
-_FRAMES: Final = 7
+_MEASURED_FRAMES: Final = 7
 _QUAD_TIME_FACTOR: Final = (
     0.8  # quads must be this much faster: tiles are more exact, and stop early
 )
 _TILE_STAGES: Final = ("bin", "group", "blend")  # the stages that quads replace
-_NOTHING: Final = np.zeros(3)
+_BLACK: Final = np.zeros(3)
 _PROBE_VERSION: Final = 3  # of the measurement; a new version invalidates cached timings
-_MOST_BYTES: Final = 1 << 16  # of the cache file
+_MAX_CACHE_BYTES: Final = 1 << 16  # of the cache file
 
 
 @final
@@ -66,7 +73,7 @@ class Timings:
     small_tiles: float
 
     @property
-    def best(self) -> Rasteriser:
+    def fastest(self) -> Rasteriser:
         """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
         return (
             "quads"
@@ -80,10 +87,10 @@ class Timings:
         return TILE if self.small_tiles < self.tiles else LARGE_TILE
 
 
-Measure = Callable[[Device, Kernels], Timings]
+MeasureTimings = Callable[[Device, Kernels], Timings]
 
 
-def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> Rasteriser:
+def choose(device: Device, kernels: Kernels, measure: MeasureTimings | None = None) -> Rasteriser:
     """Return the faster rasteriser of a device, measured on the first call.
 
     Timings are cached in the process and, by adapter and driver, in ``rasterisers.json`` in
@@ -94,29 +101,29 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
         device: The device. Software drivers, and devices that cannot blend 32-bit floats,
             use tiles without a measurement.
         kernels: Kernels of the device.
-        measure: Function that measures; :func:`probe` by default.
+        measure: Function that measures; :func:`measure_options` by default.
     """
     if device.software or not device.blends_floats:
         return "tiles"
-    key = _key(device)
-    if key not in _measured:
-        cached = _read().get(key)
+    key = _device_key(device)
+    if key not in _timings_by_device:
+        cached = _read_cache().get(key)
         if cached is None:
-            cached = (measure or probe)(device, kernels)
-            _write(_read() | {key: cached})
-        _measured[key] = cached
-    return _measured[key].best
+            cached = (measure or measure_options)(device, kernels)
+            _write_cache(_read_cache() | {key: cached})
+        _timings_by_device[key] = cached
+    return _timings_by_device[key].fastest
 
 
 def chosen_sort_config(device: Device) -> SortConfig:
     """Return a device's sort settings, with the tile size that :func:`choose` measured, if any."""
-    sort_config, timings = sort_config_for(device), _measured.get(_key(device))
+    sort_config, timings = sort_config_for(device), _timings_by_device.get(_device_key(device))
     if device.software or timings is None:
         return sort_config
     return replace(sort_config, tile=timings.tile)
 
 
-def explain(device: Device) -> str:
+def describe_choice(device: Device) -> str:
     """Return a line on a device's kernels and rasteriser; may first measure the rasterisers."""
     if not device.software and device.blends_floats:
         choose(device, Kernels(device))
@@ -127,15 +134,15 @@ def explain(device: Device) -> str:
         return f"{text}rasteriser tiles: software drivers always use them"
     if not device.blends_floats:
         return f"{text}rasteriser tiles: the device cannot blend 32-bit floats"
-    timings = _measured[_key(device)]
+    timings = _timings_by_device[_device_key(device)]
     large, small_kernels, quads = (
         f"{1e3 * seconds:.2f} ms" for seconds in (timings.tiles, timings.small_tiles, timings.quads)
     )
     measured = f"tiles of {LARGE_TILE} {large}, of {TILE} {small_kernels}, quads {quads}"
-    return f"{text}rasteriser {timings.best}: {measured}"
+    return f"{text}rasteriser {timings.fastest}: {measured}"
 
 
-def probe(
+def measure_options(
     device: Device,
     kernels: Kernels,
     *,
@@ -173,7 +180,7 @@ def probe(
         "small": (small_kernels, _TILE_STAGES),
     }
     seconds = {
-        option: _seconds(device, plan, placed, camera, stages)
+        option: _measure_seconds(device, plan, placed, camera, stages)
         for option, (option_kernels, stages) in options.items()
         for plan in [
             _plan_with_capacity(
@@ -205,44 +212,46 @@ def _plan_with_capacity(
     """Record a frame's GPU commands with buffers large enough for all splat-tile pairs."""
     pair_capacity, image = _FIRST_PAIR_CAPACITY, ImageSpec(size=(camera.width, camera.height))
     while True:
-        method = Method(pair_capacity=pair_capacity, rasteriser=rasteriser)
+        method = RasterMethod(pair_capacity=pair_capacity, rasteriser=rasteriser)
         plan = Plan(kernels, placed, image, method)
-        plan.submit(placed, camera, _NOTHING, fetch=False)
+        plan.submit(placed, camera, _BLACK, fetch=False)
         counts, _ = plan.collect(fetch=False)
         if rasteriser == "quads" or counts[Counts.WANTED_PAIRS] <= pair_capacity:
             return plan
         pair_capacity = int(counts[Counts.WANTED_PAIRS])
 
 
-def _seconds(
+def _measure_seconds(
     device: Device, plan: Plan, placed: list[PlacedPage], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
     """Return the median GPU seconds of given stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
-    ticks, walls = [], []
-    for number in range(_WARM_UP_FRAMES + _FRAMES):
-        started = time.perf_counter()
-        plan.submit(placed, camera, _NOTHING, clock=clock, fetch=False)
+    gpu_times, wall_times = [], []
+    for number in range(_WARM_UP_FRAMES + _MEASURED_FRAMES):
+        start_time = time.perf_counter()
+        plan.submit(placed, camera, _BLACK, clock=clock, fetch=False)
         plan.collect(fetch=False)
-        wall_seconds = time.perf_counter() - started
+        wall_seconds = time.perf_counter() - start_time
         gpu_seconds = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
         if number >= _WARM_UP_FRAMES:
-            walls.append(wall_seconds)
-            ticks.append(sum(gpu_seconds[name] for name in stages))
-    return float(np.median(ticks)), float(np.median(walls))
+            wall_times.append(wall_seconds)
+            gpu_times.append(sum(gpu_seconds[name] for name in stages))
+    return float(np.median(gpu_times)), float(np.median(wall_times))
 
 
-_measured: dict[str, Timings] = {}
+_timings_by_device: dict[str, Timings] = {}
 
 
-def _key(device: Device) -> str:
+def _device_key(device: Device) -> str:
     """Return the cache key of an adapter with its driver."""
     info = device.raw.adapter.info
-    words = ("vendor", "device", "description", "backend_type")
-    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_PROBE_VERSION}"])
+    info_fields = ("vendor", "device", "description", "backend_type")
+    return " | ".join(
+        [*(str(info.get(field, "")) for field in info_fields), f"probe {_PROBE_VERSION}"]
+    )
 
 
-def _file() -> Path | None:
+def _cache_file() -> Path | None:
     """Return the path of the cached rasteriser timings, or None if GSGEN_NO_CACHE is set."""
     if os.environ.get("GSGEN_NO_CACHE"):
         return None
@@ -251,11 +260,11 @@ def _file() -> Path | None:
     return user_cache_path("gsgen", appauthor=False) / "rasterisers.json"
 
 
-def _read() -> dict[str, Timings]:
+def _read_cache() -> dict[str, Timings]:
     """Read the cached rasteriser timings; an unreadable file or another format counts as empty."""
-    path = _file()
+    path = _cache_file()
     try:
-        if path is None or path.stat().st_size > _MOST_BYTES:
+        if path is None or path.stat().st_size > _MAX_CACHE_BYTES:
             return {}
         document = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError):
@@ -277,9 +286,9 @@ def _timings(entry: object) -> Timings | None:
     return Timings(*cast("list[float]", numbers))
 
 
-def _write(measured: dict[str, Timings]) -> None:
+def _write_cache(measured: dict[str, Timings]) -> None:
     """Write the rasteriser timings to the cache; if that fails, each process measures again."""
-    path = _file()
+    path = _cache_file()
     if path is None:
         return
     text = json.dumps({key: asdict(entry) for key, entry in measured.items()}, indent=2)

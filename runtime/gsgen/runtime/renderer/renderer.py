@@ -26,16 +26,16 @@ from gsgen.runtime.renderer.bands import (
     band_rows,
     draw_bands,
 )
-from gsgen.runtime.renderer.frame_arguments import checked, too_large
+from gsgen.runtime.renderer.frame_arguments import checked, memory_error
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.frame_images import FrameReadback, frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import FrameInFlight, LateCounts, Readbacks
 from gsgen.runtime.renderer.placed_pages import PlacedPage, settings_set
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method, Rasteriser
+from gsgen.runtime.renderer.plan_options import ImageSpec, Rasteriser, RasterMethod
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption, choose, chosen_sort_config
-from gsgen.runtime.renderer.slabs import SlabSizes, extra_layer_count, max_sorted_rows, most_splats
+from gsgen.runtime.renderer.slabs import SlabSizes, extra_layers, max_slab_splats, max_sorted_rows
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
@@ -71,7 +71,7 @@ class Renderer:
 
     Attributes:
         rasteriser: The requested or chosen rasteriser of colours.
-        late: Frames in flight, after ``draw(wait=False)``.
+        late_counts: Counts of frames in flight, after ``draw(wait=False)``.
         growths: How often the buffers of pairs of a splat and a tile were enlarged.
 
     Raises:
@@ -87,19 +87,19 @@ class Renderer:
         page_rows: int | None = None,
         published: bool = False,
     ) -> None:
-        self._published, self._compact = published, compact
+        self._is_published, self._compact = published, compact
         self.device = device or Device.open()
         self.device.require()
         with self.device.translate_errors():
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
-        self._pairs = min(FIRST_PAIR_CAPACITY, self._most_pairs)
+        self._pairs = min(FIRST_PAIR_CAPACITY, self._max_pairs)
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
             )
-        self._chosen = rasteriser == "auto"
+        self._chooses_rasteriser = rasteriser == "auto"
         self.rasteriser: Rasteriser = "tiles"
         with self.device.translate_errors():
             if rasteriser != "auto":
@@ -110,12 +110,12 @@ class Renderer:
                     self._kernels = Kernels(self.device, sort_config=sort_config)
         self._is_deep, self._slab_limit = False, _UNLIMITED
         self._rows: object = None
-        self._key: object = None
+        self._plan_key: object = None
         self._plan: Plan | None = None
-        self._shape: object = None
+        self._plan_shape: object = None
         self._steady_counts: tuple[object, np.ndarray] | None = None
         self.late_counts, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
-        self._bands = BandImages(self.device)
+        self._band_images = BandImages(self.device)
 
     def render(
         self,
@@ -139,7 +139,7 @@ class Renderer:
             MemoryFull: The device has no memory for the scene or the image.
             SceneInvalid: ``background`` or ``outputs`` is invalid.
         """
-        counts, images = self._drawn(scene, camera, background, outputs)
+        counts, images = self._draw_images(scene, camera, background, outputs)
         return frame_of(scene, camera, counts, images, float(background[3]))
 
     def submit(
@@ -155,22 +155,20 @@ class Renderer:
         The first frame of other sets or of another size is waited for, and so are frames in slabs
         or bands. Arguments and errors are those of :meth:`render`.
         """
-        requested, premultiplied_background = checked(
-            scene, outputs, background, published=self._published
-        )
+        requested, rgba = checked(scene, outputs, background, published=self._is_published)
         with self._device_errors(scene, camera):
             if self._band_rows(scene, camera, len(requested)) >= camera.height:
                 placed, meshes = self._uploaded(scene)
                 plan = self.plan(placed, camera, requested, meshes)
                 if self._is_steady(plan):
-                    images, color = self._readbacks.take(plan), premultiplied_background[:3]
+                    images, color = self._readbacks.take(plan), rgba[:3]
                     plan.submit(placed, camera, color, meshes=meshes, staging=images.staging)
                     images.staging.begin()
-                    return FrameInFlight(scene, camera, float(premultiplied_background[3]), images)
+                    return FrameInFlight(scene, camera, float(rgba[3]), images)
                 del plan  # its memory goes before that of a larger one comes
-        drawn = self._drawn(scene, camera, background, outputs)
-        self._steady_counts = (self._shape, drawn[0])
-        return FrameInFlight(scene, camera, float(premultiplied_background[3]), drawn)
+        drawn = self._draw_images(scene, camera, background, outputs)
+        self._steady_counts = (self._plan_shape, drawn[0])
+        return FrameInFlight(scene, camera, float(rgba[3]), drawn)
 
     def collect(self, frame: FrameInFlight) -> Frame | None:
         """Return the images of a frame of :meth:`submit`, once; wait for this frame alone.
@@ -213,13 +211,9 @@ class Renderer:
             self._steady_counts = None
             plan, counts = self._draw_in_one_buffer(scene, Band.of(camera), background, output)
         else:
-            requested, premultiplied_background = checked(
-                scene, (output,), background, published=self._published
-            )
+            requested, rgba = checked(scene, (output,), background, published=self._is_published)
             with self._device_errors(scene, camera):
-                plan, counts = self._draw_with_late_counts(
-                    scene, camera, premultiplied_background, requested
-                )
+                plan, counts = self._draw_with_late_counts(scene, camera, rgba, requested)
         return DrawnImage.of(plan.images[output], Band.of(camera), counts)
 
     def draw_bands(
@@ -238,15 +232,14 @@ class Renderer:
         """
         rows = self._band_rows(scene, camera, 1)
         if rows >= camera.height:
-            self._bands.clear()
+            self._band_images.clear()
             return [self.draw(scene, camera, background=background, output=output, wait=wait)]
         drawn = list[DrawnImage]()
 
         def draw(band: Band) -> CountsAndImages:
             plan, counts = self._draw_in_one_buffer(scene, band, background, output)
-            drawn.append(
-                DrawnImage.of(self._bands.copy(len(drawn), plan.images[output]), band, counts)
-            )
+            image = self._band_images.copy(len(drawn), plan.images[output])
+            drawn.append(DrawnImage.of(image, band, counts))
             return counts, {}
 
         self._steady_counts = None
@@ -254,20 +247,16 @@ class Renderer:
             draw_bands(camera, rows, draw, lambda: None)
         return drawn
 
-    def _drawn(
+    def _draw_images(
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
     ) -> CountsAndImages:
         """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
-        requested, premultiplied_background = checked(
-            scene, outputs, background, published=self._published
-        )
+        requested, rgba = checked(scene, outputs, background, published=self._is_published)
         with self._device_errors(scene, camera):
             placed, meshes = self._uploaded(scene)
 
             def draw(band: Band) -> CountsAndImages:
-                _, counts, images = self._fitted(
-                    scene, band, premultiplied_background, requested, placed, meshes
-                )
+                _, counts, images = self._redraw(scene, band, rgba, requested, placed, meshes)
                 return counts, images
 
             rows = self._band_rows(scene, camera, len(requested))
@@ -278,21 +267,17 @@ class Renderer:
     def _band_rows(self, scene: Scene, camera: Camera, images: int) -> int:
         """Return how many rows of an image are drawn at once: all, if buffers can hold them."""
         layers = bool(scene.meshes) + any(splat_set.weighted for splat_set in scene.sets)
-        slab_layers = extra_layer_count(scene, self.device, self._max_slab_splats)
+        slab_layers = extra_layers(scene, self.device, self._max_slab_splats)
         return band_rows(self.device, camera, images, layers + slab_layers)
 
     def _draw_in_one_buffer(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""
-        requested, premultiplied_background = checked(
-            scene, (output,), background, published=self._published
-        )
-        with self._device_errors(scene, band.whole):
+        requested, rgba = checked(scene, (output,), background, published=self._is_published)
+        with self._device_errors(scene, band.full_camera):
             placed, meshes = self._uploaded(scene)
-            return self._fitted(
-                scene, band, premultiplied_background, requested, placed, meshes, fetch=False
-            )[:2]
+            return self._redraw(scene, band, rgba, requested, placed, meshes, fetch=False)[:2]
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
@@ -302,25 +287,25 @@ class Renderer:
                 yield
         except MemoryFull as error:
             # Free the plan and its rows, which Python 3.13 ties to the traceback of the cause.
-            self._plan = self._key = self._rows = self._shape = self._steady_counts = None
+            self._plan = self._plan_key = self._rows = self._plan_shape = self._steady_counts = None
             error.with_traceback(None)
             self._readbacks.clear()
-            self._pairs = min(FIRST_PAIR_CAPACITY, self._most_pairs)
-            raise too_large(scene, camera, error, compact=self._compact) from error
+            self._pairs = min(FIRST_PAIR_CAPACITY, self._max_pairs)
+            raise memory_error(scene, camera, error, compact=self._compact) from error
 
     def _uploaded(self, scene: Scene) -> tuple[list[PlacedPage], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
-        self._pairs = max(self._pairs, min(pooled_rows, self._most_pairs))
+        self._pairs = max(self._pairs, min(pooled_rows, self._max_pairs))
         return placed, meshes
 
-    def _fitted(
+    def _redraw(
         self,
         scene: Scene,
         band: Band,
-        premultiplied_background: np.ndarray,
+        rgba: np.ndarray,
         requested: frozenset[Output],
         placed: list[PlacedPage],
         meshes: list[PlacedMesh],
@@ -331,9 +316,7 @@ class Renderer:
         while True:
             # Step 1: draw with the present sizes of buffers.
             plan = self.plan(placed, band.camera, requested, meshes)
-            counts, images = plan.draw(
-                placed, band, premultiplied_background[:3], meshes=meshes, fetch=fetch
-            )
+            counts, images = plan.draw(placed, band, rgba[:3], meshes=meshes, fetch=fetch)
             # Step 2: the counts tell if pairs, or the order of equal depths, are missing.
             try:
                 if not self._must_redraw(counts):
@@ -351,11 +334,7 @@ class Renderer:
                 placed[:] = self._pages(scene)
 
     def _draw_with_late_counts(
-        self,
-        scene: Scene,
-        camera: Camera,
-        premultiplied_background: np.ndarray,
-        requested: frozenset[Output],
+        self, scene: Scene, camera: Camera, rgba: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
         """Draw a frame with an earlier frame's buffer sizes; if unknown, wait for the GPU."""
         for parts in self.late_counts.read():
@@ -365,20 +344,13 @@ class Renderer:
         if self._steady_counts is None or not self._is_steady(plan):
             self._steady_counts = None  # keeps the rows of other sets
             band = Band.of(camera)
-            plan, counts, _ = self._fitted(
-                scene, band, premultiplied_background, requested, placed, meshes, fetch=False
+            plan, counts, _ = self._redraw(
+                scene, band, rgba, requested, placed, meshes, fetch=False
             )
-            self._steady_counts = (self._shape, counts)
+            self._steady_counts = (self._plan_shape, counts)
             return plan, counts
         staging = self.late_counts.staging(plan)
-        plan.submit(
-            placed,
-            camera,
-            premultiplied_background[:3],
-            meshes=meshes,
-            fetch=False,
-            staging=staging,
-        )
+        plan.submit(placed, camera, rgba[:3], meshes=meshes, fetch=False, staging=staging)
         self.late_counts.add(staging)
         return plan, self._steady_counts[1]
 
@@ -388,7 +360,7 @@ class Renderer:
         return (
             not uses_slabs
             and self._steady_counts is not None
-            and self._steady_counts[0] == self._shape
+            and self._steady_counts[0] == self._plan_shape
         )
 
     def _read_late_counts(self, parts: list[np.ndarray]) -> bool:
@@ -411,7 +383,7 @@ class Renderer:
     def _grow_early(self, counts: np.ndarray) -> None:
         """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
         if int(counts[Counts.WANTED_PAIRS]) > _GROW_THRESHOLD * self._pairs:
-            self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
+            self._grow_pair_capacity(min(int(counts[Counts.WANTED_PAIRS]), self._max_pairs))
 
     def settle(self) -> bool:
         """Wait for frames of ``draw(wait=False)``; return whether the last one needs a redraw."""
@@ -427,7 +399,7 @@ class Renderer:
         """Return whether a frame must be drawn again; enlarge the buffers that were too small."""
         has_too_few_pairs = int(counts[Counts.WANTED_PAIRS]) > int(counts[Counts.PAIR_CAPACITY])
         if int(counts[Counts.WANTED_PAIRS]) > self._pairs:
-            self._grow(int(counts[Counts.WANTED_PAIRS]))
+            self._grow_pair_capacity(int(counts[Counts.WANTED_PAIRS]))
         if counts[Counts.UNSORTED]:
             self._is_deep = True
         return bool(has_too_few_pairs or counts[Counts.UNSORTED] or counts[Counts.TIED])
@@ -476,31 +448,31 @@ class Renderer:
             projection="panorama" if camera.kind == "panorama" else "plane",
             dilation="small" if camera.dilation < MIN_DILATION else "usual",
         )
-        self._shape = (contents, image)
-        key = (self._shape, self._pairs, self._is_deep, self._slab_limit)
-        if self._plan is None or key != self._key:
-            self._plan, self._key = None, None  # its memory goes before the new one's comes
+        self._plan_shape = (contents, image)
+        key = (self._plan_shape, self._pairs, self._is_deep, self._slab_limit)
+        if self._plan is None or key != self._plan_key:
+            self._plan, self._plan_key = None, None  # its memory goes before the new one's comes
             self._readbacks.clear()
             slabs = SlabSizes.of(placed, self._max_slab_splats)
-            method = Method(
+            method = RasterMethod(
                 pair_capacity=self._pairs,
                 rasteriser="tiles" if slabs.splats else self._rasteriser_of(outputs),
                 sort="deep" if self._is_deep else "by key",
-                backgrounds="published" if self._published else "composed",
+                backgrounds="published" if self._is_published else "composed",
                 slabs=slabs,
             )
             self._plan = Plan(self._kernels, placed, image, method, meshes=meshes)
-            self._key = key
+            self._plan_key = key
         return self._plan
 
     def _rasteriser_of(self, outputs: frozenset[Output]) -> Rasteriser:
         """Return what blends colours: a rasteriser that was measured draws nothing but colours."""
-        return "tiles" if self._chosen and outputs != {"color"} else self.rasteriser
+        return "tiles" if self._chooses_rasteriser and outputs != {"color"} else self.rasteriser
 
     @property
     def _max_slab_splats(self) -> int:
         """The most splats of a depth slab."""
-        return min(most_splats(self.device, self._kernels), self._slab_limit)
+        return min(max_slab_splats(self.device, self._kernels), self._slab_limit)
 
     def _halve_slabs(self, placed: Sequence[PlacedPage]) -> bool:
         """Halve the limit of splats per depth slab; return whether that is possible."""
@@ -511,19 +483,19 @@ class Renderer:
         return True
 
     @property
-    def _most_pairs(self) -> int:
+    def _max_pairs(self) -> int:
         """The largest number of splat-tile pairs that the GPU device can hold."""
         return int(min(self.device.largest_binding // 4, MAX_WORKGROUPS * RANGE_BLOCK))
 
-    def _grow(self, pairs: int) -> None:
+    def _grow_pair_capacity(self, pairs: int) -> None:
         """Increase the capacity for splat-tile pairs; raise if the device cannot hold as many."""
-        max_splats = self._most_pairs
-        if pairs > max_splats:
+        max_pairs = self._max_pairs
+        if pairs > max_pairs:
             raise PairsExceeded(
                 f"the image needs {pairs:,} pairs of a splat and a tile; "
-                f"{self.device.name} holds at most {max_splats:,}",
+                f"{self.device.name} holds at most {max_pairs:,}",
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
-        before, self._pairs = self._pairs, min(int(pairs * PAIR_CAPACITY_FACTOR), max_splats)
+        before, self._pairs = self._pairs, min(int(pairs * PAIR_CAPACITY_FACTOR), max_pairs)
         self.growths += self._pairs > before

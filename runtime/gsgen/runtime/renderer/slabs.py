@@ -7,9 +7,9 @@ __all__ = [
     "SlabState",
     "Slabs",
     "draw_parts",
-    "extra_layer_count",
+    "extra_layers",
+    "max_slab_splats",
     "max_sorted_rows",
-    "most_splats",
     "slab_ranges",
 ]
 
@@ -23,13 +23,13 @@ from jaxtyping import Shaped
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.splat_residency import Page, exceeds_binding
+from gsgen.runtime.gpu.splat_residency import Page, is_larger_than_binding
 from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACE_BLOCK
-from gsgen.runtime.kernels.project.tally_keys import BINS
+from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.kernels.tiles.blend_wsr import PLANE_COUNT_BY_NORMAL
 from gsgen.runtime.renderer.bands import CountsAndImages
 from gsgen.runtime.renderer.kernel_set import Kernels
@@ -47,10 +47,10 @@ _REDRAW_COUNTERS: Final = [Counts.TIED, Counts.UNSORTED]
 _ROW_TIED_COUNT: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows, or cells
 _CELL_TIED_COUNT: Final = 3  # the same if keys are rows of one cell
 _SUMMED_COUNTERS: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
-_BIN_BITS: Final = BINS.bit_length() - 1
+_BIN_BITS: Final = BIN_COUNT.bit_length() - 1
 _KEY_BITS: Final = 31  # keys are bits of positive floats
 
-Tally = Callable[[tuple[int, ...], int, int], np.ndarray]
+CountKeys = Callable[[tuple[int, ...], int, int], np.ndarray]
 """Counts the sort keys of a frame in BINS bins, from a first key on, of 2^shift keys each. The first
 argument is that of a :class:`KeyRange`."""
 
@@ -63,7 +63,7 @@ class KeyRange:
     Attributes:
         low: First key.
         high: One past the last key.
-        tied: Empty if keys are depths. If splats of one depth are divided, its key; then keys are
+        tied_keys: Empty if keys are depths. If splats of one depth are divided, its key; then keys are
             remainders. If splats of one remainder are divided, it follows; then keys are rows. For
             weighted sums these are the first rows of cells. If one cell is divided, its first row
             follows; then keys are rows.
@@ -72,7 +72,7 @@ class KeyRange:
 
     low: int
     high: int
-    tied: tuple[int, ...] = ()
+    tied_keys: tuple[int, ...] = ()
     splats: int = 0
 
 
@@ -84,7 +84,7 @@ class SlabState:
     Attributes:
         resumes: Whether the image holds the state of pixels after nearer slabs.
         continues: Whether the image keeps the state of pixels for farther slabs.
-        tied: See :class:`KeyRange`.
+        tied_keys: See :class:`KeyRange`.
         splats: See :class:`KeyRange`.
         resumes_cell: Whether the last nearer slab ended within the cell of this one.
         weighted: Whether the slab is one of weighted sums.
@@ -92,20 +92,20 @@ class SlabState:
 
     resumes: bool = False
     continues: bool = False
-    tied: tuple[int, ...] = ()
+    tied_keys: tuple[int, ...] = ()
     splats: int = 0
     resumes_cell: bool = False
     weighted: bool = False
 
-    def written_to(self, uniform: Shaped[np.ndarray, ""]) -> Shaped[np.ndarray, ""]:
+    def write_uniform(self, uniform: Shaped[np.ndarray, ""]) -> Shaped[np.ndarray, ""]:
         """Write these slab settings to a frame's uniform data (WGSL ``Frame``); return the data."""
         uniform["resumes"] = self.resumes + self.resumes_cell
         uniform["continues"] = self.continues
-        uniform["rank"] = len(self.tied)
+        uniform["rank"] = len(self.tied_keys)
         tied_values = (
-            (self.tied[-1], self.splats)
-            if len(self.tied) == _CELL_TIED_COUNT
-            else (*self.tied, 0, 0)
+            (self.tied_keys[-1], self.splats)
+            if len(self.tied_keys) == _CELL_TIED_COUNT
+            else (*self.tied_keys, 0, 0)
         )
         uniform["tied_key"], uniform["tied_low"] = tied_values[:_ROW_TIED_COUNT]
         return uniform
@@ -119,7 +119,7 @@ class DrawSlab(Protocol):
         ...
 
 
-def most_splats(device: Device, kernels: Kernels) -> int:
+def max_slab_splats(device: Device, kernels: Kernels) -> int:
     """Return how many splats a GPU can sort, list and bind at once."""
     return min(device.largest_binding // VEC4, kernels.max_binned_splats)
 
@@ -162,7 +162,7 @@ UNSLABBED: Final = SlabSizes()
 """The sizes for a scene that no slabs divide."""
 
 
-def extra_layer_count(scene: Scene, device: Device, max_splats: int) -> int:
+def extra_layers(scene: Scene, device: Device, max_splats: int) -> int:
     """Return how many image layers more, of 16 bytes per pixel, hold what slabs of cells keep.
 
     Args:
@@ -171,11 +171,11 @@ def extra_layer_count(scene: Scene, device: Device, max_splats: int) -> int:
         max_splats: Most splats of a slab.
     """
     weighted_data = [splat_set.data for splat_set in scene.sets if splat_set.weighted is not None]
-    is_paged = any(exceeds_binding(device, data) for data in weighted_data)
+    is_paged = any(is_larger_than_binding(device, data) for data in weighted_data)
     if sum(map(len, weighted_data)) <= max_splats and not is_paged:
         return 0
-    is_alone = len(weighted_data) == len(scene.sets) and not scene.pools and not scene.meshes
-    return 1 if is_alone else 2
+    is_weighted = len(weighted_data) == len(scene.sets) and not scene.pools and not scene.meshes
+    return 1 if is_weighted else 2
 
 
 def max_sorted_rows(placed: Sequence[PlacedPage]) -> int:
@@ -187,67 +187,69 @@ def _rows(placed: Sequence[PlacedPage]) -> int:
     return sum(page.capacity for _, page in placed)
 
 
-def slab_ranges(tally: Tally, capacity: int) -> list[KeyRange]:
+def slab_ranges(key_counts: CountKeys, capacity: int) -> list[KeyRange]:
     """Divide all splats into ranges of sort keys, of at most ``capacity`` splats each.
 
     Splats of one depth are divided by its remainder, and those of one remainder by their rows or
     cells; those of one cell by their rows.
 
     Args:
-        tally: Counts the keys of the frame.
+        key_counts: Counts the keys of the frame.
         capacity: Most splats of a slab.
 
     Returns:
         At least one range, nearest first.
     """
-    return list(_ranges(tally, capacity, ()))
+    return list(_ranges(key_counts, capacity, ()))
 
 
-def _ranges(tally: Tally, capacity: int, tied: tuple[int, ...]) -> Iterator[KeyRange]:
-    """Yield ranges of depth keys, or of finer keys of splats whose first keys are ``tied``."""
-    bits = 32 if tied else _KEY_BITS
+def _ranges(key_counts: CountKeys, capacity: int, tied_keys: tuple[int, ...]) -> Iterator[KeyRange]:
+    """Yield ranges of depth keys, or of finer keys of splats whose first keys are ``tied_keys``."""
+    bits = 32 if tied_keys else _KEY_BITS
     low, splats = 0, 0
-    for start, splat_count in _bins(partial(tally, tied), 0, bits - _BIN_BITS, capacity):
+    for start, count in _key_bins(partial(key_counts, tied_keys), 0, bits - _BIN_BITS, capacity):
         # Case 1: the range is full.
-        if splats and splats + splat_count > capacity:
-            yield KeyRange(low, start, tied, splats)
+        if splats and splats + count > capacity:
+            yield KeyRange(low, start, tied_keys, splats)
             low, splats = start, 0
-        splats += splat_count
+        splats += count
         # Case 2: too many splats have this key.
-        if splat_count > capacity:
-            yield from _ranges(tally, capacity, (*tied, start))
+        if count > capacity:
+            yield from _ranges(key_counts, capacity, (*tied_keys, start))
             low, splats = start + 1, 0
-    if splats or not tied:
-        yield KeyRange(low, min(1 << bits, ABSENT), tied, splats)
+    if splats or not tied_keys:
+        yield KeyRange(low, min(1 << bits, NO_ID), tied_keys, splats)
 
 
-def _bins(
-    tally: Callable[[int, int], np.ndarray],
+def _key_bins(
+    key_counts: Callable[[int, int], np.ndarray],
     low: int,
     shift: int,
     capacity: int,
     *,
-    bins: int = BINS,
+    bins: int = BIN_COUNT,
 ) -> Iterator[tuple[int, int]]:
     """Yield the first key and splat count of histogram bins, splitting bins above ``capacity``.
 
     A bin of one key is not split.
     """
-    splat_counts = tally(low, shift)[:bins]
+    splat_counts = key_counts(low, shift)[:bins]
     for number in np.flatnonzero(splat_counts).tolist():
         start, splat_count = low + (number << shift), int(splat_counts[number])
         if splat_count <= capacity or shift == 0:
             yield start, splat_count
         else:
             finer_shift = max(shift - _BIN_BITS, 0)
-            yield from _bins(tally, start, finer_shift, capacity, bins=1 << (shift - finer_shift))
+            yield from _key_bins(
+                key_counts, start, finer_shift, capacity, bins=1 << (shift - finer_shift)
+            )
 
 
-def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _add_earlier(previous: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Add up the GPU counters of all depth slabs."""
     total = counts.copy()
-    total[_SUMMED_COUNTERS] += earlier[_SUMMED_COUNTERS]
-    total[Counts.WANTED_PAIRS] = max(counts[Counts.WANTED_PAIRS], earlier[Counts.WANTED_PAIRS])
+    total[_SUMMED_COUNTERS] += previous[_SUMMED_COUNTERS]
+    total[Counts.WANTED_PAIRS] = max(counts[Counts.WANTED_PAIRS], previous[Counts.WANTED_PAIRS])
     return total
 
 
@@ -275,14 +277,14 @@ class Slabs:
         origins: Index of each GPU row in the order of the sets; None if rows are in it.
         with_ids: Whether Gaussians are identified, for depths.
         weighted: Whether the pages are those of weighted sums, whose keys and splats the caller
-            computes by ``keys`` and ``places``.
+            computes by ``keys`` and ``place_buffer``.
 
     Attributes:
         buffers: The buffers, by name.
         capacity: Most splats of a slab.
         origins: Index of each splat of the slab in the order of the sets.
         takers: The same as two floats.
-        tally: The counts of keys.
+        key_counts: The counts of keys.
         keys: The sort keys of each page's rows.
         places: The index in the slab of each row of a page.
     """
@@ -299,7 +301,7 @@ class Slabs:
     ) -> None:
         device = kernels.device
         self._device, self._kernels, self._pages = device, kernels, pages
-        self._weighted = weighted
+        self._is_weighted = weighted
         self._stages = _CELL_STAGES if weighted else _SLAB_STAGES
         self._key_stages = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
         self.capacity = capacity
@@ -310,18 +312,18 @@ class Slabs:
             self._storage(f"keys of page {slot}", 4 * page.capacity)
             for slot, page in enumerate(pages)
         ]
-        self.places = self._storage("places of a page", 4 * rows)
+        self.place_buffer = self._storage("places of a page", 4 * rows)
         self._block_counts = self._storage("block counts", 4 * -(-rows // PLACE_BLOCK))
         self._page_ends = self._storage("ends of pages", PAGE_BYTES * (len(pages) + 1))
-        self.tally = self._storage("tally of keys", 4 * BINS)
+        self.key_counts = self._storage("tally of keys", 4 * BIN_COUNT)
         self.origins = self._storage("origins", 4 * capacity)
-        self.takers = self._storage("takers", VEC4 * capacity if with_ids else 0)
+        self.taker_ids = self._storage("takers", VEC4 * capacity if with_ids else 0)
         self._row_origins = list[Buffer]()
         if origins is not None:
             self._row_origins = [self._origins_of(slot, origins) for slot in range(len(pages))]
 
     def _storage(self, name: str, size: int) -> Buffer:
-        name = f"{name} of cells" if self._weighted else name
+        name = f"{name} of cells" if self._is_weighted else name
         self.buffers[name] = self._device.storage(name, size)
         return self.buffers[name]
 
@@ -350,20 +352,20 @@ class Slabs:
         ranked_keys: tuple[int, ...] = ()  # by what the keys are
         total = np.zeros(0, np.uint32)
 
-        def tally(tied: tuple[int, ...], low: int, shift: int) -> np.ndarray:
+        def key_counts(tied_keys: tuple[int, ...], low: int, shift: int) -> np.ndarray:
             nonlocal ranked_keys
-            if tied != ranked_keys:
+            if tied_keys != ranked_keys:
                 before.append(key_stage)
-            self._set_key_range(low, min(low + (BINS << shift), ABSENT), shift)
-            run(before, SlabState(continues=True, tied=tied, weighted=self._weighted))
-            before[:], ranked_keys = [tally_stage], tied  # the keys stay the same
-            return self._device.read(self.tally, np.uint32, BINS)
+            self._set_key_range(low, min(low + (BIN_COUNT << shift), NO_ID), shift)
+            run(before, SlabState(continues=True, tied_keys=tied_keys, weighted=self._is_weighted))
+            before[:], ranked_keys = [tally_stage], tied_keys  # the keys stay the same
+            return self._device.read(self.key_counts, np.uint32, BIN_COUNT)
 
         # Step 1: count the keys of all splats, and choose ranges of at most ``capacity``.
-        ranges = slab_ranges(tally, self.capacity)
+        ranges = slab_ranges(key_counts, self.capacity)
         # Step 2: rows that were rearranged in memory cannot be divided by rows.
-        if self._row_origins and any(len(keys.tied) == _ROW_TIED_COUNT for keys in ranges):
-            total = np.zeros(counting.BYTES // 4, np.uint32)
+        if self._row_origins and any(len(keys.tied_keys) == _ROW_TIED_COUNT for keys in ranges):
+            total = np.zeros(counting.COUNTERS_BYTES // 4, np.uint32)
             total[Counts.TIED] = 1  # rows return to their own order, and the frame is drawn again
             return total, {}
         # Step 3: draw the slabs, nearest first: pixels go on from the state that the last one left.
@@ -371,12 +373,12 @@ class Slabs:
             self._set_key_range(keys.low, keys.high)
             state = self._state(ranges, number)
             counts, images = run(
-                [*([key_stage] if keys.tied != ranked_keys else []), *stages], state
+                [*([key_stage] if keys.tied_keys != ranked_keys else []), *stages], state
             )
-            ranked_keys = keys.tied
+            ranked_keys = keys.tied_keys
             if state.resumes_cell:
                 counts[Counts.PAIRS] = 0  # those of the cell were counted
-            total = counts if number == 0 else _total(total, counts)
+            total = counts if number == 0 else _add_earlier(total, counts)
             if _is_redrawn(total):
                 break
         return total, images
@@ -384,14 +386,16 @@ class Slabs:
     def _state(self, ranges: Sequence[KeyRange], number: int) -> SlabState:
         """Return how the depth slab ``number`` is drawn."""
         slab_range = ranges[number]
-        is_in_cell = len(slab_range.tied) == _CELL_TIED_COUNT
+        is_in_cell = len(slab_range.tied_keys) == _CELL_TIED_COUNT
         return SlabState(
             resumes=number > 0,
             continues=number + 1 < len(ranges),
-            tied=slab_range.tied,
+            tied_keys=slab_range.tied_keys,
             splats=slab_range.splats,
-            resumes_cell=is_in_cell and number > 0 and ranges[number - 1].tied == slab_range.tied,
-            weighted=self._weighted,
+            resumes_cell=is_in_cell
+            and number > 0
+            and ranges[number - 1].tied_keys == slab_range.tied_keys,
+            weighted=self._is_weighted,
         )
 
     def key_steps(
@@ -417,7 +421,7 @@ class Slabs:
         """Return the dispatches that count the depth sort keys in the chosen range."""
         kernel = self._kernels.tally()
         return [
-            kernel.step(self._range_uniform, keys, self.tally, uniform, slot, page)
+            kernel.step(self._range_uniform, keys, self.key_counts, uniform, slot, page)
             for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True))
         ]
 
@@ -429,13 +433,13 @@ class Slabs:
             counts: The frame's counts.
             uniform: Buffer with the uniforms of all pages.
         """
-        place_kernel = self._kernels.place(arranged=bool(self._row_origins))
+        kernel = self._kernels.place(is_reordered=bool(self._row_origins))
         keys = self.keys[slot]
         row_origins = self._row_origins[slot] if self._row_origins else keys
-        resources = (self._range_uniform, keys, self._block_counts, self.places, row_origins)
-        written = (self.origins, self.takers, counts)
+        resources = (self._range_uniform, keys, self._block_counts, self.place_buffer, row_origins)
+        output_buffers = (self.origins, self.taker_ids, counts)
         page = self._pages[slot]
-        return place_kernel.steps((*resources, *written), self._page_ends, uniform, slot, page)
+        return kernel.steps((*resources, *output_buffers), self._page_ends, uniform, slot, page)
 
     def project_steps(
         self,
@@ -461,10 +465,10 @@ class Slabs:
         for slot, page in enumerate(self._pages):
             steps += self.place_steps(slot, counts, uniform)
             project = self._kernels.project(page, panorama=panorama, records=records, slab="splats")
-            steps.append(project.step(outputs, uniform, slot, page, self.places))
+            steps.append(project.step(outputs, uniform, slot, page, self.place_buffer))
             if normals is not None:
                 kernel = self._kernels.normals(page, placed=True)
-                steps.append(kernel.step(self.places, normals, uniform, slot, page))
+                steps.append(kernel.step(self.place_buffer, normals, uniform, slot, page))
         return steps
 
 
@@ -482,12 +486,12 @@ def draw_parts(
     Returns:
         The summed GPU counters and the images.
     """
-    earlier, rest = None, list(stages)
+    previous, rest = None, list(stages)
     if weighted is not None:
         slab_range = [name for name in stages if name in ("meshes", *_CELL_STAGES)]
-        earlier, images = weighted.draw(slab_range, run)
+        previous, images = weighted.draw(slab_range, run)
         rest = [name for name in stages if name not in slab_range and "cells" not in name]
-        if not rest or _is_redrawn(earlier):
-            return earlier, images
+        if not rest or _is_redrawn(previous):
+            return previous, images
     counts, images = splats.draw(rest, run) if splats is not None else run(rest, SlabState())
-    return counts if earlier is None else _total(earlier, counts), images
+    return counts if previous is None else _add_earlier(previous, counts), images

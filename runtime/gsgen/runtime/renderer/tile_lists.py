@@ -9,7 +9,7 @@ from typing import final
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step
-from gsgen.runtime.kernels.sort.scan import MANY
+from gsgen.runtime.kernels.sort.scan import MAX_COUNT
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.bin_tiles import BinTiles
 from gsgen.runtime.kernels.tiles.list_tiles import run_count
@@ -86,15 +86,15 @@ def _counting_lists(
         (*uniforms, lists.order, lists.tiles_of, counters, members, *lists.splats, lists.scratch),
         (*uniforms, counters, totals, lists.ranges),
     )
-    add = kernels.scan.steps(
+    scan_steps = kernels.scan.steps(
         lists.counts,
         totals,
         source=Counts.VISIBLE,
-        block=MANY,
+        block=MAX_COUNT,
         rows=lists.tiles,
         total=Counts.PAIRS,
     )
-    return {"bin": [tally, total, *add, begin], "group": [fill]}, members, [counters]
+    return {"bin": [tally, total, *scan_steps, begin], "group": [fill]}, members, [counters]
 
 
 def _bin_steps(
@@ -105,10 +105,10 @@ def _bin_steps(
     run_pairs = lists.storage("run pairs", 4 * -(-lists.gaussians // walk_rows))
     resources = (lists.frame, lists.counts, lists.order, lists.tiles_of, run_pairs)
     measure, emit = kernel.steps(lists.counts, (*resources, *pairs, *lists.splats), histogram)
-    add = kernels.scan.steps(
+    scan_steps = kernels.scan.steps(
         lists.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
     )
-    return [measure, *add, emit]
+    return [measure, *scan_steps, emit]
 
 
 def _group_steps(
@@ -128,8 +128,8 @@ def _group_steps(
         groups=Counts.SORT_PAIRS_GROUPS,
         has_histogram=kernels.sort_config.is_staged,
     )
-    mark = kernels.ranges.step(lists.counts, pairs[side].keys, lists.ranges)
-    return [*steps, mark], pairs[side].values
+    range_step = kernels.ranges.step(lists.counts, pairs[side].keys, lists.ranges)
+    return [*steps, range_step], pairs[side].values
 
 
 def allocate_columns(storage: Storage, name: str, length: int) -> Columns:

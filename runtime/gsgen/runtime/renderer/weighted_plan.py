@@ -25,7 +25,7 @@ from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 from gsgen.runtime.kernels.tiles.blend_wsr import PLANE_COUNT_BY_NORMAL
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.plan_options import ImageSpec, Method
+from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from gsgen.runtime.renderer.slabs import Slabs
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -59,12 +59,17 @@ class WeightedPart:
         kernels: Kernels,
         placed: Sequence[tuple[SplatSet, Page]],
         image: ImageSpec,
-        method: Method,
+        method: RasterMethod,
         frames: tuple[Buffer, Buffer],
         layers: Layers | None,
     ) -> None:
         device = self._device = kernels.device
-        self._kernels, self._image, self._method, self._layers = kernels, image, method, layers
+        self._kernels, self._image, self._rasterisation, self._layers = (
+            kernels,
+            image,
+            method,
+            layers,
+        )
         self._frame, self._bare_frame = frames
         self._tiles = image.tiles(TILE)
         self.buffers: dict[str, Buffer] = {}
@@ -80,25 +85,27 @@ class WeightedPart:
             with_ids = "depth" in image.outputs and layers is None
             self.slabs = Slabs(kernels, pages, slab_splats, None, with_ids=with_ids, weighted=True)
             self.buffers |= self.slabs.buffers
-        self.counts = self._storage("counts of cells", counting.BYTES, extra_usage="INDIRECT")
+        self.counts = self._storage(
+            "counts of cells", counting.COUNTERS_BYTES, extra_usage="INDIRECT"
+        )
         device.write(self.counts, counting.initial(self._cells, method.pair_capacity))
         self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
         self._slots = device.uniform("pages with cells", PAGE.itemsize * len(placed))
         self._cell_slots = device.uniform("sets of cells", PAGE.itemsize * len(placed))
         self.inputs = {"pages": self._slots, "sets": self._cell_slots, "counts": self.counts}
-        self.clears: list[tuple[Buffer, int, int | None]] = [
+        self.buffer_clears: list[tuple[Buffer, int, int | None]] = [
             (self._ranges, 0, None),
             (self.counts, 4 * Counts.DRAWN, 12),  # to UNSORTED
         ]
         if self.slabs is not None:
-            self.clears.append((self.slabs.tally, 0, None))
+            self.buffer_clears.append((self.slabs.key_counts, 0, None))
         self.stages = self._record(placed, image.outputs)
 
     def _storage(self, name: str, size: int, *, extra_usage: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra_usage=extra_usage)
         return self.buffers[name]
 
-    def _columns(self, name: str, length: int) -> Columns:
+    def _allocate_columns(self, name: str, length: int) -> Columns:
         return Columns(
             self._storage(f"keys of {name}", 4 * length),
             self._storage(f"values of {name}", 4 * length),
@@ -112,7 +119,10 @@ class WeightedPart:
         shapes, weights, colors = (
             self._storage(f"weighted {name}", VEC4 * n) for name in ("shapes", "weights", "colors")
         )
-        columns = (self._columns("cells a", self._cells), self._columns("cells b", self._cells))
+        columns = (
+            self._allocate_columns("cells a", self._cells),
+            self._allocate_columns("cells b", self._cells),
+        )
         low_keys = self._storage("lows of cells", 4 * self._cells)
         circles = self._storage("circles of cells", VEC4 * self._cells)
         spans = self._storage("spans of cells", VEC4 * self._cells)
@@ -126,19 +136,20 @@ class WeightedPart:
         stages["sort cells"], order = self._sort(columns, low_keys)
         # Stage 3: list the tiles of each cell, and sort the pairs by tile.
         pairs = [
-            self._columns(f"pairs of cells {side}", self._method.pair_capacity) for side in "ab"
+            self._allocate_columns(f"pairs of cells {side}", self._rasterisation.pair_capacity)
+            for side in "ab"
         ]
         stages["bin cells"] = self._bin_steps(order, circles, pairs[0])
         stages["group cells"], members = self._group_steps(pairs)
         # Stage 4: sum the Gaussians of the cells of each tile, once per output.
-        known = (self._ranges, members, spans, shapes, weights)
+        known_buffers = (self._ranges, members, spans, shapes, weights)
         if "color" in outputs or self._layers is not None:
-            stages["sum"] = [self._blend("color", (*known, colors))]
+            stages["sum"] = [self._blend("color", (*known_buffers, colors))]
         if "depth" in outputs and self._layers is None:
-            ids = colors if self.slabs is None else self.slabs.takers
-            stages["sum depth"] = [self._blend("depth", (*known, ids), pick=True)]
+            ids = colors if self.slabs is None else self.slabs.taker_ids
+            stages["sum depth"] = [self._blend("depth", (*known_buffers, ids), pick=True)]
         if normals is not None:
-            stages["sum normal"] = [self._blend("normal", (*known, normals))]
+            stages["sum normal"] = [self._blend("normal", (*known_buffers, normals))]
         return stages
 
     def _project_all(
@@ -182,17 +193,23 @@ class WeightedPart:
         keys, steps = list[Step](), list[Step]()
         for slot, (_, page) in enumerate(placed):
             assert page.cells is not None
-            bound = (self._frame, slabs.keys[slot])
-            keys.append(kernel.key_step(*bound, self._slots, slot, page, page.cells))
+            bound_buffers = (self._frame, slabs.keys[slot])
+            keys.append(kernel.key_step(*bound_buffers, self._slots, slot, page, page.cells))
             steps += slabs.place_steps(slot, self.counts, self._slots)
             project = self._kernels.project_weighted(page, panorama=panorama, slab="splats")
-            written = (self._frame, self.counts, *splats)
-            steps.append(project.step(written, self._slots, slot, page, page.cells, slabs.places))
-            written = (self._frame, *cells, slabs.places)
-            steps.append(kernel.cell_step(written, self._slots, slot, page, page.cells))
+            output_buffers = (self._frame, self.counts, *splats)
+            steps.append(
+                project.step(
+                    output_buffers, self._slots, slot, page, page.cells, slabs.place_buffer
+                )
+            )
+            output_buffers = (self._frame, *cells, slabs.place_buffer)
+            steps.append(kernel.cell_step(output_buffers, self._slots, slot, page, page.cells))
             if normals is not None:
                 normals_kernel = self._kernels.normals(page, placed=True)
-                steps.append(normals_kernel.step(slabs.places, normals, self._slots, slot, page))
+                steps.append(
+                    normals_kernel.step(slabs.place_buffer, normals, self._slots, slot, page)
+                )
         return {
             "keys of cells": keys,
             "tally cells": slabs.tally_steps(self._slots),
@@ -205,17 +222,17 @@ class WeightedPart:
         recorded_stages = []
         for slot, (_, page) in enumerate(placed):
             kernel = self._kernels.project_weighted(page, panorama=self._image.panorama)
-            bound = (self._frame, *outputs)
-            recorded_stages.append(kernel.step(bound, self._slots, slot, page, page.cells))
+            bound_buffers = (self._frame, *outputs)
+            recorded_stages.append(kernel.step(bound_buffers, self._slots, slot, page, page.cells))
         return recorded_stages
 
     def _project_cells(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
         kernel = self._kernels.project_cells(panorama=self._image.panorama)
-        bound = (self._frame, *outputs)
+        bound_buffers = (self._frame, *outputs)
         return [
-            kernel.step(bound, self._cell_slots, slot, page.cells, _cells(page))
+            kernel.step(bound_buffers, self._cell_slots, slot, page.cells, _cells(page))
             for slot, (_, page) in enumerate(_weighted_sets(placed))
         ]
 
@@ -233,7 +250,7 @@ class WeightedPart:
         """Return GPU dispatches that sort groups of Gaussians by depth, and the sorted buffer."""
         n = self._cells
         spare_keys = (
-            self._storage("keys of cells c", 4 * n) if self._method.sort == "deep" else None
+            self._storage("keys of cells c", 4 * n) if self._rasterisation.sort == "deep" else None
         )
         return self._kernels.order.steps(n, self.counts, columns, low_keys, None, spare_keys)
 
@@ -243,24 +260,24 @@ class WeightedPart:
         measure, emit = self._kernels.bin_cells(panorama=self._image.panorama).steps(
             self.counts, (self._frame, self.counts, order, circles, run_pairs, *pairs)
         )
-        add = self._kernels.scan.steps(
+        scan_steps = self._kernels.scan.steps(
             self.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
         )
-        return [measure, *add, emit]
+        return [measure, *scan_steps, emit]
 
     def _group_steps(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
         """Return GPU dispatches that sort pairs of Gaussian group and tile, and their buffer."""
         bits = self._kernels.tile_bits(self._tiles[0] * self._tiles[1] - 1)
         steps, side = self._kernels.sort.steps(
             self.counts,
-            self._kernels.sort.histograms(self._method.pair_capacity, bits),
+            self._kernels.sort.histograms(self._rasterisation.pair_capacity, bits),
             pairs,
             bits=bits,
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
-        mark = self._kernels.ranges.step(self.counts, pairs[side].keys, self._ranges)
-        return [*steps, mark], pairs[side].values
+        range_step = self._kernels.ranges.step(self.counts, pairs[side].keys, self._ranges)
+        return [*steps, range_step], pairs[side].values
 
     def _blend(self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False) -> Step:
         pixels, uses_slabs = self._image.pixels, self.slabs is not None
@@ -276,8 +293,8 @@ class WeightedPart:
                 first_plane=first_plane,
             )
             image = self._layers.normals if last else self._layers.colors
-            bound = (self._bare_frame, *resources, image)
-            return kernel.step(self._tiles, bound, self._layers.depths)
+            bound_buffers = (self._bare_frame, *resources, image)
+            return kernel.step(self._tiles, bound_buffers, self._layers.depths)
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         sums = (
@@ -288,7 +305,7 @@ class WeightedPart:
         kernel = self._kernels.blend_wsr(
             pick=pick,
             panorama=self._image.panorama,
-            published=self._method.backgrounds == "published",
+            published=self._rasterisation.backgrounds == "published",
             first_plane=0 if uses_slabs else None,
         )
         return kernel.step(self._tiles, (frame, *resources, self.images[name]), sums)
@@ -299,13 +316,13 @@ class WeightedPart:
         cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
         for slot, (splat_set, page) in enumerate(placed):
             if page.first == 0:
-                live = -(-splat_set.data.count // splat_set.data.per_cell)
-                uniform = page_uniform(splat_set, camera, cell_base, _cells(page), live)
+                live_rows = -(-splat_set.data.count // splat_set.data.per_cell)
+                uniform = page_uniform(splat_set, camera, cell_base, _cells(page), live_rows)
                 cell_slots[number] = _set_weights(uniform, splat_set)
                 cell_slots[number]["first_gaussian"] = base
                 cell_base, number = cell_base + _cells(page), number + 1
-            live = min(max(splat_set.data.count - page.first, 0), page.capacity)
-            uniform = page_uniform(splat_set, camera, base, page.capacity, live)
+            live_rows = min(max(splat_set.data.count - page.first, 0), page.capacity)
+            uniform = page_uniform(splat_set, camera, base, page.capacity, live_rows)
             slots[slot] = _set_weights(uniform, splat_set)
             slots[slot]["first_row"] = page.first
             base += page.capacity

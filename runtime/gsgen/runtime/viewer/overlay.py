@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.runtime.playback.live_playback import LivePlayback
-from gsgen.runtime.renderer.late_counts import FRAMES_LATE
+from gsgen.runtime.renderer.late_counts import MAX_FRAMES_IN_FLIGHT
 from gsgen.runtime.viewer.panels import Slider, paragraph
 from gsgen.runtime.viewer.present import Panel
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
@@ -80,7 +80,7 @@ class Statistics:
             rows.append(("inference", f"{1000 * seconds:.1f} ms"))
         rows.append(("drawing", f"{1000 * renderer.seconds:.1f} ms"))
         if late_counts := renderer.renderer.late_counts:
-            text = f"{FRAMES_LATE} frames late, waited {1000 * late_counts.waited:.1f} ms"
+            text = f"{MAX_FRAMES_IN_FLIGHT} frames late, waited {1000 * late_counts.wait_seconds:.1f} ms"
             rows.append(("counts", text))
         if growths := renderer.renderer.growths:
             rows.append(("buffers", f"grew {growths}×"))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.gpu import splat_residency
-from gsgen.runtime.kernels.project.tally_keys import BINS
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer.renderer import Renderer
-from gsgen.runtime.renderer.slabs import KeyRange, Tally, slab_ranges
+from gsgen.runtime.renderer.slabs import CountKeys, KeyRange, slab_ranges
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
@@ -143,7 +143,7 @@ def test_slabs_hold_at_most_their_capacity() -> None:
     rng = np.random.default_rng(0)
     near = rng.uniform(1, 1 + 1e-5, 3000)  # in one bin of the first tally, and of the second
     depths = np.concatenate([near, rng.lognormal(size=4000), np.repeat(7.5, 90)])
-    keys = np.append(depths.astype(np.float32).view(np.uint32), np.uint32(ABSENT))
+    keys = np.append(depths.astype(np.float32).view(np.uint32), np.uint32(NO_ID))
 
     ranges = slab_ranges(tally_of(keys), 100)
     assert ranges[0].low == 0
@@ -159,7 +159,7 @@ def test_slabs_hold_at_most_their_capacity() -> None:
 def test_splats_of_one_depth_are_divided_by_remainder_and_row() -> None:
     rng = np.random.default_rng(0)
     keys = rng.choice(np.array([5, 6, 7, 1 << 30], np.uint32), 900, p=[0.1, 0.7, 0.1, 0.1])
-    lows = rng.choice(np.array([0, 1 << 31, ABSENT - 1], np.uint32), 900, p=[0.8, 0.1, 0.1])
+    lows = rng.choice(np.array([0, 1 << 31, NO_ID - 1], np.uint32), 900, p=[0.8, 0.1, 0.1])
     ranges = slab_ranges(tally_of(keys, lows), 50)
     rows = np.arange(len(keys))
     drawn = [rows[is_in(part, keys, lows)] for part in ranges]
@@ -171,18 +171,18 @@ def test_splats_of_one_depth_are_divided_by_remainder_and_row() -> None:
 def is_in(part: KeyRange, *columns: np.ndarray) -> np.ndarray:
     """Return the mask of splats in a range: of keys, of remainders, or of rows."""
     ranks = (*columns, np.arange(len(columns[0])))
-    tied_ranks = [ranks[level] == key for level, key in enumerate(part.tied)]
-    rank = ranks[len(part.tied)]
+    tied_ranks = [ranks[level] == key for level, key in enumerate(part.tied_keys)]
+    rank = ranks[len(part.tied_keys)]
     return np.logical_and.reduce([*tied_ranks, rank >= part.low, rank < part.high])
 
 
-def tally_of(*columns: np.ndarray) -> Tally:
+def tally_of(*columns: np.ndarray) -> CountKeys:
     """Return a tally of keys, of remainders and of rows."""
 
     def tally(tied_ranks: tuple[int, ...], low: int, shift: int) -> np.ndarray:
         ranks = (*columns, np.arange(len(columns[0]), dtype=np.uint32))
-        counted = ranks[len(tied_ranks)][is_in(KeyRange(0, ABSENT, tied_ranks), *columns)]
-        return tally_reference(counted, low, min(low + (BINS << shift), ABSENT), shift)
+        counted = ranks[len(tied_ranks)][is_in(KeyRange(0, NO_ID, tied_ranks), *columns)]
+        return tally_reference(counted, low, min(low + (BIN_COUNT << shift), NO_ID), shift)
 
     return tally
 
@@ -201,7 +201,7 @@ def test_the_kernels_of_slabs_equal_their_twins(renderers: tuple[Renderer, Rende
     before = 0
     for key in keys:
         places = place_reference(key, last.low, last.high, before)
-        before += int((places != ABSENT).sum())
+        before += int((places != NO_ID).sum())
     assert np.array_equal(
         device.read(slabs.buffers["places of a page"], np.uint32, rows[-1]), places
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -193,16 +193,16 @@ def test_pairs_that_exceed_a_binding_halve_the_slabs(renderers: tuple[Renderer, 
     whole, small = renderers
     view = camera(width=32, height=32)
     scene = Scene([summed(celled(1900, 1, 21, size=1.5, opacity=(0.01, 0.02)))])
-    small._pairs, most = 512, type(small)._most_pairs
+    small._pairs, most = 512, type(small)._max_pairs
     expected = whole.render(scene, view)
     assert expected.pairs > 4096
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(small), "_most_pairs", property(lambda self: 1024))
+        patch.setattr(type(small), "_max_pairs", property(lambda self: 1024))
         drawn = small.draw(scene, view)
         actual = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(32, 32, 4)
         assert np.array_equal(actual, expected.rgba)
         assert np.array_equal(small.render(scene, view).rgba, expected.rgba)
-    assert type(small)._most_pairs is most
+    assert type(small)._max_pairs is most
     assert drawn.pairs == expected.pairs
     assert small._plan.weighted_slabs.capacity < 1024
 
@@ -229,7 +229,7 @@ def test_the_keys_of_gaussians_are_those_of_their_cells(
         [small.device.read(part, np.uint32, part.size // 4) for part in slab_keys(small)]
     )[: len(data)].reshape(700, 5)
     assert (keys == keys[:, :1]).all()
-    drawn = keys[:, 0] != ABSENT
+    drawn = keys[:, 0] != NO_ID
     assert 0.1 < drawn.mean() < 1
     np.testing.assert_array_equal(keys[drawn, 0].view(np.float32), data.cells[drawn, 2])
 

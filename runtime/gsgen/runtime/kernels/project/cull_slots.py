@@ -8,7 +8,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN
 from gsgen.runtime.scene.splat_pool import REACH
 
@@ -35,7 +35,7 @@ class CullSlots:
             "cull_slots",
             "cull_slots",
             ("uwwww", "urru"),
-            THREADS=THREADS,
+            THREADS=THREADS_PER_WORKGROUP,
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             CULL_MARGIN=CULL_MARGIN,

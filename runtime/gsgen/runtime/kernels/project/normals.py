@@ -8,7 +8,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 
 @final
@@ -30,7 +30,7 @@ class NormalsKernel:
             "normals_pooled" if slot_rows else "normals",
             "find_normals",
             ("rw", "urru" if slot_rows else "ur"),
-            THREADS=THREADS,
+            THREADS=THREADS_PER_WORKGROUP,
             PACKED=packed,
             PLACED=placed,
             SLOT_ROWS=slot_rows,
@@ -45,4 +45,4 @@ class NormalsKernel:
             self.kernel.bind(keys, normals),
             self.kernel.bind(page_uniform, page.rows, *extra_buffers, group=1),
         )
-        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))
+        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS_PER_WORKGROUP), 1, 1))

@@ -9,10 +9,10 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 _ROWS_PER_INVOCATION: Final = 16  # of an invocation
-PLACE_BLOCK: Final = THREADS * _ROWS_PER_INVOCATION
+PLACE_BLOCK: Final = THREADS_PER_WORKGROUP * _ROWS_PER_INVOCATION
 """Rows of a workgroup."""
 
 PAGE_BYTES: Final = 256
@@ -25,19 +25,19 @@ class PlaceSplats:
 
     Args:
         device: Device of the kernels.
-        arranged: Whether the order of rows in memory differs from that of their sets.
+        is_reordered: Whether the order of rows in memory differs from that of their sets.
     """
 
-    def __init__(self, device: Device, *, arranged: bool) -> None:
+    def __init__(self, device: Device, *, is_reordered: bool) -> None:
         self._kernels = [
             Kernel(
                 device,
                 "place_splats",
                 entry,
                 ("urwwwrwww", "u"),
-                THREADS=THREADS,
+                THREADS=THREADS_PER_WORKGROUP,
                 RUN=_ROWS_PER_INVOCATION,
-                ARRANGED=arranged,
+                ARRANGED=is_reordered,
                 PAGE_STEP=PAGE_BYTES // 4,
                 **COUNT_CONSTANTS,
             )

@@ -22,7 +22,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE
 from gsgen.runtime.scene.camera import DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
@@ -34,7 +34,7 @@ NO_HARMONICS: Final = 0xFF
 """The SH degree that stands for RGB colours in the uniforms of pages (GPU buffers)."""
 
 
-def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
+def _uniform_dtype(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
     """Return the NumPy dtype of a WGSL struct, from format and offset of each field."""
     formats, offsets = zip(*fields.values(), strict=True)
     return np.dtype(
@@ -47,7 +47,7 @@ def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
     )
 
 
-FRAME: Final = _bytes(
+FRAME: Final = _uniform_dtype(
     96,
     {
         "focal": ("2f4", 0),
@@ -69,7 +69,7 @@ FRAME: Final = _bytes(
 )
 """The bytes of ``struct Frame`` in frame.wgsl."""
 
-PAGE: Final = _bytes(
+PAGE: Final = _uniform_dtype(
     512,  # a multiple of 256, at which every device can bind
     {
         "linear": ("(3,4)f4", 0),
@@ -124,11 +124,11 @@ def frame_uniform(
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
-    margin = JACOBIAN_MARGIN * size / 2
+    frame_margin = JACOBIAN_MARGIN * size / 2
     origin = np.clip(np.floor(center), 0, size)
     uniform["focal"], uniform["center"], uniform["origin"] = focal, center - origin, origin
-    uniform["slope_low"] = -(center + margin) / focal
-    uniform["slope_high"] = (size - center + margin) / focal
+    uniform["slope_low"] = -(center + frame_margin) / focal
+    uniform["slope_high"] = (size - center + frame_margin) / focal
     uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
     uniform["origin"][1] -= first_row
@@ -167,8 +167,8 @@ def page_uniforms(
     uniforms["linear"][:, :, :3] = camera_from_model.transpose(0, 2, 1)  # WGSL matrices are columns
     # The polar decomposition A = Q S: directions of the harmonics are Qᵀ(A d) = S d.
     _, scales, axes = np.linalg.svd(linear)
-    share = (scales / scales[:, :1])[:, :, None]
-    uniforms["local_to_sh"][:, :, :3] = axes.transpose(0, 2, 1) @ (share * axes)
+    scale_ratios = (scales / scales[:, :1])[:, :, None]
+    uniforms["local_to_sh"][:, :, :3] = axes.transpose(0, 2, 1) @ (scale_ratios * axes)
     eye = np.linalg.solve(linear, (camera.eye - offset)[:, :, None])[:, :, 0]
     if camera.kind == "orthographic":
         uniforms["forward"] = np.linalg.solve(linear, camera.view[2, :3][:, None])[:, :, 0]
@@ -185,11 +185,11 @@ def page_uniforms(
     uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clips]
     uniforms["opacity_scale"] = [splat_set.opacity_scale for splat_set in sets]
     uniforms["mip"] = [splat_set.antialias == "mip" for splat_set in sets]
-    uniforms["degree"] = [_degree(splat_set) for splat_set in sets]
+    uniforms["degree"] = [_sh_degree(splat_set) for splat_set in sets]
     return uniforms
 
 
-def _degree(splat_set: SplatSet) -> int:
+def _sh_degree(splat_set: SplatSet) -> int:
     degree = splat_set.data.degree
     if degree is None:
         return NO_HARMONICS
@@ -248,7 +248,7 @@ class ProjectKernel:
             name if digits is None else f"{name}_counted",
             "project_pooled" if name == "project_pooled" else "project",
             ("uwwww", "urrr" + "r" * (slab == "splats")) if weighted else (outputs, page_bindings),
-            THREADS=THREADS,
+            THREADS=THREADS_PER_WORKGROUP,
             TILE=tile,
             RECORDS=records,
             KEYS_ONLY=slab == "keys",
@@ -295,4 +295,4 @@ class ProjectKernel:
         )
         if slots is not None and not extra_inputs:
             return Step(self.kernel, bind_groups, (slots.dispatch, 0))
-        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))
+        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS_PER_WORKGROUP), 1, 1))

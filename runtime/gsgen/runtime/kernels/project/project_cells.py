@@ -9,7 +9,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 CELL_RADIUS_SIGMAS: Final = 2.0
 """Radius of a cell, in standard deviations (Liu et al. 2025, their code)."""
@@ -25,7 +25,7 @@ class ProjectCells:
             "project_cells",
             "project_cells",
             ("uwwwrww", "ur"),
-            THREADS=THREADS,
+            THREADS=THREADS_PER_WORKGROUP,
             DRAWN=int(Counts.DRAWN),
             PANORAMA=panorama,
             CELL_REACH=CELL_RADIUS_SIGMAS,
@@ -45,7 +45,7 @@ class ProjectCells:
         """
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         bind_groups = (self.kernel.bind(*outputs), self.kernel.bind(page_uniform, cells, group=1))
-        return Step(self.kernel, bind_groups, (-(-count // THREADS), 1, 1))
+        return Step(self.kernel, bind_groups, (-(-count // THREADS_PER_WORKGROUP), 1, 1))
 
 
 @final
@@ -58,13 +58,13 @@ class SlabCells:
     """
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
-        self._keys, self._cells = (
+        self._keys_kernel, self._cells_kernel = (
             Kernel(
                 device,
                 "slab_cells",
                 entry,
                 (resources, "ur"),
-                THREADS=THREADS,
+                THREADS=THREADS_PER_WORKGROUP,
                 PANORAMA=panorama,
                 CELL_REACH=CELL_RADIUS_SIGMAS,
             )
@@ -84,7 +84,7 @@ class SlabCells:
             page: The page.
             cells: Buffer of the page's cells.
         """
-        return _dispatch_by_row(self._keys, (frame, keys), uniform, slot, page, cells)
+        return _dispatch_by_row(self._keys_kernel, (frame, keys), uniform, slot, page, cells)
 
     def cell_step(
         self, resources: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, cells: Buffer
@@ -98,7 +98,7 @@ class SlabCells:
             page: The page.
             cells: Buffer of the page's cells.
         """
-        return _dispatch_by_row(self._cells, resources, uniform, slot, page, cells)
+        return _dispatch_by_row(self._cells_kernel, resources, uniform, slot, page, cells)
 
 
 def _dispatch_by_row(
@@ -112,4 +112,4 @@ def _dispatch_by_row(
     """Return a kernel's dispatch with one invocation per Gaussian of a page (GPU buffers)."""
     page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
     bind_groups = (kernel.bind(*resources), kernel.bind(page_uniform, cells, group=1))
-    return Step(kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))
+    return Step(kernel, bind_groups, (-(-page.capacity // THREADS_PER_WORKGROUP), 1, 1))

@@ -1,6 +1,6 @@
 """The slot table of the splat pool (streamed tiles): camera centre, fade and box of each slot."""
 
-__all__ = ["SLOT", "slot_table"]
+__all__ = ["SLOT_UNIFORM_DTYPE", "slot_table"]
 
 from typing import Final
 
@@ -11,7 +11,7 @@ from gsgen.runtime.gpu.splat_residency import SLOT_BYTES
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.splat_pool import SplatPool
 
-SLOT: Final = np.dtype(
+SLOT_UNIFORM_DTYPE: Final = np.dtype(
     {
         "names": ["eye", "fade", "eye_rest", "live", "eye_at", "eye_at_rest", "low", "high"],
         "formats": ["3f4", "f4", "3f4", "u4", "3f4", "3f4", "3f4", "3f4"],
@@ -30,7 +30,7 @@ def slot_table(
     The camera centre is relative to the origin of each slot, so that positions far from the origin
     of the scene lose nothing.
     """
-    table = np.zeros(count, SLOT)
+    table = np.zeros(count, SLOT_UNIFORM_DTYPE)
     slots = slice(first, first + count)
     linear, offset = transform[:3, :3], transform[:3, 3]
     eye = np.linalg.solve(linear, camera.eye - offset) - pool.origin[slots]

@@ -1,6 +1,6 @@
 """Counts the depth sort keys of Gaussians by their leading bits."""
 
-__all__ = ["BINS", "TallyKeys"]
+__all__ = ["BIN_COUNT", "TallyKeys"]
 
 from typing import Final, final
 
@@ -8,9 +8,9 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
-BINS: Final = 1 << 12
+BIN_COUNT: Final = 1 << 12
 """Numbers of a tally."""
 
 
@@ -19,7 +19,9 @@ class TallyKeys:
     """The kernel ``tally_keys.wgsl``, which counts depth sort keys by their leading bits."""
 
     def __init__(self, device: Device) -> None:
-        self.kernel = Kernel(device, "tally_keys", "tally_keys", ("urw", "u"), THREADS=THREADS)
+        self.kernel = Kernel(
+            device, "tally_keys", "tally_keys", ("urw", "u"), THREADS=THREADS_PER_WORKGROUP
+        )
 
     def step(
         self, slab: Buffer, keys: Buffer, tally: Buffer, uniform: Buffer, slot: int, page: Page
@@ -38,4 +40,4 @@ class TallyKeys:
             self.kernel.bind(slab, keys, tally),
             self.kernel.bind((uniform, slot * PAGE.itemsize, PAGE.itemsize), group=1),
         )
-        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS), 1, 1))
+        return Step(self.kernel, bind_groups, (-(-page.capacity // THREADS_PER_WORKGROUP), 1, 1))

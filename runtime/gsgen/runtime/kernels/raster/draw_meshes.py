@@ -27,13 +27,13 @@ from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import TILE, source
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 
-AMBIENT: Final = 0.2
+AMBIENT_LIGHT: Final = 0.2
 """The share of a headlit colour on surfaces seen edge-on."""
 _TRIANGLE_CORNERS: Final = 3
 _PANORAMA_CORNERS: Final = 6  # of the two triangles that bound a triangle in a panorama
 _ROW_ALIGNMENT: Final = 256 // VEC4  # pixels: rows of a copied texture are multiples of this
 _FLOAT_FORMAT: Final = "rgba32float"
-DEPTHS: Final = "depth32float"
+DEPTH_FORMAT: Final = "depth32float"
 
 
 @final
@@ -132,13 +132,16 @@ class DrawMeshes:
                 device,
                 "meshes",
                 source(
-                    "draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corner_count
+                    "draw_meshes",
+                    AMBIENT=AMBIENT_LIGHT,
+                    PANORAMA=panorama,
+                    CORNERS=self._corner_count,
                 ),
                 kinds,
                 fragment="seen_at",
                 targets=[{"format": _FLOAT_FORMAT}, {"format": _FLOAT_FORMAT}],
                 depth_stencil={
-                    "format": DEPTHS,
+                    "format": DEPTH_FORMAT,
                     "depth_write_enabled": True,
                     "depth_compare": "greater",
                 },
@@ -180,7 +183,7 @@ class DrawMeshes:
             for name, form in (
                 ("colors", _FLOAT_FORMAT),
                 ("surfaces", _FLOAT_FORMAT),
-                ("depths", DEPTHS),
+                ("depths", DEPTH_FORMAT),
             )
         )
         row = -(-size[0] // _ROW_ALIGNMENT) * _ROW_ALIGNMENT

@@ -18,7 +18,7 @@ from gsgen.runtime.gpu.handles import (
     Texture,
     TextureView,
 )
-from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
+from gsgen.runtime.kernels.raster.draw_meshes import DEPTH_FORMAT, MeshesStep
 from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.shader import source
@@ -26,7 +26,7 @@ from gsgen.runtime.kernels.shared.shader import source
 _ROW_BYTES: Final = 256  # rows of a copied texture are multiples of this
 _BLEND_UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 _DEPTH_TEST: Final = {
-    "format": DEPTHS,
+    "format": DEPTH_FORMAT,
     "depth_write_enabled": False,
     "depth_compare": "greater-equal",
 }

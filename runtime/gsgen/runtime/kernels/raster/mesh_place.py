@@ -12,7 +12,7 @@ from gsgen.runtime.gpu.mesh_residency import MeshBuffers
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 
-_FIELDS: Final = {
+_UNIFORM_FIELDS: Final = {
     "linear": ("(3,4)f4", 0),
     "upright": ("(3,4)f4", 48),
     "eye": ("3f4", 96),
@@ -29,9 +29,9 @@ _FIELDS: Final = {
 }
 MESH_UNIFORM: Final = np.dtype(
     {
-        "names": list(_FIELDS),
-        "formats": [form for form, _ in _FIELDS.values()],
-        "offsets": [offset for _, offset in _FIELDS.values()],
+        "names": list(_UNIFORM_FIELDS),
+        "formats": [form for form, _ in _UNIFORM_FIELDS.values()],
+        "offsets": [offset for _, offset in _UNIFORM_FIELDS.values()],
         "itemsize": 256,  # a multiple of this is an offset that every device can bind at
     }
 )

@@ -3,7 +3,7 @@
 Kernels get their indices as constants of the same names.
 """
 
-__all__ = ["BYTES", "COUNT_CONSTANTS", "Counts"]
+__all__ = ["COUNTERS_BYTES", "COUNT_CONSTANTS", "Counts"]
 
 from enum import IntEnum
 from typing import Final
@@ -41,7 +41,7 @@ class Counts(IntEnum):
     """The arguments of an indirect draw: vertices, instances, and the first of each."""
 
 
-BYTES: Final = 4 * 28
+COUNTERS_BYTES: Final = 4 * 28
 COUNT_CONSTANTS: Final = {member.name: int(member) for member in Counts}
 """The indices of the counters as constants for a shader."""
 
@@ -50,7 +50,7 @@ def initial(
     gaussians: int, pair_capacity: int, *, panorama: bool = False
 ) -> UInt32[np.ndarray, " 28"]:
     """Return the initial values of a frame's counters, as stored in the GPU buffer of counters."""
-    counts = np.zeros(BYTES // 4, np.uint32)
+    counts = np.zeros(COUNTERS_BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
     counts[Counts.PAIR_CAPACITY] = pair_capacity
     for member in Counts:

@@ -1,6 +1,6 @@
 """Compute kernels: WGSL entry points with their bind groups and dispatches."""
 
-__all__ = ["THREADS", "VEC4", "Dispatch", "Kernel", "Step", "run"]
+__all__ = ["THREADS_PER_WORKGROUP", "VEC4", "Dispatch", "Kernel", "Step", "run"]
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ from gsgen.runtime.kernels.shared.shader import source
 Dispatch: TypeAlias = tuple[int, int, int] | tuple[Buffer, int]
 """Workgroup counts in x, y and z, or a buffer with an offset that holds them."""
 
-THREADS: Final = 64
+THREADS_PER_WORKGROUP: Final = 64
 """Workgroup size of kernels with one invocation per row."""
 
 VEC4: Final = 16
 """Bytes of four 32-bit words, as in a pixel of every image."""
 
-_TYPES: Final = {"u": "uniform", "r": "read-only-storage", "w": "storage"}
+_BINDING_TYPES: Final = {"u": "uniform", "r": "read-only-storage", "w": "storage"}
 
 
 @final
@@ -83,7 +83,7 @@ class Kernel:
 
 def _layout(raw: RawDevice, label: str, kinds: str) -> BindGroupLayout:
     entries = [
-        {"binding": binding, "visibility": "COMPUTE", "buffer": {"type": _TYPES[kind]}}
+        {"binding": binding, "visibility": "COMPUTE", "buffer": {"type": _BINDING_TYPES[kind]}}
         for binding, kind in enumerate(kinds)
     ]
     return raw.create_bind_group_layout(label=label, entries=entries)

@@ -11,7 +11,7 @@ from gsgen.contract.spec import layout
 from gsgen.runtime.scene.camera import DILATION
 
 _INCLUDE = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
-_REPEAT = re.compile(  # without another inside
+_REPEAT_PATTERN = re.compile(  # without another inside
     r"^//!repeat (\w+) (\w+)\n((?:(?!^//!repeat ).)*?)^//!end\n", re.MULTILINE | re.DOTALL
 )
 
@@ -26,7 +26,7 @@ LARGE_TILE = 32
 """Edge of the tiles of depth-sorted splats on GPUs, in pixels: fewer pairs to sort and read."""
 WINDOW_HEIGHT = 3
 """Rows of tiles of the window in which one word tells the tiles of a splat."""
-ABSENT = 0xFFFFFFFF
+NO_ID = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without Gaussians."""
 NOWHERE = 3.4e38
 """The depth of empty pixels of an image layer: farther than any splat."""
@@ -35,8 +35,8 @@ MIN_EIGENVALUE_GAP = 0.1
 POLE = 1e-3
 """Lower bound of the cosine of the latitude in a panorama's Jacobian."""
 
-_SHARED: dict[str, int | float | bool] = {
-    "ABSENT": ABSENT,
+_SHARED_CONSTANTS: dict[str, int | float | bool] = {
+    "ABSENT": NO_ID,
     "CULL_OPACITY": layout.CULL_OPACITY,
     "DILATION": DILATION,
     "MAX_ALPHA": MAX_ALPHA,
@@ -65,23 +65,23 @@ def source(name: str, *, wide_words: bool = False, **constants: int | float | bo
         constants: Declared before the text as ``const NAME``, besides those that kernels share;
             integers are u32, floats f32.
     """
-    known = _SHARED | constants
-    lines = [_declaration(key, value) for key, value in known.items()]
-    text = _included(name, {name}, wide_words=wide_words)
-    while (match := _REPEAT.search(text)) is not None:
-        text = text[: match.start()] + _repeated(match, known) + text[match.end() :]
+    all_constants = _SHARED_CONSTANTS | constants
+    lines = [_declaration(key, value) for key, value in all_constants.items()]
+    text = _include_source(name, {name}, wide_words=wide_words)
+    while (match := _REPEAT_PATTERN.search(text)) is not None:
+        text = text[: match.start()] + _expand_repeat(match, all_constants) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
 
-def _included(name: str, included_names: set[str], *, wide_words: bool) -> str:
+def _include_source(name: str, included_names: set[str], *, wide_words: bool) -> str:
     """Return the text of a shader with each included file inserted once."""
 
     def replacement(match: re.Match[str]) -> str:
-        included = match[1]
-        if included in included_names:
+        included_name = match[1]
+        if included_name in included_names:
             return ""
-        included_names.add(included)
-        return _included(included, included_names, wide_words=wide_words)
+        included_names.add(included_name)
+        return _include_source(included_name, included_names, wide_words=wide_words)
 
     file = "wide_words" if wide_words and name == "words" else name
     return _INCLUDE.sub(replacement, _shader_files()[file])
@@ -104,9 +104,9 @@ def _shader_files() -> dict[str, str]:
     return {file.name.removesuffix(".wgsl"): file.read_text("utf-8") for file in shaders}
 
 
-def _repeated(match: re.Match[str], constants: dict[str, int | float | bool]) -> str:
-    word, count, text = match[1], constants[match[2]], match[3]
-    pattern = re.compile(rf"(?<![A-Z]){word}(?![A-Z])")
+def _expand_repeat(match: re.Match[str], constants: dict[str, int | float | bool]) -> str:
+    placeholder, count, text = match[1], constants[match[2]], match[3]
+    pattern = re.compile(rf"(?<![A-Z]){placeholder}(?![A-Z])")
     return "".join(pattern.sub(str(number), text) for number in range(int(count)))
 
 

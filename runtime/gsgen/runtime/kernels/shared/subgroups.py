@@ -9,7 +9,7 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step, run
 
-_THREADS: Final = 8
+_THREADS_PER_WORKGROUP: Final = 8
 
 
 def subgroup_size(device: Device) -> int:
@@ -19,10 +19,10 @@ def subgroup_size(device: Device) -> int:
     """
     if not device.subgroups:
         return 0
-    kernel = Kernel(device, "subgroups", "measure", ("w",), THREADS=_THREADS)
-    sizes = device.storage("subgroup sizes", 4 * _THREADS)
+    kernel = Kernel(device, "subgroups", "measure", ("w",), THREADS=_THREADS_PER_WORKGROUP)
+    sizes = device.storage("subgroup sizes", 4 * _THREADS_PER_WORKGROUP)
     encoder = device.raw.create_command_encoder(label="subgroups")
     run(encoder, [Step(kernel, (kernel.bind(sizes),), (1, 1, 1))], "subgroups")
     device.submit(encoder)
-    measured_sizes = device.read(sizes, np.uint32, _THREADS)
+    measured_sizes = device.read(sizes, np.uint32, _THREADS_PER_WORKGROUP)
     return int(measured_sizes[0]) if (measured_sizes == measured_sizes[0]).all() else 0

@@ -7,7 +7,7 @@ from typing import final
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 
 @final
@@ -20,12 +20,12 @@ class GatherKeys:
             "gather_keys",
             "gather_keys",
             ("rrrw",),
-            THREADS=THREADS,
+            THREADS=THREADS_PER_WORKGROUP,
             BLOCK=block,
             **COUNT_CONSTANTS,
         )
 
-    def step(self, counts: Buffer, keys: Buffer, order: Buffer, keys_out: Buffer) -> Step:
+    def step(self, counts: Buffer, keys: Buffer, order: Buffer, gathered_keys: Buffer) -> Step:
         """Return the dispatch that writes the second sort key of each visible splat, in order."""
-        bind = self.kernel.bind(counts, keys, order, keys_out)
+        bind = self.kernel.bind(counts, keys, order, gathered_keys)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.SORT_VISIBLE_GROUPS))

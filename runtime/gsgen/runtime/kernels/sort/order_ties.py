@@ -22,11 +22,11 @@ class OrderTies:
     Args:
         device: Device of the kernel.
         walk_rows: Splats per invocation.
-        arranged: Whether the order of splats in memory differs from that of their sets.
+        is_reordered: Whether the order of splats in memory differs from that of their sets.
     """
 
-    def __init__(self, device: Device, walk_rows: int, *, arranged: bool) -> None:
-        self._block = WALK_THREADS * walk_rows
+    def __init__(self, device: Device, walk_rows: int, *, is_reordered: bool) -> None:
+        self._block_rows = WALK_THREADS * walk_rows
         self.kernel = Kernel(
             device,
             "order_ties",
@@ -35,7 +35,7 @@ class OrderTies:
             THREADS=WALK_THREADS,
             RUN=walk_rows,
             MOST_TIED=MAX_TIED_KEYS,
-            ARRANGED=arranged,
+            ARRANGED=is_reordered,
             **COUNT_CONSTANTS,
         )
 
@@ -56,12 +56,12 @@ class OrderTies:
             keys: Keys of the visible splats, in ascending order.
             low_keys: Remainder of each splat's depth beyond its key, as bits that sort alike.
             order: The sorted splats.
-            origins: If ``arranged``, the index of each splat in the order of the sets.
+            origins: If ``is_reordered``, the index of each splat in the order of the sets.
         """
         if not origins:
             origins = (low_keys,)  # a buffer has to be bound, but is not read
         bind = self.kernel.bind(counts, keys, low_keys, order, *origins)
         # A direct dispatch: the kernel writes the counts, so they cannot be its indirect arguments.
-        groups = symbolic_max(-(-capacity // self._block), 1)
+        groups = symbolic_max(-(-capacity // self._block_rows), 1)
         lines = -(-groups // MAX_WORKGROUPS)
         return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))

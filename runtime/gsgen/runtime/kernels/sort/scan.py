@@ -1,6 +1,6 @@
 """Scan: replaces numbers on the GPU by the sums of all before them (prefix sums)."""
 
-__all__ = ["MANY", "Scan"]
+__all__ = ["MAX_COUNT", "Scan"]
 
 from functools import cache
 from typing import Final, final
@@ -12,12 +12,12 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 
-MANY: Final = 0x7FFFFFFF
+MAX_COUNT: Final = 0x7FFFFFFF
 """The largest sum: larger ones saturate."""
 
-_THREADS: Final = 256
+_THREADS_PER_WORKGROUP: Final = 256
 _NUMBERS_PER_THREAD: Final = 8
-_BLOCK: Final = _THREADS * _NUMBERS_PER_THREAD
+_BLOCK: Final = _THREADS_PER_WORKGROUP * _NUMBERS_PER_THREAD
 _COUNTER_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 
@@ -52,13 +52,19 @@ class Scan:
             "WALK_BLOCK": walk_block,
             "RANGE_BLOCK": range_block,
         } | COUNT_CONSTANTS
-        self._whole, self._scan_sums_kernel = (
+        self._scan_kernel, self._scan_sums_kernel = (
             cache(
-                lambda share=share: Kernel(
-                    device, "scan", "scan", ("uww",), THREADS=_THREADS, SHARE=share, **constants
+                lambda block_rows=block_rows: Kernel(
+                    device,
+                    "scan",
+                    "scan",
+                    ("uww",),
+                    THREADS=_THREADS_PER_WORKGROUP,
+                    SHARE=block_rows,
+                    **constants,
                 )
             )
-            for share in (1, _BLOCK)
+            for block_rows in (1, _BLOCK)
         )
         self._reduce_kernel, self._add_sums_kernel = (
             cache(
@@ -67,7 +73,7 @@ class Scan:
                     "scan_blocks",
                     entry,
                     ("urww",),
-                    THREADS=_THREADS,
+                    THREADS=_THREADS_PER_WORKGROUP,
                     RUN=_NUMBERS_PER_THREAD,
                 )
             )
@@ -90,12 +96,12 @@ class Scan:
         receives the sum of all: VISIBLE, PAIRS or None.
         """
         uniform = self._device.uniform("scan", 16)
-        words = np.array([source, block, rows, _COUNTER_EFFECTS[total]], np.uint32)
-        self._device.write(uniform, words)
+        uniform_words = np.array([source, block, rows, _COUNTER_EFFECTS[total]], np.uint32)
+        self._device.write(uniform, uniform_words)
         # Case 1: one workgroup scans all, where more would not be faster.
         blocks = -(-numbers.size // (4 * _BLOCK))
         if not self._always_in_blocks and (self._device.software or blocks <= 2):
-            kernel = self._whole()
+            kernel = self._scan_kernel()
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
         # Case 2: sum each block, scan the sums, and scan within the blocks from there.
         sums = self._device.storage("sums of blocks", 4 * blocks)

@@ -14,7 +14,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE, TILE
-from gsgen.runtime.kernels.sort.scan import MANY, Scan
+from gsgen.runtime.kernels.sort.scan import MAX_COUNT, Scan
 
 KEY_BITS: Final = 32
 """Bits of a depth key: positive floats sort like their bits."""
@@ -93,7 +93,7 @@ class RadixSort:
 
     def first_digits(self, bits: int) -> FirstDigits:
         """Return what kernels need to count the first digits of the ``bits``-bit keys they write."""
-        return FirstDigits(1 << self._width(bits), self._sort_config.block)
+        return FirstDigits(1 << self._digit_width(bits), self._sort_config.block)
 
     def histograms(self, capacity: int, bits: int) -> tuple[Buffer, ...]:
         """Return new GPU buffers for the digit histograms of a radix sort.
@@ -106,10 +106,10 @@ class RadixSort:
             Of a staged sort two, which passes take by turns, the first pass the first; else one.
         """
         rows = 1 << (
-            self._width(bits) if self._sort_config.is_staged else self._sort_config.digit_bits
+            self._digit_width(bits) if self._sort_config.is_staged else self._sort_config.digit_bits
         )
-        tables = 1 if self._sort_config.is_staged else 1 + self._sort_config.threads
-        size = 4 * tables * rows * self.blocks(capacity)
+        histogram_count = 1 if self._sort_config.is_staged else 1 + self._sort_config.threads
+        size = 4 * histogram_count * rows * self.blocks(capacity)
         names = ("histogram a", "histogram b") if self._sort_config.is_staged else ("histogram",)
         return tuple(self._device.storage(name, size) for name in names)
 
@@ -117,7 +117,7 @@ class RadixSort:
         """Return the number of GPU workgroups that a radix sort of ``capacity`` keys takes."""
         return symbolic_max(-(-capacity // self._sort_config.block), 1)
 
-    def _width(self, bits: int) -> int:
+    def _digit_width(self, bits: int) -> int:
         """Return the number of bits that each pass but the last sorts by."""
         return -(-bits // -(-bits // self._sort_config.digit_bits))
 
@@ -150,7 +150,7 @@ class RadixSort:
             has_histogram: Whether the kernel that writes the keys has counted their first digits in the
                 first histogram, as ``first_digits.wgsl`` does; only for a staged sort.
         """
-        passes, width = -(-bits // self._sort_config.digit_bits), self._width(bits)
+        passes, width = -(-bits // self._sort_config.digit_bits), self._digit_width(bits)
         totals = []
         if self._sort_config.is_staged:
             totals.append(self._device.storage("digit totals", 4 << self._sort_config.digit_bits))
@@ -165,17 +165,24 @@ class RadixSort:
             dispatch: Dispatch = (counts, 4 * groups)
             if number == 0 and compact_counter is not None:
                 dispatch = (self.blocks(compact_counter), 1, 1)
-            words = [number * width, digits, now, first, next_digits, 1 << width, 0, 0]
+            uniform_words = [number * width, digits, now, first, next_digits, 1 << width, 0, 0]
             uniform = self._device.uniform("digit", 32)
-            self._device.write(uniform, np.array(words, np.uint32))
+            self._device.write(uniform, np.array(uniform_words, np.uint32))
             # Step 3: buffers and histograms take turns, so that no pass writes what it reads.
             source_columns, target_columns = columns[number % 2], columns[1 - number % 2]
             if first and first_keys is not None:
                 source_columns = Columns(
                     first_keys, first_keys
                 )  # a compacting pass reads no values
-            tables = (*histograms[number % 2 :], *histograms[: number % 2])
-            resources = (uniform, counts, *source_columns, *tables, *target_columns, *totals)
+            histogram_count = (*histograms[number % 2 :], *histograms[: number % 2])
+            resources = (
+                uniform,
+                counts,
+                *source_columns,
+                *histogram_count,
+                *target_columns,
+                *totals,
+            )
             count, scatter, *rows = (
                 Step(kernel, (kernel.bind(*resources),), dispatch) for kernel in self._kernels
             )
@@ -189,7 +196,7 @@ class RadixSort:
                     counts,
                     totals[0] if self._sort_config.is_staged else histograms[0],
                     source=now,
-                    block=MANY if self._sort_config.is_staged else self._sort_config.block,
+                    block=MAX_COUNT if self._sort_config.is_staged else self._sort_config.block,
                     rows=1 << digits,
                     total=source if first else None,
                 )

@@ -52,7 +52,7 @@ class BinTiles:
             **COUNT_CONSTANTS,
         }
         constants |= digits.constants if digits else {}
-        self._measure, self._emit = (
+        self._measure_kernel, self._emit_kernel = (
             Kernel(device, shader, entry, (kinds,), **constants)
             for entry, kinds in _BINDINGS[shader].items()
         )
@@ -74,6 +74,6 @@ class BinTiles:
         if histogram is not None:  # in place of the numbers of tiles, which only `measure` reads
             emit_resources = (*resources[:3], histogram, *resources[4:])
         return (
-            Step(self._measure, (self._measure.bind(*resources),), dispatch),
-            Step(self._emit, (self._emit.bind(*emit_resources),), dispatch),
+            Step(self._measure_kernel, (self._measure_kernel.bind(*resources),), dispatch),
+            Step(self._emit_kernel, (self._emit_kernel.bind(*emit_resources),), dispatch),
         )

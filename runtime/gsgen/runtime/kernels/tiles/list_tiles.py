@@ -9,18 +9,18 @@ import numpy as np
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
-from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 _INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
-_MOST_GROUPS: Final = 32
-_FEWEST_GROUPS: Final = 8
+_MAX_WORKGROUPS: Final = 32
+_MIN_WORKGROUPS: Final = 8
 _COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
 
 
 def run_count(tiles: int) -> int:
     """Return into how many parts the sorted splats are divided to be listed by image tile."""
     return _INVOCATIONS * int(
-        np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS)
+        np.clip(_COUNTERS // (_INVOCATIONS * tiles), _MIN_WORKGROUPS, _MAX_WORKGROUPS)
     )
 
 
@@ -38,7 +38,7 @@ class ListTiles:
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
         constants = {"PANORAMA": panorama, "RECORDS": False, **COUNT_CONSTANTS}
-        self._tally, self._list = (
+        self._tally_kernel, self._list_kernel = (
             Kernel(
                 device,
                 "list_tiles",
@@ -50,10 +50,10 @@ class ListTiles:
             )
             for lists in (False, True)
         )
-        self._total, self._begin = (
+        self._total_kernel, self._begin_kernel = (
             Kernel(
                 device, "list_ranges", entry, ("urwww",),
-                THREADS=THREADS, RUNS=_INVOCATIONS, **constants,
+                THREADS=THREADS_PER_WORKGROUP, RUNS=_INVOCATIONS, **constants,
             )
             for entry in ("total", "begin")
         )  # fmt: skip
@@ -72,10 +72,10 @@ class ListTiles:
             range_buffers: Resources of ``list_ranges.wgsl``, in order.
         """
         run_groups = (run_count(tiles) // _INVOCATIONS, 1, 1)
-        tile_groups = (-(-tiles // THREADS), 1, 1)
+        tile_groups = (-(-tiles // THREADS_PER_WORKGROUP), 1, 1)
         return (
-            Step(self._tally, (self._tally.bind(*walk_buffers),), run_groups),
-            Step(self._total, (self._total.bind(*range_buffers),), tile_groups),
-            Step(self._begin, (self._begin.bind(*range_buffers),), tile_groups),
-            Step(self._list, (self._list.bind(*walk_buffers),), run_groups),
+            Step(self._tally_kernel, (self._tally_kernel.bind(*walk_buffers),), run_groups),
+            Step(self._total_kernel, (self._total_kernel.bind(*range_buffers),), tile_groups),
+            Step(self._begin_kernel, (self._begin_kernel.bind(*range_buffers),), tile_groups),
+            Step(self._list_kernel, (self._list_kernel.bind(*walk_buffers),), run_groups),
         )

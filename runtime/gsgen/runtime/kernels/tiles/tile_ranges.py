@@ -9,9 +9,9 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 
-_THREADS: Final = 128
+_THREADS_PER_WORKGROUP: Final = 128
 _PAIRS_PER_THREAD: Final = 16
-RANGE_BLOCK: Final = _THREADS * _PAIRS_PER_THREAD
+RANGE_BLOCK: Final = _THREADS_PER_WORKGROUP * _PAIRS_PER_THREAD
 """Pairs per workgroup, so large that the dispatch limit covers all pairs of a binding."""
 
 
@@ -25,7 +25,7 @@ class TileRanges:
             "tile_ranges",
             "mark",
             ("rrw",),
-            THREADS=_THREADS,
+            THREADS=_THREADS_PER_WORKGROUP,
             RUN=_PAIRS_PER_THREAD,
             **COUNT_CONSTANTS,
         )
