@@ -130,7 +130,7 @@ def test_camera_options_create_cameras(tmp_path: Path) -> None:
     source = Still()
     fitting = viewpoint(None, width=60, height=60).camera(source, 0, 0)
     distance = np.linalg.norm(fitting.eye - [1, 2, 3])
-    assert distance == pytest.approx(2 / np.sin(np.radians(25)))
+    assert distance == pytest.approx(1.05 * 2 / np.sin(np.radians(25)))
     placed = viewpoint("orbit:0,90,7", up="+z").camera(source, 0, 0)
     np.testing.assert_allclose(placed.eye, [1, 2, 10], atol=1e-9)
     flat = viewpoint(None, width=60, height=60, orthographic=True).camera(source, 0, 0)

@@ -29,6 +29,7 @@ def draw_preview(value: object) -> bytes | None:
     if not isinstance(scene, Scene) or not (scene.sets or scene.meshes):
         return None
     from gsgen.runtime.media.pictures import png_of
+    from gsgen.runtime.playback.camera_options import FRAMING_MARGIN
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.sources.scene_source import sources_of
@@ -36,7 +37,7 @@ def draw_preview(value: object) -> bytes | None:
     boxes = [source.extent() for source in sources_of(scene)]
     center = np.mean([middle for middle, _ in boxes], axis=0)
     reach = max(np.linalg.norm(middle - center) + radius for middle, radius in boxes)
-    radius = float(reach / np.sin(np.radians(_FOV) / 2))
+    radius = float(FRAMING_MARGIN * reach / np.sin(np.radians(_FOV) / 2))
     camera = Camera.orbit(
         center.tolist(),
         radius,

@@ -1,6 +1,6 @@
 """Parses ``--camera`` and its companion options into the cameras of all frames."""
 
-__all__ = ["DEFAULT_FOV", "Viewpoint", "viewpoint"]
+__all__ = ["DEFAULT_FOV", "FRAMING_MARGIN", "Viewpoint", "viewpoint"]
 
 import math
 from dataclasses import dataclass, replace
@@ -23,6 +23,8 @@ _PANORAMA_WIDTH: Final = 2048  # pixels
 _WIDTH, _HEIGHT = 1280, 720
 
 
+FRAMING_MARGIN: Final = 1.05
+"""Radius of an orbit without one, over the least radius from which a scene is in the picture."""
 DEFAULT_FOV: Final = 50.0
 """The default vertical field of view, in degrees."""
 
@@ -164,7 +166,7 @@ class Viewpoint:
         azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION, None)
         if radius is None:
             narrow_fov = self.fov * min(1.0, size["width"] / size["height"])
-            radius = reach / math.sin(math.radians(narrow_fov) / 2)
+            radius = FRAMING_MARGIN * reach / math.sin(math.radians(narrow_fov) / 2)
         return Camera.orbit(
             center.tolist(),
             radius,

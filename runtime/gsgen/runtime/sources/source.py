@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Literal, final
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Input, Space, WeightedSum
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats
 from gsgen.runtime.errors import SceneUnreadable, locate_in_frame
@@ -29,14 +28,13 @@ from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
+from gsgen.runtime.sources.framing import Box, box_around, union_of_boxes
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
 
 Center = Float[np.ndarray, "3"]
 
 Values = Mapping[str, object]
 """Tensor name or role → value."""
-
-_CROPPED_PERCENT = 2.0  # percent of the centres, at each end of each axis, that framing ignores
 
 
 class Source(ABC):
@@ -167,24 +165,24 @@ class Source(ABC):
         """Return the shape of an input tensor of the ONNX generator."""
 
     def extent(self) -> tuple[Center, float]:
-        """Return the centre of a box around most Gaussians of a source, and half its diagonal.
+        """Return the centre of a box around the Gaussians but floaters, and half its diagonal.
 
         The box spans the frames of :meth:`survey`, or else the Gaussians at the first call: cameras
-        that are placed by it stand still while Gaussians move.
+        that are placed by it stand still while Gaussians move. See :mod:`.framing`.
         """
         if self._extent is None:
-            self._extent = _box_around([_centers(self.data)])
+            self._extent = _extent_of(box_around(self.data))
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
         """Compute some frames, and set the scene extent to a box around all their Gaussians."""
-        centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
+        boxes: dict[tuple[int, int], Box | None] = {}
         for frame, values in frames:
             self.update(None, values, frame)
             state = (self.data.rows_version, self.data.count)
-            if state not in centers:
-                centers[state] = _centers(self.data)
-        self._extent = _box_around(list(centers.values()))
+            if state not in boxes:
+                boxes[state] = box_around(self.data)
+        self._extent = _extent_of(union_of_boxes(list(boxes.values())))
 
     @abstractmethod
     def close(self) -> None:
@@ -197,25 +195,11 @@ def named(inputs: Sequence[Input], word: str) -> list[Input]:
     return exact_matches or [spec for spec in inputs if spec.role == word]
 
 
-def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
-    """Return the centres of visible Gaussians, or of all if none has an opacity above 0."""
-    rows = data.rows[: data.count]
-    centers = rows[:, layout.POSITION].astype(np.float64)
-    finite = np.isfinite(centers).all(axis=1)
-    is_visible = finite & (rows[:, layout.OPACITY] > 0)
-    return np.asarray(centers[is_visible if is_visible.any() else finite])
-
-
-def _box_around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
-    """Return the centre and half diagonal of a box around most Gaussians of all frames."""
-    boxes = [
-        np.percentile(centers, [_CROPPED_PERCENT, 100 - _CROPPED_PERCENT], axis=0)
-        for centers in frames
-        if len(centers)
-    ]
-    if not boxes:
+def _extent_of(box: Box | None) -> tuple[Center, float]:
+    """Return the centre of a box and half its diagonal; 1 around the origin without a box."""
+    if box is None:
         return np.zeros(3), 1.0
-    low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
+    low, high = box
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 
 

@@ -141,7 +141,7 @@ RenderCamera = Annotated[
         help="orbit[:AZ,EL[,RADIUS]] (azimuth and elevation in degrees), "
         "look-at:EX,EY,EZ,TX,TY,TZ (eye and target), or a file or folder of cameras; #NAME or "
         "#NUMBER after it picks one. "
-        "[default: an orbit around the first model, with most of it in view]",
+        "[default: an orbit around the first model, with all of it but floaters in view]",
     ),
 ]
 Scenes = Annotated[
