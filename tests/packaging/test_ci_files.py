@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +122,13 @@ def test_the_matrix_has_every_system_and_python_that_is_claimed(name: str, job: 
 # --- The action
 
 
-def run_step(name: str, inputs: dict[str, str], folder: Path) -> "subprocess.CompletedProcess[str]":
-    """Run the shell step of the action as GitHub does, with the action's defaults."""
+def run_step(
+    name: str, inputs: dict[str, str], folder: Path, variables: dict[str, str] | None = None
+) -> "subprocess.CompletedProcess[str]":
+    """Run the shell step of the action as GitHub does, with the action's defaults.
+
+    ``variables`` are those that the workflow sets.
+    """
     action = read_yaml("action.yml")
     step = next(step for step in action["runs"]["steps"] if step["name"] == name)
     values = {key: entry.get("default", "") for key, entry in action["inputs"].items()} | inputs
@@ -137,7 +143,7 @@ def run_step(name: str, inputs: dict[str, str], folder: Path) -> "subprocess.Com
     return subprocess.run(
         ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
         cwd=folder,
-        env=os.environ | environment | files,
+        env=os.environ | (variables or {}) | environment | files,
         capture_output=True,
         encoding="utf-8",
     )
@@ -158,7 +164,7 @@ class TestAction:
         python.chmod(0o755)
         installed = run_step("Install gsgen", {"python": str(python)}, tmp_path)
         assert installed.stdout.endswith("|ACTION|")
-        assert installed.stdout.startswith("-m|pip|install|")
+        assert installed.stdout.startswith("-I|-m|pip|install|--isolated|")
         named = {"python": str(python), "requirement": "gsgen==0.1.0"}
         assert run_step("Install gsgen", named, tmp_path).stdout.endswith("|gsgen==0.1.0|")
 
@@ -213,6 +219,159 @@ class TestAction:
         completed = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
         assert completed.returncode == 4
         assert (models / "output").read_text("utf-8") == "exit-code=4\n"
+
+
+# --- The action in the repository of a stranger
+
+# Each of these files, if it runs, records its name and makes the program succeed.
+_CANARY = "import os\nopen(os.environ['CANARY'], 'a').write(__file__ + ' ')\nos._exit(0)\n"
+_HOSTILE_MODULES = (
+    *("typer.py", "onnx.py", "onnxruntime.py", "rich/__init__.py", "numpy/__init__.py"),
+    *("gsgen/__init__.py", "gsgen/cli/__init__.py", "gsgen/cli/__main__.py", "pip/__init__.py"),
+    *("pip/__main__.py", "sitecustomize.py", "usercustomize.py", "conftest.py", "json.py"),
+    *("multiprocessing/__init__.py", "random.py", "encodings/__init__.py", "setup.py", "re.py"),
+    *("hatchling/__init__.py", "lib/python3/site-packages/usercustomize.py"),
+)
+_HOSTILE_FILES = {
+    "x.pth": "import sitecustomize\n",
+    "pytest.ini": "[pytest]\naddopts = -p conftest\n",
+    "pip.conf": "[global]\ntarget = stolen\nindex-url = http://192.0.2.1/\n",
+    ".pydistutils.cfg": "[install]\nprefix = stolen\n",
+    "setup.cfg": "[install]\nprefix = stolen\n",
+    "matplotlibrc": "backend: module://conftest\n",
+    "pyproject.toml": '[build-system]\nrequires = []\nbuild-backend = "setup"\nbackend-path = ["."]\n',
+}
+# Variables that point into the checkout, as those of a workflow written for its own code.
+_HOSTILE_VARIABLES = {
+    **dict.fromkeys(("PYTHONPATH", "PYTHONHOME", "PYTHONUSERBASE", "PIP_TARGET"), "."),
+    **dict.fromkeys(("PYTHONSTARTUP", "PIP_REQUIREMENT"), "sitecustomize.py"),
+    "PYTHONINSPECT": "1",
+    "PIP_CONFIG_FILE": "pip.conf",
+    "PIP_INDEX_URL": "http://192.0.2.1/",
+}
+_HOSTILE_NAMES = (
+    *("--help.onnx", "-rf.onnx", "::error::pass.onnx", "a%0A::error::b.onnx", "##[error]c.onnx"),
+    *("a\n::error::b.onnx", "\x1b[2J.onnx", "\u202egnp.onnx", "$(touch stolen).onnx", "`id`.onnx"),
+)
+
+
+@pytest.fixture
+def hostile_checkout(models: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = models / "checkout"
+    for name in _HOSTILE_MODULES:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(_CANARY, "utf-8")
+    for name, text in _HOSTILE_FILES.items():
+        (folder / name).write_text(text, "utf-8")
+    (models / "a good one.onnx").rename(folder / "good.onnx")
+    (models / "opacity_is_logits.onnx").rename(folder / "bad.onnx")
+    monkeypatch.setenv("CANARY", str(models / "canary"))
+    return folder
+
+
+@pytest.mark.skipif(os.name == "nt", reason="steps run in bash")
+class TestActionInAHostileCheckout:
+    @pytest.mark.parametrize("variables", [{}, _HOSTILE_VARIABLES], ids=["plain", "variables"])
+    @pytest.mark.parametrize(
+        ("model", "options", "code"),
+        [("good.onnx", "", 0), ("bad.onnx", "", 1), ("*d.onnx", "--jobs=2", 1)],
+    )
+    def test_no_file_of_it_runs(
+        self, hostile_checkout: Path, model: str, options: str, code: int, variables: dict[str, str]
+    ) -> None:
+        inputs = {"models": model, "options": options, "python": sys.executable}
+        completed = run_step("Validate", inputs, hostile_checkout, variables)
+        assert completed.returncode == code, completed.stderr
+        assert not (hostile_checkout.parent / "canary").exists()
+        assert (hostile_checkout / "output").read_text("utf-8") == f"exit-code={code}\n"
+
+    def test_its_modules_run_where_python_searches_it(self, hostile_checkout: Path) -> None:
+        subprocess.run([sys.executable, "-m", "gsgen.cli", "validate"], cwd=hostile_checkout)
+        assert (hostile_checkout.parent / "canary").read_text("utf-8")
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            '[validate]\ntarget = "conftest:TARGET"\n',
+            '[validate]\nplugins = ["conftest"]\n',
+            '[validate]\ndocs_url = "javascript:alert(1)"\n',
+            '[[waive]]\nrule = "GV003"\nreason = "\\u001b[2J\\n::error::forged"\n',
+        ],
+    )
+    def test_its_settings_run_nothing_and_forge_nothing(
+        self, hostile_checkout: Path, text: str
+    ) -> None:
+        (hostile_checkout / "gsgen.toml").write_text(text, "utf-8")
+        inputs = {"models": "bad.onnx", "python": sys.executable}
+        completed = run_step("Validate", inputs, hostile_checkout)
+        assert completed.returncode == (0 if "waive" in text else 2)
+        assert not (hostile_checkout.parent / "canary").exists()
+        assert not re.search(r"^\s*::error::|\x1b", completed.stdout, re.MULTILINE)
+
+    def test_names_of_models_are_no_options_and_no_commands(self, hostile_checkout: Path) -> None:
+        content = (hostile_checkout / "bad.onnx").read_bytes()
+        for name in _HOSTILE_NAMES:
+            (hostile_checkout / name).write_bytes(content)
+        names = [name for name in _HOSTILE_NAMES if "\n" not in name]
+        for models in ("\n".join(names), "*.onnx", "."):
+            inputs = {"models": models, "python": sys.executable, "options": "--level=values"}
+            completed = run_step("Validate", inputs, hostile_checkout)
+            assert completed.returncode == 1, completed.stderr
+            assert not (hostile_checkout / "stolen").exists()
+            command = re.compile(r"::(error|warning|notice) file=[^:,]+,title=[^:,]+::.")
+            for line in completed.stdout.splitlines():
+                assert line.isprintable()
+                assert "##[" not in line
+                assert not line.lstrip().startswith("::") or command.match(line)
+
+    @pytest.mark.slow
+    def test_nothing_of_it_takes_part_in_the_installation(
+        self, hostile_checkout: Path, tmp_path: Path
+    ) -> None:
+        subprocess.run([sys.executable, "-I", "-m", "venv", tmp_path / "env"], check=True)
+        inputs = {
+            "python": str(tmp_path / "env/bin/python"),
+            "requirement": str(write_wheel(tmp_path)),
+        }
+        completed = run_step("Install gsgen", inputs, hostile_checkout, _HOSTILE_VARIABLES)
+        assert completed.returncode == 0, completed.stderr
+        assert not (tmp_path / "canary").exists()
+        assert not (hostile_checkout / "stolen").exists()
+        assert list((tmp_path / "env").rglob("site-packages/acme_empty.py"))
+
+
+def write_wheel(folder: Path) -> Path:
+    """Write a wheel without dependencies that holds one empty module."""
+    wheel, info = folder / "acme_empty-1.0-py3-none-any.whl", "acme_empty-1.0.dist-info"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("acme_empty.py", "")
+        archive.writestr(
+            f"{info}/METADATA", "Metadata-Version: 2.1\nName: acme-empty\nVersion: 1.0\n"
+        )
+        tag = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        archive.writestr(f"{info}/WHEEL", tag)
+        archive.writestr(f"{info}/RECORD", "")
+    return wheel
+
+
+# --- Pins
+
+
+def referring_files() -> list[Path]:
+    names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
+    suffixes = (".md", ".yml", ".yaml", ".in", ".ipynb")
+    return [ROOT / name for name in names if name.endswith(suffixes)]
+
+
+def test_actions_are_named_by_commit() -> None:
+    action = re.compile(r"uses: *([\w./-]+)@([\w.-]+)")
+    found = [
+        match for path in referring_files() for match in action.findall(path.read_text("utf-8"))
+    ]
+    assert len(found) > 10
+    for name, reference in found:
+        own = name == "OWNER/gsgen" and reference == "COMMIT"
+        assert own or re.fullmatch("[0-9a-f]{40}", reference), f"{name}@{reference}"
 
 
 # --- The pre-commit hooks

@@ -4,10 +4,10 @@ __all__ = ["checks"]
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from functools import partial
 
+from gsgen.contract.process.parent_watchdog import python_command
 from gsgen.contract.tools.doctor import Check, check_package
 
 _TIMEOUT = 60  # seconds
@@ -114,7 +114,7 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
     failed_check = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
     try:
         completed = subprocess.run(
-            [sys.executable, "-P", "-c", code],
+            [*python_command(), "-c", code],
             capture_output=True,
             encoding="utf-8",
             errors="replace",

@@ -17,7 +17,7 @@ from google.protobuf.message import DecodeError
 from onnx import FunctionProto, GraphProto, ModelProto, ValueInfoProto
 
 from gsgen.contract.model.model_file import subgraphs
-from gsgen.contract.process.parent_watchdog import exit_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent, python_command
 
 # Exceptions of ONNX's library besides its own error.
 _INFERENCE_ERRORS = (
@@ -118,7 +118,7 @@ def _propagate_in_subprocess(proto: ModelProto) -> ModelProto | None:
     """Run ONNX data propagation in a child process; return None if it fails or exceeds limits."""
     try:
         finished_process = subprocess.run(
-            [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],
+            [*python_command(), "-m", "gsgen.contract.model.shape_inference"],
             input=proto.SerializeToString(),
             capture_output=True,
             timeout=_MAX_SECONDS,

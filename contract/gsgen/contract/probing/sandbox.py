@@ -11,7 +11,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +24,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.process.parent_watchdog import child_environment
+from gsgen.contract.process.parent_watchdog import child_environment, python_command
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
@@ -196,7 +195,7 @@ def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
     environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
-            [sys.executable, "-P", "-m", worker, str(folder)],
+            [*python_command(), "-m", worker, str(folder)],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,

@@ -1,17 +1,57 @@
-"""Terminates a worker process when its parent process dies.
+"""Starts child processes of Python, and ends them when their parent process dies.
 
-The parent kills a worker that takes too long; a parent that was killed cannot.
+No child imports a module of the working directory: it may hold files of strangers, such as a
+``typer.py`` in a repository that is checked. The parent kills a child that takes too long; a parent
+that was killed cannot.
 """
 
-__all__ = ["child_environment", "exit_with_parent"]
+__all__ = ["child_environment", "exit_with_parent", "python_command", "safe_multiprocessing"]
 
 import os
+import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
 _POLL_SECONDS: Final = 0.5
 _PARENT_VARIABLE: Final = "GSGEN_PARENT_PROCESS"
+_SAFE_PATH_VARIABLE: Final = "PYTHONSAFEPATH"
+
+
+def python_command() -> list[str]:
+    """Return the first words of a command that starts this Python, as isolated as this process.
+
+    The module path starts without the working directory, and without ``PYTHONPATH`` and the user's
+    packages if this process runs with ``-I``.
+    """
+    flags = sys.flags
+    if flags.isolated:
+        options = ["-I"]
+    else:
+        options = ["-P"]
+        options += ["-E"] if flags.ignore_environment else []
+        options += ["-s"] if flags.no_user_site else []
+    return [sys.executable, *options, *(["-X", "utf8"] if flags.utf8_mode else [])]
+
+
+@contextmanager
+def safe_multiprocessing() -> Iterator[None]:
+    """Let processes that ``multiprocessing`` starts in the block not import from the working directory.
+
+    They inherit the options of this process, such as ``-I``, but are started with ``-c``, which
+    would search the working directory first.
+    """
+    previous = os.environ.get(_SAFE_PATH_VARIABLE)
+    os.environ[_SAFE_PATH_VARIABLE] = "1"
+    try:
+        yield
+    finally:
+        if previous is None:
+            del os.environ[_SAFE_PATH_VARIABLE]
+        else:
+            os.environ[_SAFE_PATH_VARIABLE] = previous
 
 
 def child_environment() -> dict[str, str]:

@@ -54,11 +54,12 @@ def _command(command: str, path: str, title: str, text: str) -> str:
 
 
 def _escape_data(text: str) -> str:
-    return printable(text, kept_chars="\n").replace("%", "%25").replace("\n", "%0A")
+    text = printable(text, kept_chars="\n").replace("##[", "## [")
+    return text.replace("%", "%25").replace("\n", "%0A")
 
 
 def _escape_property(text: str) -> str:
-    escaped = printable(text).replace("%", "%25")
+    escaped = printable(text).replace("##[", "## [").replace("%", "%25")
     return escaped.replace(":", "%3A").replace(",", "%2C")
 
 

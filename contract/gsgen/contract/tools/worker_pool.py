@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from gsgen.contract.errors import ExitCode, GsgenError
-from gsgen.contract.process.parent_watchdog import exit_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent, safe_multiprocessing
 from gsgen.contract.validation.engine import Progress
 from gsgen.contract.validation.report import Entry
 from gsgen.contract.validation.rule import Registry, Rule
@@ -49,7 +49,10 @@ def validate_in_processes(
     """
     context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
     other_processes = multiprocessing.active_children()
-    with ProcessPoolExecutor(jobs, context, _start_worker, (rules,)) as pool:
+    with (
+        safe_multiprocessing(),
+        ProcessPoolExecutor(jobs, context, _start_worker, (rules,)) as pool,
+    ):
         futures = [pool.submit(validate, path, settings) for path in paths]
         try:
             return [

@@ -7,9 +7,11 @@ loses rows when a worker dies (dask/distributed#8426), take part.
 __all__ = ["DaskEngine"]
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from typing import Any, Final, TypeVar, final
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.parent_watchdog import safe_multiprocessing
 from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
 
 _Task = TypeVar("_Task")
@@ -57,6 +59,7 @@ class DaskEngine(Engine):
         self._address, self._workers = address, workers
         self._client: Any = None
         self._cluster: Any = None
+        self._environment = ExitStack()
 
     def __enter__(self) -> "DaskEngine":
         """Connect to the Dask cluster, or start a local one.
@@ -67,6 +70,7 @@ class DaskEngine(Engine):
         import dask
 
         dask.config.set(_SETTINGS)
+        self._environment.enter_context(safe_multiprocessing())
         try:
             if self._address is None:
                 self._cluster = self._distributed.LocalCluster(
@@ -92,6 +96,7 @@ class DaskEngine(Engine):
             self._client.close()
         if self._cluster is not None:
             self._cluster.close()
+        self._environment.close()
 
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]

@@ -6,10 +6,11 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from multiprocessing import get_context
 from typing import Final, TypeVar, final
 
-from gsgen.contract.process.parent_watchdog import exit_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent, safe_multiprocessing
 from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
 
 _Task = TypeVar("_Task")
@@ -32,11 +33,14 @@ class Processes(Engine):
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
+        self._environment = ExitStack()
 
     def __enter__(self) -> "Processes":
+        self._environment.enter_context(safe_multiprocessing())
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._environment.close()
         if self._pool is not None:
             if error[0] is not None:
                 self._kill(self._pool)
