@@ -135,13 +135,13 @@ def test_an_output_that_is_no_numeric_tensor_is_a_fault_with_its_name(folder, te
     assert execution.runs == ()
 
 
-@pytest.mark.usefixtures("children")
 def test_a_file_that_is_no_model_is_a_fault_of_loading(folder):
     path = folder / "a.onnx"
     path.write_bytes(b"Hello, world!")
     fault, execution = fault_of(path, ["y"], [pair(1, 2)])
     assert (fault.stage, fault.probe) == ("load", None)
-    assert "Protobuf parsing failed" in fault.message
+    assert fault.message == "is not an ONNX model but text"
+    assert execution.events == ()
     assert execution.samples == ()
 
 

@@ -7,7 +7,10 @@ import onnx
 import onnx_ir as ir
 import pytest
 
-from gsgen.sdk.rewriting.model_io import has_external_weights, save_model, weight_bytes
+from gsgen.contract.model.files_beside import FileRefused
+from gsgen.sdk.rewriting.model_io import has_external_weights, load_model, save_model, weight_bytes
+from support.commands import gsgen_here
+from support.hostile.model_escapes import FILE, ROWS, write_escape
 from support.passes import parsed
 
 
@@ -62,3 +65,38 @@ def test_a_model_that_cannot_be_saved_is_as_it_was_too(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file"):
         save_model(read, tmp_path / "no" / "again.onnx")
     assert has_external_weights(read)
+
+
+@pytest.mark.parametrize("name", ["a link to a file", "a pipe", "a file cut off", "no file"])
+def test_a_model_whose_weights_escape_is_not_loaded(tmp_path: Path, name: str) -> None:
+    place = write_escape(tmp_path, name)
+    with pytest.raises(FileRefused, match=FILE):
+        load_model(place.model)
+
+
+@pytest.mark.parametrize("command", ["fix", "float16"])
+def test_a_copy_of_a_model_in_a_cache_of_links_has_its_weights(
+    tmp_path: Path, command: str
+) -> None:
+    (tmp_path / "blobs").mkdir()
+    (tmp_path / "snapshot").mkdir()
+    place = write_escape(tmp_path / "a", "no file")
+    place.model.rename(tmp_path / "blobs" / "aa11")
+    (tmp_path / "blobs" / "bb22").write_bytes(ROWS.tobytes())
+    (tmp_path / "snapshot" / "model.onnx").symlink_to("../blobs/aa11")
+    (tmp_path / "snapshot" / FILE).symlink_to("../blobs/bb22")
+    words = ["--rename"] if command == "fix" else []
+    ran = gsgen_here(command, "model.onnx", *words, "-o", "../copy.onnx", cwd=tmp_path / "snapshot")
+    assert ran.code == 0, ran.err
+    copy = weights(load_model(tmp_path / "copy.onnx"))
+    assert any(np.allclose(array, ROWS, atol=1e-3) for array in copy.values() if array.size > 600)
+
+
+def test_a_model_by_its_bare_name_is_contained_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Onnx-ir checks no path if the folder of the model's name is empty."""
+    place = write_escape(tmp_path, "a path through the parent")
+    monkeypatch.chdir(place.inside)
+    with pytest.raises(FileRefused, match="leads out of the model's folder"):
+        load_model(Path("model.onnx"))

@@ -1,6 +1,14 @@
 """The graph of an ONNX model for static rules: tensors with shapes, producers, consumers."""
 
-__all__ = ["Conflict", "Graph", "Tensor", "read_graph", "static_dims", "tensor_bytes"]
+__all__ = [
+    "Conflict",
+    "Graph",
+    "Tensor",
+    "read_graph",
+    "static_dims",
+    "stored_bytes",
+    "tensor_bytes",
+]
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -418,6 +426,11 @@ def tensor_bytes(tensor: Tensor) -> int:
     for dim in dims:
         bits *= int(dim)
     return -(-bits // 8)
+
+
+def stored_bytes(weight: TensorProto) -> int:
+    """Return the bytes that the shape and dtype of a weight need; 0 if unknown."""
+    return tensor_bytes(_weight_tensor(weight))
 
 
 def static_dims(tensor: Tensor) -> tuple[int, ...] | None:

@@ -8,6 +8,7 @@ __all__ = [
     "ModelFile",
     "bodies",
     "open_model",
+    "parse_length",
     "small_array",
     "subgraphs",
     "write_manifest",
@@ -110,6 +111,7 @@ class ModelFile:
         proto: The model, with stubs in place of large payloads and of external data.
         stripped: Number of payload bytes that were not read.
         external: Tensors whose payload lies in other files.
+        external_tensors: The same tensors as the model declares them, in the same order.
         whole: Whether every payload was read and no weight is sparse.
     """
 
@@ -118,6 +120,7 @@ class ModelFile:
     proto: ModelProto
     stripped_bytes: int
     external: tuple[ExternalRef, ...]
+    external_tensors: tuple[TensorProto, ...] = ()
     whole: bool = False
 
     @property
@@ -126,16 +129,27 @@ class ModelFile:
         return {entry.key: entry.value for entry in self.proto.metadata_props}
 
     @property
+    def loading_path(self) -> Path:
+        """The absolute path from whose folder the model's external weights are found.
+
+        It is ``path``, or the real file if ``path`` is a link without the weights beside it.
+        """
+        named = self.path.parent.resolve() / self.path.name
+        has_all = all(os.path.lexists(named.parent / ref.location) for ref in self.external)
+        return named if has_all else named.resolve()
+
+    @property
     def weight_bytes(self) -> int:
         """The bytes of the model file and of its external weights, each byte counted once.
 
         Declared lengths count only as far as the external files reach.
         """
+        folder = self.loading_path.parent
         ranges: dict[str, list[tuple[int, int]]] = {}
         for ref in self.external:
             end = _MAX_LENGTH if ref.length is None else ref.offset + ref.length
             ranges.setdefault(ref.location, []).append((ref.offset, end))
-        external_sizes = (_covered_bytes(self.path.parent, *item) for item in ranges.items())
+        external_sizes = (_covered_bytes(folder, *item) for item in ranges.items())
         return self.size + sum(external_sizes)
 
     @property
@@ -176,7 +190,8 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     proto = _parse(path, stripped_model.data)
     parts = list(bodies(proto))
     _check_texts(path, proto, parts, stripped_model.data[:32])
-    external = tuple(_detach_external(parts))
+    detached = list(_detach_external(parts))
+    external = tuple(ref for ref, _ in detached)
     whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse, parts)))
     return ModelFile(
         path=path,
@@ -184,6 +199,7 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
         proto=proto,
         stripped_bytes=stripped_model.stripped_bytes,
         external=external,
+        external_tensors=tuple(tensor for _, tensor in detached),
         whole=whole,
     )
 
@@ -257,24 +273,34 @@ def _is_text(head: bytes) -> bool:
     )
 
 
-def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
-    """Replace the data of external tensors by a stub, and yield the location of the data."""
+def _detach_external(parts: list[Body]) -> Iterator[tuple[ExternalRef, TensorProto]]:
+    """Replace the data of external tensors by a stub; yield the place of the data, and the rest."""
     for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
         entries = {entry.key: entry.value for entry in tensor.external_data}
+        # Libraries differ in which of two locations they read.
+        locations = [entry.value for entry in tensor.external_data if entry.key == "location"]
+        declared = TensorProto(
+            name=tensor.name,
+            data_type=tensor.data_type,
+            dims=tensor.dims,
+            external_data=tensor.external_data,
+        )
         tensor.ClearField("external_data")
         tensor.ClearField("data_location")
         tensor.raw_data = STUB
-        yield ExternalRef(
-            tensor.name,
-            entries.get("location", ""),
-            _parse_length(entries.get("offset")) or 0,
-            _parse_length(entries.get("length")),
-        )
+        for location in locations or [""]:
+            ref = ExternalRef(
+                tensor.name,
+                location,
+                parse_length(entries.get("offset")) or 0,
+                parse_length(entries.get("length")),
+            )
+            yield ref, declared
 
 
-def _parse_length(text: str | None) -> int | None:
+def parse_length(text: str | None) -> int | None:
     """Parse a non-negative decimal number; return None if ``text`` is None or not a number."""
     if text is None or not (text.isascii() and text.isdigit()):
         return None

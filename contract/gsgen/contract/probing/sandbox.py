@@ -21,7 +21,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
+from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.process.parent_watchdog import child_environment, python_command
@@ -136,7 +137,7 @@ def execute(
     """Run a model once for each set of test inputs, in order, in one sandboxed session.
 
     Args:
-        model: The ONNX file.
+        model: The ONNX file; an empty path if the worker needs none.
         outputs: Names of the outputs to fetch.
         probes: Inputs, one set a run.
         limits: Time and memory for the child.
@@ -144,12 +145,21 @@ def execute(
         rows: The output of packed rows, which survey probes and camera placements read.
         count: The output of the row count, which survey probes read.
         options: What that worker wants to know besides; anything that JSON can hold.
+
+    A model that is unreadable, or whose external weights must not be read, is a fault of loading;
+    no child sees it.
     """
+    try:
+        loading_path = model if model == Path() else require_loadable(model)
+    except ModelUnreadable as error:
+        fault = Fault("load", error.message)
+        yield Execution(runs=(), samples=(), fault=fault, seconds=0.0, version="")
+        return
     folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
     try:
         try:
             names = {"rows": rows, "count": count}
-            _write_job(folder, model, outputs, probes, limits, **names, **options)
+            _write_job(folder, loading_path, outputs, probes, limits, **names, **options)
         except OSError as error:
             message = f"inputs cannot be written: {error.strerror or error}"
             hint = "Make room there, or set TMPDIR to a folder that has some."
@@ -176,7 +186,7 @@ def _write_job(
             numbers[id(array)] = len(numbers)
             np.save(folder / f"input_{numbers[id(array)]}.npy", array, allow_pickle=False)
     job = {
-        "model": str(model.resolve()),
+        "model": str(model),
         "outputs": list(outputs),
         "probes": [[(n, numbers[id(a)]) for n, a in probe.inputs.items()] for probe in probes],
         "extra": [probe.extra for probe in probes],

@@ -13,6 +13,7 @@ __all__ = [
     "input_reader",
     "keep_outputs",
     "main",
+    "model_source",
     "run_worker",
     "subsample_rows",
     "subsample_step",
@@ -132,9 +133,19 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
     started = time.perf_counter()
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    source = model_source(model)
+    session = onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
     emit("loaded", seconds=time.perf_counter() - started)
     return session
+
+
+def model_source(path: str) -> str | bytes:
+    """Return what ONNX Runtime opens a model by: its path, or its bytes if that is not UTF-8."""
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return Path(path).read_bytes()
+    return path
 
 
 def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str, np.ndarray]]:

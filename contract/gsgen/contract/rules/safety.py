@@ -1,12 +1,10 @@
 """Rules of safety (GS): a model reads no files outside its folder, and respects limits."""
 
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath, PureWindowsPath
-from stat import S_ISREG
 
+from gsgen.contract.model.files_beside import weight_faults
 from gsgen.contract.model.graph import tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.model.model_file import ExternalRef
 from gsgen.contract.probing.probe_plan import probed_bytes, probed_shapes
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import KINDS
@@ -35,51 +33,8 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Store weights inside the model or in a file beside it, and ship both.
     """
-    root = subject.file.path.resolve().parent
-    faults: dict[str, tuple[str, str]] = {}
-    for ref in subject.file.external:
-        weight = subject.graph.initializers.get(ref.tensor)
-        fault = _fault(ref, root, tensor_bytes(weight) if weight else 0)
-        if fault is not None:
-            faults.setdefault(ref.location, fault)
-    for location, (actual, expected) in faults.items():
+    for location, (actual, expected) in weight_faults(subject.file).items():
         yield Violation.at(f"external data {location!r}", actual, expected)
-
-
-def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
-    """Return the fault of an external weight file's path, and the expected path; None if valid."""
-    windows_path, posix_path = PureWindowsPath(ref.location), PurePosixPath(ref.location)
-    if not ref.location or "\0" in ref.location:
-        return "no file name", "a file beside the model"
-    if (
-        posix_path.is_absolute()
-        or windows_path.is_absolute()
-        or windows_path.drive
-        or ".." in windows_path.parts
-    ):
-        return (
-            f"leads out of the model's folder (weight {ref.tensor!r})",
-            "a relative path below it",
-        )
-    missing_file = f"no such file (weight {ref.tensor!r})", "a file beside the model"
-    try:
-        path = (root / ref.location).resolve()
-        if not path.is_relative_to(root):
-            return f"is a link to {path}", "a file below the model's folder"
-        status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
-    except (FileNotFoundError, NotADirectoryError):
-        return missing_file
-    except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
-        reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
-        return f"cannot be looked up: {reason}", "a file beside the model"
-    if not S_ISREG(status.st_mode):
-        return missing_file
-    needed_bytes = ref.offset + (payload if ref.length is None else ref.length)
-    if needed_bytes > status.st_size:
-        return f"has {status.st_size} bytes (weight {ref.tensor!r})", f"at least {needed_bytes}"
-    if payload and ref.length not in (None, payload):
-        return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
-    return None
 
 
 @rule("GS002", Severity.ERROR, kinds=KINDS)

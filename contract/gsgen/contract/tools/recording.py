@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError
+from gsgen.contract.model.files_beside import contained_file
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import ModelFile, open_model, write_manifest_text
 from gsgen.contract.probing.probes import Probe
@@ -128,7 +129,7 @@ def write_recorded_copy(
     try:
         with atomic_write(model) as draft:
             for location in dict.fromkeys(ref.location for ref in file.external):
-                weights = file.path.parent / location
+                weights = contained_file(file.path, location)
                 if (model.parent / location).resolve() != weights.resolve():
                     copy = draft.parent / location
                     copy.parent.mkdir(parents=True, exist_ok=True)

@@ -208,7 +208,7 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
             )
         else:
             try:
-                expected = read_reference(probe_runs.subject.file.path.parent, reference)
+                expected = read_reference(probe_runs.subject.file.path, reference)
                 height, width = expected.shape[:2]
                 camera = reference_camera(reference, width, height)
             except (ReferenceUnreadable, SceneInvalid) as error:

@@ -13,13 +13,14 @@ __all__ = [
 
 import hashlib
 import io
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.model.files_beside import FileRefused, contained_file
 from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
@@ -54,9 +55,9 @@ class ReferenceUnreadable(GsgenError):
     """Raised if a reference image is missing, outside its folder, altered, too large, not a PNG."""
 
 
-def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
-    """Read a reference image of a model's folder, as red, green and blue in [0, 1]."""
-    image_bytes = _bytes(folder, reference.path)
+def read_reference(model: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
+    """Read a reference image beside a model, as red, green and blue in [0, 1]."""
+    image_bytes = _bytes(model, reference.path)
     digest = hashlib.sha256(image_bytes).hexdigest()
     if digest != reference.sha256:
         raise ReferenceUnreadable(f"the image's sha256 is {digest}, expected {reference.sha256}")
@@ -93,17 +94,14 @@ def reference_camera(reference: ReferenceImage, width: int, height: int) -> Came
     return Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
 
-def _bytes(folder: Path, name: str) -> bytes:
-    parts = PurePosixPath(name)
-    root = folder.resolve()
-    path = (root / parts).resolve()
-    if "\\" in name or parts.is_absolute() or not path.is_relative_to(root):
-        raise ReferenceUnreadable(f"the reference image {name!r} is outside the model's folder")
+def _bytes(model: Path, name: str) -> bytes:
     try:
-        if not path.is_file():
-            raise ReferenceUnreadable("the reference image is missing in the model's folder")
-        with path.open("rb") as file:
+        with contained_file(model, name).open("rb") as file:
             image_bytes = file.read(_MAX_BYTES + 1)
+    except FileRefused as error:
+        raise ReferenceUnreadable(
+            f"the reference image {name!r}: {error.actual}, expected {error.expected}"
+        ) from error
     except OSError as error:
         raise ReferenceUnreadable(f"the image cannot be read: {error.strerror}") from error
     if len(image_bytes) > _MAX_BYTES:

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsgen.contract.errors import InputUnreadable
+from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.sandbox_worker import model_source
 from gsgen.contract.spec.fields.roles import STATE_SIZES
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.manifest_io import loads
@@ -77,9 +79,10 @@ class TrajectoryModel:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 3
+        source = model_source(str(require_loadable(path)))
         try:
             session = onnxruntime.InferenceSession(
-                str(path), options, providers=["CPUExecutionProvider"]
+                source, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # ONNX Runtime raises types of its own, without a base
             raise InputUnreadable(

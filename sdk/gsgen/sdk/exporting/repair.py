@@ -31,7 +31,12 @@ from gsgen.sdk.passes import (
     ReorderHarmonics,
     SilencePadding,
 )
-from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
+from gsgen.sdk.rewriting.model_io import (
+    has_external_weights,
+    load_model,
+    refuse_overwriting,
+    save_model,
+)
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 
@@ -87,7 +92,7 @@ def repair(
         raise GsgenError(
             "the model has no fault that gsgen can repair without guessing", where=str(source)
         )
-    model = ir.load(source)
+    model = load_model(source)
     _check_symbols(model, request.sizes)
     external_weights = has_external_weights(model)
     for _, change in repair_steps:

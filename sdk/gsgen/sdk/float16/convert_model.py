@@ -39,6 +39,7 @@ from gsgen.sdk.passes.repairs import PadColor
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
+    load_model,
     refuse_overwriting,
     save_model,
     weight_bytes,
@@ -129,7 +130,7 @@ def write_float16(
             hint="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
             "`gsgen fix`.",
         )
-    model = ir.load(source)
+    model = load_model(source)
     external_weights = has_external_weights(model)
     normalize_model(model)
     probes = probes_of(subject, {})

@@ -1,19 +1,56 @@
-"""Saves an ONNX graph in one file, or with external weights beyond protobuf's limit."""
+"""Loads an ONNX graph, and saves it in one file or with external weights beyond protobuf's limit."""
 
-__all__ = ["has_external_weights", "refuse_overwriting", "save_model", "weight_bytes"]
+__all__ = ["has_external_weights", "load_model", "refuse_overwriting", "save_model", "weight_bytes"]
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import onnx_ir as ir
 
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
+from gsgen.contract.model.files_beside import contained_file, require_loadable
 from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
 
 # Weights up to this size stay in the model even if larger ones go to a second file.
 _SMALL_BYTES = 256
+
+
+def load_model(path: Path) -> ir.Model:
+    """Load a model file, whose external weights are mapped when they are used.
+
+    Raises:
+        ModelUnreadable: The file is not an ONNX model, or external weights are outside its folder,
+            missing or too short.
+    """
+    source = require_loadable(path)
+    try:
+        model = ir.load(source, format="protobuf")
+    except Exception as error:  # onnx-ir's errors share no base class
+        message = f"the file is not a readable ONNX graph: {error}"
+        raise ModelUnreadable(message, where=str(path)) from error
+    for value in _weights(model):
+        if isinstance(value.const_value, ir.ExternalTensor):
+            value.const_value = _at_real_path(source, value.const_value)
+    return model
+
+
+def _at_real_path(model: Path, tensor: ir.ExternalTensor) -> ir.ExternalTensor:
+    """Return an external weight without links in its path, which onnx-ir follows in a folder only."""
+    path = contained_file(model, os.fspath(tensor.location))
+    return ir.ExternalTensor(
+        path.name,
+        tensor.offset,
+        tensor.length,
+        tensor.dtype,
+        shape=tensor.shape,
+        name=tensor.name,
+        doc_string=tensor.doc_string,
+        metadata_props=dict(tensor.metadata_props),
+        base_dir=path.parent,
+    )
 
 
 def weight_bytes(model: ir.Model) -> int:
@@ -43,7 +80,7 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
     """
     if path.resolve() == source.path.resolve():
         return
-    read = {(source.path.parent / ref.location).resolve() for ref in source.external}
+    read = {(source.loading_path.parent / ref.location).resolve() for ref in source.external}
     written_paths = path.resolve(), path.with_name(f"{path.name}.data").resolve()
     overwritten_names = [target.name for target in written_paths if target in read]
     if overwritten_names:

@@ -27,7 +27,7 @@ from onnx_ir.passes.common import (
     ShapeInferencePass,
 )
 
-from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.graph import read_graph
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
@@ -46,7 +46,12 @@ from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import BIT_EXACT, ErrorBudget, Rewrite, RewriteTarget, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
-from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
+from gsgen.sdk.rewriting.model_io import (
+    has_external_weights,
+    load_model,
+    refuse_overwriting,
+    save_model,
+)
 from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
@@ -310,12 +315,7 @@ def _names(changes: Sequence[Change]) -> str:
 
 
 def _load(source: Path, opset: int | None) -> ir.Model:
-    try:
-        model = ir.load(source)
-    except Exception as error:  # onnx-ir's errors share no base class
-        raise ModelUnreadable(
-            f"the file is not a readable ONNX graph: {error}", where=str(source)
-        ) from error
+    model = load_model(source)
     _refuse_higher_opset(model, opset)
     return model
 

@@ -4,8 +4,9 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 
+from gsgen.contract.model.files_beside import FileRefused, contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import KINDS, ROLES
 from gsgen.contract.spec.manifest import ReferenceImage
@@ -168,31 +169,23 @@ def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
         Ship the pictures beside the model; draw them again with
         `gsgen references MODEL -o MODEL --force` if the model has changed.
     """
-    folder = subject.file.path.resolve().parent
     for index, image in enumerate(subject.generator.reference_images if subject.generator else ()):
-        fault = _image_fault(folder, image)
+        fault = _image_fault(subject.file.path, image)
         if fault is not None:
             yield Violation.at(f"manifest reference_images.{index} {image.path!r}", *fault)
 
 
-def _image_fault(folder: Path, image: ReferenceImage) -> tuple[str, str] | None:
+def _image_fault(model: Path, image: ReferenceImage) -> tuple[str, str] | None:
     """Return the fault of a reference image's file, and the expected value; None if valid."""
     expected = "a PNG in the model's folder or below it"
-    windows_path = PureWindowsPath(image.path)
-    if "\0" in image.path or PurePosixPath(image.path).is_absolute() or windows_path.anchor:
-        return "an absolute path", expected
-    if ".." in windows_path.parts:
-        return "leads out of the model's folder", expected
     try:
-        path = (folder / image.path).resolve()
-        if not path.is_relative_to(folder):
-            return f"is a link to {path}", expected
-        if not path.is_file():
-            return "no such file", expected
+        path = contained_file(model, image.path)
         if path.stat().st_size > _MOST_IMAGE_BYTES:
             return format_mebibytes(path.stat().st_size), f"{format_mebibytes(_MOST_IMAGE_BYTES)}"
         content = path.read_bytes()
-    except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
+    except FileRefused as error:
+        return error.actual, expected
+    except OSError as error:
         return f"cannot be read: {error}", expected
     if not content.startswith(_PNG):
         return "is not a PNG", expected

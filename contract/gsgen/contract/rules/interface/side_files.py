@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from gsgen.contract.model.files_beside import FileRefused, contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import KINDS
@@ -24,14 +25,12 @@ def _digest(path: Path) -> str:
     return hasher.hexdigest()
 
 
-def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
+def _fault(model: Path, location: str, sha256: str) -> tuple[str, str] | None:
     """Return the fault of a file beside the model, and the expected value; None if valid."""
-    path = folder / location
-    if "\0" in location or not path.resolve().is_relative_to(folder.resolve()):
-        return "leads out of the model's folder", "a file in it or below"
-    if not path.is_file():
-        return "no such file", "a file beside the model"
-    actual = _digest(path)
+    try:
+        actual = _digest(contained_file(model, location))
+    except FileRefused as error:
+        return error.actual, error.expected
     return None if actual == sha256 else (f"sha256 {actual[:12]}…", f"{sha256[:12]}…, as declared")
 
 
@@ -46,7 +45,7 @@ def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Write them again with `gsgen vectors`, and ship the folder with the model.
     """
-    manifest, folder = subject.manifest, subject.file.path.parent
+    manifest, model = subject.manifest, subject.file.path
     names = sorted(entry.name for entry in manifest.inputs) if manifest else []
     for number, vector in enumerate(manifest.test_vectors if manifest else ()):
         where = f"manifest test_vectors.{number}"
@@ -55,12 +54,12 @@ def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(
                 where, f"files for {input_names}", f"one for each of {', '.join(names)}"
             )
-        yield from _check_files(where, vector.files, folder)
+        yield from _check_files(where, vector.files, model)
 
 
-def _check_files(where: str, files: tuple[VectorFile, ...], folder: Path) -> Iterator[Violation]:
+def _check_files(where: str, files: tuple[VectorFile, ...], model: Path) -> Iterator[Violation]:
     for file in files:
-        fault = _fault(folder, file.path, file.sha256)
+        fault = _fault(model, file.path, file.sha256)
         if fault is not None:
             yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1])
 
@@ -83,6 +82,6 @@ def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if entry.path not in used_locations:
             yield Violation.at(where, "no weight lies there", "a file that the model uses")
             continue
-        fault = _fault(subject.file.path.parent, entry.path, entry.sha256)
+        fault = _fault(subject.file.loading_path, entry.path, entry.sha256)
         if fault is not None:
             yield Violation.at(where, *fault)

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.model.files_beside import require_loadable
+from gsgen.contract.probing.sandbox_worker import model_source
 from gsgen.sdk.binding.providers.cancellation import FATAL, Stop
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import CPU, error_text
@@ -165,7 +167,7 @@ def open_session(model: Path | bytes, session_options: SessionOptions) -> Any:
         settings.add_provider_for_devices([device], session_options.provider_options)
     else:
         providers = [(PROVIDER_NAMES[provider], session_options.provider_options)]
-    source = model if isinstance(model, bytes) else str(model)
+    source = model if isinstance(model, bytes) else model_source(str(require_loadable(model)))
     try:
         # With fallback, a missing adapter would open a session on the CPU.
         session = onnxruntime.InferenceSession(source, settings, providers, enable_fallback=0)

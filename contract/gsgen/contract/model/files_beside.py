@@ -1,0 +1,148 @@
+"""The one gate to files that a model names: external weights, pictures, test vectors.
+
+Such a file is a regular file, of one name, in or below the model's folder. If the model itself is
+a link, as in caches that store files by digest, the file may also be a link to one that lies right
+beside the model's real file.
+"""
+
+__all__ = ["FileRefused", "contained_file", "require_loadable", "weight_faults"]
+
+import os
+import stat
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from onnx import TensorProto
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.model.graph import stored_bytes
+from gsgen.contract.model.model_file import ExternalRef, ModelFile, open_model, parse_length
+
+_BESIDE = "a file beside the model"
+# ONNX Runtime takes this name for an address in its memory; Windows allows no such name.
+_RESERVED = "*"
+
+
+class FileRefused(ModelUnreadable):
+    """Raised if a file that a model names must not be read, or cannot be.
+
+    Attributes:
+        actual: The fault.
+        expected: The file that the contract asks for.
+    """
+
+    def __init__(self, model: Path, location: str, fault: tuple[str, str]) -> None:
+        self.actual, self.expected = fault
+        super().__init__(
+            f"names the file {location!r:.200}: {self.actual}, expected {self.expected}",
+            where=str(model),
+            hint="`gsgen explain GS001` says why.",
+        )
+
+
+def contained_file(model: Path, location: str) -> Path:
+    """Return the real path of a file that a model names by ``location``.
+
+    The path counts from the folder of the model or, if the model is a link and no such file is
+    there, from the folder of its real file.
+
+    Raises:
+        FileRefused: It is missing, lies elsewhere, is not a regular file, or has several names.
+    """
+    found = _lookup(model, location)
+    if isinstance(found, Path):
+        return found
+    raise FileRefused(model, location, found)
+
+
+def _lookup(model: Path, location: str) -> Path | tuple[str, str]:
+    """Return the real path of a file that a model names, or its fault and the expected file."""
+    if not location or "\0" in location or _RESERVED in location:
+        return "no file name", _BESIDE
+    if _leads_out(location):
+        return "leads out of the model's folder", "a relative path below it"
+    named = model.parent.resolve() / model.name
+    real = named.resolve()
+    base = named if os.path.lexists(named.parent / location) else real
+    try:
+        path = (base.parent / location).resolve()
+        is_below = path.is_relative_to(base.parent)
+        is_beside_real_model = base != real and path.parent == real.parent
+        if not (is_below or is_beside_real_model):
+            return f"is a link to {path}", "a file below the model's folder"
+        status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
+    except (FileNotFoundError, NotADirectoryError):
+        return "no such file", _BESIDE
+    except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
+        reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
+        return f"cannot be looked up: {reason}", _BESIDE
+    if not stat.S_ISREG(status.st_mode):
+        return "is a folder, a pipe or a device", "a regular file beside the model"
+    if status.st_nlink > 1:  # it may be another program's file, under a second name
+        return f"is a file of {status.st_nlink} names (hard links)", "a copy of it"
+    return path
+
+
+def _leads_out(location: str) -> bool:
+    windows_path = PureWindowsPath(location)
+    return bool(
+        PurePosixPath(location).is_absolute() or windows_path.anchor or ".." in windows_path.parts
+    )
+
+
+def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:
+    """Return the faults of external weights by location: the actual state, and the expected one.
+
+    No byte of these files is read.
+    """
+    faults: dict[str, tuple[str, str]] = {}
+    for ref, tensor in zip(file.external, file.external_tensors, strict=True):
+        fault = _weight_fault(file.loading_path, ref, tensor)
+        if fault is not None:
+            faults.setdefault(ref.location, fault)
+    return faults
+
+
+def _weight_fault(model: Path, ref: ExternalRef, tensor: TensorProto) -> tuple[str, str] | None:
+    found = _lookup(model, ref.location)
+    if not isinstance(found, Path):
+        weight = f" (weight {ref.tensor!r})" if ref.location else ""
+        return f"{found[0]}{weight}", found[1]
+    size = found.stat().st_size
+    for entry in tensor.external_data:
+        if entry.key in ("offset", "length") and parse_length(entry.value) is None:
+            actual = f"declares the {entry.key} {entry.value!r:.40} for weight {ref.tensor!r}"
+            return actual, "a whole number"
+    payload = stored_bytes(tensor)
+    needed_bytes = ref.offset + (payload if ref.length is None else ref.length)
+    if needed_bytes > size:
+        return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed_bytes}"
+    if payload and ref.length not in (None, payload):
+        return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
+    return None
+
+
+def require_loadable(path: Path) -> Path:
+    """Return the path under which a program may load a model together with its external weights.
+
+    Every command calls this before a library that reads external weights gets the path.
+
+    Raises:
+        ModelUnreadable: ``path`` is not an ONNX model.
+        FileRefused: External weights are outside the model's folder, missing or too short.
+    """
+    file = open_model(path)
+    for location, fault in weight_faults(file).items():
+        raise FileRefused(path, location, fault)
+    loading_path = file.loading_path
+    if file.external and not _is_utf8(str(loading_path)):
+        message = "has external weights and a path that is not UTF-8, which no runtime opens"
+        raise ModelUnreadable(message, where=str(path), hint="Rename the file or its folder.")
+    return loading_path
+
+
+def _is_utf8(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -1,0 +1,39 @@
+"""Every command that takes a model refuses one whose weights lie outside of its folder."""
+
+import pytest
+
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.samples import garden
+from support.commands import gsgen_here, measured_gsgen
+from support.hostile.model_escapes import (
+    COMMANDS,
+    REPORTING,
+    command_words,
+    has_weights_of,
+    write_escape,
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_copies_nothing_from_outside(tmp_path, command):
+    place = write_escape(tmp_path, "a path through the parent")
+    write_ply(place.inside / "scene.ply", garden(200))
+    (place.inside / "out").mkdir()
+    ran = gsgen_here(*command_words(command), cwd=place.inside)
+    assert ran.code in ((0, 1, 2) if command in REPORTING - {"diff"} else (1, 2, 4)), ran.err
+    assert "Traceback" not in ran.out + ran.err
+    assert not has_weights_of(place.inside / "out")
+    if command not in REPORTING:
+        assert not list((place.inside / "out").iterdir())
+        assert len(ran.err.strip().splitlines()) <= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a pipe", "a link to a device", "a link to standard input"])
+def test_a_conversion_of_weights_without_end_is_refused_at_once(tmp_path, name):
+    place = write_escape(tmp_path, name)
+    ran = measured_gsgen("float16", place.model, "-o", tmp_path / "half.onnx")
+    assert ran.code == 4
+    assert ran.seconds < 10
+    assert ran.peak_bytes < 300e6
+    assert not (tmp_path / "half.onnx").exists()

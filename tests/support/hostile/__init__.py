@@ -1,0 +1,1 @@
+"""Files as an attacker would write them: models, pickles, arrays and archives."""
