@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.fetching import client
 from gsgen.contract.fetching.client import WebClient, fetch
 from gsgen.contract.fetching.errors import (
     AddressRefused,
@@ -57,11 +58,12 @@ def test_kind_of_the_error_says_what_to_do(name: str, kind: type[FetchFailed]) -
         fetch(server.address, max_bytes=1 << 20, seconds=5)
 
 
-def test_answer_that_ends_early_is_tried_four_times() -> None:
+def test_answer_that_ends_early_is_tried_six_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "_BACKOFF", 0.01)
     with hostile_server(ANSWERS["length-too-long"]) as server:
         with pytest.raises(ServerUnavailable, match="ended early"):
             fetch(server.address, max_bytes=1 << 20, seconds=20)
-        assert server.requests == 4
+        assert server.requests == 6
 
 
 def test_long_wait_is_told_without_waiting() -> None:
@@ -185,19 +187,19 @@ def test_name_that_is_not_resolved_ends_in_time(monkeypatch: pytest.MonkeyPatch)
 
 def test_closing_the_client_ends_a_request_that_waits() -> None:
     with hostile_server(ANSWERS["no-answer"]) as server:
-        client = WebClient(server.address, seconds=20)
+        waiting = WebClient(server.address, seconds=20)
         errors: list[Exception] = []
 
         def ask() -> None:
             with pytest.raises(FetchFailed) as caught:
-                client.read(server.address, max_bytes=1)
+                waiting.read(server.address, max_bytes=1)
             errors.append(caught.value)
 
         thread = threading.Thread(target=ask)
         thread.start()
         while not server.requests:
             time.sleep(0.005)
-        client.close()
+        waiting.close()
         thread.join(5)
         assert len(errors) == 1
 

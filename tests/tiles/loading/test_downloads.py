@@ -1,5 +1,6 @@
 """Files of splats on a web server."""
 
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,3 +54,25 @@ def test_faults_name_the_address(address: str, tmp_path: Path) -> None:
     completed = gsgen_here("convert", f"{address}/none.ply", tmp_path / "b.ply")
     assert completed.code == 4
     assert "404" in completed.err
+
+
+def test_address_with_a_quoted_name_is_read(address: str, tmp_path: Path) -> None:
+    (tmp_path / "served" / "a b.ply").write_bytes((tmp_path / "served" / "a.ply").read_bytes())
+    assert_near(open_splats(f"{address}/a%20b.ply"), scene(20, 1))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "..", "a/../..", "/etc/passwd", "a\\b", "a\0b", "\x1b[31m", "x" * 300, "\ud800.webp"],
+)
+def test_remote_sog_with_an_unusual_image_name_is_refused(
+    address: str, tmp_path: Path, name: str
+) -> None:
+    meta = tmp_path / "served" / "meta.json"
+    document = json.loads(meta.read_bytes())
+    document["means"]["files"][0] = name
+    meta.write_text(json.dumps(document))
+    with pytest.raises(FormatError) as caught:
+        open_splats(f"{address}/meta.json")
+    assert caught.value.path == f"{address}/meta.json"
+    assert str(caught.value).replace("\n", " ").isprintable()

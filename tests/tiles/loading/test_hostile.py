@@ -11,13 +11,16 @@ from typing import Any
 
 import pytest
 
-from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import Limits, load_tileset, open_tileset
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.serving.faults import NetworkFaults
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.validation.sketches import edit_glb, explicit_sketch
 from support.tiles import foreign_tiles as foreign
+from support.tiles.serving import served
 
 _ROOM = 700 << 20
 
@@ -208,3 +211,40 @@ def test_a_tile_of_too_many_splats_is_not_decoded(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "GT005" in done.stdout
     assert "60,000,000 splats" in done.stdout
+
+
+def test_sixty_thousand_external_tilesets_are_refused_before_the_first_is_read(
+    tmp_path: Path,
+) -> None:
+    root = {**leaf("x.glb"), "children": [leaf(f"{number}.json?v=1") for number in range(60_000)]}
+    path = foreign.write(tmp_path, {"tileset.json": foreign.tileset(root)})
+    with pytest.raises(TilesetInvalid, match="more than 50,000 JSON") as caught:
+        open_tileset(path)
+    assert "tileset.json" in caught.value.location
+
+
+def test_external_tilesets_that_take_long_end_in_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each file is in time, and all of them together are not."""
+    monkeypatch.setenv("GSGEN_FETCH_SECONDS", "0.1")
+    root = {**leaf("x.glb"), "children": [leaf(f"{number}.json") for number in range(200)]}
+    files = {f"{number}.json": foreign.tileset(leaf("x.glb")) for number in range(200)}
+    path = foreign.write(tmp_path, {"tileset.json": foreign.tileset(root), **files})
+    with (
+        served(path.parent, NetworkFaults(latency=0.02)) as address,
+        pytest.raises(StoreUnavailable, match=r"reading the tileset took 0\.5 s; \d+ JSON"),
+    ):
+        open_tileset(f"{address}tileset.json")
+
+
+@pytest.mark.parametrize("count", [-1, 1 << 70, "many", [1], None, True, 1e300])
+@pytest.mark.parametrize("name", ["splats", "bytes"])
+def test_declared_counts_of_any_kind_stream(tmp_path: Path, name: str, count: object) -> None:
+    entry = {**leaf("x.glb"), "metadata": {"class": "tile", "properties": {name: count}}}
+    files = {"tileset.json": foreign.tileset(entry), "x.glb": foreign.gltf(foreign.cloud(0))}
+    tileset = open_tileset(foreign.write(tmp_path, files))
+    with FolderStore(tmp_path) as store:
+        tree = TileTree.of_tileset(tileset, store)
+    assert (tree.size >= 0).all()
+    assert (tree.splats >= 0).all()

@@ -294,3 +294,13 @@ def test_path_or_address_gives_store_and_index(tmp_path: Path) -> None:
     store.close()
     store, index = open_store(tmp_path / "x" / "other.json")
     assert (store.name, index) == (str(tmp_path / "x"), "other.json")
+
+
+@pytest.mark.parametrize(
+    "address", ["http://[::1/a.ply", "http://", "https://a:b@c/x.3tz", "http://a:x/"]
+)
+def test_malformed_address_is_named(address: str, tmp_path: Path) -> None:
+    completed = gsgen_here("convert", address, tmp_path / "a.ply")
+    assert completed.code == 4, completed.err
+    assert "is not a web address" in completed.err
+    assert "Traceback" not in completed.err

@@ -1,9 +1,10 @@
-"""Each fault of a server: `gsgen render` draws a picture, and one line names the address."""
+"""Each fault of a server: the other tiles are drawn, and one line counts those that are missing."""
 
+import json
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -13,7 +14,11 @@ from PIL import Image
 
 from gsgen.contract.fetching import client
 from gsgen.formats import write_ply
+from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.loading.tileset_loader import open_tileset
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.streaming.fetch import FetchLink, OnBytes
+from gsgen.tiles.streaming.session import SessionOptions, open_session
 from support.commands import gsgen_here
 from support.tiles.builds import build
 from support.tiles.tile_scenes import scattered
@@ -22,16 +27,22 @@ pytestmark = pytest.mark.slow
 
 
 SLOW, STALLED = 0.2, 3.0  # seconds a byte, and in all
+REDIRECTS = {
+    "redirect": "http://elsewhere.example/x.glb",
+    "malformed-redirect": "http://[::1/x.glb",
+    "redirect-without-host": "http://:80/x.glb",
+}
 
 
 class FaultyServer(ThreadingHTTPServer):
-    """Serves a folder; the answers of one path have a fault."""
+    """Serves a folder; the answers of some paths have a fault."""
 
     daemon_threads = True
 
     def __init__(self, folder: Path) -> None:
         super().__init__(("127.0.0.1", 0), FaultyHandler)
-        self.folder, self.path, self.fault = folder, "", ""
+        self.folder, self.fault = folder, ""
+        self.paths: set[str] = set()
 
     @property
     def address(self) -> str:
@@ -46,14 +57,14 @@ class FaultyHandler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         path = self.path.lstrip("/")
         data = (self.server.folder / path).read_bytes()
-        fault = self.server.fault if path == self.server.path else ""
+        fault = self.server.fault if path in self.server.paths else ""
         if fault == "not-found":
             self.send_error(404)
         elif fault == "server-error":
             self.send_error(503)
-        elif fault == "redirect":
+        elif fault in REDIRECTS:
             self.send_response(302)
-            self.send_header("Location", f"http://elsewhere.example/{path}")
+            self.send_header("Location", REDIRECTS[fault])
             self.send_header("Content-Length", "0")
             self.end_headers()
         elif fault == "stalled":
@@ -78,9 +89,10 @@ class FaultyHandler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "HEAD":
             return
-        for start in range(0, len(sent), 1 if pause else len(sent)):
-            self.wfile.write(sent[start : start + 1] if pause else sent)
-            time.sleep(pause)
+        with suppress(ConnectionError):  # the client has gone
+            for start in range(0, len(sent), 1 if pause else len(sent)):
+                self.wfile.write(sent[start : start + 1] if pause else sent)
+                time.sleep(pause)
 
     def log_message(self, format: str, *args: object) -> None:
         pass
@@ -106,37 +118,100 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "tiles"
 
 
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        ("not-found", "answers 404"),
-        ("server-error", "answers 503"),
-        ("cut-short", "ended early"),
-        ("slow", "did not come within 0.5 s"),
-        ("stalled", "did not come within 0.5 s"),
-        ("wrong-length", "expected"),
-        ("other-bytes", "expected"),
-        ("redirect", "redirects to 'http://elsewhere.example/"),
-    ],
-)
-def test_faulty_file_leaves_a_picture_and_a_warning(
-    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, words: str
-) -> None:
+FAULTS = {
+    "not-found": "answers 404",
+    "server-error": "answers 503",
+    "cut-short": "ended early",
+    "slow": "did not come within 0.5 s",
+    "stalled": "did not come within 0.5 s",
+    "wrong-length": "expected",
+    "other-bytes": "expected",
+    "redirect": "redirects to 'http://elsewhere.example/",
+    "malformed-redirect": "redirects to 'http://[::1/",
+    "redirect-without-host": "redirects to 'http://:80/",
+}
+
+
+@pytest.fixture(autouse=True)
+def short_times(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client, "_BACKOFF", 0.01)
     monkeypatch.setenv("GSGEN_FETCH_SECONDS", "0.5")
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_picture_without_a_tile_is_written_and_fails(
+    town: Path, tmp_path: Path, fault: str
+) -> None:
     leaf = next(tile for tile in open_tileset(town).tiles() if not tile.children)
     picture = tmp_path / "picture.png"
     with serving(town) as server:
-        server.path, server.fault = leaf.contents[0].uri, fault
+        server.paths, server.fault = {leaf.contents[0].uri}, fault
         address = server.address
-        completed = gsgen_here(
+        words = (
             *("render", f"{address}tileset.json", "-o", picture, "--sse", "0.1"),
             *("--width", "64", "--height", "48", "--wait", "3", "--cache", "0"),
         )
-    assert completed.code == 0, completed.err
-    lines = completed.err.splitlines()
-    matching_lines = [line for line in lines if words in line]
-    assert len(matching_lines) == len(lines) == 1, completed.err
-    assert matching_lines[0].startswith(f"gsgen: {address}")
-    assert address + server.path in matching_lines[0]
-    assert np.asarray(Image.open(picture)).max() > 20
+        completed = gsgen_here(*words)
+        assert np.asarray(Image.open(picture)).max() > 20
+        accepted = gsgen_here(*words, "--allow-missing")
+    line, *hints = completed.err.splitlines()
+    assert completed.code == 4, completed.err
+    assert line.startswith(f"gsgen: {address}tileset.json: 1 tile is missing, or drawn coarser: ")
+    assert f"{address}{leaf.contents[0].uri}" in line
+    assert FAULTS[fault] in line
+    assert hints == ["  --allow-missing accepts such pictures."]
+    assert accepted.code == 0
+    assert accepted.err.replace("note:", "gsgen:").splitlines() == [line]
+
+
+def test_picture_without_any_tile_fails(town: Path, tmp_path: Path) -> None:
+    contents = [content.uri for tile in open_tileset(town).tiles() for content in tile.contents]
+    with serving(town) as server:
+        server.paths, server.fault = set(contents), "not-found"
+        completed = gsgen_here(
+            *("render", f"{server.address}tileset.json", "-o", tmp_path / "a.png"),
+            *("--width", "64", "--height", "48", "--wait", "3", "--cache", "0", "--json"),
+        )
+    assert completed.code == 4
+    assert " missing, or drawn coarser: " in completed.err
+    assert json.loads(completed.out)["gaussians"] == 0
+
+
+@pytest.mark.parametrize("fault", ["stalled", "malformed-redirect", "cut-short"])
+def test_six_stuck_tiles_do_not_stop_the_others(town: Path, fault: str) -> None:
+    """As many as there are connections: their slots are free again, and the rest arrives."""
+    leaves = [tile for tile in open_tileset(town).tiles() if not tile.children]
+    assert len(leaves) > 8
+    view = Frustum.from_camera(
+        Camera.look_at((0, 0, 400), (0, 0, 0), up=(0, 1, 0), width=640, height=480)
+    )
+    with serving(town) as server:
+        server.paths, server.fault = {leaf.contents[0].uri for leaf in leaves[:6]}, fault
+        options = SessionOptions(max_error=0.01, cache_bytes=0, connections=6, fade_seconds=0)
+        lines: list[str] = []
+        with closing(
+            open_session(f"{server.address}tileset.json", options, report=lines.append)
+        ) as session:
+            end = time.monotonic() + 8
+            frame = session.frame(view)
+            while not frame.is_complete and time.monotonic() < end:
+                session.wait(0.05)
+                frame = session.frame(view)
+            assert frame.is_complete
+            assert len(frame.absent) == len(set(lines)) == 6
+            tiles = [session.tree.tiles[index] for index in np.flatnonzero(session.resident)]
+    assert {leaf.contents[0].uri for leaf in leaves[6:]} <= {
+        content.uri for tile in tiles for content in tile.contents
+    }
+
+
+def test_fault_of_gsgen_on_a_thread_is_raised_and_frees_its_slot() -> None:
+    def fetch(tile: int, on_bytes: OnBytes) -> bytes:
+        raise ZeroDivisionError(tile)
+
+    link: FetchLink[bytes, bytes] = FetchLink(fetch, lambda tile, data: data, lambda tile: 1, 2)
+    link.request(0)
+    link.wait(5)
+    assert link.free == 2
+    with pytest.raises(ZeroDivisionError):
+        link.poll()

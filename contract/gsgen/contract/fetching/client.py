@@ -4,6 +4,7 @@ __all__ = ["WebClient", "fetch"]
 
 import io
 import random
+import socket
 import ssl
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,12 +22,15 @@ from gsgen.contract.fetching.responses import FilePart, check_status
 
 _SECONDS: Final = 60.0  # for one file, all attempts together
 _STALL_SECONDS: Final = 10.0  # for the headers, and for each kilobyte after them
-_RETRIES: Final = 3
+_RETRIES: Final = 5
 _BACKOFF: Final = 0.25
 _MOST_REDIRECTS: Final = 5
 _REDIRECTS: Final = (301, 302, 303, 307, 308)
 _MAX_UNDECLARED: Final = 32 << 20
 """Most bytes in memory of a response that is compressed, or does not declare its length."""
+
+_LASTING: Final = (ssl.SSLError, ConnectionRefusedError, socket.gaierror)
+"""Failures to connect that another attempt would meet, too."""
 
 Result = TypeVar("Result")
 OnBytes = Callable[[int], None]
@@ -66,7 +70,7 @@ def fetch(
 class WebClient:
     """Reads files of one origin over connections that stay open; safe to use from many threads.
 
-    Errors of the server, connections that break and bodies that are cut short are tried three
+    Errors of the server, connections that break and bodies that are cut short are tried five
     times more, at growing distance, or when ``Retry-After`` says so. All attempts for a file end
     at one deadline, and an attempt ends when the headers, or a kilobyte after them, take more than
     ten seconds. Redirects are followed within the origin, and to the allowed ones. Bodies of
@@ -106,8 +110,9 @@ class WebClient:
         Raises:
             FetchFailed: The server does not tell the size.
         """
+        deadline = self.deadline()
 
-        def attempt(deadline: Deadline) -> int:
+        def attempt() -> int:
             with self._response("HEAD", address, {}, deadline) as (response, _):
                 length = response.getheader("Content-Length")
                 if length is None:
@@ -116,7 +121,7 @@ class WebClient:
                     )
                 return int(length)
 
-        return self._with_retries(attempt)
+        return self._with_retries(attempt, deadline)
 
     def read(
         self,
@@ -126,6 +131,7 @@ class WebClient:
         start: int = 0,
         size: int | None = None,
         on_bytes: OnBytes = _ignore_bytes,
+        deadline: Deadline | None = None,
     ) -> bytes:
         """Return the bytes of a file on a web server, or a range of them.
 
@@ -137,6 +143,7 @@ class WebClient:
             size: How many; all that follow where absent. Fewer come where the file ends.
             on_bytes: Called with the number of bytes that have come; an exception that it raises
                 ends the request and is passed on.
+            deadline: Of several files together; by default each has its own.
 
         Raises:
             FetchFailed: The file cannot be had; the subclass says why.
@@ -149,7 +156,7 @@ class WebClient:
             max_bytes=max_bytes,
             max_undeclared=_MAX_UNDECLARED,
         )
-        self._copy(part, data, on_bytes)
+        self._copy(part, data, on_bytes, deadline or self.deadline())
         return data.getvalue()
 
     def copy(self, address: str, into: BinaryIO, *, max_bytes: int) -> None:
@@ -164,10 +171,10 @@ class WebClient:
             FetchFailed: The file cannot be had; the subclass says why.
         """
         part = FilePart(address=address, max_bytes=max_bytes, max_undeclared=max_bytes)
-        self._copy(part, into, _ignore_bytes)
+        self._copy(part, into, _ignore_bytes, self.deadline())
 
-    def _copy(self, part: FilePart, into: BinaryIO, on_bytes: OnBytes) -> None:
-        def attempt(deadline: Deadline) -> None:
+    def _copy(self, part: FilePart, into: BinaryIO, on_bytes: OnBytes, deadline: Deadline) -> None:
+        def attempt() -> None:
             into.seek(0)
             into.truncate()
             on_bytes(0)
@@ -181,7 +188,7 @@ class WebClient:
                     into.write(piece)
                     on_bytes(into.tell())
 
-        self._with_retries(attempt)
+        self._with_retries(attempt, deadline)
 
     def close(self) -> None:
         """Close all connections; requests that run end with an error."""
@@ -193,12 +200,15 @@ class WebClient:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _with_retries(self, attempt: Callable[[Deadline], Result]) -> Result:
+    def deadline(self) -> Deadline:
+        """Return the deadline of a file that is requested now."""
+        return Deadline(self._seconds)
+
+    def _with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
         """Try a request again after transient failures, until the deadline of its file."""
-        deadline = Deadline(self._seconds)
         for backoff in [*(_BACKOFF * 2**index for index in range(_RETRIES)), 0.0]:
             try:
-                return attempt(deadline)
+                return attempt()
             except ServerUnavailable as error:
                 wait = max(error.retry_after, backoff + random.uniform(0, _BACKOFF))
                 can_retry = error.is_transient and backoff and not self._pool.is_closed
@@ -319,7 +329,7 @@ class WebClient:
             raise ServerUnavailable(
                 f"{start} ({reason:.200})",
                 where=address,
-                is_transient=not isinstance(error, ssl.SSLError),
+                is_transient=not isinstance(error, _LASTING),
             ) from error
 
 

@@ -14,7 +14,7 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
 from gsgen.runtime.scene.splat_pool import PooledSet
-from gsgen.runtime.sources.source import Source, Values
+from gsgen.runtime.sources.source import Shortfall, Source, Values
 
 
 @final
@@ -109,6 +109,11 @@ class PlacedSource(Source):
     def is_streaming(self) -> bool:
         """Whether Gaussians of a source may change although the camera stays, as in streaming."""
         return self._inner.is_streaming
+
+    @property
+    def shortfall(self) -> Shortfall | None:
+        """The parts of the placed source that the drawn frames lack; None if all is there."""
+        return self._inner.shortfall
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:

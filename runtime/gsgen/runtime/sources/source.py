@@ -2,6 +2,7 @@
 
 __all__ = [
     "GeneratorSource",
+    "Shortfall",
     "Source",
     "StaticSource",
     "StillSource",
@@ -13,6 +14,7 @@ __all__ = [
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, final
 
@@ -35,6 +37,22 @@ Center = Float[np.ndarray, "3"]
 
 Values = Mapping[str, object]
 """Tensor name or role → value."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Shortfall:
+    """Parts of a source that the frames drawn so far lack.
+
+    Attributes:
+        name: Of the source.
+        tiles: Number of tiles that are missing, or drawn coarser than the frames need.
+        cause: Why the first one is, in one line.
+    """
+
+    name: str
+    tiles: int
+    cause: str
 
 
 class Source(ABC):
@@ -145,6 +163,11 @@ class Source(ABC):
     def is_streaming(self) -> bool:
         """Whether Gaussians of a source may change although the camera and the inputs stay."""
         return False
+
+    @property
+    def shortfall(self) -> Shortfall | None:
+        """The parts that the drawn frames lack; None if all is there, as with files and models."""
+        return None
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:

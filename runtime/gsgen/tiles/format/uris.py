@@ -4,7 +4,7 @@ Generic syntax: RFC 3986. A tileset refers to files below its own folder only; a
 is refused, so that a downloaded file cannot make a reader open another one.
 """
 
-__all__ = ["resolve_uri"]
+__all__ = ["is_external", "resolve_uri"]
 
 import posixpath
 import re
@@ -50,3 +50,8 @@ def resolve_uri(base: str, uri: str, location: str) -> str:
             fault=Fault.URI,
         )
     return resolved
+
+
+def is_external(uri: str) -> bool:
+    """Return whether a content's URI names an external tileset."""
+    return re.split(r"[?#]", uri, maxsplit=1)[0].lower().endswith(".json")

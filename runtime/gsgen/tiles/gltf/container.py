@@ -1,12 +1,13 @@
 """Opens the content of a tile: a .glb file, or a .gltf file with all buffers joined."""
 
-__all__ = ["Fetch", "open_content", "raise_as_fault"]
+__all__ = ["MAX_CONTENT", "Fetch", "open_content", "raise_as_fault"]
 
 import base64
 import binascii
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Final
 from urllib.parse import unquote_to_bytes
 
 from gsgen.formats.glb.container import Container, parse, require_uncompressed
@@ -14,6 +15,8 @@ from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, parse_object
 
+MAX_CONTENT: Final = 512 << 20
+"""Most bytes of the file of one tile, and of all its buffers together."""
 _DATA_URI = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
 
 Fetch = Callable[[str, str, int], bytes]
@@ -43,8 +46,16 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
 def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
     """Join the buffers of a .gltf file into one, and adapt the buffer views."""
     starts, joined = [], bytearray()
-    for buffer in document.objects("buffers"):
-        size = buffer.whole("byteLength")
+    buffers = list(document.objects("buffers"))
+    sizes = [buffer.whole("byteLength") for buffer in buffers]
+    if sum(sizes) > MAX_CONTENT:
+        raise TilesetInvalid(
+            f"the glTF buffers have {sum(sizes):,} bytes",
+            location=document.at("buffers"),
+            expected=f"{MAX_CONTENT:,} bytes or fewer",
+            fault=Fault.CONTENT,
+        )
+    for buffer, size in zip(buffers, sizes, strict=True):
         content = _buffer(buffer, size, fetch)
         if len(content) < size:
             raise TilesetInvalid(

@@ -8,10 +8,10 @@ from typing import Final, final
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
 from gsgen.tiles.format.implicit_tiling.property_table import PropertyClass, read_classes
-from gsgen.tiles.format.json_values import MAX_JSON, JsonObject, parse_object, shorten
+from gsgen.tiles.format.json_values import MAX_JSON, JsonDict, JsonObject, parse_object, shorten
 from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
-from gsgen.tiles.format.uris import resolve_uri
-from gsgen.tiles.loading.limits import Limits, LoadReport
+from gsgen.tiles.format.uris import is_external, resolve_uri
+from gsgen.tiles.loading.limits import Limits, LoadingTime, LoadReport
 from gsgen.tiles.stores.store import Store
 
 _SUPPORTED_EXTENSIONS: Final = {CONTENT_EXTENSION, "3DTILES_metadata", NEURAL}
@@ -41,21 +41,26 @@ class DocumentReader:
     def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
         self._store, self._limits, self._report = store, limits, report
         self._bytes_left = limits.index_bytes
-        self._documents = 0
+        self._documents = self._listed = 0
+        self._time = LoadingTime(store.name)
 
     def add_bytes(self, size: int, path: str) -> None:
         """Add a JSON document's bytes to the total; raise above the limits of reading a tileset."""
         self._bytes_left -= size
         self._documents += 1
-        if self._documents > self._limits.documents:
-            raise TilesetInvalid(
-                f"the tileset has more than {self._limits.documents:,} JSON and subtree files",
-                location=f"{self._store.name}: {path}",
-                expected="fewer",
-            )
+        self._require_few(self._documents, path)
+        self._time.require(f"{self._documents:,} JSON and subtree files")
         if self._bytes_left < 0:
             raise TilesetInvalid(
                 f"JSON and subtree files have more than {self._limits.index_bytes:,} bytes",
+                location=f"{self._store.name}: {path}",
+                expected="fewer",
+            )
+
+    def _require_few(self, documents: int, path: str) -> None:
+        if documents > self._limits.documents:
+            raise TilesetInvalid(
+                f"the tileset has more than {self._limits.documents:,} JSON and subtree files",
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
@@ -65,6 +70,9 @@ class DocumentReader:
         data = self._store.read(path, limit=MAX_JSON)
         self.add_bytes(len(data), path)
         document = parse_object(data, f"{path}, ")
+        # Those that it names are counted before the first of them is requested.
+        self._listed += _external_count(document.values)
+        self._require_few(self._listed, path)
         asset = document.child("asset")
         version = asset.text("version")
         if version not in _SUPPORTED_VERSIONS:
@@ -100,3 +108,20 @@ class DocumentReader:
             self.add_bytes(len(data), uri)
             schema = parse_object(data, f"{uri}, ")
         return Document(path, read_classes(schema), (*parent_paths, path))
+
+
+def _external_count(document: JsonDict) -> int:
+    """Return how many external tilesets the tiles of a ``tileset.json`` name."""
+    count = 0
+    pending: list[object] = [document.get("root")]
+    while pending:
+        tile = pending.pop()
+        if not isinstance(tile, dict):
+            continue
+        contents = tile.get("contents")
+        for content in [tile.get("content"), *(contents if isinstance(contents, list) else ())]:
+            uri = (content.get("uri") or content.get("url")) if isinstance(content, dict) else None
+            count += isinstance(uri, str) and is_external(uri)
+        children = tile.get("children")
+        pending += children if isinstance(children, list) else ()
+    return count

@@ -8,20 +8,27 @@ import re
 import tempfile
 from pathlib import Path
 from typing import Final
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
+from gsgen.contract.fetching.deadline import fetch_seconds
 from gsgen.formats import FormatError, codec_of_suffix, open_splats
+from gsgen.formats.shared.errors import HeaderMalformed, quoted
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import META_FILE, Meta
 from gsgen.tiles.stores.http_store import HttpStore
 
 MAX_DOWNLOAD: Final = 8 << 30
 """The most bytes of a file that are downloaded."""
+_FILE_NAME: Final = re.compile(r"[^/\\\x00-\x1f\ud800-\udfff]{1,200}")
+_SECONDS: Final = 3600.0  # for a whole file of splats, which may be large
 
 
 def names_one_file(source: str | os.PathLike[str]) -> bool:
     """Return whether a text is a web address with the suffix of a splat file."""
-    parts = urlsplit(_address(source))
+    try:
+        parts = urlsplit(_address(source))
+    except ValueError:
+        return False  # opening the address says why
     return parts.scheme in ("http", "https") and codec_of_suffix(parts.path) is not None
 
 
@@ -34,23 +41,34 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
         StoreUnavailable: The server cannot be reached now.
     """
     address = _address(source)
-    name = posixpath.basename(urlsplit(address).path)
-    with tempfile.TemporaryDirectory() as folder, HttpStore(address) as store:
+    name = unquote(posixpath.basename(urlsplit(address).path))
+    with tempfile.TemporaryDirectory() as folder, _open_store(address) as store:
 
         def fetch(name: str) -> Path:
             file = Path(folder) / posixpath.basename(name)
-            file.write_bytes(store.read(name, limit=MAX_DOWNLOAD))
+            with file.open("wb") as stream:
+                store.save(name, stream, limit=MAX_DOWNLOAD)
             return file
 
         try:
             file = fetch(name)
             if name.lower() == META_FILE:
                 for image in Meta.parse(file.read_bytes()).all_files():
+                    if not _FILE_NAME.fullmatch(image) or image in (".", ".."):
+                        raise HeaderMalformed(
+                            quoted(image),
+                            where=META_FILE,
+                            expected="the name of an image beside it",
+                        )
                     fetch(image)
             return open_splats(file)
         except FormatError as error:
             error.path = address
             raise
+
+
+def _open_store(address: str) -> HttpStore:
+    return HttpStore(address, timeout=fetch_seconds(_SECONDS))
 
 
 def _address(source: str | os.PathLike[str]) -> str:

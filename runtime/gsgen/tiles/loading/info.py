@@ -11,9 +11,8 @@ import numpy as np
 
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.format.uris import resolve_uri
-from gsgen.tiles.gltf.container import open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT, open_content
 from gsgen.tiles.gltf.decoding import ContentHeader, read_header
-from gsgen.tiles.loading.leaves import MAX_CONTENT
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -150,6 +149,7 @@ def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | No
 
 
 def _from_header(store: Store, content: Content) -> _MeasuredFile:
+    store = store.for_one_tile()
     data = store.read(content.uri, limit=MAX_CONTENT)
 
     def fetch(uri: str, location: str, size: int) -> bytes:

@@ -1,9 +1,10 @@
 """Reads splats of a tileset, from all leaf tiles or one tile, in the root tile's frame."""
 
 __all__ = [
-    "decode_tile_content",
     "finest_contents",
     "open_splats",
+    "open_tile_content",
+    "place_content",
     "read_leaves",
     "read_tile_content",
 ]
@@ -18,13 +19,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats import open_splats as open_splat_file
+from gsgen.formats.glb.container import Container
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.format.uris import resolve_uri
-from gsgen.tiles.gltf.container import open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT, open_content
 from gsgen.tiles.gltf.decoding import decode_content
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed, place
 from gsgen.tiles.loading.downloads import names_one_file, read_download
@@ -32,8 +34,6 @@ from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 
-MAX_CONTENT: Final = 512 << 20
-"""How many bytes the file of one tile may have."""
 _MAX_FLOAT32_OFFSET: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
 
 
@@ -46,20 +46,25 @@ def read_tile_content(
         TilesetInvalid: The file is missing or wrong.
         StoreUnavailable: It cannot be read now.
     """
+    store = store.for_one_tile()
     data = store.read(content.uri, limit=MAX_CONTENT)
-    return decode_tile_content(store, tileset, tile, content, data)
+    return place_content(tileset, tile, content, open_tile_content(store, content, data))
 
 
-def decode_tile_content(
-    store: Store, tileset: Tileset, tile: Tile, content: Content, data: bytes
-) -> list[PlacedSplats]:
-    """Decode the splats of a tile's content file whose bytes were read already."""
+def open_tile_content(store: Store, content: Content, data: bytes) -> Container:
+    """Open a tile's content file whose bytes were read; its buffers may be in other files."""
 
     def fetch(uri: str, location: str, size: int) -> bytes:
         path = resolve_uri(content.uri, uri, location)
         return store.read(path, size=size, limit=MAX_CONTENT)
 
-    container = open_content(data, content.uri, fetch)
+    return open_content(data, content.uri, fetch)
+
+
+def place_content(
+    tileset: Tileset, tile: Tile, content: Content, container: Container
+) -> list[PlacedSplats]:
+    """Decode the splats of a tile's content, in the frame of the root tile."""
     return [
         place(splats, tile.transform @ tileset.content_axes @ matrix)
         for splats, matrix in decode_content(container, content.uri)

@@ -1,11 +1,15 @@
 """Limits of reading a tileset, and the handling of its faults."""
 
-__all__ = ["Limits", "LoadReport", "StrictReport"]
+__all__ = ["Limits", "LoadReport", "LoadingTime", "StrictReport"]
 
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Final, Protocol, final
 
-from gsgen.tiles.errors import TilesetInvalid
+from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
+from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+
+_FILE_SECONDS: Final = 60.0
+_LOADING_FILES: Final = 5  # a tree of many files may take as long as so many slow ones
 
 
 @final
@@ -26,6 +30,38 @@ class Limits:
     documents: int = 50_000
     nesting: int = 32
     index_bytes: int = 512 << 20
+
+
+@final
+class LoadingTime:
+    """The time in which the tree of a tileset has to be read, however many files it has.
+
+    Args:
+        name: Of the tileset, for the error.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._seconds = _LOADING_FILES * fetch_seconds(_FILE_SECONDS)
+        self._deadline = Deadline(self._seconds)
+
+    def require(self, progress: str) -> None:
+        """Raise if the time is over.
+
+        Args:
+            progress: What was read so far.
+
+        Raises:
+            StoreUnavailable: The time is over.
+        """
+        if self._deadline.remaining <= 0:
+            raise StoreUnavailable(
+                f"reading the tileset took {self._seconds:g} s; {progress} had come",
+                location=self._name,
+                hint=f"{FETCH_SECONDS} sets the seconds for a file; all may take "
+                f"{_LOADING_FILES} times as long.",
+                fault=Fault.CONTENT,
+            )
 
 
 class LoadReport(Protocol):

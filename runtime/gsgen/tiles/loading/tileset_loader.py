@@ -24,7 +24,7 @@ from gsgen.tiles.format.json_values import JsonDict, JsonObject, shorten
 from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
 from gsgen.tiles.format.neural_tile import NeuralTile, read_neural_tile
 from gsgen.tiles.format.tileset import Content, Refine, Tile, Tileset
-from gsgen.tiles.format.uris import resolve_uri
+from gsgen.tiles.format.uris import is_external, resolve_uri
 from gsgen.tiles.format.volumes import read_volume
 from gsgen.tiles.loading.documents import Document, DocumentReader
 from gsgen.tiles.loading.limits import Limits, LoadReport, StrictReport
@@ -273,7 +273,7 @@ class _Loader:
     ) -> None:
         key = "url" if "uri" not in entry and "url" in entry else "uri"  # url: of 1.0
         uri = resolve_uri(document.path, entry.text(key), entry.at(key))
-        if uri.lower().endswith(".json"):
+        if is_external(uri):
             external.append(self._load_external(uri, entry.at(key), document, below))
             return
         bounds = entry.optional("boundingVolume")

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume
+from gsgen.tiles.loading.limits import LoadingTime
 from gsgen.tiles.stores.store import Store
 
 _GLOBE = 6.4e6  # a ball of this radius in metres holds the globe
@@ -75,7 +76,7 @@ class TileTree:
             parents.append(parent)
         boxes = [_root_box(tile, tileset) for tile in tiles]
         scales = [float(np.linalg.norm(tile.transform[:3, :3], 2)) for tile in tiles]
-        tile_measures = [measure_tile(tile, tileset, store) for tile in tiles]
+        tile_measures = _measure_tiles(tiles, tileset, store)
         level = np.array([tile.level for tile in tiles], np.int64)
         return cls(
             tiles=tuple(tiles),
@@ -113,7 +114,19 @@ class TileTree:
         return parent_indices
 
 
+_MOST = 1 << 48  # sums of counts stay within 64 bits
 _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do not count
+
+
+def _measure_tiles(
+    tiles: list[Tile], tileset: Tileset, store: Store | None
+) -> list[tuple[int, int]]:
+    """Return the bytes and splats of tiles, for which a server may have to be asked."""
+    time, measures = LoadingTime(tileset.name), []
+    for tile in tiles:
+        measures.append(measure_tile(tile, tileset, store))
+        time.require(f"the sizes of {len(measures):,} of {len(tiles):,} tiles")
+    return measures
 
 
 def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int, int]:
@@ -122,7 +135,8 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
         return 0, 0
     quality, sizes = tileset.metadata.get("quality", 0), tile.metadata.get("bytes")
     size = 0
-    if isinstance(sizes, list) and sizes and isinstance(quality, int) and len(tile.contents) == 1:
+    is_listed = isinstance(sizes, list) and all(map(_is_count, sizes)) and isinstance(quality, int)
+    if sizes and is_listed and len(tile.contents) == 1:
         size = int(sizes[min(max(quality, 0), len(sizes) - 1)])
     elif store is not None:
         size = sum(store.size(content.uri) for content in tile.contents)
@@ -133,7 +147,12 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
 
 def _is_counted(tile: Tile) -> bool:
     """Return whether a tile's metadata tell the number of its splats."""
-    return isinstance(tile.metadata.get("splats"), int | np.integer)
+    return _is_count(tile.metadata.get("splats"))
+
+
+def _is_count(value: object) -> bool:
+    """Return whether metadata is a number of splats or bytes; it may be anything."""
+    return isinstance(value, int | np.integer) and 0 <= int(value) <= _MOST
 
 
 def _root_box(tile: Tile, tileset: Tileset) -> Box:

@@ -4,10 +4,12 @@ __all__ = ["HttpStore"]
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from typing import BinaryIO, final
 from urllib.parse import quote, urlsplit
 
 from gsgen.contract.fetching.client import WebClient
+from gsgen.contract.fetching.deadline import Deadline
 from gsgen.contract.fetching.errors import (
     AddressRefused,
     FetchFailed,
@@ -37,6 +39,7 @@ class HttpStore(Store):
     ) -> None:
         with _faults_at(address):
             self._client = WebClient(address, seconds=timeout, allow_origins=allow_origins)
+        self._deadline: Deadline | None = None
         parts = urlsplit(address)
         folder = parts.path.rpartition("/")[0]
         self.name = f"{parts.scheme}://{parts.netloc}{folder}"
@@ -53,7 +56,13 @@ class HttpStore(Store):
         if size == 0:
             return b""
         with _faults_at(self._location(path)):
-            return self._client.read(self._address(path), max_bytes=limit, start=start, size=size)
+            return self._client.read(
+                self._address(path),
+                max_bytes=limit,
+                start=start,
+                size=size,
+                deadline=self._deadline,
+            )
 
     def read_whole(
         self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_FILE
@@ -72,15 +81,23 @@ class HttpStore(Store):
             TilesetInvalid: The file is larger than ``limit``.
         """
         with _faults_at(self._location(path)):
-            return self._client.read(self._address(path), max_bytes=limit, on_bytes=on_bytes)
+            return self._client.read(
+                self._address(path), max_bytes=limit, on_bytes=on_bytes, deadline=self._deadline
+            )
 
-    def copy(self, path: str, into: BinaryIO, limit: int = MAX_FILE) -> None:
+    def save(self, path: str, into: BinaryIO, limit: int = MAX_FILE) -> None:
         """Copy a whole file from the web server into an empty file; errors as in reading."""
         with _faults_at(self._location(path)):
             self._client.copy(self._address(path), into, max_bytes=limit)
 
+    def for_one_tile(self) -> "HttpStore":
+        """Return a view of the store whose reads together have the deadline of one file."""
+        view = copy(self)
+        view._deadline = self._client.deadline()
+        return view
+
     def _address(self, path: str) -> str:
-        return self._location(quote(path))
+        return self._location(quote(path.encode("utf-8", "surrogatepass")))
 
     def _location(self, path: str) -> str:
         return f"{self.name}/{path}"

@@ -24,12 +24,11 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
     """
     address = address_of(source)
     if address:
+        store = HttpStore(address, allow_origins=allow_origins)
         name = unquote(urlsplit(address).path.rpartition("/")[2])
         if name.lower().endswith(".3tz"):
-            archive = RangedFile(HttpStore(address, allow_origins=allow_origins), name)
-            return ZipStore(archive, address), INDEX_FILE
-        folder = address if name else f"{address}/"
-        return HttpStore(folder, allow_origins=allow_origins), name or INDEX_FILE
+            return ZipStore(RangedFile(store, name), address), INDEX_FILE
+        return store, name or INDEX_FILE
     path = Path(source)
     if path.suffix.lower() == ".3tz":
         return ZipStore(path), INDEX_FILE

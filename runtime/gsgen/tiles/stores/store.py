@@ -47,6 +47,10 @@ class Store(ABC):
             TilesetInvalid: The file is larger than ``limit``, or damaged.
         """
 
+    def for_one_tile(self) -> "Store":
+        """Return a view of the store whose reads together have the deadline of one file."""
+        return self
+
     def close(self) -> None:  # noqa: B027  # a store of plain files has nothing to close
         """Close the open files and connections of a file store."""
 

@@ -2,20 +2,23 @@
 
 __all__ = ["ContentReader"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import final
 
 import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
+from gsgen.formats.glb.container import Container
 from gsgen.runtime.gpu.morton_order import morton_sorted_indices
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.errors import ContentMissing, Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.format.neural_tile import NeuralTile
-from gsgen.tiles.format.tileset import Content, Tile, Tileset
-from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
-from gsgen.tiles.loading.leaves import MAX_CONTENT, decode_tile_content
+from gsgen.tiles.format.tileset import Tile, Tileset
+from gsgen.tiles.gltf.container import MAX_CONTENT
+from gsgen.tiles.gltf.placement import join_placed
+from gsgen.tiles.loading.leaves import open_tile_content, place_content
 from gsgen.tiles.loading.neural_model import MAX_MODEL
 from gsgen.tiles.loading.quality_ladder import TileQualities
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -56,8 +59,8 @@ class ContentReader:
         known = isinstance(degree, int) and 0 <= degree <= MAX_DEGREE
         self.sh_degree = int(degree) if known else MAX_DEGREE  # type: ignore[arg-type]
 
-    def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> list[bytes]:
-        """Read the bytes of the content files of a tile.
+    def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> list[Container]:
+        """Read the content files of a tile, with the buffers that they name.
 
         Args:
             tile: Key of the tile.
@@ -66,13 +69,17 @@ class ContentReader:
         Raises:
             TilesetInvalid: A file is missing, or cannot be read.
         """
-        files: list[bytes] = []
+        store, size = self._store.for_one_tile(), 0
+        containers: list[Container] = []
         if self._qualities:
             self._fetched_quality[tile] = self._qualities.next_quality(tile)
         for content in self._entry(tile).contents:
-            report = partial(_report_total_bytes, on_bytes, sum(map(len, files)))
-            files.append(self._file(content.uri, report))
-        return files
+            report = partial(_report_total_bytes, on_bytes, size)
+            data = self._file(store, content.uri, report)
+            size += len(data)
+            with self._full_locations():
+                containers.append(open_tile_content(store, content, data))
+        return containers
 
     def size(self, tile: int) -> int:
         """Return the number of bytes of the files that are requested next for a tile."""
@@ -86,37 +93,39 @@ class ContentReader:
         Raises:
             TilesetInvalid: The file is missing, or cannot be read.
         """
-        return self._file(neural.uri, lambda count: None, MAX_MODEL, neural.sha256)
+        return self._file(self._store, neural.uri, lambda count: None, MAX_MODEL, neural.sha256)
 
     def _file(
         self,
+        store: Store,
         uri: str,
         on_bytes: Callable[[int], None],
         limit: int = MAX_CONTENT,
         digest: str | None = None,
     ) -> bytes:
         """Read a file of the tileset; files of web servers come from the disk cache if cached."""
-        if not isinstance(self._store, HttpStore):
-            return self._store.read(uri, limit=limit)
-        data = self._cache.get(self._store.name, uri, digest) if self._cache else None
+        if not isinstance(store, HttpStore):
+            return store.read(uri, limit=limit)
+        data = self._cache.get(store.name, uri, digest) if self._cache else None
         if data is None:
-            data = self._store.read_whole(uri, on_bytes, limit)
+            data = store.read_whole(uri, on_bytes, limit)
             if self._cache:
-                self._cache.put(self._store.name, uri, data, digest)
+                self._cache.put(store.name, uri, data, digest)
         return data
 
-    def decode(self, tile: int, files: list[bytes]) -> TileArrival:
+    def decode(self, tile: int, files: list[Container]) -> TileArrival:
         """Decode the content files of a tile into packed Gaussians.
 
         Raises:
             TilesetInvalid: A file is damaged, or its splats are not as many as declared.
         """
         entry = self._entry(tile)
-        placed = [
-            part
-            for content, data in zip(entry.contents, files, strict=True)
-            for part in self._decode_file(entry, content, data)
-        ]
+        with self._full_locations():
+            placed = [
+                part
+                for content, container in zip(entry.contents, files, strict=True)
+                for part in place_content(self._tileset, entry, content, container)
+            ]
         count = sum(map(len, placed))
         declared = entry.metadata.get("splats")
         if isinstance(declared, int | np.integer) and declared != count:
@@ -150,10 +159,12 @@ class ContentReader:
             return self._tree.tiles[tile]
         return self._qualities.ladder.tiles[self._fetched_quality[tile]][tile]
 
-    def _decode_file(self, tile: Tile, content: Content, data: bytes) -> list[PlacedSplats]:
+    @contextmanager
+    def _full_locations(self) -> Iterator[None]:
+        """Add the address of the web server to the locations of faults in a ``with`` block."""
         try:
-            return decode_tile_content(self._store, self._tileset, tile, content, data)
-        except StoreUnavailable:
+            yield
+        except (StoreUnavailable, ContentMissing):
             raise
         except TilesetInvalid as error:
             raise TilesetInvalid(

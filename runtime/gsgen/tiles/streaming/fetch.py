@@ -1,7 +1,8 @@
 """Fetches and decodes the contents of tiles on threads, for a streaming session."""
 
-__all__ = ["RETRY_AFTER", "FetchLink", "FetchResult"]
+__all__ = ["RETRY_AFTER", "FailedTiles", "FetchLink", "FetchResult"]
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,12 +10,16 @@ from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
 from typing import Final, Generic, TypeVar, final
 
-from gsgen.contract.errors import GsgenError
+import numpy as np
+from jaxtyping import Bool
 
+from gsgen.contract.errors import GsgenError
+from gsgen.tiles.errors import StoreUnavailable
+
+Fetched = TypeVar("Fetched")
 Decoded = TypeVar("Decoded")
 RETRY_AFTER: Final = 30.0
-"""Seconds after which a file that could not be had for now is asked for again."""
-
+"""Seconds after which a file that could not be had for now is requested again, at first."""
 _DECODERS = 2  # threads that decode at once: more would take frames their time
 
 OnBytes = Callable[[int], None]
@@ -53,11 +58,11 @@ class _Request:
 
 
 @final
-class FetchLink(Generic[Decoded]):
+class FetchLink(Generic[Fetched, Decoded]):
     """Fetches tiles, each request on a thread of its own that ends with the process.
 
-    A connection is free again as soon as its bytes are there, while they are decoded; then the
-    link requests the next tile of its queue by itself.
+    A connection is free again as soon as its bytes are there, while they are decoded, or as soon
+    as its request failed; then the link requests the next tile of its queue by itself.
 
     Args:
         fetch: Reads the files of a tile, and reports how many came; called on threads.
@@ -68,8 +73,8 @@ class FetchLink(Generic[Decoded]):
 
     def __init__(
         self,
-        fetch: Callable[[int, OnBytes], list[bytes]],
-        decode: Callable[[int, list[bytes]], Decoded],
+        fetch: Callable[[int, OnBytes], Fetched],
+        decode: Callable[[int, Fetched], Decoded],
         size: Callable[[int], int],
         connections: int,
     ) -> None:
@@ -82,6 +87,7 @@ class FetchLink(Generic[Decoded]):
         self._lock = Lock()
         self._results: SimpleQueue[FetchResult[Decoded]] = SimpleQueue()
         self._result_event = Event()
+        self._crash: Exception | None = None
 
     @property
     def free(self) -> int:
@@ -126,8 +132,14 @@ class FetchLink(Generic[Decoded]):
             return request.received
 
     def poll(self) -> list[FetchResult[Decoded]]:
-        """Return the tiles that arrived or failed since the last call."""
+        """Return the tiles that arrived or failed since the last call.
+
+        Raises:
+            Exception: A fault of gsgen on one of the threads.
+        """
         self._result_event.clear()
+        if self._crash is not None:
+            raise self._crash
         results = []
         while not self._results.empty():
             results.append(self._results.get())
@@ -150,9 +162,9 @@ class FetchLink(Generic[Decoded]):
             data = self._fetch(request.tile, request.on_bytes)
         except _Cancelled:
             return
-        except GsgenError as error:
+        except Exception as error:
             if self._finish(request):
-                self._answer(FetchResult(request.tile, None, error))
+                self._fail(request.tile, error)
             return
         if self._finish(request):
             with self._decoders:
@@ -170,14 +182,58 @@ class FetchLink(Generic[Decoded]):
                 self._begin(tile)
             return True
 
-    def _decode_and_answer(self, tile: int, data: list[bytes]) -> None:
+    def _decode_and_answer(self, tile: int, data: Fetched) -> None:
         try:
             content = self._decode(tile, data)
-        except GsgenError as error:
-            self._answer(FetchResult(tile, None, error))
+        except Exception as error:
+            self._fail(tile, error)
         else:
             self._answer(FetchResult(tile, content, None))
+
+    def _fail(self, tile: int, error: Exception) -> None:
+        """Answer that a tile cannot be had; a fault of gsgen is raised where results are polled."""
+        if isinstance(error, GsgenError):
+            self._answer(FetchResult(tile, None, error))
+        else:
+            self._crash = error
+            self._result_event.set()
 
     def _answer(self, result: FetchResult[Decoded]) -> None:
         self._results.put(result)
         self._result_event.set()
+
+
+@final
+class FailedTiles:
+    """The tiles whose last requests failed.
+
+    A tile that a server does not give for now is requested again; each failure doubles the time
+    until then, so that tiles which hold a connection do not hold it most of the time. Missing and
+    damaged files are not requested again.
+
+    Attributes:
+        first_cause: The first error, in one line; empty without any.
+
+    Args:
+        count: Number of tiles.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.first_cause = ""
+        self._retry_at = np.full(count, -math.inf)
+        self._failures = np.zeros(count, np.int64)
+
+    def add(self, tile: int, error: GsgenError, time: float) -> str:
+        """Record that the request of a tile failed; return the error in one line."""
+        text = " ".join(str(error).split())
+        self.first_cause = self.first_cause or text
+        delay = math.inf
+        if isinstance(error, StoreUnavailable):
+            delay = RETRY_AFTER * 2.0 ** int(self._failures[tile])
+        self._failures[tile] += 1
+        self._retry_at[tile] = time + delay
+        return text
+
+    def mask(self, time: float) -> Bool[np.ndarray, " n"]:
+        """Return the mask of the tiles that are not requested at a time."""
+        return self._retry_at > time

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from gsgen.contract.spec.spherical_harmonics import coefficients
+from gsgen.formats.glb.container import Container
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
-from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading.quality_ladder import TileQualities, load_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
@@ -30,7 +30,7 @@ from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, Fades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog
-from gsgen.tiles.streaming.fetch import RETRY_AFTER, FetchLink, FetchResult
+from gsgen.tiles.streaming.fetch import FailedTiles, FetchLink, FetchResult
 from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
@@ -141,7 +141,7 @@ def open_session(
         if qualities:
             tree = replace(tree, size=qualities.coarsest_size.copy())
         reader = ContentReader(store, tileset, tree, cache, qualities=qualities)
-        link: FetchLink[TileArrival] = FetchLink(
+        link: FetchLink[list[Container], TileArrival] = FetchLink(
             reader.fetch, reader.decode, reader.size, options.connections
         )
         return TilesetSession(
@@ -232,7 +232,7 @@ class TilesetSession:
         self._is_contentless = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
         self._partial_upload: TileArrival | None = None  # whose rows are not all uploaded
-        self._retry_at: dict[int, float] = {}
+        self._failed = FailedTiles(len(tree))
         self._started: list[int] = []
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
@@ -271,6 +271,11 @@ class TilesetSession:
         return self._recorder.summary()
 
     @property
+    def first_failure(self) -> str:
+        """The error of the first tile that could not be had, in one line; empty without any."""
+        return self._failed.first_cause
+
+    @property
     def resident(self) -> Bool[np.ndarray, " n"]:
         """The mask of the tiles that are in the renderer's GPU memory (splat pool)."""
         return self._residents.resident
@@ -288,7 +293,7 @@ class TilesetSession:
         # 2. Upload arrivals; tiles that are not needed leave for them.
         self._residents.frame(time, needed)
         evicted, arrivals = self._upload(time, cut)
-        is_failed = self._failed_tiles(time)
+        is_failed = self._failed.mask(time)
         is_available = self._residents.resident | self._is_contentless
         if self._partial_upload and not self._partial_upload.is_upgrade:
             is_available[self._partial_upload.tile] = False
@@ -308,6 +313,7 @@ class TilesetSession:
                 for tile in np.flatnonzero((fades > 0) & ~self._is_contentless).tolist()
             ),
             missing=missing,
+            absent=tuple(np.flatnonzero(cut.selected & (is_failed | ~is_available)).tolist()),
             is_complete=missing == 0
             and self._fades.is_settled
             and (
@@ -354,16 +360,9 @@ class TilesetSession:
                 self._pending[result.tile] = result.content
                 continue
             self._planner.fail(result.tile)
-            is_transient = isinstance(result.error, StoreUnavailable)
-            self._retry_at[result.tile] = time + RETRY_AFTER if is_transient else np.inf
-            self._report(str(result.error).replace("\n", " "))
+            assert result.error is not None
+            self._report(self._failed.add(result.tile, result.error, time))
         return results
-
-    def _failed_tiles(self, time: float) -> Bool[np.ndarray, " n"]:
-        """Return the mask of the tiles whose requests failed and that are not retried yet."""
-        is_failed = np.zeros(len(self.tree), bool)
-        is_failed[[tile for tile, retry in self._retry_at.items() if retry > time]] = True
-        return is_failed
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
@@ -480,7 +479,7 @@ class TilesetSession:
         if self._qualities is None:
             return []
         assert self._frustum is not None
-        drawn = cut.selected & self._residents.resident & ~self._failed_tiles(time)
+        drawn = cut.selected & self._residents.resident & ~self._failed.mask(time)
         drawn[[*self._pending, *([self._partial_upload.tile] if self._partial_upload else [])]] = (
             False
         )

@@ -108,7 +108,9 @@ class SessionFrame:
             drawn before they arrive again.
         arrivals: Tiles to upload, whole or in part, in this order.
         drawn: Tiles to draw; ascending keys.
-        missing: How many tiles the camera wants that are not resident.
+        missing: How many tiles the camera wants that are not resident, and may still come.
+        absent: Keys of the tiles that the camera wants and that are not resident at their finest,
+            those that cannot be had too.
         is_complete: Whether everything that the camera wants is resident, at the finest quality,
             and drawn without a fade; tiles that cannot be had do not count.
     """
@@ -117,6 +119,7 @@ class SessionFrame:
     arrivals: tuple[TileArrival, ...]
     drawn: tuple[DrawnTile, ...]
     missing: int
+    absent: tuple[int, ...] = ()
     is_complete: bool
 
 
@@ -146,6 +149,11 @@ class StreamingSession(Protocol):
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails, for a limited time."""
+        ...
+
+    @property
+    def first_failure(self) -> str:
+        """The error of the first tile that could not be had, in one line; empty without any."""
         ...
 
     @property

@@ -3,7 +3,6 @@
 __all__ = ["TilesSource", "open_stream"]
 
 import math
-import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,7 +19,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
-from gsgen.runtime.sources.source import Source, Values
+from gsgen.runtime.sources.source import Shortfall, Source, Values
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
@@ -74,6 +73,8 @@ class TilesSource(Source):
         self._camera: Camera | None = None
         self._last: SessionFrame | None = None
         self._change_count = 0
+        self._absent: set[int] = set()
+        self._late = ""  # what the first frame lacks that did not get all in time
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Record the frame's camera, which selects the tiles, and the models' input values."""
@@ -94,19 +95,25 @@ class TilesSource(Source):
                 self._session.wait(min(left, _POLL_SECONDS))
             frame = self._take(frustum, self._camera)
         if self._must_wait:
-            self._report_missing(frame)
+            self._note_shortfall(frame)
 
-    def _report_missing(self, frame: SessionFrame) -> None:
-        """Write a line to stderr if a frame is drawn without some tiles or model outputs."""
-        line = ""
+    def _note_shortfall(self, frame: SessionFrame) -> None:
+        """Keep what a frame lacks that was waited for."""
+        self._absent.update(frame.absent)
+        seconds = f"within {self._must_wait:g} s"
         if frame.missing:
-            line = f"{frame.missing} tiles did not arrive within {self._must_wait:g} s; coarser ones are"
+            self._late = self._late or f"{frame.missing} did not arrive {seconds}"
         elif not frame.is_complete:
-            line = f"finer files did not arrive within {self._must_wait:g} s; coarser ones are"
+            self._late = self._late or f"finer files did not arrive {seconds}"
         elif pending_tiles := self._pending_generators:
-            line = f"{pending_tiles} generators did not finish within {self._must_wait:g} s; earlier splats are"
-        if line:
-            sys.stderr.write(f"gsgen: {self.name}: {line} drawn\n")
+            self._late = self._late or f"{pending_tiles} generators did not finish {seconds}"
+
+    @property
+    def shortfall(self) -> Shortfall | None:
+        """The tiles that the frames so far lack, of those that they waited for."""
+        cause = self._session.first_failure if self._absent else ""
+        cause = cause or self._late
+        return Shortfall(self.name, len(self._absent), cause) if cause else None
 
     def _take(self, frustum: Frustum, camera: Camera) -> SessionFrame:
         """Upload and evict tiles in GPU memory (splat pool), as the streaming session decides."""
@@ -230,6 +237,10 @@ class TilesSource(Source):
         self._session.close()
 
 
+def _ignore_line(line: str) -> None:
+    del line
+
+
 def open_stream(
     path: Path, provider: str = "cpu", settings: StreamSettings | None = None
 ) -> TilesSource:
@@ -259,7 +270,8 @@ def open_stream(
         provider=provider,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
-    session = open_session(path, options)
+    # Frames that wait for their tiles count those that fail, see `TilesSource.shortfall`.
+    session = open_session(path, options, report=_ignore_line if settings.wait else None)
     tree = session.tree
     up = session.up
     reach = float(np.linalg.norm(np.abs(tree.half_axes[0]).sum(axis=0)))

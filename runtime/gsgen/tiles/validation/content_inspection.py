@@ -26,11 +26,10 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.format.volumes import Volume
-from gsgen.tiles.gltf.container import open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT, open_content
 from gsgen.tiles.gltf.decoding import ContentHeader, decode_content, read_header
 from gsgen.tiles.gltf.placement import place
 from gsgen.tiles.loading.build_record import read_build_record
-from gsgen.tiles.loading.leaves import MAX_CONTENT
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
@@ -187,10 +186,11 @@ class _ContentReader:
         result = _FileResult(is_late=self._decode and time.monotonic() > self._deadline)
         record = self._inspected.record
         try:
-            data = self._inspected.store.read(content.uri, limit=MAX_CONTENT)
+            store = self._inspected.store.for_one_tile()
+            data = store.read(content.uri, limit=MAX_CONTENT)
             if record is not None and content.uri in record.files:
                 result.sha256 = hashlib.sha256(data).hexdigest()
-            container = open_content(data, content.uri, self._fetch(content.uri))
+            container = open_content(data, content.uri, self._fetch(store, content.uri))
             result.header = read_header(container, content.uri, len(data))
             if self._decode and not result.is_late:
                 result.values = self._values(tile, content, container)
@@ -198,10 +198,10 @@ class _ContentReader:
             result.error = error
         return result
 
-    def _fetch(self, base: str) -> Callable[[str, str, int], bytes]:
+    def _fetch(self, store: Store, base: str) -> Callable[[str, str, int], bytes]:
         def fetch(uri: str, location: str, size: int) -> bytes:
             path = resolve_uri(base, uri, location)
-            return self._inspected.store.read(path, size=size, limit=MAX_CONTENT)
+            return store.read(path, size=size, limit=MAX_CONTENT)
 
         return fetch
 

@@ -12,7 +12,7 @@ import typer
 
 from gsgen.cli.commands.drawing import options
 from gsgen.cli.commands.drawing.streaming_options import with_streaming_options
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
@@ -62,6 +62,9 @@ Bits = Annotated[
 Wait = Annotated[
     float, typer.Option(help="Most seconds that a frame waits for tiles of a tileset.", min=0.1)
 ]
+AllowMissing = Annotated[
+    bool, typer.Option("--allow-missing", help="Exit 0 although tiles of a tileset are missing.")
+]
 WeightedSums = Annotated[
     Literal["contract", "published"],
     typer.Option(
@@ -101,6 +104,7 @@ def render(
     bits: Bits = "8",
     provider: options.Provider = "cpu",
     wait: Wait = 30.0,
+    allow_missing: AllowMissing = False,
     as_json: options.AsJson = False,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
@@ -108,7 +112,8 @@ def render(
 
     A scene.json gives each file its place, and a camera; options take precedence over it.
 
-    Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read.
+    Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read, also after
+    it wrote a picture that lacks tiles.
     """
     from gsgen.cli.commands.drawing.input_files import input_files, refuse_inputs, scene_inputs
     from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files
@@ -152,6 +157,20 @@ def render(
         for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):
             typer.echo(f"note: {note}", err=True)
         _write(sequence, output, bits=bit_count, as_json=as_json)
+        _report_shortfalls(sources, allow_missing=allow_missing)
+
+
+def _report_shortfalls(sources: "list[Source]", *, allow_missing: bool) -> None:
+    """Raise if the pictures, which were written, lack tiles; note it if that is allowed."""
+    for shortfall in filter(None, (source.shortfall for source in sources)):
+        tiles = "1 tile is" if shortfall.tiles == 1 else f"{shortfall.tiles:,} tiles are"
+        count = f"{tiles} missing, or drawn coarser: " if shortfall.tiles else ""
+        text = f"{count}{shortfall.cause}"
+        if not allow_missing:
+            raise InputUnreadable(
+                text, where=shortfall.name, hint="--allow-missing accepts such pictures."
+            )
+        typer.echo(f"note: {shortfall.name}: {text}", err=True)
 
 
 def _require_weighted_sums(sources: "list[Source]") -> None:

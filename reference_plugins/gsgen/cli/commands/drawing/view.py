@@ -264,7 +264,7 @@ def _file_opener(*, play: bool) -> "Callable[[Sequence[Path]], LivePlayback]":
     from gsgen.runtime.sources.scene_source import sources_of
 
     def open_files(paths: Sequence[Path]) -> LivePlayback:
-        playback = LivePlayback(sources_of(list(paths), tileset_opener()))
+        playback = LivePlayback(sources_of(list(paths), tileset_opener(StreamSettings(wait=0))))
         playback.playing = play and playback.frames > 1
         return playback
 
