@@ -23,6 +23,7 @@ from gsgen.contract.spec.manifest import (
     Space,
 )
 from gsgen.sdk.binding import FrameSession
+from gsgen.sdk.binding.bound_session import BoundSession
 from support.measures import print_figure
 from support.models.small_models import good_rows, model, save, save_moving, weight
 
@@ -90,8 +91,8 @@ def alternating_seconds(actions: list[Callable[[], object]], times: int) -> np.n
 
 def bare_frame(session: FrameSession) -> Callable[[], object]:
     """Return what runs a frame of an open session by ONNX Runtime's own calls."""
-    assert session._warm_session is not None
-    bound, now = session._warm_session.bound, np.zeros(1, np.float32)
+    assert isinstance(session._bound, BoundSession)
+    bound, now = session._bound, np.zeros(1, np.float32)
     value, run, binding = bound.inputs["time"].value, bound.session, bound._binding
 
     def frame() -> None:
@@ -140,8 +141,9 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
         alone = bare_frame(session)
         actions = [alone, lambda: session.run({"time": 0.3})["gaussians"], alone]
         entry, ours, again = np.median(alternating_seconds(actions, 30), axis=0)
-        inside = Inside(session._warm_session.bound_buffers.session)
-        session._warm_session.bound_buffers.session = inside
+        assert isinstance(session._bound, BoundSession)
+        inside = Inside(session._bound.session)
+        session._bound.session = inside
         frames = np.zeros((60, 2))
         for frame in frames:
             start_time = time.perf_counter()

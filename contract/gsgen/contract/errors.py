@@ -10,6 +10,7 @@ All of them derive from :class:`GsgenError`, so a caller needs one ``except`` cl
     │   └── CheckpointInvalid         a trained model, in gsgen.reference_plugins
     ├── ManifestInvalid               a manifest
     ├── LayoutMismatch                arrays that should be packed rows
+    ├── HostFailed                    this machine: no memory, a full disk, a killed process
     ├── LevelUnavailable              a validation level, in gsgen.contract.rule
     ├── RecordingRefused              test vectors or reference images
     ├── FormatError                   a splat file, in gsgen.formats, with a subclass per cause
@@ -27,6 +28,7 @@ __all__ = [
     "ConfigInvalid",
     "ExitCode",
     "GsgenError",
+    "HostFailed",
     "InputUnreadable",
     "LayoutMismatch",
     "ManifestInvalid",
@@ -101,6 +103,13 @@ class ManifestInvalid(GsgenError):
 
 class ConfigInvalid(GsgenError):
     """Raised if an option or a settings file holds an invalid value."""
+
+
+class HostFailed(GsgenError):
+    """Raised if this machine, not the input, ended a run: no memory, a full disk, a killed process.
+
+    It is never a verdict about a model.
+    """
 
 
 class LayoutMismatch(GsgenError):

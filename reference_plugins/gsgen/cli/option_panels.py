@@ -13,6 +13,7 @@ OPTION_PANELS: Final[dict[str, tuple[str, ...]]] = {
     "Time and inputs of generators": (
         "time", "pose", "inputs", "frames", "turn", "fps", "play", "provider",
     ),
+    "Models of others": ("trust", "timeout", "memory"),
     "Tilesets": (
         "wait", "sse", "budget", "cache", "upload_budget", "connections", "predictor", "log",
         "generators", "allow_origin",

@@ -46,22 +46,26 @@ def interrupted(*words: str | Path) -> tuple[int, str]:
 
 
 def _of_a_thread(process: int) -> float:
-    """Return the processor seconds of the busiest thread but the first."""
+    """Return the processor seconds of the busiest thread but the first, also of children."""
     used = [0.0]
     for task in Path(f"/proc/{process}/task").iterdir():
         if task.name != str(process):
             fields = (task / "stat").read_text().rpartition(")")[2].split()
             used.append((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"))
+        used += [_of_a_thread(int(child)) for child in (task / "children").read_text().split()]
     return max(used)
 
 
 @pytest.mark.skipif(not TASKS.exists(), reason="what threads do is read from /proc")
 @pytest.mark.parametrize("after", [-1.0, 0.5], ids=["while it opens", "in a later frame"])
-def test_a_model_that_never_ends_is_ended(tmp_path: Path, after: float) -> None:
+@pytest.mark.parametrize("options", [(), ("--trust",)], ids=["confined", "trusted"])
+def test_a_model_that_never_ends_is_ended(
+    tmp_path: Path, after: float, options: tuple[str, ...]
+) -> None:
     model = endless(tmp_path, after)
     film = tmp_path / "film.gif"
     code, message = interrupted("render", model, "-o", film, "--frames", "3", "--width", "32",
-                             "--height", "32")  # fmt: skip
+                             "--height", "32", *options)  # fmt: skip
     assert code == 130, message
     assert "Traceback" not in message
     assert "onnxruntime" not in message

@@ -75,7 +75,7 @@ def test_a_closed_session_says_so(provider, models):
 @BOTH_PROVIDERS
 def test_closing_releases_the_session_of_onnx_runtime(provider, models):
     session = FrameSession(models["drift-float32"], provider=provider)
-    bound = session._warm_session.bound
+    bound = session._bound
     references = [
         weakref.ref(array) for array in (bound, bound.session, bound.outputs["gaussians"])
     ]

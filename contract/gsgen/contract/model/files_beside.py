@@ -5,7 +5,7 @@ a link, as in caches that store files by digest, the file may also be a link to 
 beside the model's real file.
 """
 
-__all__ = ["FileRefused", "contained_file", "require_loadable", "weight_faults"]
+__all__ = ["FileRefused", "contained_file", "loaded_files", "require_loadable", "weight_faults"]
 
 import os
 import stat
@@ -87,6 +87,16 @@ def _leads_out(location: str) -> bool:
     return bool(
         PurePosixPath(location).is_absolute() or windows_path.anchor or ".." in windows_path.parts
     )
+
+
+def loaded_files(file: ModelFile) -> list[Path]:
+    """Return the real paths of the files that a runtime reads to load a model.
+
+    These are the model and its external weights, without those that must not be read.
+    """
+    locations = dict.fromkeys(ref.location for ref in file.external)
+    found = [_lookup(file.loading_path, location) for location in locations]
+    return [file.loading_path.resolve(), *(path for path in found if isinstance(path, Path))]
 
 
 def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:

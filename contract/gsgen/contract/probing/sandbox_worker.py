@@ -29,17 +29,9 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.process.limits import limit_memory
+from gsgen.contract.process.limits import is_out_of_memory, limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
-
-_OUT_OF_MEMORY = (
-    "bad_alloc",
-    "bad allocation",
-    "Failed to allocate memory",
-    "Cannot allocate memory",  # for a thread's stack
-    "MemoryError",
-)
 
 # Extra probes start only within this share of the time, so that they never use it up.
 EXTRA_PROBE_TIME_SHARE = 0.5
@@ -271,7 +263,7 @@ def _is_finite(value: np.ndarray) -> bool:
 
 def fault_stage(error: Exception, probe: int | None) -> str:
     """Return the limit that an error exceeded, or else the stage in which the run failed."""
-    if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
+    if is_out_of_memory(error):
         return "memory"
     return "load" if probe is None else "run"
 

@@ -1,14 +1,32 @@
 """Limits on the time and memory of a worker process."""
 
-__all__ = ["Limits", "available_cores", "limit_memory"]
+__all__ = [
+    "FRAME_SECONDS",
+    "Limits",
+    "available_cores",
+    "is_out_of_memory",
+    "limit_memory",
+    "limit_processor_time",
+]
 
 import os
 import sys
 from dataclasses import dataclass, replace
+from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
 
+FRAME_SECONDS: Final = 60.0
+"""Time for loading a model that is drawn, and for each of its frames."""
+
 _MODEL_COPIES = 5
+_OUT_OF_MEMORY = (
+    "bad_alloc",
+    "bad allocation",
+    "Failed to allocate memory",
+    "Cannot allocate memory",  # for a thread's stack
+    "MemoryError",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +73,27 @@ def limit_memory(limit: int) -> None:
     _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
     hard_limit = sys.maxsize if hard_limit == resource.RLIM_INFINITY else hard_limit
     resource.setrlimit(resource.RLIMIT_DATA, (min(limit, hard_limit), min(limit, hard_limit)))
+
+
+def limit_processor_time(seconds: float) -> None:
+    """Let this process use ``seconds`` more of processor time on each core, and then be killed.
+
+    This ends a process that no parent watches any more. Windows has no such limit.
+    """
+    if os.name == "nt":
+        return
+    import resource
+    import time
+
+    limit = int(time.process_time() + seconds * available_cores()) + 1
+    _, hard_limit = resource.getrlimit(resource.RLIMIT_CPU)
+    if hard_limit == resource.RLIM_INFINITY or limit < hard_limit:
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, hard_limit))
+
+
+def is_out_of_memory(error: Exception | str) -> bool:
+    """Return whether an error, or the text of one, says that memory could not be allocated."""
+    return isinstance(error, MemoryError) or any(text in str(error) for text in _OUT_OF_MEMORY)
 
 
 def available_cores() -> int:

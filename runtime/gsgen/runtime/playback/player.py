@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
-from typing import Literal, Self, final
+from typing import TYPE_CHECKING, Literal, Self, final
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import GeneratorSource, Source, Values
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 _TRANSPARENT = (0.0, 0.0, 0.0, 0.0)
 
@@ -261,10 +264,11 @@ class GeneratorPlayer:
     Inputs keep their value from frame to frame, beginning with the manifest's defaults.
 
     Args:
-        model: The ONNX file. Validate files from others first.
+        model: The ONNX file. Confine files from others.
         post: Post-process models that the colours go through, in this order.
         provider: ONNX Runtime's execution provider: cpu, webgpu, cuda, or auto for the fastest.
         sizes: Symbol → size of an open dimension of the model.
+        confined: Run the models in a child process with limits on time, memory, files and network.
         renderer: Draws the frames; a new one by default.
         background: Red, green, blue and alpha behind the scene.
         outputs: Outputs of each frame.
@@ -287,14 +291,23 @@ class GeneratorPlayer:
         post: Sequence[str | os.PathLike[str]] = (),
         provider: str = "auto",
         sizes: Mapping[str, int] | None = None,
+        confined: bool = False,
         renderer: Renderer | None = None,
         background: Sequence[float] = _TRANSPARENT,
         outputs: Collection[Output] = COLOR_ONLY,
     ) -> None:
-        self.source = GeneratorSource(Path(model), provider, sizes)
+        models = [Path(model), *map(Path, post)]
+        self._confined: ConfinedModels | None = None
+        if confined:
+            from gsgen.sdk.binding.confined.models import ConfinedModels as Processes
+
+            self._confined = Processes(models)
         self._post_processors: list[PostProcessor] = []
         try:
-            self._post_processors.extend(PostProcessor(Path(path), provider) for path in post)
+            self.source = GeneratorSource(models[0], provider, sizes, self._confined)
+            self._post_processors.extend(
+                PostProcessor(path, provider, confined=self._confined) for path in models[1:]
+            )
             self._player = Player(
                 [self.source],
                 post=self._post_processors,
@@ -372,9 +385,12 @@ class GeneratorPlayer:
 
     def close(self) -> None:
         """Release the sessions of all models; a second call has no effect."""
-        self.source.close()
+        if hasattr(self, "source"):  # else its model could not be opened
+            self.source.close()
         for model in self._post_processors:
             model.close()
+        if self._confined is not None:
+            self._confined.close()
 
     def __enter__(self) -> Self:
         return self

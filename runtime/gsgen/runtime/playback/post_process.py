@@ -19,6 +19,7 @@ from gsgen.runtime.sources.source import named
 if TYPE_CHECKING:
     from gsgen.sdk.binding import FrameSession
     from gsgen.sdk.binding.bound_session import TensorSpec
+    from gsgen.sdk.binding.confined.models import ConfinedModels
     from gsgen.sdk.binding.model_facts import ModelFacts
 
 _OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
@@ -37,6 +38,7 @@ class PostProcessor:
         path: The model.
         provider: ONNX Runtime's execution provider: cpu, webgpu, cuda or auto.
         sizes: Symbol → size of an open dimension other than those of the image.
+        confined: Runs the model in a child process with limits; None runs it in this process.
 
     Attributes:
         name: Path of the model.
@@ -48,10 +50,15 @@ class PostProcessor:
     """
 
     def __init__(
-        self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
+        self,
+        path: Path,
+        provider: str = "cpu",
+        sizes: Mapping[str, int] | None = None,
+        confined: "ConfinedModels | None" = None,
     ) -> None:
         self.name = str(path)
         self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
+        self._confined = confined
         from gsgen.sdk.binding.model_facts import read_model_facts
 
         facts = read_model_facts(path, None)
@@ -168,7 +175,9 @@ class PostProcessor:
         sizes = self._sizes | {name: size[axis] for axis, name in self._axes.items()}
         from gsgen.sdk.binding import FrameSession
 
-        session = FrameSession(self._path, provider=self._provider, sizes=sizes)
+        session = FrameSession(
+            self._path, provider=self._provider, sizes=sizes, confined=self._confined or False
+        )
         self._opened = image_size, session
         return session
 

@@ -20,6 +20,7 @@ from gsgen.runtime.errors import SceneInvalid
 if TYPE_CHECKING:
     from gsgen.runtime.scene.camera import Camera
     from gsgen.sdk.binding import FrameSession
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 _BLOCK = 1 << 16  # elements compared at a time: most often the first block differs
 
@@ -61,14 +62,25 @@ class GeneratorWorker:
         manifest: Manifest of the model.
     """
 
-    def __init__(self, path: Path, provider: str, sizes: Mapping[str, int] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        provider: str,
+        sizes: Mapping[str, int] | None = None,
+        confined: "ConfinedModels | None" = None,
+    ) -> None:
         from gsgen.sdk.binding import FrameSession, Stop
 
         self._stop = Stop()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="gsgen inference")
         try:
             opened = self._worker.submit(
-                FrameSession, path, provider=provider, sizes=sizes, stop=self._stop
+                FrameSession,
+                path,
+                provider=provider,
+                sizes=sizes,
+                stop=self._stop,
+                confined=confined or False,
             ).result()
         except BaseException:
             self.interrupt()  # a model may run for ever

@@ -4,6 +4,7 @@ __all__ = ["open_source"]
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
@@ -12,12 +13,16 @@ from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.source import GeneratorSource, Source, StillSource
 from gsgen.runtime.sources.stream_settings import StreamOpener
 
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
+
 
 def open_source(
     path: Path,
     provider: str = "cpu",
     sizes: Mapping[str, int] | None = None,
     stream: StreamOpener | None = None,
+    confined: "ConfinedModels | None" = None,
 ) -> Source:
     """Open a file of Gaussians or triangles, a tileset or an ONNX generator for the renderer.
 
@@ -26,6 +31,7 @@ def open_source(
         provider: ONNX Runtime's execution provider for a generator, and for those of neural tiles.
         sizes: Symbol → size of an open dimension of a generator.
         stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
+        confined: Runs a generator in a child process with limits; None runs it in this process.
 
     Raises:
         SceneUnreadable: The file holds no Gaussians or triangles that can be read.
@@ -34,7 +40,7 @@ def open_source(
         SizeUnknown: A dimension has no size.
     """
     if path.suffix.lower() == ".onnx":
-        return GeneratorSource(path, provider, sizes)
+        return GeneratorSource(path, provider, sizes, confined)
     if names_tileset(path):
         if stream is None:
             raise SceneUnreadable(

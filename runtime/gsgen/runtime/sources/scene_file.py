@@ -6,8 +6,9 @@ import json
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Final, Literal, TypeVar, final
+from typing import TYPE_CHECKING, Final, Literal, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +28,9 @@ from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
 from gsgen.runtime.sources.scene_fields import Fields, fields_of, refuse
 from gsgen.runtime.sources.source import Source
 from gsgen.runtime.sources.stream_settings import StreamOpener
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 VERSION: Final = "1.0"
 Result = TypeVar("Result")
@@ -138,6 +142,7 @@ def open_scene(
     provider: str = "cpu",
     sizes: Mapping[Path, Mapping[str, int]] | None = None,
     stream: StreamOpener | None = None,
+    confined: "ConfinedModels | None" = None,
 ) -> list[Source]:
     """Open the files of a scene file: first each model, then each mesh.
 
@@ -148,6 +153,7 @@ def open_scene(
         provider: ONNX Runtime's execution provider for generators.
         sizes: Path of a generator → symbol → size of an open dimension.
         stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
+        confined: Runs generators in a child process with limits; None runs them in this process.
 
     Raises:
         SceneUnreadable: A file cannot be read.
@@ -157,21 +163,20 @@ def open_scene(
     with ExitStack() as stack:
         sources: list[Source] = []
         for model in scene_file.models:
-            sources.append(_open_model(model, provider, (sizes or {}).get(model.path), stream))
+            open_file = partial(
+                open_source, model.path, provider, (sizes or {}).get(model.path), stream, confined
+            )
+            sources.append(_open_model(model, open_file))
             stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes]
         stack.pop_all()  # from here on the caller closes the sources
     return sources
 
 
-def _open_model(
-    model: SceneModel, provider: str, sizes: Mapping[str, int] | None, stream: StreamOpener | None
-) -> Source:
+def _open_model(model: SceneModel, open_file: Callable[[], Source]) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
-    nested_fields = _locate_errors(
-        lambda: open_source(model.path, provider, sizes, stream), f"{model.where}.path"
-    )
+    nested_fields = _locate_errors(open_file, f"{model.where}.path")
     try:
         return PlacedSource(
             nested_fields, model.transform, model.settings, model.inputs, f"{model.where}.inputs"

@@ -5,7 +5,7 @@ __all__ = ["SceneSource", "sources_of"]
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, final
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,9 @@ from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene
 from gsgen.runtime.sources.source import Source, StaticSource
 from gsgen.runtime.sources.stream_settings import StreamOpener
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 
 @final
@@ -47,11 +50,14 @@ class SceneSource(StaticSource):
 
 
 def sources_of(
-    scene: Scene | SplatData | str | Path | Sequence[str | Path], stream: StreamOpener | None = None
+    scene: Scene | SplatData | str | Path | Sequence[str | Path],
+    stream: StreamOpener | None = None,
+    confined: "ConfinedModels | None" = None,
 ) -> list[Source]:
     """Return sources of Gaussians for a scene: an object in memory, or paths of files.
 
-    ``stream`` opens tilesets, as ``gsgen.tiles.open_stream`` does.
+    ``stream`` opens tilesets, as ``gsgen.tiles.open_stream`` does; ``confined`` runs generators in
+    a child process with limits.
     """
     if isinstance(scene, SplatData):
         scene = Scene([scene])
@@ -66,10 +72,10 @@ def sources_of(
     opened: list[Source] = []
     try:
         for path in map(Path, paths):
-            is_scene = is_scene_file(path)
-            opened += (
-                open_scene(path, stream=stream) if is_scene else [open_source(path, stream=stream)]
-            )
+            if is_scene_file(path):
+                opened += open_scene(path, stream=stream, confined=confined)
+            else:
+                opened.append(open_source(path, stream=stream, confined=confined))
     except BaseException:
         for source in opened:
             source.close()

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, final
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +32,9 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
 from gsgen.runtime.sources.framing import Box, box_around, union_of_boxes
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 Center = Float[np.ndarray, "3"]
 
@@ -271,10 +274,14 @@ class GeneratorSource(Source):
     """A source of Gaussians that an ONNX model computes; see :class:`GeneratorWorker`."""
 
     def __init__(
-        self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
+        self,
+        path: Path,
+        provider: str = "cpu",
+        sizes: Mapping[str, int] | None = None,
+        confined: "ConfinedModels | None" = None,
     ) -> None:
         self.name = str(path)
-        self._worker = GeneratorWorker(path, provider, sizes)
+        self._worker = GeneratorWorker(path, provider, sizes, confined)
         self.manifest = manifest = self._worker.manifest
         self.space = manifest.space
         self.up = axis_direction((manifest.space or Space()).up)

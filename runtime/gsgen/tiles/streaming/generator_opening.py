@@ -5,7 +5,7 @@ __all__ = ["GeneratorOpener", "ModelReader"]
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import final
+from typing import TYPE_CHECKING, final
 
 from gsgen.contract.validation.finding import Violation
 from gsgen.runtime.sources.generator_worker import GeneratorWorker
@@ -13,6 +13,9 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.neural_tile import NeuralTile
 from gsgen.tiles.loading.neural_model import TileBounds, check_digest, check_neural_model
 from gsgen.tiles.selection.tile_tree import TileTree
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 ModelReader = Callable[[NeuralTile], bytes]
 
@@ -25,10 +28,18 @@ class GeneratorOpener:
         tree: Tiles of the tileset, by key.
         read_model: Reads the model of a tile.
         provider: Execution provider of ONNX Runtime.
+        confined: Runs the generators in child processes with limits; None runs them in this one.
     """
 
-    def __init__(self, tree: TileTree, read_model: ModelReader, provider: str) -> None:
+    def __init__(
+        self,
+        tree: TileTree,
+        read_model: ModelReader,
+        provider: str,
+        confined: "ConfinedModels | None" = None,
+    ) -> None:
         self._tree, self._read_model, self._provider = tree, read_model, provider
+        self._confined = confined
         self._validated_tiles: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
@@ -48,7 +59,7 @@ class GeneratorOpener:
             if tile not in self._validated_tiles:
                 self._require_declarations(tile, entry.neural, path)
                 self._validated_tiles.add(tile)
-            worker = GeneratorWorker(path, self._provider)
+            worker = GeneratorWorker(path, self._provider, confined=self._confined)
         try:
             _require_drawable(worker)
         except TilesetInvalid:

@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -40,6 +40,9 @@ from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.session_frame import TileArrival
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 
 class _RunInputs(NamedTuple):
@@ -66,6 +69,7 @@ class NeuralTilesOptions:
         upload_budget: Bytes of arrivals and of new rows in a frame.
         slot_rows: Rows of a slot of the splat pool.
         provider: Execution provider of ONNX Runtime.
+        confined: Runs the generators in child processes with limits, one each.
     """
 
     sessions: int
@@ -73,6 +77,7 @@ class NeuralTilesOptions:
     upload_budget: int
     slot_rows: int
     provider: str = "cpu"
+    confined: "ConfinedModels | None" = None
 
 
 @final
@@ -162,7 +167,7 @@ class NeuralTiles:
         self._pending_tiles: tuple[int, ...] = ()
         self._tokens, self._token_time = 1.0, clock.now()
         self._events = NeuralEvents()
-        self._opener = GeneratorOpener(tree, read_model, options.provider)
+        self._opener = GeneratorOpener(tree, read_model, options.provider, options.confined)
         self._loader = ThreadPoolExecutor(1, thread_name_prefix="gsgen neural tiles")
 
     @property

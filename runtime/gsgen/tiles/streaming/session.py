@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Protocol, final
+from typing import TYPE_CHECKING, Final, Protocol, final
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -38,6 +38,9 @@ from gsgen.tiles.streaming.planner import Link, RequestPlanner
 from gsgen.tiles.streaming.residency import ResidentTiles
 from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
 
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
+
 UPLOAD_BUDGET: Final = 4 << 20
 RUNS_PER_SECOND: Final = 25.0
 _ERROR_STEP: Final = 2**0.25  # step of the error while a cut does not fit the pool
@@ -66,6 +69,7 @@ class SessionOptions:
         neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
             splats of these tiles.
         provider: Execution provider of ONNX Runtime for these generators.
+        confined: Runs models in child processes with limits; None runs them in this process.
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
     """
@@ -83,6 +87,7 @@ class SessionOptions:
     log: Path | None = None
     neural_sessions: int = 4
     provider: str = "cpu"
+    confined: "ConfinedModels | None" = None
     runs_per_second: float = RUNS_PER_SECOND
 
 
@@ -250,6 +255,7 @@ class TilesetSession:
                 upload_budget=options.upload_budget,
                 slot_rows=options.slot_rows,
                 provider=options.provider,
+                confined=options.confined,
             ),
             sh_degree=self.sh_degree,
             max_rows=self.pool_slots * self.slot_rows,

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Final, Literal, final
+from typing import TYPE_CHECKING, Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,9 @@ from gsgen.tiles.streaming.drawing import FADE_SECONDS
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 _POLL_SECONDS: Final = 0.2  # seconds between two looks at what arrived
 _TIME: Final = "time"
@@ -242,7 +245,10 @@ def _ignore_line(line: str) -> None:
 
 
 def open_stream(
-    path: Path, provider: str = "cpu", settings: StreamSettings | None = None
+    path: Path,
+    provider: str = "cpu",
+    settings: StreamSettings | None = None,
+    confined: "ConfinedModels | None" = None,
 ) -> TilesSource:
     """Open a tileset as a source of Gaussians for the renderer.
 
@@ -250,6 +256,7 @@ def open_stream(
         path: The tileset's index, folder, archive or address.
         provider: ONNX Runtime's execution provider for the generators of neural tiles.
         settings: How tiles are chosen, fetched and kept.
+        confined: Runs the models in child processes with limits; None runs them in this process.
 
     Raises:
         TilesetInvalid: The index is wrong.
@@ -268,6 +275,7 @@ def open_stream(
         log=settings.log,
         neural_sessions=settings.neural_sessions,
         provider=provider,
+        confined=confined,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
     # Frames that wait for their tiles count those that fail, see `TilesSource.shortfall`.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
-from gsgen.sdk.binding.buffers import Buffer, make_buffer
+from gsgen.sdk.binding.buffers import Buffer, HostMemory, make_buffer
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed, SizeUnknown
 from gsgen.sdk.binding.providers.node_placement import error_text
@@ -96,14 +96,16 @@ class BoundSession:
         start: Mapping[str, np.ndarray],
         memory: str,
         stop: Stop | None = None,
+        host_memory: HostMemory | None = None,
     ) -> None:
         """Create and bind buffers for all inputs and outputs of an ONNX Runtime session.
 
         ``shapes`` and ``start`` are by input name; ``memory`` is ``cpu``, ``gpu`` or ``cuda``.
+        ``host_memory`` allocates their arrays on the host.
         """
         stop = stop or Stop()
         self.session = session
-        self._memory = memory
+        self._memory, self._host_memory = memory, host_memory or HostMemory()
         self._read: dict[str, np.ndarray] = {}
         self._binding = session.io_binding()
         self._options, self._uncaptured_options = stop.options(), stop.options()
@@ -151,9 +153,12 @@ class BoundSession:
         del self._binding, self.session
 
     def _bind_input(self, spec: TensorSpec, shape: tuple[int, ...]) -> Buffer:
-        buffer = make_buffer(self.session, shape, spec.dtype, self._memory)
+        buffer = self._make_buffer(shape, spec.dtype)
         self._binding.bind_ortvalue_input(spec.name, buffer.value)
         return buffer
+
+    def _make_buffer(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Buffer:
+        return make_buffer(self.session, shape, dtype, self._memory, self._host_memory)
 
     def _bind_outputs(self, output_specs: tuple[TensorSpec, ...]) -> dict[str, Buffer]:
         shapes = {spec.name: spec.shape({}) for spec in output_specs if spec.static}
@@ -163,7 +168,7 @@ class BoundSession:
         # An output that is also an input has no buffer of its own in ONNX Runtime: share the input's.
         buffers = {
             spec.name: self.inputs.get(spec.name)
-            or make_buffer(self.session, shapes[spec.name], spec.dtype, self._memory)
+            or self._make_buffer(shapes[spec.name], spec.dtype)
             for spec in output_specs
         }
         for name, buffer in buffers.items():

@@ -11,13 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.manifest import Manifest
-from gsgen.sdk.binding.bound_session import translate_error
+from gsgen.sdk.binding.bound_session import BoundSession, translate_error
 from gsgen.sdk.binding.buffers import Buffer
 from gsgen.sdk.binding.camera_inputs import Camera, camera_values
 from gsgen.sdk.binding.frame import Frame
@@ -33,16 +33,13 @@ from gsgen.sdk.binding.providers.errors import (
     SessionClosed,
 )
 from gsgen.sdk.binding.providers.node_placement import CPU, Node
-from gsgen.sdk.binding.providers.selection import (
-    Provider,
-    ProviderChoice,
-    SessionOptions,
-    choose_provider,
-)
-from gsgen.sdk.binding.warm_up import WarmSession, warm_up
+from gsgen.sdk.binding.providers.selection import Provider
+from gsgen.sdk.binding.warm_up import WarmSession, lock_of, open_warm
 
-# All WebGPU sessions share one device, which does not support several threads.
-_WEBGPU_LOCK = threading.RLock()
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
+    from gsgen.sdk.binding.confined.session import ConfinedSession
+
 _open_sessions: "weakref.WeakSet[FrameSession]" = weakref.WeakSet()
 
 
@@ -79,19 +76,23 @@ class FrameSession:
         manifest: Manifest | None = None,
         threads: int = 0,
         stop: Stop | None = None,
+        confined: "ConfinedModels | bool" = False,
     ) -> None:
         """Open a model, bind its buffers, and run it once, so that the first frame is fast.
 
         Args:
-            model: The ONNX file. Validate it first if it is not your own.
+            model: The ONNX file. Confine it if it is not your own.
             provider: ``cpu``, ``webgpu``, ``cuda``, or ``auto`` for the fastest available.
             capture: Record the GPU's commands once and replay them, if the model allows it.
             sizes: Symbol → size of an open dimension; ``NAME[AXIS]`` if it has no symbol.
             manifest: Replaces the embedded manifest.
             threads: Threads of the CPU provider; 0 lets ONNX Runtime decide.
             stop: Ends runs that take too long, including those of this constructor.
+            confined: Run the model in a child process with limits on time, memory, files and
+                network: one of its own (True), or one that several models share.
 
         Raises:
+            HostFailed: The machine has no memory or no process for a confined model.
             ModelUnreadable: The file is not an ONNX model.
             ManifestInvalid: The embedded manifest cannot be read.
             ProviderUnavailable: The requested provider is not available.
@@ -102,22 +103,45 @@ class FrameSession:
         self.path = Path(model)
         self._number = -1
         self._sources = sources = read_model_facts(self.path, manifest)
-        size_by_symbol, choice = sources.sizes(sizes or {}), choose_provider(provider)
-        capture = capture and choice.provider != "cpu"
-        session_options = SessionOptions(
-            choice=choice, capture=capture, sizes=size_by_symbol, threads=threads, stop=stop
-        )
-        with _lock_of(choice):
-            warm_session = warm_up(sources, session_options)
-        self._warm_session: WarmSession | None = warm_session
-        self._lock = _lock_of(warm_session.choice)
-        self._names = InputNames.from_bindings(warm_session.ports.values(), str(self.path))
-        self.manifest, self.nodes = sources.manifest, warm_session.nodes
-        self.provider: Provider = warm_session.choice.provider
-        self.reason, self.device = warm_session.choice.reason, warm_session.choice.device
-        self.captured, self.cause = warm_session.captured, warm_session.cause
+        settings: dict[str, Any] = {
+            "provider": provider, "capture": capture, "sizes": sizes or {}, "threads": threads,
+            "stop": stop,
+        }  # fmt: skip
+        self._own_process: ConfinedModels | None = None
+        self._lock: AbstractContextManager[object] = threading.RLock()
+        opened: WarmSession | ConfinedSession
+        if confined:
+            opened = self._open_confined(confined, is_embedded=manifest is None, **settings)
+            self._bound: BoundSession | ConfinedSession | None = opened
+        else:
+            opened = open_warm(sources, **settings)
+            self._bound, self._lock = opened.bound, lock_of(opened.choice)
+        self._ports = opened.ports
+        self._names = InputNames.from_bindings(opened.ports.values(), str(self.path))
+        self.manifest, self.nodes = sources.manifest, opened.nodes
+        self.provider: Provider = opened.provider
+        self.reason, self.device = opened.reason, opened.device
+        self.captured, self.cause = opened.captured, opened.cause
         _open_sessions.add(self)
         self._warn_of_fallbacks()
+
+    def _open_confined(
+        self, confined: "ConfinedModels | bool", **settings: Any
+    ) -> "ConfinedSession":
+        from gsgen.sdk.binding.confined.models import ConfinedModels
+        from gsgen.sdk.binding.confined.session import open_confined
+
+        if isinstance(confined, bool):
+            self._own_process = confined = ConfinedModels([self.path])
+        try:
+            return open_confined(self._sources, confined, **settings)
+        except BaseException:
+            self._end_own_process()
+            raise
+
+    def _end_own_process(self) -> None:
+        if self._own_process is not None:
+            self._own_process.close()
 
     def _warn_of_fallbacks(self) -> None:
         if self.cause:
@@ -142,17 +166,18 @@ class FrameSession:
     @property
     def closed(self) -> bool:
         """Whether :meth:`close` was called on the model's session."""
-        return self._warm_session is None
+        return self._bound is None
 
     @property
     def inputs(self) -> Mapping[str, InputBinding]:
         """The inputs of the model by name: dtype, shape and input role."""
-        return MappingProxyType(self._require_open().ports)
+        self._require_open()
+        return MappingProxyType(self._ports)
 
     @property
     def outputs(self) -> Mapping[str, Buffer]:
         """The outputs of the model by name, as buffers with dtype and shape."""
-        return MappingProxyType(self._require_open().bound.outputs)
+        return MappingProxyType(self._require_open().outputs)
 
     @property
     def constant_outputs(self) -> frozenset[str]:
@@ -161,7 +186,7 @@ class FrameSession:
 
     def samples(self) -> list[dict[str, np.ndarray]]:
         """Return two different sets of input tensors to test the model with."""
-        return [dict(probe) for probe in self._sources.probes(self._require_open().ports.values())]
+        return [dict(probe) for probe in self._sources.probes(self.inputs.values())]
 
     # ---- Every frame
 
@@ -189,11 +214,11 @@ class FrameSession:
         with self._lock:
             if values or camera is not None:
                 self.update(values, camera=camera)
-            warm_session = self._require_open()
+            bound = self._require_open()
             self._number += 1  # before the run: a failed run invalidates the last frame, too
             try:
-                warm_session.bound.run()
-                copies = warm_session.bound.copies() if copy else None
+                bound.run()
+                copies = bound.copies() if copy else None
             except Exception as error:
                 raise translate_error(error) from error
             return Frame(self, self._number, copies)
@@ -218,14 +243,12 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            warm_session = self._require_open()
+            bound = self._require_open()
             updates = self._camera_updates(camera) if camera is not None else {}
             for key, value in (values or {}).items():
                 updates[self._names.find(key)] = value
-            tensors = {
-                name: warm_session.ports[name].tensor(value) for name, value in updates.items()
-            }
-            return warm_session.bound.write(tensors)
+            tensors = {name: self._ports[name].tensor(value) for name, value in updates.items()}
+            return bound.write(tensors)
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> None:
         """Copy tensors unchanged into model inputs, by name; matrices in the model's memory order.
@@ -236,13 +259,13 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            warm_session = self._require_open()
+            bound = self._require_open()
             arrays = {}
             for name, value in tensors.items():
-                if name not in warm_session.ports:
-                    raise UnknownName.among("input", name, warm_session.ports, str(self.path))
-                arrays[name] = warm_session.ports[name].convert_value(value)
-            warm_session.bound.write(arrays)
+                if name not in self._ports:
+                    raise UnknownName.among("input", name, self._ports, str(self.path))
+                arrays[name] = self._ports[name].convert_value(value)
+            bound.write(arrays)
 
     def _camera_updates(self, camera: Camera) -> dict[str, object]:
         if self.manifest is None:
@@ -250,7 +273,7 @@ class FrameSession:
             hint = "Embed one (`gsgen inspect --emit-manifest`), or pass manifest=."
             raise InputInvalid(message, where=str(self.path), hint=hint)
         values = camera_values(camera)
-        ports = self._require_open().ports.values()
+        ports = self._ports.values()
         return {port.name: values[port.role] for port in ports if port.role in values}
 
     # ---- Access for frames
@@ -260,7 +283,7 @@ class FrameSession:
         with self.hold_frame(number):
             self._output(name)
             try:
-                return self._require_open().bound.read(name)
+                return self._require_open().read(name)
             except Exception as error:  # ONNX Runtime's errors share no base class of their own
                 raise translate_error(error) from error
 
@@ -286,7 +309,7 @@ class FrameSession:
             yield
 
     def _output(self, name: str) -> Buffer:
-        outputs = self._require_open().bound.outputs
+        outputs = self._require_open().outputs
         if name not in outputs:
             raise UnknownName.among("output", name, outputs, str(self.path))
         return outputs[name]
@@ -296,9 +319,10 @@ class FrameSession:
     def close(self) -> None:
         """Release the model's session, buffers and graph capture; a second call does nothing."""
         with self._lock:
-            if self._warm_session is not None:
-                self._warm_session.bound.close()
-                self._warm_session = None
+            if self._bound is not None:
+                self._bound.close()
+                self._bound = None
+            self._end_own_process()
 
     def __enter__(self) -> Self:
         self._require_open()
@@ -316,15 +340,11 @@ class FrameSession:
         state = "closed" if self.closed else "captured" if self.captured else "not captured"
         return f"<FrameSession {self.path.name} on {self.provider}, {state}>"
 
-    def _require_open(self) -> WarmSession:
-        if self._warm_session is None:
+    def _require_open(self) -> "BoundSession | ConfinedSession":
+        if self._bound is None:
             message = "the session was closed"
             raise SessionClosed(message, where=str(self.path), hint="Open a new FrameSession.")
-        return self._warm_session
-
-
-def _lock_of(choice: ProviderChoice) -> AbstractContextManager[object]:
-    return _WEBGPU_LOCK if choice.provider == "webgpu" else threading.RLock()
+        return self._bound
 
 
 @atexit.register

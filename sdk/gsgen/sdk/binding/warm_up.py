@@ -5,24 +5,33 @@ forever without an error. Therefore, before the first frame, two different input
 without capture, then captured and replayed, and the outputs compared.
 """
 
-__all__ = ["WarmSession", "warm_up"]
+__all__ = ["WarmSession", "lock_of", "open_warm"]
 
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW
 from gsgen.sdk.binding.bound_session import BoundSession, tensor_specs, translate_error
+from gsgen.sdk.binding.buffers import HostMemory
 from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.model_facts import ModelFacts, Tensors
+from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.node_placement import CPU, Node, error_text, node_placement
 from gsgen.sdk.binding.providers.selection import (
     BUFFER_MEMORY,
+    Provider,
     ProviderChoice,
     SessionOptions,
+    choose_provider,
     open_session,
 )
 from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
+
+# All WebGPU sessions of a process share one device, which does not support several threads.
+_WEBGPU_LOCK = threading.RLock()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,8 +45,59 @@ class WarmSession:
     captured: bool  # whether frames are replayed
     cause: str = ""  # the reason why they are not; empty if they are, or if capture is off
 
+    @property
+    def provider(self) -> Provider:
+        """The chosen execution provider's name."""
+        return self.choice.provider
 
-def warm_up(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
+    @property
+    def reason(self) -> str:
+        """The reason for the chosen execution provider."""
+        return self.choice.reason
+
+    @property
+    def device(self) -> str:
+        """The name of the device on which ONNX Runtime computes, as text."""
+        return self.choice.device
+
+
+def lock_of(choice: ProviderChoice) -> AbstractContextManager[object]:
+    """Return the lock for all calls of a session: that of all WebGPU sessions, or a new one."""
+    return _WEBGPU_LOCK if choice.provider == "webgpu" else threading.RLock()
+
+
+def open_warm(
+    sources: ModelFacts,
+    *,
+    provider: str,
+    capture: bool,
+    sizes: Mapping[str, int],
+    threads: int,
+    stop: Stop | None,
+    host_memory: HostMemory | None = None,
+    before: Callable[[str], None] | None = None,
+) -> WarmSession:
+    """Choose a provider, and open an ONNX Runtime session on it, as ``FrameSession`` documents.
+
+    ``host_memory`` allocates the host arrays of the session's tensors; ``before`` is called with
+    the chosen provider's name before the model is loaded.
+    """
+    size_by_symbol, choice = sources.sizes(sizes), choose_provider(provider)
+    if before is not None:
+        before(choice.provider)
+    session_options = SessionOptions(
+        choice=choice,
+        capture=capture and choice.provider != "cpu",
+        sizes=size_by_symbol,
+        threads=threads,
+        stop=stop,
+        host_memory=host_memory,
+    )
+    with lock_of(choice):
+        return _warm_up(sources, session_options)
+
+
+def _warm_up(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
     """Open an ONNX Runtime session that computes correct frames, by graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
@@ -90,8 +150,15 @@ def _open_uncached(sources: ModelFacts, session_options: SessionOptions) -> Warm
     ]
     ports = {port.name: port for port in inputs}
     shapes = {port.name: port.shape for port in inputs}
-    memory = BUFFER_MEMORY[session_options.choice.provider]
-    bound = BoundSession(session, shapes, _defaults(ports), memory, session_options.stop)
+    memory, host_memory = (
+        BUFFER_MEMORY[session_options.choice.provider],
+        session_options.host_memory,
+    )
+    if host_memory is not None:
+        host_memory.clear()
+    bound = BoundSession(
+        session, shapes, _defaults(ports), memory, session_options.stop, host_memory
+    )
     return WarmSession(
         choice=session_options.choice,
         bound=bound,

@@ -4,14 +4,23 @@ __all__ = ["bake"]
 
 import json
 import math
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.commands.drawing.options import Axis, Provider, Sizes, read_tracks
+from gsgen.cli.commands.drawing.options import (
+    Axis,
+    ModelMemory,
+    ModelTimeout,
+    Provider,
+    Sizes,
+    Trust,
+    model_limits,
+    read_tracks,
+)
 from gsgen.cli.output import echo_error
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.formats.codecs import writable_formats
@@ -93,6 +102,9 @@ def bake(
     ] = None,
     size: Sizes = None,
     provider: Provider = "cpu",
+    trust: Trust = False,
+    timeout: ModelTimeout = None,
+    memory: ModelMemory = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Write frames of a generator as plain splat files, which every viewer reads.
@@ -104,6 +116,7 @@ def bake(
     the model cannot be read.
     """
     from gsgen.cli.commands.drawing.input_files import input_files
+    from gsgen.cli.commands.drawing.opening import confined_models
     from gsgen.cli.model_options import sizes_of
     from gsgen.cli.progress import clear, progress
     from gsgen.formats import FormatError
@@ -111,7 +124,11 @@ def bake(
     from gsgen.runtime.sources.source import GeneratorSource
 
     tracks, view = _tracks(time, inputs), _viewpoint(camera, up)
-    with closing(GeneratorSource(model, provider, sizes_of(size))) as source:
+    limits = model_limits(timeout, memory, trust=trust)
+    with (
+        confined_models((), [model], limits) or nullcontext() as confined,
+        closing(GeneratorSource(model, provider, sizes_of(size), confined)) as source,
+    ):
         try:
             report = bake_source(
                 source,

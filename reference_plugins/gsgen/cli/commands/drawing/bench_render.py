@@ -31,6 +31,9 @@ def bench_render(
     rasteriser: options.RasteriserName = "auto",
     size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
+    trust: options.Trust = False,
+    timeout: options.ModelTimeout = None,
+    memory: options.ModelMemory = None,
     as_json: options.AsJson = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
@@ -60,7 +63,8 @@ def bench_render(
     if output is not None:
         refuse_model(output, scene_inputs(files))
     view = scene_viewpoint(files, camera, width, height)
-    with open_scenes(scenes, provider=provider, size=symbols) as (sources, _):
+    limits = options.model_limits(timeout, memory, trust=trust)
+    with open_scenes(scenes, provider=provider, size=symbols, limits=limits) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.
         sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)

@@ -1,6 +1,6 @@
 """Opens the scenes and post-process models of a command, and prints their warnings."""
 
-__all__ = ["open_scenes", "read_scene_files", "read_splats", "tileset_opener"]
+__all__ = ["confined_models", "open_scenes", "read_scene_files", "read_splats", "tileset_opener"]
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,14 +12,17 @@ import typer
 
 from gsgen.cli.output import echo_error
 from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
 from gsgen.formats.tileset_paths import names_tileset
 
 if TYPE_CHECKING:
+    from gsgen.contract.process.limits import Limits
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.sources.source import Source
     from gsgen.runtime.sources.stream_settings import StreamOpener, StreamSettings
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 
 def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
@@ -47,6 +50,7 @@ def open_scenes(
     provider: str = "cpu",
     size: Sequence[str] | None = None,
     streaming: "StreamSettings | None" = None,
+    limits: "Limits | None" = None,
 ) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
     """Open scenes and post-process models, print their warnings as notes, and close them.
 
@@ -56,6 +60,7 @@ def open_scenes(
         provider: Execution provider of ONNX Runtime.
         streaming: How tilesets are streamed.
         size: Values of ``--size``; each model gets the sizes of its own open dimensions.
+        limits: Limits of the process that runs models; None runs them in this process.
 
     Raises:
         typer.Exit: A file cannot be read; the reason is printed.
@@ -70,10 +75,13 @@ def open_scenes(
     from gsgen.runtime.sources.world_origins import align_world_origins
 
     sizes = sizes_of(size)
-    stream = tileset_opener(streaming)
     files = read_scene_files(scenes)
     model_paths = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:
+        confined = confined_models([*scenes, *model_paths], post or (), limits)
+        if confined is not None:
+            stack.callback(confined.close)
+        stream = tileset_opener(streaming, confined)
         with _warnings_as_notes():
             try:
                 sizes_by_path = _sizes_by_path([*scenes, *model_paths, *(post or ())], sizes or {})
@@ -82,15 +90,17 @@ def open_scenes(
                 for path in scenes:
                     progress(f"reading {path}")
                     opened_sources = (
-                        open_scene(files[path], provider, sizes_by_path, stream)
+                        open_scene(files[path], provider, sizes_by_path, stream, confined)
                         if path in files
-                        else [open_source(path, provider, sizes_by_path.get(path), stream)]
+                        else [
+                            open_source(path, provider, sizes_by_path.get(path), stream, confined)
+                        ]
                     )
                     sources += opened_sources
                     for source in opened_sources:
                         stack.callback(source.close)
                 for path in post or ():
-                    models.append(PostProcessor(path, provider, sizes_by_path.get(path)))
+                    models.append(PostProcessor(path, provider, sizes_by_path.get(path), confined))
                     stack.callback(models[-1].close)
             except (InputUnreadable, SceneUnreadable) as error:
                 echo_error(error)
@@ -100,13 +110,38 @@ def open_scenes(
         yield align_world_origins(sources), models
 
 
-def tileset_opener(settings: "StreamSettings | None" = None) -> "StreamOpener":
+def confined_models(
+    scenes: Sequence[Path], models: Sequence[Path], limits: "Limits | None"
+) -> "ConfinedModels | None":
+    """Return the confined processes for the models of a command; None if it needs none.
+
+    The process of the models that are named starts at once.
+
+    Args:
+        scenes: Files of scenes, of any kind.
+        models: Model files, with any suffix.
+        limits: Limits of the processes; None runs models in this process.
+    """
+    models = [*(path for path in scenes if path.suffix.lower() == MODEL_SUFFIX), *models]
+    if limits is None or not (models or any(map(names_tileset, scenes))):
+        return None
+    from gsgen.sdk.binding.confined.models import CAN_CONFINE, ConfinedModels
+
+    if not CAN_CONFINE:
+        typer.echo("note: this system cannot confine models: they run without limits", err=True)
+        return None
+    return ConfinedModels(models, limits)
+
+
+def tileset_opener(
+    settings: "StreamSettings | None" = None, confined: "ConfinedModels | None" = None
+) -> "StreamOpener":
     """Return a function that opens a tileset as a source; gsgen.tiles is imported when it does."""
 
     def open_tileset(path: Path, provider: str) -> "Source":
         from gsgen.tiles.streaming.tiles_source import open_stream
 
-        return open_stream(path, provider, settings)
+        return open_stream(path, provider, settings, confined)
 
     return open_tileset
 

@@ -10,6 +10,8 @@ __all__ = [
     "ImageSizes",
     "Inputs",
     "ModeOption",
+    "ModelMemory",
+    "ModelTimeout",
     "OrtFolder",
     "Orthographic",
     "Panorama",
@@ -21,8 +23,10 @@ __all__ = [
     "Scenes",
     "ShDegree",
     "Sizes",
+    "Trust",
     "Width",
     "mode_of",
+    "model_limits",
     "read_tracks",
     "split_image_size",
     "time_option",
@@ -30,6 +34,7 @@ __all__ = [
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -38,6 +43,7 @@ import typer
 from gsgen.contract.errors import ConfigInvalid
 
 if TYPE_CHECKING:
+    from gsgen.contract.process.limits import Limits
     from gsgen.runtime.media.pictures import Mode
     from gsgen.runtime.playback.input_tracks import Track
     from gsgen.runtime.sources.source import Source
@@ -86,6 +92,24 @@ Inputs = Annotated[
 ModeOption = Annotated[
     Literal["color", "colour", "depth", "median-depth", "normal", "alpha"],
     typer.Option("--mode", help="Output to show.", case_sensitive=False),
+]
+ModelMemory = Annotated[
+    int | None,
+    typer.Option(
+        "--memory",
+        help="Memory limit of the process that runs models, in MiB; the weights come on top.",
+        show_default="2048",
+        min=64,
+    ),
+]
+ModelTimeout = Annotated[
+    float | None,
+    typer.Option(
+        "--timeout",
+        help="Time limit for loading a model and for each of its frames, in seconds.",
+        show_default="60",
+        min=0.1,
+    ),
 ]
 Orthographic = Annotated[
     bool,
@@ -158,6 +182,12 @@ ShDegree = Annotated[
 Sizes = Annotated[
     list[str] | None,
     typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension of a model; repeatable."),
+]
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust", help="Run models in this process, without limits: your own, not a stranger's."
+    ),
 ]
 Width = Annotated[
     int | None, typer.Option(help="Width in pixels. [default: the camera's, or 1280]", min=1)
@@ -237,6 +267,16 @@ def _time_value(text: str) -> float:
             hint="Without --time, --frames N goes through the whole range of the model; a part of "
             f"it is --input time={first}..{other_times[0]} --frames {count}.",
         ) from error
+
+
+def model_limits(timeout: float | None, memory: int | None, *, trust: bool) -> "Limits | None":
+    """Return the limits of a confined process for models; None for models that are trusted."""
+    from gsgen.contract.process.limits import FRAME_SECONDS, Limits
+
+    if trust:
+        return None
+    limits = Limits(seconds=FRAME_SECONDS if timeout is None else timeout)
+    return limits if memory is None else replace(limits, memory=memory << 20)
 
 
 def mode_of(name: str) -> "Mode":

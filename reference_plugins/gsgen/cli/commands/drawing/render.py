@@ -105,6 +105,9 @@ def render(
     provider: options.Provider = "cpu",
     wait: Wait = 30.0,
     allow_missing: AllowMissing = False,
+    trust: options.Trust = False,
+    timeout: options.ModelTimeout = None,
+    memory: options.ModelMemory = None,
     as_json: options.AsJson = False,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
@@ -133,7 +136,12 @@ def render(
     )
     color = _background(background, output, files)
     with open_scenes(
-        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=wait)
+        scenes,
+        post,
+        provider=provider,
+        size=symbols,
+        streaming=replace(streaming, wait=wait),
+        limits=options.model_limits(timeout, memory, trust=trust),
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
         is_published = wsr == "published"

@@ -17,6 +17,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
+    from gsgen.contract.process.limits import Limits
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.sources.scene_file import SceneFile
@@ -90,6 +91,9 @@ def view(
     size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
+    trust: options.Trust = False,
+    timeout: options.ModelTimeout = None,
+    memory: options.ModelMemory = None,
     web: Web = False,
     ort: options.OrtFolder = None,
     port: Port = 0,
@@ -119,8 +123,14 @@ def view(
     _print_notes(viewpoint.notes)
     if viewpoint.times:
         _print_notes(["not used: the times of the cameras; the window plays the time"])
+    limits = options.model_limits(timeout, memory, trust=trust)
     with open_scenes(
-        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
+        scenes,
+        post,
+        provider=provider,
+        size=symbols,
+        streaming=replace(streaming, wait=0),
+        limits=limits,
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
         playback = LivePlayback(
@@ -143,7 +153,7 @@ def view(
             folder=pictures,
             print_line=typer.echo,
             on_event=_print_event if as_json else None,
-            open_files=_file_opener(play=play),
+            open_files=_file_opener(limits, play=play),
         )
         _open_window(interface, scenes, viewpoint.camera(sources[0], 0, 0.0), as_json=as_json)
 
@@ -257,14 +267,18 @@ def _title(scenes: Sequence[Path]) -> str:
     return ", ".join(path.name for path in scenes) + " - gsgen"
 
 
-def _file_opener(*, play: bool) -> "Callable[[Sequence[Path]], LivePlayback]":
+def _file_opener(
+    limits: "Limits | None", *, play: bool
+) -> "Callable[[Sequence[Path]], LivePlayback]":
     """Return a function that opens dropped files for live playback."""
-    from gsgen.cli.commands.drawing.opening import tileset_opener
+    from gsgen.cli.commands.drawing.opening import confined_models, tileset_opener
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.sources.scene_source import sources_of
 
     def open_files(paths: Sequence[Path]) -> LivePlayback:
-        playback = LivePlayback(sources_of(list(paths), tileset_opener(StreamSettings(wait=0))))
+        confined = confined_models(paths, (), limits)
+        stream = tileset_opener(StreamSettings(wait=0), confined)
+        playback = LivePlayback(sources_of(list(paths), stream, confined))
         playback.playing = play and playback.frames > 1
         return playback
 

@@ -2,6 +2,7 @@
 
 __all__ = ["Stop"]
 
+from collections.abc import Callable
 from typing import Any, Final, final
 
 FATAL: Final = 4  # the log level; lesser messages are in the raised error and need no log
@@ -17,6 +18,7 @@ class Stop:
 
     def __init__(self) -> None:
         self._options: list[Any] = []
+        self._callbacks: list[Callable[[], None]] = []
         self._terminate = False
 
     def options(self) -> Any:
@@ -29,9 +31,22 @@ class Stop:
         self._options.append(options)
         return options
 
+    def call(self, callback: Callable[[], None]) -> None:
+        """Call a function at each cancellation; at once if one has not been reset."""
+        self._callbacks.append(callback)
+        if self._terminate:
+            callback()
+
+    @property
+    def requested(self) -> bool:
+        """Whether inferences are cancelled, since :meth:`now` and until :meth:`reset`."""
+        return self._terminate
+
     def now(self) -> None:
         """Cancel the running inferences of an ONNX Runtime session, until :meth:`reset`."""
         self._set_terminate(terminate=True)
+        for callback in self._callbacks:
+            callback()
 
     def reset(self) -> None:
         """Allow an ONNX Runtime session to run inferences again after a cancellation."""

@@ -19,6 +19,7 @@ from typing import Any, Literal, get_args
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.probing.sandbox_worker import model_source
+from gsgen.sdk.binding.buffers import HostMemory
 from gsgen.sdk.binding.providers.cancellation import FATAL, Stop
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import CPU, error_text
@@ -70,6 +71,7 @@ class SessionOptions:
     sizes: Mapping[str, int] = field(default_factory=dict)  # symbol → size of a dimension
     threads: int = 0  # threads of the CPU provider; 0 lets ONNX Runtime decide
     stop: Stop | None = None  # cancels the session's runs; optional
+    host_memory: HostMemory | None = None  # allocates arrays on the host; optional
 
     def without_capture(self) -> "SessionOptions":
         """Copy the ONNX Runtime session options, with graph capture and replay turned off."""

@@ -1,0 +1,59 @@
+"""Why a child process ended: by a fault of the model that it ran, or of this machine."""
+
+__all__ = ["Death", "death_of", "signal_name"]
+
+import signal
+from typing import Final, NamedTuple
+
+from gsgen.contract.process.limits import Limits, is_out_of_memory
+
+# Signals that a process gets from its own faults; others come from the system or its users.
+_OWN_FAULTS: Final = ("SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP")
+
+
+class Death(NamedTuple):
+    """Why a child process ended.
+
+    Attributes:
+        message: The reason, one line.
+        stage: ``time``, ``memory``, ``crash``, or ``host`` for a fault of this machine.
+    """
+
+    message: str
+    stage: str
+
+    @property
+    def is_of_host(self) -> bool:
+        """Whether the machine ended the process, not the model."""
+        return self.stage == "host"
+
+
+def death_of(status: int, log: str, limits: Limits) -> Death:
+    """Return why a child process ended by itself or by a signal that its parent did not send.
+
+    Args:
+        status: Exit status; negative for a signal.
+        log: The text that it wrote to standard error.
+        limits: The limits that it had.
+    """
+    name = signal_name(-status)
+    last_line = (log.strip().splitlines() or ["no message"])[-1][:300]
+    if status < 0 and name == "SIGXCPU":
+        limit = f"{limits.seconds:g} s on each processor core"
+        return Death(f"needs more processor time than {limit}", "time")
+    if status < 0 and name not in _OWN_FAULTS:
+        reason = "from outside, or by the system because memory ran out"
+        return Death(f"the process that runs the model was killed by {name}: {reason}", "host")
+    if is_out_of_memory(log):
+        return Death(f"needs more than {limits.memory >> 20:,} MiB, the memory limit", "memory")
+    if status < 0:
+        return Death(f"the process that runs the model crashed: {name}", "crash")
+    return Death(f"exit status {status}: {last_line}", "crash")
+
+
+def signal_name(number: int) -> str:
+    """Return the name of a signal, or its number if it has none."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)
