@@ -50,10 +50,13 @@ class ExitCode(IntEnum):
         SUCCESS: The command did its work, and the model conforms where it was checked.
         FAILURE: The command ran to its end with a negative result: a model breaks a rule, two
             models differ, an export was rejected.
-        USAGE: An option, a settings file or the environment is wrong; nothing was decided.
+        USAGE: An option, a settings file or the environment is wrong, or an output cannot be
+            written; nothing was decided.
         INTERNAL: A rule or gsgen itself crashed: a fault of gsgen, not of the input.
         UNREADABLE: An input file cannot be read.
-        INTERRUPTED: The user pressed Ctrl-C (128 + SIGINT, as shells report it).
+        HUNG_UP: The terminal was closed (128 + SIGHUP, as shells report it).
+        INTERRUPTED: The user pressed Ctrl-C (128 + SIGINT).
+        TERMINATED: The system asked the process to end (128 + SIGTERM).
     """
 
     SUCCESS = 0
@@ -61,7 +64,9 @@ class ExitCode(IntEnum):
     USAGE = 2
     INTERNAL = 3
     UNREADABLE = 4
+    HUNG_UP = 129
     INTERRUPTED = 130
+    TERMINATED = 143
 
 
 class GsgenError(Exception):

@@ -12,6 +12,7 @@ from typing import Never
 
 from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract.errors import ExitCode, GsgenError
+from gsgen.contract.process.drafts import remove_own_drafts
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
 # Objects between two garbage collections: more than all imports of a command create.
@@ -27,13 +28,15 @@ def main() -> None:
         with ending_at_interrupts() as interrupts:
             _run()
     except KeyboardInterrupt:
-        sys.exit(ExitCode.INTERRUPTED)
+        sys.exit(interrupts.exit_code)
     except SystemExit as ended:
         if interrupts.requested.is_set():  # a window's event loop closes it on Ctrl-C
-            sys.exit(ExitCode.INTERRUPTED)
+            sys.exit(interrupts.exit_code)
         if ended.code == ExitCode.INTERNAL and ended.__cause__ is not None:
             _report_early_end(ended)
         raise
+    finally:
+        remove_own_drafts()  # for a second Ctrl-C, which stops the removal after the first
 
 
 def _run() -> None:

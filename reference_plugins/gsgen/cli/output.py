@@ -5,7 +5,6 @@ __all__ = ["append_text", "echo_error", "show", "write_text"]
 import os
 import sys
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,7 @@ import typer
 
 from gsgen.cli.progress import clear
 from gsgen.contract.errors import ConfigInvalid, GsgenError
-from gsgen.contract.process.atomic_files import is_device, similar_file_hint
+from gsgen.contract.process.atomic_files import atomic_write, is_device, similar_file_hint
 
 if TYPE_CHECKING:
     from gsgen.contract.reporters.text import Line
@@ -58,16 +57,12 @@ def write_text(path: Path, text: str) -> None:
 
     A device such as /dev/stdout is written to directly.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    if not is_device(path):
+        with atomic_write(path) as draft:
+            draft.write_text(text, "utf-8", errors="backslashreplace")
+        return
     try:
-        if is_device(path):
-            with path.open("w", encoding="utf-8", errors="backslashreplace") as device:
-                device.write(text)
-            return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, "utf-8", errors="backslashreplace")
-        temporary.replace(path)
+        with path.open("w", encoding="utf-8", errors="backslashreplace") as device:
+            device.write(text)
     except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
         raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error

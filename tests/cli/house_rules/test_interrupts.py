@@ -1,21 +1,24 @@
-"""Ctrl-C ends a command within seconds, with 130, whatever it is in the middle of."""
+"""Ctrl-C, SIGTERM and SIGHUP end a command within seconds, whatever it is in the middle of."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from gsgen.contract.process.interrupts import ending_at_interrupts
+from gsgen.contract.process.interrupts import Terminated, ending_at_interrupts
 from support.commands import gsgen_here
 from support.models.endless import endless
 
 TASKS = Path("/proc/self/task")
 LONG_SECONDS = 100  # seconds that a test waits for what must happen within a few
+EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 BUSY_SECONDS = 0.3  # processor seconds of a thread that is not the first: a frame is being computed
 
 
@@ -27,8 +30,8 @@ def _interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def interrupted(*words: str | Path) -> tuple[int, str]:
-    """Run a command until it computes, press Ctrl-C, and return its code and what it said."""
+def interrupted(number: signal.Signals, *words: str | Path) -> tuple[int, str]:
+    """Run a command until it computes, send a signal, and return its code and what it said."""
     with subprocess.Popen(
         [sys.executable, "-m", "gsgen.cli", *map(str, words)], stderr=subprocess.PIPE, text=True
     ) as running:
@@ -38,7 +41,7 @@ def interrupted(*words: str | Path) -> tuple[int, str]:
                 assert running.poll() is None, running.communicate()
                 assert time.monotonic() < end, "it never computed"
                 time.sleep(0.05)
-            running.send_signal(signal.SIGINT)
+            running.send_signal(number)
             message = running.communicate(timeout=LONG_SECONDS)[1]
         finally:
             running.kill()
@@ -57,22 +60,66 @@ def _of_a_thread(process: int) -> float:
 
 
 @pytest.mark.skipif(not TASKS.exists(), reason="what threads do is read from /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 @pytest.mark.parametrize("after", [-1.0, 0.5], ids=["while it opens", "in a later frame"])
 @pytest.mark.parametrize("options", [(), ("--trust",)], ids=["confined", "trusted"])
 def test_a_model_that_never_ends_is_ended(
-    tmp_path: Path, after: float, options: tuple[str, ...]
+    tmp_path: Path, number: signal.Signals, after: float, options: tuple[str, ...]
 ) -> None:
     model = endless(tmp_path, after)
     film = tmp_path / "film.gif"
-    code, message = interrupted("render", model, "-o", film, "--frames", "3", "--width", "32",
+    code, message = interrupted(number, "render", model, "-o", film, "--frames", "3", "--width", "32",
                              "--height", "32", *options)  # fmt: skip
-    assert code == 130, message
+    assert code == EXIT_CODES[number], message
     assert "Traceback" not in message
     assert "onnxruntime" not in message
     assert [path.name for path in tmp_path.iterdir()] == [model.name]
 
 
-def test_a_thread_that_never_ends_does_not_keep_the_process() -> None:
+@pytest.mark.skipif(not TASKS.exists(), reason="the children of a process are read from /proc")
+@pytest.mark.parametrize("number", EXIT_CODES, ids=lambda number: number.name)
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ended_validation_leaves_no_child_and_no_draft(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, jobs: int
+) -> None:
+    models = [endless(tmp_path, 0.5), tmp_path / "copy.onnx"]
+    shutil.copy(*models)
+    drafts = tmp_path / "drafts"
+    drafts.mkdir()
+    monkeypatch.setenv("TMPDIR", str(drafts))
+    words = [sys.executable, "-m", "gsgen.cli", "validate", *map(str, models), "--jobs", str(jobs)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            _wait_until(lambda: len(list(drafts.glob("gsgen-*/events.jsonl"))) == jobs)
+            workers = _processes_naming(str(drafts))
+            assert len(workers) == jobs
+            running.send_signal(number)
+            message = running.communicate(timeout=LONG_SECONDS)[1]
+        finally:
+            running.kill()
+    assert (running.returncode, message) == (EXIT_CODES[number], "")
+    assert not list(drafts.glob("gsgen-*"))
+    _wait_until(lambda: not _processes_naming(str(drafts)))
+
+
+def _processes_naming(word: str) -> list[str]:
+    """Return the command lines of the running processes that hold a word."""
+    lines = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended meanwhile
+            lines.append((process / "cmdline").read_text())
+    return [line for line in lines if word in line]
+
+
+def _wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + LONG_SECONDS
+    while not condition():
+        assert time.monotonic() < end, "it never came true"
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("number", EXIT_CODES, ids=lambda number: number.name)
+def test_a_thread_that_never_ends_does_not_keep_the_process(number: signal.Signals) -> None:
     code = (
         "import threading, time\n"
         "from gsgen.contract.process.interrupts import ending_at_interrupts\n"
@@ -87,31 +134,74 @@ def test_a_thread_that_never_ends_does_not_keep_the_process() -> None:
         try:
             assert running.stdout is not None
             running.stdout.readline()
-            running.send_signal(signal.SIGINT)
-            assert running.wait(LONG_SECONDS) == 130
+            running.send_signal(number)
+            assert running.wait(LONG_SECONDS) == EXIT_CODES[number]
         finally:
             running.kill()
 
 
-def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it() -> None:
+@pytest.mark.parametrize("number", EXIT_CODES, ids=lambda number: number.name)
+def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it(
+    number: signal.Signals,
+) -> None:
     used: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: used.append(number))
+    before = signal.signal(number, lambda sent, _: used.append(sent))
     try:
         with ending_at_interrupts(10_000) as interrupts:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
     finally:
-        signal.signal(signal.SIGINT, before)
-    assert used == [signal.SIGINT]
+        signal.signal(number, before)
+    assert used == [number]
     assert interrupts.requested.is_set()
+    assert interrupts.exit_code == EXIT_CODES[number]
+
+
+def test_second_signal_does_not_interrupt_the_cleanup() -> None:
+    cleaned = []
+    with ending_at_interrupts(10_000):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except Terminated:
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGHUP)
+            cleaned.append("drafts")
+    assert cleaned == ["drafts"]
+
+
+def test_ignored_hang_up_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as `nohup` does
+    try:
+        with ending_at_interrupts(10_000) as interrupts:
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert not interrupts.requested.is_set()
+
+
+def test_end_by_the_timer_removes_drafts(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys, time\n"
+        "from pathlib import Path\n"
+        "from gsgen.contract.process.drafts import temporary_folder\n"
+        "from gsgen.contract.process.interrupts import ending_at_interrupts\n"
+        "with ending_at_interrupts(0.1), temporary_folder(Path(sys.argv[1])):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    except KeyboardInterrupt:\n"
+        "        time.sleep(10_000)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], timeout=LONG_SECONDS)
+    assert done.returncode == 143
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_signals_are_not_handled() -> None:
-    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
         with ending_at_interrupts(10_000) as interrupts:
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGUSR1)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGUSR1, before)
     assert not interrupts.requested.is_set()
 
 

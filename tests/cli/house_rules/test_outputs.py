@@ -3,9 +3,7 @@
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -45,14 +43,6 @@ def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-class FullDisk(tempfile.TemporaryDirectory[str]):
-    """A folder for a draft whose file is /dev/full: no byte fits."""
-
-    def __init__(self, dir: Path, prefix: str, *, ignore_cleanup_errors: bool) -> None:
-        super().__init__(dir=dir, prefix=prefix, ignore_cleanup_errors=ignore_cleanup_errors)
-        (Path(self.name) / prefix[1:-1]).symlink_to("/dev/full")
-
-
 def run_writing_command(name: str, output: str) -> tuple[int, list[str]]:
     before, suffix, after, _ = WRITING_COMMANDS[name]
     completed = gsgen_here(*before, f"{output}{suffix}", *after)
@@ -78,21 +68,6 @@ def test_folder_as_output_file_is_refused(name: str) -> None:
     assert code == WRITING_COMMANDS[name][3]
     assert message.startswith(f"gsgen: out{WRITING_COMMANDS[name][1]}: ")
     assert not list(Path(f"out{WRITING_COMMANDS[name][1]}").iterdir())
-
-
-@pytest.mark.parametrize(
-    "name", [entry for entry in WRITING_COMMANDS if entry.startswith(("ren", "exp"))]
-)
-def test_a_full_disk_is_one_line_and_leaves_nothing(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    full = SimpleNamespace(TemporaryDirectory=FullDisk)
-    monkeypatch.setattr("gsgen.contract.process.atomic_files.tempfile", full)
-    code, (message,) = run_writing_command(name, "out")
-    assert code == 2
-    assert message.startswith("gsgen: out")
-    assert "cannot be written: " in message
-    assert _left() == ["MODEL", "cloud.npz"]
 
 
 @pytest.mark.parametrize("name", ["validate", "convert"])

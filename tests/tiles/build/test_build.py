@@ -163,8 +163,9 @@ def test_a_stopped_build_goes_on_and_gives_the_same_bytes(scene, town, tmp_path)
             stops += 1
             assert (output / WORK_FOLDER).is_dir()
             assert not (output / "gsgen.tiles.json").exists()
-            (output / "t").mkdir(exist_ok=True)
-            (output / "t" / ".x.glb.00ff.part").write_bytes(b"of a killed worker")
+            draft = output / "t" / ".gsgen-00112233445566ff.part"
+            draft.mkdir(parents=True)
+            (draft / "draft").write_bytes(b"of a killed worker")
     assert stops >= 4
     assert digests(output) == digests(town)
 

@@ -19,9 +19,7 @@ import mmap
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -48,6 +46,7 @@ from gsgen.contract.model.protobuf_scan import (
     strip_payloads,
 )
 from gsgen.contract.process.atomic_files import similar_file_hint
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
 
@@ -394,20 +393,15 @@ def write_manifest_text(source: Path, text: str, target: Path) -> None:
     entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
     metadata_bytes = ModelProto(metadata_props=[entry]).SerializeToString()
     open_model(source)  # raises if the source is not a model
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    temporary_path = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as out, source.open("rb") as file:
+    with temporary_folder(target.parent) as folder:
+        draft = folder / target.name
+        with draft.open("xb") as out, source.open("rb") as file:
             for start, end in _without_manifest(file.fileno()):
                 file.seek(start)
                 _copy_bytes(file, out, end - start)
             out.write(metadata_bytes)  # protobuf allows a repeated field anywhere in the message
-        shutil.copymode(source, temporary_path)
-        temporary_path.replace(target)
-    except BaseException:
-        with suppress(FileNotFoundError):
-            temporary_path.unlink()
-        raise
+        shutil.copymode(source, draft)
+        draft.replace(target)
 
 
 def _without_manifest(descriptor: int) -> list[tuple[int, int]]:

@@ -8,10 +8,8 @@ __all__ = ["Execution", "Extremes", "Fault", "Run", "Sample", "execute"]
 
 import json
 import os
-import shutil
 import signal
 import subprocess
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,6 +22,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.process.parent_watchdog import child_environment, python_command
 
@@ -155,8 +154,7 @@ def execute(
         fault = Fault("load", error.message)
         yield Execution(runs=(), samples=(), fault=fault, seconds=0.0, version="")
         return
-    folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
-    try:
+    with temporary_folder() as folder:
         try:
             names = {"rows": rows, "count": count}
             _write_job(folder, loading_path, outputs, probes, limits, **names, **options)
@@ -167,8 +165,6 @@ def execute(
         start_time = time.monotonic()
         exit_status = _run_child(folder, limits.seconds, worker)
         yield _collect_results(folder, exit_status, time.monotonic() - start_time, limits)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write_job(

@@ -15,12 +15,12 @@ __all__ = [
 ]
 
 import os
-import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.drafts import temporary_folder
 
 MODEL_SUFFIX = ".onnx"
 """The suffix of model files."""
@@ -42,28 +42,24 @@ def atomic_write(path: Path) -> Iterator[Path]:
     """
     refuse_folder(path)
     refuse_device(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        folder = tempfile.TemporaryDirectory(
-            dir=path.parent,
-            prefix=f".{path.name}.",
-            ignore_cleanup_errors=os.name == "nt",  # a file that is still mapped stays there
-        )
-    except OSError as error:
-        raise _not_written_error(path, error) from error
-    with folder as name:
-        draft = Path(name) / path.name
+    with ExitStack() as stack:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            folder = stack.enter_context(temporary_folder(path.parent))
+        except OSError as error:
+            raise _not_written_error(path, error) from error
+        draft = folder / path.name
         try:
             yield draft
         except BrokenPipeError:  # raised by printing, not by the file
             raise
         except OSError as error:
-            if error.filename is not None and name not in str(error.filename):
+            if error.filename is not None and folder.name not in str(error.filename):
                 raise  # raised by a file that the block reads
             raise _not_written_error(path, error) from error
-        written_files = [file for file in Path(name).rglob("*") if not file.is_dir()]
+        written_files = [file for file in folder.rglob("*") if not file.is_dir()]
         for file in sorted(written_files, key=lambda file: (file == draft, file)):
-            target = path.parent / file.relative_to(name)
+            target = path.parent / file.relative_to(folder)
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 file.replace(target)

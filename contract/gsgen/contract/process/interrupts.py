@@ -1,39 +1,61 @@
-"""Lets Ctrl-C end a command within seconds, even during a computation in C++.
+"""Lets Ctrl-C, SIGTERM and SIGHUP end a command within seconds, even during a computation in C++.
 
 Python raises KeyboardInterrupt between two of its own instructions: not while ONNX Runtime or a
 driver computes, nor while it waits at exit for a thread that never ends. A user who types Ctrl-C then
-would have to kill the process.
+would have to kill the process. SIGTERM and SIGHUP end a process at once, without removing its
+drafts and ending its children, and do nothing at all to the first process of a container; so here they
+raise a KeyboardInterrupt, too.
 """
 
-__all__ = ["Interrupts", "ending_at_interrupts"]
+__all__ = ["ENDING_SIGNALS", "Interrupts", "Terminated", "ending_at_interrupts"]
 
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import Final, final
 
 from gsgen.contract.errors import ExitCode
+from gsgen.contract.process.drafts import remove_own_drafts
 
 _GRACE_SECONDS: Final = 2.0
 _STOP_BYTE: Final = b"\0"  # no signal has this number
+_SIGNAL_BASE: Final = 128  # shells add it to the number of the signal that ended a process
+
+ENDING_SIGNALS: Final[frozenset[int]] = frozenset(
+    getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""The signals by which a system asks a process to end; Windows has no SIGHUP."""
+
+
+class Terminated(KeyboardInterrupt):
+    """Raised in the main thread at SIGTERM and SIGHUP: the system asks the process to end."""
 
 
 @final
 @dataclass(slots=True)
 class Interrupts:
-    """Records whether the user has asked the process to stop."""
+    """Records whether the user or the system has asked the process to end.
+
+    Attributes:
+        requested: Set at the first signal.
+        exit_code: 128 + the number of that signal; 130 for Ctrl-C.
+    """
 
     requested: threading.Event = field(default_factory=threading.Event)
+    exit_code: ExitCode = ExitCode.INTERRUPTED
 
 
 @contextmanager
 def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts]:
-    """End this process some seconds after an interrupt, unless it has ended by itself.
+    """Raise KeyboardInterrupt at Ctrl-C, SIGTERM and SIGHUP; end the process if it goes on.
 
-    The timer keeps running after the block, since Python waits for threads at exit.
+    The timer keeps running after the block, since Python waits for threads at exit. Its end removes
+    the drafts of the process. A signal that the process ignores (as under nohup) or handles by
+    itself stays so.
 
     Args:
         seconds: Time that KeyboardInterrupt handlers have, e.g. to remove unfinished files.
@@ -50,9 +72,15 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts
     )
     previous_fd = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
     watch_thread.start()
+    raise_terminated = _once_raising()
+    handled = [number for number in ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL]
+    for number in handled:
+        signal.signal(number, raise_terminated)
     try:
         yield interrupts
     finally:
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
         signal.set_wakeup_fd(previous_fd)
         os.write(write_end, _STOP_BYTE)
         watch_thread.join()
@@ -60,10 +88,33 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts
         os.close(read_end)
 
 
+def _once_raising() -> Callable[[int, FrameType | None], None]:
+    """Return a signal handler that raises Terminated at the first signal, and ignores others.
+
+    A second signal would interrupt the removal of unfinished files.
+    """
+    is_raised = False
+
+    def raise_terminated(number: int, frame: FrameType | None) -> None:
+        nonlocal is_raised
+        if not is_raised:
+            is_raised = True
+            raise Terminated(signal.Signals(number).name)
+
+    return raise_terminated
+
+
 def _watch_signals(read_end: int, interrupts: Interrupts, seconds: float) -> None:
     while (number := os.read(read_end, 1)) != _STOP_BYTE:
-        if number[0] == signal.SIGINT and not interrupts.requested.is_set():
+        is_ending = number[0] == signal.SIGINT or number[0] in ENDING_SIGNALS
+        if is_ending and not interrupts.requested.is_set():
+            interrupts.exit_code = ExitCode(_SIGNAL_BASE + number[0])
             interrupts.requested.set()
-            end = threading.Timer(seconds, os._exit, (ExitCode.INTERRUPTED,))
+            end = threading.Timer(seconds, _end_process, (interrupts.exit_code,))
             end.daemon = True
             end.start()
+
+
+def _end_process(exit_code: int) -> None:
+    remove_own_drafts()
+    os._exit(exit_code)

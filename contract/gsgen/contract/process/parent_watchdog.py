@@ -5,15 +5,25 @@ No child imports a module of the working directory: it may hold files of strange
 that was killed cannot.
 """
 
-__all__ = ["child_environment", "exit_with_parent", "python_command", "safe_multiprocessing"]
+__all__ = [
+    "child_environment",
+    "exit_with_parent",
+    "prepare_worker",
+    "python_command",
+    "safe_multiprocessing",
+]
 
 import os
+import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import Final, Never
+
+from gsgen.contract.process.drafts import remove_own_drafts
+from gsgen.contract.process.interrupts import ENDING_SIGNALS
 
 _POLL_SECONDS: Final = 0.5
 _PARENT_VARIABLE: Final = "GSGEN_PARENT_PROCESS"
@@ -62,6 +72,17 @@ def child_environment() -> dict[str, str]:
     return os.environ | {_PARENT_VARIABLE: str(os.getpid())}
 
 
+def prepare_worker() -> None:
+    """Make this process a worker: it ends with its parent or at its parent's SIGTERM.
+
+    Ctrl-C reaches the whole process group, and the parent decides what it means.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in ENDING_SIGNALS:
+        signal.signal(number, lambda *_: _end_process())
+    exit_with_parent()
+
+
 def exit_with_parent() -> None:
     """Start a thread that ends this process when its parent process has died."""
     watch = _watch_on_windows if os.name == "nt" else _watch_parent
@@ -71,11 +92,16 @@ def exit_with_parent() -> None:
 def _watch_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_POLL_SECONDS)
-    os._exit(1)  # a run of ONNX Runtime cannot be interrupted
+    _end_process()
 
 
 def _watch_on_windows(parent: int) -> None:
     from gsgen.contract.process.windows import wait_for_exit
 
     wait_for_exit(int(os.environ.get(_PARENT_VARIABLE, parent)))
-    os._exit(1)
+    _end_process()
+
+
+def _end_process() -> Never:
+    remove_own_drafts()
+    os._exit(1)  # a run of ONNX Runtime cannot be interrupted

@@ -57,12 +57,11 @@ def checks() -> Iterator[Check]:
 
 def _check_sandbox() -> Check:
     """Check that a minimal model runs in the sandbox (child process), as validation needs."""
-    import tempfile
-
     from onnx import ModelProto, NodeProto, TensorProto
 
     from gsgen.contract.probing.probes import Probe
     from gsgen.contract.probing.sandbox import execute
+    from gsgen.contract.process.drafts import temporary_folder
     from gsgen.contract.process.limits import Limits
 
     model = ModelProto(ir_version=8)
@@ -74,8 +73,8 @@ def _check_sandbox() -> Check:
     value = model.graph.output.add(name="y").type.tensor_type
     value.elem_type = TensorProto.FLOAT
     value.shape.dim.add(dim_value=1)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "smallest.onnx"
+    with temporary_folder() as folder:
+        path = folder / "smallest.onnx"
         path.write_bytes(model.SerializeToString())
         with execute(
             path, ["y"], [Probe(label="none", inputs={})], Limits(seconds=30)

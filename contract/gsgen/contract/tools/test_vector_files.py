@@ -9,7 +9,6 @@ __all__ = ["RecordedVectors", "record_vectors"]
 
 import re
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution
 from gsgen.contract.probing.sandbox_worker import digest_outputs
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.manifest import TestVector, VectorFile
 from gsgen.contract.spec.severity import Level
@@ -186,15 +186,14 @@ def _staging_folder(folder: Path) -> Iterator[Path]:
     is_new_folder = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        stage = tempfile.TemporaryDirectory(dir=folder, prefix=".vectors.")
-    except OSError as error:
-        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(folder)) from error
-    try:
-        with stage as name:
-            yield Path(name)
-    except BaseException:
+        with temporary_folder(folder) as stage:
+            yield stage
+    except BaseException as error:
         if is_new_folder:
             shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError):
+            message = f"cannot be written: {error.strerror}"
+            raise ConfigInvalid(message, where=str(folder)) from error
         raise
 
 

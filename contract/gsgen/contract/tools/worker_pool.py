@@ -3,7 +3,6 @@
 __all__ = ["WorkerDied", "validate_in_processes"]
 
 import multiprocessing
-import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from gsgen.contract.errors import ExitCode, GsgenError
-from gsgen.contract.process.parent_watchdog import exit_with_parent, safe_multiprocessing
+from gsgen.contract.process.parent_watchdog import prepare_worker, safe_multiprocessing
 from gsgen.contract.validation.engine import Progress
 from gsgen.contract.validation.report import Entry
 from gsgen.contract.validation.rule import Registry, Rule
@@ -78,8 +77,7 @@ def _result(future: "Future[Entry]", text: str, progress: Progress) -> Entry:
 
 
 def _start_worker(rules: Callable[[], Registry]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
-    exit_with_parent()
+    prepare_worker()
     ForkingPickler.register(Rule, partial(_reduce_rule, rules))
 
 

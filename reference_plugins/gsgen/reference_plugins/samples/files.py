@@ -7,13 +7,13 @@ from collections.abc import Callable
 from filecmp import cmp
 from pathlib import Path
 from shutil import copyfile
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.samples.garden import garden
 from gsgen.reference_plugins.samples.sunflower import sunflower_model, write_nods
@@ -85,14 +85,14 @@ def write_samples(folder: Path, *, force: bool = False) -> list[Path]:
     Raises:
         ConfigInvalid: A file cannot be written there, or one of other content would be overwritten.
     """
-    with TemporaryDirectory() as draft_folder:
+    with temporary_folder() as draft_folder:
         for name, (_, write) in SAMPLE_WRITERS.items():
-            write(Path(draft_folder) / name)
+            write(draft_folder / name)
         if not force:
-            _refuse_other_content(folder, Path(draft_folder))
+            _refuse_other_content(folder, draft_folder)
         for name in SAMPLE_WRITERS:
             with atomic_write(folder / name) as draft:
-                copyfile(Path(draft_folder) / name, draft)
+                copyfile(draft_folder / name, draft)
     return [folder / name for name in SAMPLE_WRITERS]
 
 

@@ -27,6 +27,8 @@ from typing import Final, Literal, cast, final
 
 import numpy as np
 
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.splat_residency import Residency
@@ -292,11 +294,5 @@ def _write_cache(measured: dict[str, Timings]) -> None:
     if path is None:
         return
     text = json.dumps({key: asdict(entry) for key, entry in measured.items()}, indent=2)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text + "\n", "utf-8")
-        part.replace(path)
-    except OSError:
-        with suppress(OSError):
-            part.unlink()
+    with suppress(ConfigInvalid), atomic_write(path) as draft:
+        draft.write_text(text + "\n", "utf-8")

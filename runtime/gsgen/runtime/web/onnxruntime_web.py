@@ -5,7 +5,6 @@ __all__ = ["ORT_FILES", "ORT_VERSION", "cached_ort", "ort_folder"]
 import hashlib
 import subprocess
 import tarfile
-import tempfile
 from pathlib import Path
 from shutil import which
 from typing import Final
@@ -13,6 +12,7 @@ from typing import Final
 from platformdirs import user_cache_path
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.contract.process.drafts import temporary_folder
 
 ORT_VERSION: Final = "1.30.0"
 """The version that pages load; the client is tested with this one."""
@@ -65,7 +65,7 @@ def _fetch(folder: Path) -> None:
         message = "npm is not installed, which fetches ONNX Runtime Web"
         raise ConfigInvalid(message, where=package, hint=hint)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ort.") as work_folder:
+    with temporary_folder(folder.parent) as work_folder:
         result = subprocess.run(
             [npm, "pack", "--silent", package],
             cwd=work_folder,
@@ -73,7 +73,7 @@ def _fetch(folder: Path) -> None:
             text=True,
             encoding="utf-8",
         )
-        archives = list(Path(work_folder).glob("*.tgz"))
+        archives = list(work_folder.glob("*.tgz"))
         if result.returncode or not archives:
             lines = result.stderr.strip().splitlines() or ["npm pack failed"]
             raise ConfigInvalid(lines[-1], where=package, hint=hint)
@@ -86,7 +86,7 @@ def _fetch(folder: Path) -> None:
             for name in ORT_FILES:
                 file = archive.extractfile(f"package/dist/{name}")
                 assert file is not None, f"{name} is a file in the package of this digest"
-                (Path(work_folder) / name).write_bytes(file.read())
+                (work_folder / name).write_bytes(file.read())
         folder.mkdir(exist_ok=True)
         for name in ORT_FILES:
-            (Path(work_folder) / name).replace(folder / name)
+            (work_folder / name).replace(folder / name)

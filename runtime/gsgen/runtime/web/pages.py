@@ -13,7 +13,6 @@ import base64
 import html
 import json
 import re
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Final, final
 
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, write_ply
 from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneUnreadable
@@ -119,8 +119,8 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
     codec = codec_of_suffix(path)
     if codec is not None and codec.name in _PAGE_MAGIC and raw.startswith(_PAGE_MAGIC[codec.name]):
         return raw
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "splats.ply"
+    with temporary_folder() as folder:
+        target = folder / "splats.ply"
         write_ply(target, content)
         return target.read_bytes()
 

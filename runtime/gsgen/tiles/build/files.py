@@ -4,16 +4,14 @@ __all__ = ["read_json", "save_array", "sweep", "write_bytes", "write_json"]
 
 import json
 import os
-import secrets
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
-
-PARTIAL_SUFFIX: Final = ".part"
+from gsgen.contract.process.drafts import sweep_drafts, temporary_folder
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -33,16 +31,14 @@ def write_json(path: Path, content: object) -> None:
 
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    # Several workers may write one content-addressed file at once, so names are random.
-    partial_path = path.parent / f".{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}"
+    # Several workers may write one content-addressed file at once: each has its own folder.
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with open(partial_path, "xb") as file:
+        with temporary_folder(path.parent) as folder:
+            draft = folder / "draft"
+            with open(draft, "xb") as file:
                 write(file)
-            os.replace(partial_path, path)
-        finally:
-            partial_path.unlink(missing_ok=True)
+            os.replace(draft, path)
     except OSError as error:
         raise ConfigInvalid(
             f"cannot be written: {error.strerror or error}", where=str(path)
@@ -63,8 +59,5 @@ def read_json(path: Path) -> Any:
 
 
 def sweep(folder: Path) -> int:
-    """Delete the temporary files of killed workers; return their number."""
-    parts = list(folder.rglob(f".*{PARTIAL_SUFFIX}"))
-    for partial_path in parts:
-        partial_path.unlink(missing_ok=True)
-    return len(parts)
+    """Remove the temporary folders of killed workers at any depth; return their number."""
+    return sum(sweep_drafts(Path(subfolder)) for subfolder, _, _ in os.walk(folder))

@@ -4,7 +4,6 @@ __all__ = ["Generator", "add_neural_tiles", "open_generator"]
 
 import hashlib
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import cast, final
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import Splats, read_ply
 from gsgen.formats.shared.files import replace_file
 from gsgen.tiles.errors import TilesetInvalid
@@ -84,8 +84,8 @@ def open_generator(path: Path) -> Generator:
         )
     assert manifest.bounds is not None
     first = spans[0][0] if spans and spans[0] else None
-    with tempfile.TemporaryDirectory() as folder:
-        frame = Path(folder) / "frame.ply"
+    with temporary_folder() as folder:
+        frame = folder / "frame.ply"
         bake(path, frame, time=first, psnr=False)
         splats = cast(Splats, read_ply(frame))
     data = path.read_bytes()

@@ -5,12 +5,12 @@ __all__ = ["names_one_file", "read_download"]
 import os
 import posixpath
 import re
-import tempfile
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
 from gsgen.contract.fetching.deadline import fetch_seconds
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import FormatError, codec_of_suffix, open_splats
 from gsgen.formats.shared.errors import HeaderMalformed, quoted
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
@@ -42,10 +42,10 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
     """
     address = _address(source)
     name = unquote(posixpath.basename(urlsplit(address).path))
-    with tempfile.TemporaryDirectory() as folder, _open_store(address) as store:
+    with temporary_folder() as folder, _open_store(address) as store:
 
         def fetch(name: str) -> Path:
-            file = Path(folder) / posixpath.basename(name)
+            file = folder / posixpath.basename(name)
             with file.open("wb") as stream:
                 store.save(name, stream, limit=MAX_DOWNLOAD)
             return file

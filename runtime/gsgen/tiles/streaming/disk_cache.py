@@ -7,7 +7,6 @@ import hashlib
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
@@ -16,6 +15,9 @@ from typing import BinaryIO, Final, final
 from platformdirs import user_cache_path
 
 _NAMED_BY_DIGEST: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
+
+# The lock leaves it one writer; the next one replaces what a killed process left.
+_DRAFT_NAME: Final = "draft.tmp"
 
 
 def default_cache_folder() -> Path:
@@ -83,10 +85,9 @@ class DiskCache:
                 _write_total(
                     total_file, total
                 )  # before the file: a crash may count it, but never lose it
-                handle, draft = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
-                with os.fdopen(handle, "wb") as stream:
-                    stream.write(data)
-                os.replace(draft, file)
+                draft = self._folder / _DRAFT_NAME
+                draft.write_bytes(data)
+                draft.replace(file)
 
     @contextlib.contextmanager
     def _open_locked(self) -> Iterator[BinaryIO]:

@@ -2,11 +2,11 @@
 
 __all__ = ["GeneratorOpener", "ModelReader"]
 
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.validation.finding import Violation
 from gsgen.runtime.sources.generator_worker import GeneratorWorker
 from gsgen.tiles.errors import Fault, TilesetInvalid
@@ -53,8 +53,8 @@ class GeneratorOpener:
         assert entry.neural is not None
         data = self._read_model(entry.neural)
         _raise_first(list(check_digest(data, entry.neural, "model")))
-        with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
-            path = Path(folder) / "model.onnx"
+        with temporary_folder() as folder:
+            path = folder / "model.onnx"
             path.write_bytes(data)
             if tile not in self._validated_tiles:
                 self._require_declarations(tile, entry.neural, path)

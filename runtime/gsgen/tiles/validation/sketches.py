@@ -4,7 +4,6 @@ __all__ = ["TilesetSketch", "edit_glb", "explicit_sketch", "implicit_sketch", "s
 
 import json
 import struct
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float64
 
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats.glb.container import build
 from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.splats import Splats
@@ -171,8 +171,8 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
                 entry, geometric_error=0.5 * (2 - level), children=tuple(below)
             )
     total = sum(map(len, leaves.values()))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "tileset.json"
+    with temporary_folder() as folder:
+        path = folder / "tileset.json"
         uris = write_implicit_tileset(
             path,
             records[0, (0, 0, 0)],
@@ -193,8 +193,8 @@ def _parent_coordinates(cell: tuple[int, int, int], levels: int) -> tuple[int, i
 
 
 def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / BUILD_RECORD
+    with temporary_folder() as folder:
+        path = folder / BUILD_RECORD
         write_build_record(path, key="example", source_splats=source_splats, files=sketch.files)
         sketch.files[BUILD_RECORD] = path.read_bytes()
 

@@ -2,7 +2,6 @@
 
 import mmap
 import os
-import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from gsgen.contract.process.atomic_files import is_device
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatError
 
 FilePath = str | os.PathLike[str]
@@ -70,14 +70,11 @@ def replace_file(path: FilePath) -> Iterator[BinaryIO]:
         try:
             if is_device(Path(path)):
                 raise FileUnwritable("the path is a device or a pipe", expected="a file to write")
-            # Not tempfile: only the owner may read its files.
-            part = Path(path).parent / f".{secrets.token_hex(8)}.part"
-            try:
-                with open(part, "xb") as file:
+            with temporary_folder(Path(path).parent) as folder:
+                draft = folder / "draft"
+                with open(draft, "xb") as file:
                     yield file
-                os.replace(part, path)
-            finally:
-                part.unlink(missing_ok=True)
+                os.replace(draft, path)
         except OSError as error:
             raise FileUnwritable(
                 f"the file cannot be written: {error.strerror or error}"

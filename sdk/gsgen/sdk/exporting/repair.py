@@ -2,7 +2,6 @@
 
 __all__ = ["Repair", "RepairRequest", "RepairResult", "repair"]
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -16,6 +15,7 @@ from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
@@ -118,8 +118,8 @@ def _draft_copy(target: Path | None, source: Path) -> Iterator[Path]:
         with atomic_write(target) as draft:
             yield draft
         return
-    with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
-        yield Path(folder) / source.name
+    with temporary_folder() as folder:
+        yield folder / source.name
 
 
 def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:

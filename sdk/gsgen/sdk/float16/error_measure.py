@@ -2,16 +2,15 @@
 
 __all__ = ["ErrorProbe"]
 
-import tempfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
@@ -146,10 +145,10 @@ class ErrorProbe:
         references = chain(
             known_references, (self._reference(probe) for probe in probes[len(known_references) :])
         )
-        with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
-            file = Path(folder) / "float16.onnx"
+        with temporary_folder() as folder:
+            file = folder / "float16.onnx"
             save_model(model, file, external_weights=has_external_weights(model))
-            size = sum(path.stat().st_size for path in Path(folder).iterdir())
+            size = sum(path.stat().st_size for path in folder.iterdir())
             runs = run_in_groups(
                 file,
                 self.names,

@@ -2,16 +2,15 @@
 
 __all__ = ["FLAGS_INPUT", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
 
-import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx_ir as ir
 from jaxtyping import Bool
 
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.units import FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
 from gsgen.sdk.float16.to_float16 import (
     FLOAT,
@@ -177,8 +176,8 @@ def _session(model: ir.Model, *, rounds: bool) -> Any:
     if rounds:  # optimisation would remove the pairs of Casts
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
-    with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
-        file = Path(folder) / "measured.onnx"
+    with temporary_folder() as folder:
+        file = folder / "measured.onnx"
         save_model(model, file)
         return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
 

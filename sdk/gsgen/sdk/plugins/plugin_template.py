@@ -5,9 +5,7 @@ __all__ = ["PluginPackage", "write_plugin_package"]
 import keyword
 import os
 import re
-import shutil
 import sys
-import tempfile
 import unicodedata
 from dataclasses import dataclass
 from importlib.metadata import metadata, version
@@ -16,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.sdk.plugins.plugin import find_plugins
 
 _NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -114,17 +113,13 @@ def _fill_template(text: str, replacements: dict[str, str]) -> str:
 def _write(folder: Path, texts: dict[str, str]) -> None:
     """Write all files of a package into a temporary folder, and rename it when complete."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
+    with temporary_folder(folder.parent) as draft:
         for where, text in texts.items():
             path = draft / where
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, "utf-8")
         draft.chmod(0o777 & ~_umask())
         draft.replace(folder)
-    except OSError:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
 
 
 def _umask() -> int:

@@ -9,7 +9,6 @@ __all__ = [
     "Change", "GraphStats", "RewriteResult", "graph_stats", "normalize_model", "rewrite_file", "rewrite_graph",
 ]  # fmt: skip
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -34,6 +33,7 @@ from gsgen.contract.model.model_file import open_model
 from gsgen.contract.model.provider_placement import Placement, placements
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import FAILED_OUTCOMES
@@ -150,10 +150,10 @@ def rewrite_file(
     rewrite_target = RewriteTarget.of(target, manifest, opset, sizes)
     rewrites = find_rewrites(rewrite_target, only, skip)
     model = _load(source, opset)
-    with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
+    with temporary_folder() as folder:
         run = _ComparedRun(
             model=model,
-            folder=Path(folder),
+            folder=folder,
             latest=source,
             outputs=[tensor.name for tensor in subject.graph.outputs],
             probes=probes_of(subject, sizes),

@@ -2,7 +2,6 @@
 
 __all__ = ["Processes"]
 
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -10,7 +9,7 @@ from contextlib import ExitStack
 from multiprocessing import get_context
 from typing import Final, TypeVar, final
 
-from gsgen.contract.process.parent_watchdog import exit_with_parent, safe_multiprocessing
+from gsgen.contract.process.parent_watchdog import prepare_worker, safe_multiprocessing
 from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
 
 _Task = TypeVar("_Task")
@@ -18,12 +17,6 @@ _Result = TypeVar("_Result")
 
 _QUEUED_PER_WORKER: Final = 2  # tasks a worker that wait with it: results arrive while it computes
 _MEMORY_HINT: Final = "A worker was killed, by lack of memory perhaps: use fewer --workers."
-
-
-def _start_worker() -> None:
-    # Ctrl-C reaches the whole process group, and the parent decides what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    exit_with_parent()
 
 
 @final
@@ -43,19 +36,19 @@ class Processes(Engine):
         self._environment.close()
         if self._pool is not None:
             if error[0] is not None:
-                self._kill(self._pool)
+                self._stop(self._pool)
             self._pool.shutdown(wait=error[0] is None, cancel_futures=True)
             self._pool = None
 
     @staticmethod
-    def _kill(pool: ProcessPoolExecutor) -> None:
+    def _stop(pool: ProcessPoolExecutor) -> None:
         for process in list((getattr(pool, "_processes", None) or {}).values()):
-            process.kill()
+            process.terminate()
 
     def _open(self) -> ProcessPoolExecutor:
         if self._pool is None:
             context = get_context("spawn")  # forking would copy locks of our threads
-            self._pool = ProcessPoolExecutor(self._workers, context, _start_worker)
+            self._pool = ProcessPoolExecutor(self._workers, context, prepare_worker)
         return self._pool
 
     def run(

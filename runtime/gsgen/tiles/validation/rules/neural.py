@@ -1,11 +1,10 @@
 """Rules (GT) of neural tiles: the ONNX generator that a tile holds."""
 
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
+from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.tiles.errors import Fault, TilesetInvalid
@@ -51,8 +50,8 @@ def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Itera
     yield from violations
     if violations:
         return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.onnx"
+    with temporary_folder() as folder:
+        path = folder / "model.onnx"
         path.write_bytes(data)
         bounds = _bounds(inspected, tile)
         yield from check_neural_model(path, tile, neural, location, bounds=bounds)
