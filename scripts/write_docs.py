@@ -36,7 +36,7 @@ from gsgen.contract.reporters.document import schema
 from gsgen.contract.reporters.rule_pages import index, page
 from gsgen.contract.spec.manifest_io import schemas
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
-from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL_TILE
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL_TILE
 from gsgen.tiles.format.neural_tile import neural_schema
 
 ROOT = Path(__file__).parents[1]

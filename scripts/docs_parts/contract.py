@@ -18,7 +18,7 @@ from gsgen.contract.spec.manifest import (
     Space,
     Tolerances,
 )
-from gsgen.contract.spec.reader_needs import PROFILES
+from gsgen.contract.spec.reader_needs import READER_PROFILES
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings, config_schema
@@ -63,7 +63,7 @@ def operator_profiles() -> str:
             f"{profile.opset[0]} to {profile.opset[1]}",
             f"{profile.summary} {', '.join(sorted(profile.operators))}",
         )
-        for profile in PROFILES.values()
+        for profile in READER_PROFILES.values()
     ]
     return table(("profile", "operator sets", "operators"), rows)
 

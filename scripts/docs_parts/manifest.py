@@ -6,7 +6,7 @@ from typing import Any
 from docs_parts.tables import code, table
 from gsgen.contract.spec import manifest
 from gsgen.contract.spec.fields.json_schema import schema_of
-from gsgen.contract.spec.fields.roles import KINDS, ROLES
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES
 from gsgen.contract.spec.manifest import manifest_type
 from gsgen.contract.spec.manifest_io import schema_name
 
@@ -14,7 +14,7 @@ from gsgen.contract.spec.manifest_io import schema_name
 def kinds() -> str:
     """Return the kinds of model, what each does, and its schema."""
     rows = []
-    for kind in KINDS:
+    for kind in MANIFEST_KINDS:
         summary = (manifest_type(kind).__doc__ or "").partition("\n")[0]
         name = schema_name(kind)
         rows.append((f"`{kind}`", summary, f"[{name}](schemas/{name})"))

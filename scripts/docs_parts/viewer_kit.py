@@ -1,7 +1,7 @@
 """Tables of the viewer kit: its cases, and the faults that they show."""
 
 from docs_parts.tables import table
-from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.write import kit_cases
 
 
@@ -14,7 +14,7 @@ def cases() -> str:
 def faults() -> str:
     """Return the table of the faults, each with its cases."""
     rows = []
-    for fault, (title, hint) in FAULTS.items():
+    for fault, (title, hint) in VIEWER_FAULTS.items():
         names = [case.name for case in kit_cases() if fault in case.faults]
         listed = "all" if len(names) == len(kit_cases()) else ", ".join(f"`{n}`" for n in names)
         rows.append([f"`{fault}`", f"{title}. {hint}", listed])

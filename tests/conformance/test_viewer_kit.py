@@ -18,7 +18,7 @@ from gsgen.conformance.viewer_kit.check_viewer import (
     suspected_faults,
 )
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
-from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.picture_files import (
     PictureUnreadable,
     decode_png,
@@ -51,7 +51,7 @@ def test_a_model_conforms_but_for_the_rules_that_it_breaks_on_purpose(case, kit)
 
 
 def test_every_fault_has_a_case_and_every_case_a_fault() -> None:
-    assert {fault for case in kit_cases() for fault in case.faults} == set(FAULTS)
+    assert {fault for case in kit_cases() for fault in case.faults} == set(VIEWER_FAULTS)
     names = [case.name for case in kit_cases()]
     assert len(names) == len(set(names))
 

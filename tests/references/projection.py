@@ -14,9 +14,9 @@ from gsgen.runtime.kernels.project.cull_slots import CULL_MARGIN
 from gsgen.runtime.kernels.project.project import NO_HARMONICS
 from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
 from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, NO_ID, POLE, TILE
-from gsgen.runtime.scene.camera import DILATION
+from gsgen.runtime.scene.camera import DEFAULT_DILATION
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import REACH
+from gsgen.runtime.scene.splat_pool import REACH_SIGMAS
 
 
 @final
@@ -62,7 +62,7 @@ def project_reference(
         )
         jacobian = frame["focal"][:, None] * jacobian
         covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
-        dilated = covariance + (DILATION + frame["extra_dilation"]) * np.eye(2)
+        dilated = covariance + (DEFAULT_DILATION + frame["extra_dilation"]) * np.eye(2)
         opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
         if data.cells is not None and page["per_cell"]:
             cell = (page["first_row"] + np.arange(len(rows))) // page["per_cell"]
@@ -165,7 +165,7 @@ def visible_slots_reference(
     is another way to the same result as the shader's extents.
     """
     drawn = (slots["fade"] > 0) & (slots["live"] > 0)
-    dilation = REACH * np.sqrt(DILATION + frame["extra_dilation"])
+    dilation = REACH_SIGMAS * np.sqrt(DEFAULT_DILATION + frame["extra_dilation"])
     if (CULL_MARGIN * frame["size"] < dilation).any():
         return np.asarray(drawn)
     linear = np.asarray(page["linear"], np.float64)[:, :3].T

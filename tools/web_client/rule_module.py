@@ -20,7 +20,7 @@ from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.model.provider_placement import is_copy
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec import manifest_io
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.targets import Target, load_target
 from gsgen.contract.validation.rule import Rule
 from web_client.javascript import FunctionTranslator, Untranslatable, literal
@@ -120,7 +120,9 @@ def rules_text() -> str:
         "parseManifest": module.reference(manifest_io.parse, ""),
         "readGraph": module.reference(read_graph, ""),
     }
-    by_kind = {kind: manifest_io.schemas()[manifest_io.schema_name(kind)] for kind in KINDS}
+    by_kind = {
+        kind: manifest_io.schemas()[manifest_io.schema_name(kind)] for kind in MANIFEST_KINDS
+    }
     schemas = json.dumps(json.dumps(by_kind, ensure_ascii=False), ensure_ascii=False)
     module.add_methods()
     return "\n".join(

@@ -20,7 +20,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
 # The results of a test other than passed.
-FAILING: tuple[CaseStatus, ...] = ("failed", "crashed")
+FAILING_STATUSES: tuple[CaseStatus, ...] = ("failed", "crashed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,11 @@ class ModelRun:
     def text(self, case: Case) -> str:
         """Return a test case as text: the rule's findings, and the command to reproduce them."""
         evidence = self.evidence.get(case.rule.id)
-        return f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
+        return (
+            f"{case.text}\n{evidence}"
+            if evidence and case.status in FAILING_STATUSES
+            else case.text
+        )
 
     @property
     def suites(self) -> dict[str, list[Case]]:
@@ -96,5 +100,5 @@ def run_model(
         if not suite_names or name in suite_names
         for rule in rules
     )
-    failing = [case for case in cases if case.status in FAILING]
+    failing = [case for case in cases if case.status in FAILING_STATUSES]
     return ModelRun(report, cases, collect_evidence(path, settings, failing, dumps))

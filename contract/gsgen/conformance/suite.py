@@ -5,7 +5,7 @@ A rule belongs to the first suite that claims it among those that apply to the m
 model that passes all its suites.
 """
 
-__all__ = ["BASIC", "SUITES", "DeclaredFeatures", "Suite", "find_suite", "plan_suites"]
+__all__ = ["ALL_SUITES", "BASIC", "DeclaredFeatures", "Suite", "find_suite", "plan_suites"]
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ BASIC = Suite(
     lambda declared: True,
     lambda rule: True,
 )
-SUITES: tuple[Suite, ...] = (
+ALL_SUITES: tuple[Suite, ...] = (
     Suite(
         "camera",
         "Cameras have the declared form and the expected effect.",
@@ -142,7 +142,7 @@ def find_suite(name: str, where: str = "--suite") -> Suite:
     Raises:
         UnknownName: No suite has this name; the hint names the nearest.
     """
-    by_name = {suite.name: suite for suite in SUITES}
+    by_name = {suite.name: suite for suite in ALL_SUITES}
     if name not in by_name:
         raise UnknownName.among("suite", name, by_name, where)
     return by_name[name]
@@ -155,7 +155,7 @@ def plan_suites(
 
     Rules of other kinds of models, and of other targets, are left out: they cannot fail.
     """
-    applicable_suites = [suite for suite in SUITES if suite.applies(declared)]
+    applicable_suites = [suite for suite in ALL_SUITES if suite.applies(declared)]
     rules_by_suite: dict[str, list[Rule]] = {
         suite.name: [] for suite in (BASIC, *applicable_suites)
     }

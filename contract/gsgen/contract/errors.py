@@ -40,7 +40,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import ClassVar
 
-_MOST_LISTED = 12
+_MAX_LISTED_NAMES = 12
 
 
 class ExitCode(IntEnum):
@@ -131,7 +131,7 @@ class UnknownName(ConfigInvalid):
 
         names = sorted(known)
         close_matches = get_close_matches(name, names, n=1, cutoff=0.5)
-        is_short = len(names) <= _MOST_LISTED
+        is_short = len(names) <= _MAX_LISTED_NAMES
         nearest_names = get_close_matches(name, names, n=3, cutoff=0.0)
         examples_text = f"{len(names)} are known, such as {', '.join(nearest_names)}."
         known_text = f"Known: {', '.join(names) or 'none'}." if is_short else examples_text

@@ -8,7 +8,7 @@ from typing import Final
 
 from gsgen.contract._entry_points import Extension, find_extensions
 
-_GROUP: Final = "gsgen.commands"
+_ENTRY_POINT_GROUP: Final = "gsgen.commands"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Command:
 
 def _command(name: str, summary: str, module_path: str) -> Command:
     """Return a command of ours; ``module_path`` is its module and function below gsgen.cli.commands."""
-    point = EntryPoint(name, f"gsgen.cli.commands.{module_path}", _GROUP)
+    point = EntryPoint(name, f"gsgen.cli.commands.{module_path}", _ENTRY_POINT_GROUP)
     return Command(name, summary, Extension(name, point))
 
 
@@ -198,5 +198,5 @@ def panels() -> dict[str, tuple[Command, ...]]:
 def _extension_commands() -> dict[str, Command]:
     return {
         name: Command(name, f"A command of the package {code.owner}.", code)
-        for name, code in find_extensions(_GROUP).items()
+        for name, code in find_extensions(_ENTRY_POINT_GROUP).items()
     }

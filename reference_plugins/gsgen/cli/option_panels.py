@@ -19,9 +19,9 @@ OPTION_PANELS: Final[dict[str, tuple[str, ...]]] = {
         "generators", "allow_origin",
     ),
 }  # fmt: skip
-"""Panel → parameters of commands with more than :data:`_MOST_UNGROUPED` options."""
+"""Panel → parameters of commands with more than :data:`_MAX_UNGROUPED_OPTIONS` options."""
 
-_MOST_UNGROUPED: Final = 20
+_MAX_UNGROUPED_OPTIONS: Final = 20
 
 
 def escape_markup(text: str) -> str:
@@ -40,7 +40,7 @@ def arrange_options(command: Any) -> None:
     for parameter in command.params:
         if parameter.help:
             parameter.help = escape_markup(parameter.help)
-        if len(options) > _MOST_UNGROUPED and parameter.rich_help_panel is None:
+        if len(options) > _MAX_UNGROUPED_OPTIONS and parameter.rich_help_panel is None:
             parameter.rich_help_panel = panels.get(parameter.name)
     for subcommand in getattr(command, "commands", {}).values():
         arrange_options(subcommand)

@@ -16,7 +16,7 @@ from gsgen.cli.command_table import Command, panels
 _SUMMARY: Final = (
     "Export, validate and draw Gaussian Generators: ONNX models that emit 3D Gaussians."
 )
-_OPTIONS: Final = (
+_ROOT_OPTIONS: Final = (
     ("--version", "Show the version and exit."),
     ("--install-completion", "Install completion for the current shell."),
     ("--show-completion", "Show completion for the current shell, to copy or customise it."),
@@ -31,7 +31,7 @@ def print_help() -> None:
     width = max(len(command.name) for panel in commands.values() for command in panel)
     console.print(Padding(Text("Usage: gsgen [OPTIONS] COMMAND [ARGS]...", "bold"), 1))
     console.print(Padding(Text(_SUMMARY), (0, 1, 1, 1)))
-    console.print(_panel("Options", _OPTIONS))
+    console.print(_panel("Options", _ROOT_OPTIONS))
     for title, panel in commands.items():
         rows = ((command.name, command.summary) for command in panel)
         console.print(_panel(title, rows, width))

@@ -13,7 +13,7 @@ from io import TextIOWrapper
 from typing import Final, TextIO
 
 _HANDLER_NAME: Final = "gsgen-transliterate"
-_ASCII: Final = "gsgen-ascii"
+_ASCII_ERROR_HANDLER: Final = "gsgen-ascii"
 _ASCII_SUBSTITUTES: Final = {
     "→": "->", "←": "<-", "↔": "<->", "−": "-", "–": "-", "—": "-", "‑": "-", "…": "...",
     "×": "x", "·": "*", "÷": "/", "⁄": "/", "±": "+/-", "≤": "<=", "≥": ">=", "≠": "!=", "≈": "~",
@@ -40,7 +40,7 @@ def _accept_any_text(stream: TextIO | None) -> None:
         return
     if codecs.lookup(stream.encoding).name == "ascii":
         # click writes UTF-8 into streams whose encoding is named ASCII.
-        stream.reconfigure(encoding=_ASCII, errors=_HANDLER_NAME)
+        stream.reconfigure(encoding=_ASCII_ERROR_HANDLER, errors=_HANDLER_NAME)
     else:
         stream.reconfigure(errors=_HANDLER_NAME)
 
@@ -81,7 +81,7 @@ def _escape(character: str) -> str:
 
 
 def _ascii_codec(name: str) -> codecs.CodecInfo | None:
-    if name.replace("_", "-") != _ASCII:
+    if name.replace("_", "-") != _ASCII_ERROR_HANDLER:
         return None
     ascii_info = codecs.lookup("ascii")
     return codecs.CodecInfo(
@@ -91,5 +91,5 @@ def _ascii_codec(name: str) -> codecs.CodecInfo | None:
         streamwriter=ascii_info.streamwriter,
         incrementalencoder=ascii_info.incrementalencoder,
         incrementaldecoder=ascii_info.incrementaldecoder,
-        name=_ASCII,
+        name=_ASCII_ERROR_HANDLER,
     )

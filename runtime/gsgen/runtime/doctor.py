@@ -11,10 +11,10 @@ from gsgen.contract.process.parent_watchdog import python_command
 from gsgen.contract.tools.doctor import Check, check_package
 
 _TIMEOUT = 60  # seconds
-_PURPOSE = "draw; graph capture"
+_RENDER_PURPOSE = "draw; graph capture"
 _WINDOW = "windows of `gsgen view`"
-_NOTEBOOK = "`gsgen.runtime.view` in notebooks"
-_DRIVERS = (
+_NOTEBOOK_PURPOSE = "`gsgen.runtime.view` in notebooks"
+_SOFTWARE_DRIVERS = (
     "install a Vulkan driver; without a GPU, `make drivers` in the project, or Mesa 25 or newer"
 )
 _RUNTIME = "pip install 'gsgen[runtime]'"
@@ -31,7 +31,7 @@ from gsgen.runtime.renderer.rasteriser_choice import explain
 device = Device.open()
 print(json.dumps(f"{device.name}: {explain(device)}"))
 """
-_TRY_WINDOW = """
+_WINDOW_TEST_SCRIPT = """
 import json
 from gsgen.runtime.errors import DisplayUnavailable
 from gsgen.runtime.viewer.window import require_display
@@ -61,7 +61,7 @@ def checks() -> Iterator[Check]:
 
 
 def _adapters() -> Iterator[Check]:
-    adapters = _child_result("adapters", _LIST_ADAPTERS, _DRIVERS, _PURPOSE)
+    adapters = _child_result("adapters", _LIST_ADAPTERS, _SOFTWARE_DRIVERS, _RENDER_PURPOSE)
     if isinstance(adapters, Check):
         yield adapters
         return
@@ -70,8 +70,8 @@ def _adapters() -> Iterator[Check]:
             name="adapters",
             state="missing",
             detail="no graphics adapter was found",
-            remedy=_DRIVERS,
-            purpose=_PURPOSE,
+            remedy=_SOFTWARE_DRIVERS,
+            purpose=_RENDER_PURPOSE,
         )
         return
     for adapter in adapters:
@@ -79,16 +79,16 @@ def _adapters() -> Iterator[Check]:
             adapter.get(key, "?") for key in ("device", "adapter_type", "backend_type")
         )
         detail = f"{name} ({kind}, {backend}) {adapter.get('description', '')}"
-        yield Check(name="adapter", state="ok", detail=detail.strip(), purpose=_PURPOSE)
-    choice = _child_result("renderer", _EXPLAIN_RENDERER, _DRIVERS, _PURPOSE)
+        yield Check(name="adapter", state="ok", detail=detail.strip(), purpose=_RENDER_PURPOSE)
+    choice = _child_result("renderer", _EXPLAIN_RENDERER, _SOFTWARE_DRIVERS, _RENDER_PURPOSE)
     if not isinstance(choice, Check):
-        choice = Check(name="renderer", state="ok", detail=str(choice), purpose=_PURPOSE)
+        choice = Check(name="renderer", state="ok", detail=str(choice), purpose=_RENDER_PURPOSE)
     yield choice
 
 
 def _screen() -> Check:
     """Check whether a window can be opened on this machine."""
-    problem = _child_result("screen", _TRY_WINDOW, _RUNTIME, _WINDOW)
+    problem = _child_result("screen", _WINDOW_TEST_SCRIPT, _RUNTIME, _WINDOW)
     if isinstance(problem, Check):
         return problem
     if problem is None:
@@ -105,7 +105,9 @@ def _screen() -> Check:
 def _widget() -> Check:
     """Check the packages for views in notebooks: rendercanvas needs anywidget or jupyter_rfb."""
     remedy = "pip install anywidget"
-    widgets = [check_package(n, remedy, purpose=_NOTEBOOK) for n in ("anywidget", "jupyter_rfb")]
+    widgets = [
+        check_package(n, remedy, purpose=_NOTEBOOK_PURPOSE) for n in ("anywidget", "jupyter_rfb")
+    ]
     return next((check for check in widgets if check.state == "ok"), widgets[0])
 
 

@@ -14,7 +14,7 @@ from gsgen.formats.shared.splats import Splats
 
 __all__ = ["Difference", "differences"]
 
-_CHUNK = 1 << 16
+_CHUNK_ROWS = 1 << 16
 
 
 @final
@@ -67,8 +67,8 @@ def _field_differences(
     original: Splats, converted: Splats
 ) -> Iterator[tuple[str, Float64[np.ndarray, "..."]]]:
     shared_count = min(original.sh.shape[1], converted.sh.shape[1])
-    for start in range(0, len(original), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(original), _CHUNK_ROWS):
+        part = slice(start, start + _CHUNK_ROWS)
         yield "position", _difference(original.position[part], converted.position[part])
         yield "rotation", _degrees(original.rotation[part], converted.rotation[part])
         yield "scale", _percent(original.log_scale[part], converted.log_scale[part])

@@ -25,7 +25,7 @@ MAX_BYTES: Final = 8 << 30
 
 _PACKED_NAMES = ("gaussians", "appearance")
 _POSITION_NAMES = ("points", "xyz", "means3d")
-_COLORS = "colors"
+_COLORS_KEY = "colors"
 
 
 def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | PackedRows:
@@ -67,7 +67,7 @@ def _choose_arrays(names: list[str]) -> tuple[str, str]:
     if set(_PACKED_NAMES) <= set(names):
         return _PACKED_NAMES
     positions = [name for name in _POSITION_NAMES if name in names]
-    if not positions or _COLORS not in names:
+    if not positions or _COLORS_KEY not in names:
         raise PropertyMissing(
             f"the archive holds the arrays {join_names(names, limit=40)}",
             expected="gaussians and appearance, or colors and one of points, xyz, means3d",
@@ -77,7 +77,7 @@ def _choose_arrays(names: list[str]) -> tuple[str, str]:
             f"the archive holds several arrays of positions: {join_names(positions)}",
             expected="only one of them",
         )
-    return positions[0], _COLORS
+    return positions[0], _COLORS_KEY
 
 
 def _packed(
@@ -97,18 +97,18 @@ def _cloud(
     key: str, points: Shaped[np.ndarray, "..."], colors: Shaped[np.ndarray, "..."]
 ) -> PointCloud:
     position = _triples(points, key)
-    color = _triples(colors, _COLORS, extra_dtype=np.uint8)
+    color = _triples(colors, _COLORS_KEY, extra_dtype=np.uint8)
     require_rows(len(position), f"array {key}")
     if len(color) != len(position):
         raise ValueInvalid(
             f"the array has {len(color)} rows",
-            where=f"array {_COLORS}",
+            where=f"array {_COLORS_KEY}",
             expected=f"{len(position)}, the number of rows of {key}",
         )
     if colors.dtype == np.uint8:
         color /= np.float32(255)
     require_finite(position, [f"array {key}[:, {axis}]" for axis in range(3)])
-    require_colors(color, [f"array {_COLORS}[:, {axis}]" for axis in range(3)])
+    require_colors(color, [f"array {_COLORS_KEY}[:, {axis}]" for axis in range(3)])
     return PointCloud(position, color)
 
 

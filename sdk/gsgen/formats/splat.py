@@ -20,7 +20,7 @@ __all__ = ["looks_like_splat", "read_splat", "write_splat"]
 ROW_DTYPE = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
 )
-_CHUNK = 1 << 14
+_CHUNK_ROWS = 1 << 14
 _SAMPLED_ROWS = 256
 _QUATERNION_LENGTHS = (0.9, 1.1)  # of a quaternion whose components are rounded to 1/128
 
@@ -79,8 +79,8 @@ def write_splat(path: FilePath, splats: Splats) -> None:
         require_drawable(splats)
         scale = linear_scale(splats)
     with replace_file(path) as file:
-        for start in range(0, len(splats), _CHUNK):
-            file.write(_records(splats, scale, slice(start, start + _CHUNK)).tobytes())
+        for start in range(0, len(splats), _CHUNK_ROWS):
+            file.write(_records(splats, scale, slice(start, start + _CHUNK_ROWS)).tobytes())
 
 
 def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> np.ndarray:

@@ -19,7 +19,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.validation.agreement import (
-    BLOCK,
+    ROWS_PER_BLOCK,
     Allowance,
     Errors,
     FieldError,
@@ -270,8 +270,8 @@ def _compare_probe(
         errors_at = partial(measure, output, allowance)
         pending_errors: list[tuple[Errors, np.ndarray]] = []
         # Step 1: the rows within the tolerances; the others are set aside.
-        for start in range(0, total, BLOCK):
-            rows = np.arange(start, min(start + BLOCK, total))
+        for start in range(0, total, ROWS_PER_BLOCK):
+            rows = np.arange(start, min(start + ROWS_PER_BLOCK, total))
             errors = errors_at(rows, reference)
             is_within = np.all([excess_of(*pair) <= 1 for pair in errors.values()], axis=0)
             pending_errors.append((_select_errors(errors, ~is_within), rows[~is_within]))

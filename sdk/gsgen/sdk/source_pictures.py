@@ -28,7 +28,7 @@ from gsgen.contract.tools.recording import evenly_spaced
 _MAX_PICTURES = 16
 
 Outputs = Mapping[str, np.ndarray]
-Draw = Callable[
+DrawPicture = Callable[
     [GeneratorManifest, Sequence[tuple[Probe, Outputs]]], list[tuple[bytes, ReferenceImage]]
 ]
 """Draws frames as PNGs with declarations; see gsgen.runtime.checks.eager_pictures."""
@@ -42,7 +42,7 @@ class SourcePictures:
     """
 
     count: int
-    draw: Draw
+    draw: DrawPicture
 
 
 def add_source_pictures(

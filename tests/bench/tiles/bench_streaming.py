@@ -16,7 +16,7 @@ import pytest
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
-from gsgen.tiles.simulate.client import POLICIES, simulate
+from gsgen.tiles.simulate.client import PREFETCH_POLICIES, simulate
 from gsgen.tiles.simulate.tables import read_path, read_trace
 from support.tiles.journeys import (
     PATH_HEADER,
@@ -47,7 +47,7 @@ def bench_journeys(tmp_path: Path, connections: int) -> None:
                     view=ViewSettings(width=320, height=180),
                     connections=connections,
                 ).metrics
-                for policy in POLICIES
+                for policy in PREFETCH_POLICIES
             ]
             hit_rates = " ".join(f"{entry.hit_rate:6.1%}" for entry in results)
             waste = " ".join(f"{entry.waste:5.1%}" for entry in results)

@@ -12,7 +12,7 @@ from gsgen.cli.commands.drawing.view import view
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.viewer import surface_renderer, window
-from gsgen.runtime.viewer.overlay import HELP
+from gsgen.runtime.viewer.overlay import HELP_LINES
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.viewer import Viewer
 from support.commands import gsgen
@@ -114,7 +114,7 @@ def test_invalid_view_options_are_named(
 
 def test_the_guide_has_the_keys_that_the_window_shows() -> None:
     guide = (DOCS / "guides/view-a-scene.md").read_text("utf-8")
-    for keys, key_action in HELP:
+    for keys, key_action in HELP_LINES:
         assert f"| {keys} | {key_action} |" in guide
 
 

@@ -59,7 +59,7 @@ def test_kind_of_the_error_says_what_to_do(name: str, kind: type[FetchFailed]) -
 
 
 def test_answer_that_ends_early_is_tried_six_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "_BACKOFF", 0.01)
+    monkeypatch.setattr(client, "_BACKOFF_SECONDS", 0.01)
     with hostile_server(ANSWERS["length-too-long"]) as server:
         with pytest.raises(ServerUnavailable, match="ended early"):
             fetch(server.address, max_bytes=1 << 20, seconds=20)

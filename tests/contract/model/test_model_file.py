@@ -12,7 +12,7 @@ import gsgen.contract.model.model_file as module
 from gsgen.contract.errors import ManifestInvalid, ModelUnreadable
 from gsgen.contract.model.model_file import (
     MANIFEST_KEY,
-    STUB,
+    STUB_BYTES,
     ExternalRef,
     open_model,
     write_manifest,
@@ -42,7 +42,7 @@ def test_a_model_is_opened_without_its_weights(tmp_path):
     assert opened.size == path.stat().st_size
     assert opened.stripped_bytes > 50_000
     assert opened.proto.ByteSize() < 3000
-    stubs = {t.name for t in opened.proto.graph.initializer if t.raw_data == STUB}
+    stubs = {t.name for t in opened.proto.graph.initializer if t.raw_data == STUB_BYTES}
     assert stubs == {"rows", "colors"}
     assert opened.external == ()
 

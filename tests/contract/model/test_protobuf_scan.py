@@ -15,7 +15,14 @@ from onnx import (
 )
 
 from gsgen.contract.model import protobuf_scan
-from gsgen.contract.model.protobuf_scan import STUB, Field, WireFault, scan, strip_payloads, varint
+from gsgen.contract.model.protobuf_scan import (
+    STUB_BYTES,
+    Field,
+    WireFault,
+    scan,
+    strip_payloads,
+    varint,
+)
 
 PAYLOAD = {
     "float_data": (TensorProto.FLOAT, 0.5),
@@ -133,7 +140,7 @@ def test_a_large_payload_leaves_a_stub_in_every_storage(storage):
     getattr(weight, storage).extend([value] * count)
     bones = strip_payloads(with_weights(weight))
     stub = ModelProto.FromString(bones.data).graph.initializer[0]
-    assert stub == TensorProto(name="w", data_type=dtype, dims=[count], raw_data=STUB)
+    assert stub == TensorProto(name="w", data_type=dtype, dims=[count], raw_data=STUB_BYTES)
     assert bones.stripped_bytes >= 2 * count
     assert len(bones.data) < 100
 
@@ -147,7 +154,7 @@ def test_a_payload_in_several_pieces_is_left_out_whole():
     bones = strip_payloads(protobuf_scan._header(7, len(tensor)) + tensor)
     result = ModelProto.FromString(bones.data).graph.initializer[0]
     assert not result.float_data
-    assert result.raw_data == STUB
+    assert result.raw_data == STUB_BYTES
 
 
 @pytest.mark.parametrize(("count", "retained"), [(300, True), (100_000, True), (200_000, False)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, numpy_helper
 
-from gsgen.contract.model.model_file import STUB, small_array
+from gsgen.contract.model.model_file import STUB_BYTES, small_array
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int64, np.uint8, np.bool_])
@@ -22,7 +22,7 @@ def test_small_numeric_weights_are_read(dtype: type) -> None:
         numpy_helper.from_array(np.zeros((0, 3), np.float32), "empty"),
         numpy_helper.from_array(np.array([b"a", b"b"], object), "strings"),
         numpy_helper.from_array(np.array([1j], np.complex64), "complex"),
-        TensorProto(name="unread", data_type=TensorProto.FLOAT, dims=[2], raw_data=STUB),
+        TensorProto(name="unread", data_type=TensorProto.FLOAT, dims=[2], raw_data=STUB_BYTES),
         TensorProto(name="short", data_type=TensorProto.FLOAT, dims=[2], raw_data=b"abc"),
         TensorProto(name="unknown", data_type=9999, dims=[1], raw_data=b"abcd"),
     ],

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
-from gsgen.contract.reporters.rule_pages import FAMILIES, help_path, index, page, to_dict
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.reporters.rule_pages import FAMILY_TITLES, help_path, index, page, to_dict
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.rule import Registry
 from gsgen.tiles.validation.rules import all_rules
@@ -12,7 +12,7 @@ from support.reports.rules import made_up
 
 FIRST = made_up("GV901")
 SECOND_RULE = made_up(
-    "GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows"
+    "GV902", severity=Severity.WARNING, needs=("GV901",), kinds=MANIFEST_KINDS, limit="rows"
 )
 THIRD_RULE = made_up("acme/AC001", target="webgpu")
 REGISTRY = Registry.from_rules([FIRST, SECOND_RULE, THIRD_RULE])
@@ -85,7 +85,7 @@ def test_the_index_lists_rules_by_family():
 
 
 def test_every_family_of_ours_has_a_name():
-    assert {rule.family for rule in all_rules().rules.values()} <= set(FAMILIES)
+    assert {rule.family for rule in all_rules().rules.values()} <= set(FAMILY_TITLES)
 
 
 @pytest.mark.parametrize("rule", all_rules().rules.values(), ids=all_rules().rules)
@@ -107,7 +107,7 @@ def test_rule_converts_to_json_types():
         "hint": "Make it so.",
         "fixture": "none",
         "needs": ["GV901"],
-        "kinds": list(KINDS),
+        "kinds": list(MANIFEST_KINDS),
         "target": None,
         "evidence": None,
     }

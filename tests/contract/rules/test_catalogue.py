@@ -7,7 +7,7 @@ import pytest
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.rules import catalogue as installed
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -55,7 +55,7 @@ def test_each_rule_comes_with_all_that_it_needs():
 def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():
     for rule in builtin_rules():
         assert rule.kinds
-        assert set(rule.kinds) <= set(KINDS)
+        assert set(rule.kinds) <= set(MANIFEST_KINDS)
         assert rule.statement.endswith("."), rule.id
 
 
@@ -112,7 +112,7 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
     plugin(name, "absent_module_of_acme")
     (rule,) = foreign()
     assert rule.id == id
-    assert rule.kinds == KINDS
+    assert rule.kinds == MANIFEST_KINDS
     board = ResultCollector(registry=installed_rules(), settings=Settings(), kind="")
     assert board.is_ready(rule)
     assert not board.check(rule, None)

@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from gsgen.contract.reporters.document import schema as report_schema
-from gsgen.contract.spec.fields.json_schema import DIALECT, Hint, from_json, schema_of, to_json
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.json_schema import (
+    SCHEMA_DIALECT,
+    Hint,
+    from_json,
+    schema_of,
+    to_json,
+)
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.manifest_io import loads, parse, schema_name, schemas
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from support.models.manifests import JSON, manifests
@@ -30,11 +36,11 @@ def test_the_published_schemas_are_those_of_the_dataclasses():
         assert same, f"{name} is out of date: run {sys.executable} {WRITER}"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MANIFEST_KINDS)
 def test_every_schema_is_valid_and_names_its_dialect(kind):
     document = schemas()[schema_name(kind)]
     Draft202012Validator.check_schema(document)
-    assert document["$schema"] == DIALECT
+    assert document["$schema"] == SCHEMA_DIALECT
     assert document["required"][:2] == ["contract", "kind"]
 
 
@@ -134,7 +140,7 @@ class Outer:
 
 def test_a_schema_is_made_from_types_and_hints():
     assert schema_of(Outer, title="Test") == {
-        "$schema": DIALECT,
+        "$schema": SCHEMA_DIALECT,
         "title": "Test",
         "type": "object",
         "description": "An outer one.",

@@ -15,8 +15,8 @@ from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_mode
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, ReferenceImage
 from gsgen.contract.spec.manifest_io import dumps, loads
-from gsgen.contract.spec.operator_tables import CAPTURE, operator_table
-from gsgen.contract.spec.reader_needs import PROFILES, smallest_profile
+from gsgen.contract.spec.operator_tables import GRAPH_CAPTURE, operator_table
+from gsgen.contract.spec.reader_needs import READER_PROFILES, smallest_profile
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.tools.test_vector_files import record_vectors
 from gsgen.contract.validator import validate
@@ -100,12 +100,12 @@ def test_a_manifest_under_the_neutral_key_is_read_and_replaced(tmp_path):
 
 
 def test_every_operator_of_the_portable_profile_is_captured():
-    profile = PROFILES["portable-1"]
+    profile = READER_PROFILES["portable-1"]
     for name in load_target("webgpu").operators:
         captured = {
             operator.partition("/")[0]
             for (operator, _), steps in operator_table(name).outcomes.items()
-            if CAPTURE in steps.values()
+            if GRAPH_CAPTURE in steps.values()
         }
         assert profile.operators - captured == {"Constant"}, name
 

@@ -1,7 +1,7 @@
 import pytest
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.spec.fields.roles import KINDS, ROLES, matching_shape, role
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES, matching_shape, role
 
 SPECIFIED = {
     "view": ("float32", ((4, 4),)),
@@ -38,7 +38,7 @@ def test_every_role_is_known_by_its_own_name_and_belongs_to_a_kind():
     for name, entry in ROLES.items():
         assert entry.name == name
         assert entry.summary.endswith(".")
-        assert set(entry.kinds) <= set(KINDS)
+        assert set(entry.kinds) <= set(MANIFEST_KINDS)
         assert entry.kinds
 
 

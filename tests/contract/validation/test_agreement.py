@@ -103,7 +103,7 @@ def test_the_worst_row_is_the_oracle_s(
     field: str, degree: int | None, dtype: type, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows are compared in blocks; one field differs by a few roundings or by much more."""
-    monkeypatch.setattr(agreement, "BLOCK", block)
+    monkeypatch.setattr(agreement, "ROWS_PER_BLOCK", block)
     rng = np.random.default_rng([3, degree or 9])
     a, c = encode(cloud(30, degree), dtype)
     b, d = a.copy(), c.copy()

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gsgen.contract.spec.geometry import covariance_upper, symmetric
 from gsgen.formats import Splats, ValueInvalid
-from gsgen.formats.editing.edits import OPTIONS, parse_edit
+from gsgen.formats.editing.edits import EDIT_OPTIONS, parse_edit
 from gsgen.formats.editing.filters import morton_ordered, without_floaters
 from gsgen.formats.editing.statistics import histogram, statistics_text, summarise, write_histograms
 from gsgen.formats.shared.harmonics import sh_basis
@@ -150,7 +150,7 @@ def test_every_edit_keeps_the_flags():
         "decimate": "50%",
         "morton": "",
     }
-    assert set(values) == set(OPTIONS)
+    assert set(values) == set(EDIT_OPTIONS)
     splats = scene(64, 1, antialiased=True, color_space="linear")
     for name, text in values.items():
         edited = parse_edit(name, text)(splats)

@@ -120,7 +120,7 @@ def test_frames_are_written_as_files_alone(tmp_path, monkeypatch):
         write_ply(expected, splats)
         frames.write(file, splats)
         assert file.read_bytes() == expected.read_bytes()
-    monkeypatch.setattr(write, "_MOST_SH_BYTES", 50 * 16 * 3 * 4 - 1)
+    monkeypatch.setattr(write, "_MAX_SH_BYTES", 50 * 16 * 3 * 4 - 1)
     PlyFrames().write(file, moved)
     assert file.read_bytes() == expected.read_bytes()
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from fuzz.mutations.mutate_model import NUMBERS, TEXTS
-from gsgen.contract.spec.fields.roles import KINDS, ROLES
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES
 
 Mutation = Callable[[str, random.Random], str]
 Place = tuple[Any, Any]  # a list or an object, and the index or key in it
@@ -50,7 +50,7 @@ def replace_a_value(text: str, rng: random.Random) -> str:
 
     def edit(_: Any, places: list[Place]) -> None:
         container, key = rng.choice(places)
-        pool = rng.choice((_HOSTILE_VALUES, NUMBERS, TEXTS, tuple(ROLES), KINDS))
+        pool = rng.choice((_HOSTILE_VALUES, NUMBERS, TEXTS, tuple(ROLES), MANIFEST_KINDS))
         container[key] = rng.choice(pool)
 
     return _edited(text, edit)

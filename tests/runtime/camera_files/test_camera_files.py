@@ -13,7 +13,7 @@ from PIL import Image
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.runtime.camera_files import CameraFile, open_cameras, split_pick
-from gsgen.runtime.camera_files.colmap_models import MODELS
+from gsgen.runtime.camera_files.colmap_models import CAMERA_MODELS
 from gsgen.runtime.camera_files.fields import matrix
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.playback.camera_options import viewpoint
@@ -264,10 +264,10 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
         assert (seen_u, seen_v) == pytest.approx((u, v), abs=1e-6)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", CAMERA_MODELS)
 def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> None:
     values = {"f": 40.0, "fx": 40.0, "fy": 50.0, "cx": 30.0, "cy": 20.0}
-    names = MODELS[model].split()
+    names = CAMERA_MODELS[model].split()
     for distortion in (0.0, 0.01):
         numbers = " ".join(str(values.get(name, distortion)) for name in names)
         (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 {numbers}\n")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.viewer_kit.check_viewer import check_viewer, read_index
-from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.picture_files import encode_png
 from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
 from gsgen.runtime import Camera, Renderer, Scene
@@ -73,7 +73,7 @@ def test_our_renderer_passes_with_both_rasterisers(
     assert _failed(kit, Viewer(), drawn, tmp_path) == {"cases": set(), "faults": set()}
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", VIEWER_FAULTS)
 def test_a_wrong_viewer_fails_the_right_cases_and_its_fault_is_named_also_with_8_bits(
     fault: str, kit: Path, tiles: Render, tmp_path: Path
 ) -> None:

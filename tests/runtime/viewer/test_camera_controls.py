@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.viewer.camera_controls import KEYS, Controls
+from gsgen.runtime.viewer.camera_controls import CAMERA_KEYS, Controls
 
 UP = np.array([0.0, -1.0, 0.0])
 CENTER = np.array([0.3, -0.2, 0.5])
@@ -137,13 +137,13 @@ def test_a_flat_camera_is_magnified_in_place_of_coming_nearer() -> None:
     assert camera.fx > home_camera.fx
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("key", CAMERA_KEYS)
 def test_keys_move_along_their_axes(key: str) -> None:
     controller = controls()
     before = controller.camera(*SIZE)
     assert controller.fly(frozenset({key}), 0.5, fast=False)
     slow = before.view[:3, :3] @ (controller.eye - before.eye)
-    np.testing.assert_allclose(slow, 0.25 * np.array(KEYS[key]), atol=1e-12)
+    np.testing.assert_allclose(slow, 0.25 * np.array(CAMERA_KEYS[key]), atol=1e-12)
     assert controller.fly(frozenset({key}), 0.5, fast=True)
     both = before.view[:3, :3] @ (controller.eye - before.eye)
     assert np.linalg.norm(both) > 4 * np.linalg.norm(slow)

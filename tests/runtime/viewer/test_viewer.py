@@ -12,7 +12,7 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.media.pictures import MODES, picture_of
+from gsgen.runtime.media.pictures import PICTURE_MODES, picture_of
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.playback.post_process import PostProcessor
@@ -34,14 +34,18 @@ def expected(
     viewer = hand.viewer
     camera = viewer.controls.camera(*SIZE)
     frame = painter.renderer.render(
-        viewer.playback.scene(), camera, outputs=(MODES[mode],), background=(0, 0, 0, 1), **options
+        viewer.playback.scene(),
+        camera,
+        outputs=(PICTURE_MODES[mode],),
+        background=(0, 0, 0, 1),
+        **options,
     )
     result = picture_of(frame, mode, viewer.playback.depths(camera))
     result = result[..., :3] if result.ndim == 3 else np.repeat(result[..., None], 3, axis=-1)
     return result.astype(int)
 
 
-@pytest.mark.parametrize(("key", "mode"), list(zip("12345", MODES, strict=True)))
+@pytest.mark.parametrize(("key", "mode"), list(zip("12345", PICTURE_MODES, strict=True)))
 def test_each_mode_is_that_of_render(
     still: Hand, painter: SurfaceRenderer, key: str, mode: str
 ) -> None:

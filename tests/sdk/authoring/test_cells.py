@@ -26,7 +26,7 @@ from gsgen.sdk.exporting.constant_generator import write_constant
 from gsgen.sdk.exporting.pipeline import Exported
 from gsgen.sdk.float16.convert_model import write_float16
 from gsgen.sdk.live.comparison import disagreements
-from gsgen.sdk.live.level import Frame, Live
+from gsgen.sdk.live.level import Frame, LiveLevel
 from support.models.generators import CELLS, EACH, WEIGHTS, Bunches
 
 
@@ -219,6 +219,8 @@ def test_cells_of_both_devices_are_compared(
     gpu = {name: value.copy() for name, value in cpu.items()}
     gpu["cells"][cell, column] += factor
     frame = Frame(Probe(label="p", inputs={}), cpu, gpu, None)
-    live = Live(subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,))
+    live = LiveLevel(
+        subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,)
+    )
     actual = [disagreement for disagreement, _, _ in disagreements(live)]
     assert actual == ([f"field {field}"] if field else [])

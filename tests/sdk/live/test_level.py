@@ -22,7 +22,7 @@ from gsgen.sdk.doctor import checks
 from gsgen.sdk.live import level as live
 from gsgen.sdk.live import worker
 from gsgen.sdk.live.comparison import disagreements, wrong_replays
-from gsgen.sdk.live.level import Frame, Live, Node, survey
+from gsgen.sdk.live.level import Frame, LiveLevel, Node, survey
 from support.models.captured import CAPTURED
 from support.models.small_models import (
     HEAD,
@@ -188,11 +188,11 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 # ---- How outputs are compared ----------------------------------------------------------------
 
 
-def live_run(path, *frames, **changes) -> Live:
+def live_run(path, *frames, **changes) -> LiveLevel:
     subject = inspect_model(open_model(path), LIVE_SETTINGS.target, Limits())
     result = [Frame(Probe(label=f"probe {k}", inputs={}), *three) for k, three in enumerate(frames)]
     facts = {"nodes": (), "accepted": True, "stop": None} | changes
-    return Live(subject=subject, adapter="made up", frames=tuple(result), **facts)
+    return LiveLevel(subject=subject, adapter="made up", frames=tuple(result), **facts)
 
 
 def outputs(rows, count=None):

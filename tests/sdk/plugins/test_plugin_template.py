@@ -96,10 +96,10 @@ def test_the_workflow_installs_gsgen_from_the_address_of_its_metadata(package: P
 
 
 def test_every_template_is_used() -> None:
-    from gsgen.sdk.plugins.plugin_template import _FILES
+    from gsgen.sdk.plugins.plugin_template import _TEMPLATE_FILES
 
     folder = ROOT / "sdk" / "gsgen" / "sdk" / "templates" / "plugin"
-    assert {path.name for path in folder.iterdir()} == set(_FILES)
+    assert {path.name for path in folder.iterdir()} == set(_TEMPLATE_FILES)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from hypothesis import strategies as st
 
 from gsgen.contract.spec.fields.json_schema import Hint
-from gsgen.contract.spec.fields.roles import KINDS
-from gsgen.contract.spec.manifest import CONTRACT, manifest_type
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
+from gsgen.contract.spec.manifest import CONTRACT_VERSION, manifest_type
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
@@ -25,8 +25,8 @@ JSON = st.recursive(
 def manifests():
     """Manifests of all three kinds, every field of them drawn."""
     # Made once: hypothesis looks through a new strategy for as long as it draws from it.
-    kinds = {kind: _any(manifest_type(kind), Hint()) for kind in KINDS}
-    return st.sampled_from(KINDS).flatmap(kinds.__getitem__)
+    kinds = {kind: _any(manifest_type(kind), Hint()) for kind in MANIFEST_KINDS}
+    return st.sampled_from(MANIFEST_KINDS).flatmap(kinds.__getitem__)
 
 
 def _any(hint: Any, limits: Hint) -> st.SearchStrategy:
@@ -43,7 +43,7 @@ def _any(hint: Any, limits: Hint) -> st.SearchStrategy:
     if origin is dict:
         return st.dictionaries(st.text(max_size=5), _any(args[1], Hint()), max_size=3)
     if is_dataclass(hint):
-        hints = get_type_hints(hint, include_extras=True) | {"contract": Literal[CONTRACT]}
+        hints = get_type_hints(hint, include_extras=True) | {"contract": Literal[CONTRACT_VERSION]}
         drawn = {f.name: _any(hints[f.name], Hint()) for f in fields(hint)}
         return st.builds(hint, **drawn)
     return _scalar(hint, limits)

@@ -18,7 +18,7 @@ from gsgen.tiles import validate
 from gsgen.tiles.build.frame import globe_transform
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonObject
-from gsgen.tiles.format.neural_tile import EXTENSION, neural_schema, read_neural_tile
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION, neural_schema, read_neural_tile
 from gsgen.tiles.format.volumes import Box, geodetic
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
@@ -79,7 +79,7 @@ def test_the_schema_and_the_reader_agree(entry: dict[str, Any], valid: bool) -> 
 
 
 def test_the_published_schema_is_the_reader_s() -> None:
-    path = ROOT / "docs" / "spec" / "schemas" / f"{EXTENSION}.schema.json"
+    path = ROOT / "docs" / "spec" / "schemas" / f"{NEURAL_TILE_EXTENSION}.schema.json"
     assert json.loads(path.read_text("utf-8")) == neural_schema()
 
 
@@ -94,7 +94,7 @@ def test_a_neural_tile_is_read_and_its_content_stays(tmp_path: Path) -> None:
 
 
 def held(document: dict[str, Any]) -> dict[str, Any]:
-    entry: dict[str, Any] = document["root"]["children"][0]["extensions"][EXTENSION]
+    entry: dict[str, Any] = document["root"]["children"][0]["extensions"][NEURAL_TILE_EXTENSION]
     return entry
 
 

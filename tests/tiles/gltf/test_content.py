@@ -19,7 +19,7 @@ from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.axes import rotate_splats
 from gsgen.tiles.gltf.container import open_content
 from gsgen.tiles.gltf.decoding import decode_content, read_header
-from gsgen.tiles.gltf.encoding import QUALITIES, EncodedContent, write_content
+from gsgen.tiles.gltf.encoding import SPZ_QUALITIES, EncodedContent, write_content
 from gsgen.tiles.gltf.placement import PlacedSplats, place
 from support.splat_files import scene
 
@@ -54,7 +54,7 @@ def test_khr_content_returns_the_written_floats() -> None:
 
 
 @pytest.mark.parametrize("codec", ["spz", "khr"])
-@pytest.mark.parametrize("quality", range(len(QUALITIES)))
+@pytest.mark.parametrize("quality", range(len(SPZ_QUALITIES)))
 def test_the_box_is_that_of_what_is_stored(codec, quality: int) -> None:
     """Its corners are those of a reader's own 3σ boxes."""
     encoded = write_content(distant_splats(), CENTER, codec=codec, quality=quality)
@@ -69,7 +69,7 @@ def test_the_box_is_that_of_what_is_stored(codec, quality: int) -> None:
 def test_a_lower_quality_is_smaller_and_worse() -> None:
     splats = distant_splats(4000)
     sizes, errors = [], []
-    for quality in range(len(QUALITIES)):
+    for quality in range(len(SPZ_QUALITIES)):
         encoded = write_content(splats, CENTER, quality=quality)
         sizes.append(len(encoded.data))
         errors.append(np.abs(decode_tile(encoded).positions() - splats.position).max())
@@ -81,7 +81,7 @@ def test_a_lower_quality_is_smaller_and_worse() -> None:
     assert errors[0] < 1 / 4096
 
 
-@pytest.mark.parametrize("quality", range(len(QUALITIES)))
+@pytest.mark.parametrize("quality", range(len(SPZ_QUALITIES)))
 def test_the_file_is_spz_version_2_as_the_format_says(quality: int) -> None:
     """Read by hand: header, sizes, and the accessors that viewers allocate by."""
     encoded = write_content(distant_splats(degree=2), CENTER, quality=quality)
@@ -171,7 +171,7 @@ def test_degree_four_is_cut_to_three() -> None:
 def test_visible_splats_stay_visible() -> None:
     """No opacity above half a step of the finest becomes zero."""
     splats = replace(distant_splats(300), logit_opacity=np.full(300, -5.3, np.float32))  # 0.005
-    for quality in range(len(QUALITIES)):
+    for quality in range(len(SPZ_QUALITIES)):
         back = decode_tile(write_content(splats, CENTER, quality=quality))
         assert np.isfinite(back.splats.logit_opacity).all()
 

@@ -10,7 +10,7 @@ from PIL import Image
 from gsgen.formats import write_ply
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
-from gsgen.tiles.scoring.score import DISTANCES, level_cut
+from gsgen.tiles.scoring.score import CAMERA_DISTANCES, level_cut
 from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
 from support.commands import gsgen_here
 
@@ -40,11 +40,11 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
     assert (root["tiles"], root["splats"]) == (1, 16)
     assert (leaves["tiles"], leaves["splats"]) == (2, 48)
     assert leaves["bytes"] == sum(file.stat().st_size for file in (folder / "t/1").iterdir())
-    for distance in DISTANCES:
+    for distance in CAMERA_DISTANCES:
         assert leaves["ssim"][distance] > 0.99999
         assert root["ssim"][distance] < leaves["ssim"][distance]
     sheet = np.asarray(Image.open(picture))
-    columns, rows = 3, len(DISTANCES)
+    columns, rows = 3, len(CAMERA_DISTANCES)
     assert sheet.shape[0] > rows * 64
     assert sheet.shape[1] > columns * 96
     assert np.ptp(sheet) > 100

@@ -11,7 +11,7 @@ from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats.shared.joined import join_splats
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.tiles.format.neural_tile import EXTENSION
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.validation.sketches import sample_splats
 
@@ -59,7 +59,7 @@ def write_neural_tileset(
                 "transform": matrix.T.ravel().tolist(),
                 "content": {"uri": f"t/{number}.glb"},
                 "extensions": {
-                    EXTENSION: {
+                    NEURAL_TILE_EXTENSION: {
                         "uri": f"t/{number}.onnx",
                         "contract": "1.0",
                         "sha256": hashlib.sha256(model).hexdigest(),
@@ -81,7 +81,7 @@ def write_neural_tileset(
     }
     document = {
         "asset": {"version": "1.1"},
-        "extensionsUsed": [EXTENSION],
+        "extensionsUsed": [NEURAL_TILE_EXTENSION],
         "geometricError": 100,
         "root": root,
     }

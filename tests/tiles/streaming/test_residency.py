@@ -11,7 +11,7 @@ from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
-from gsgen.tiles.streaming.drawing import Fades, drawable_tiles
+from gsgen.tiles.streaming.drawing import TileFades, drawable_tiles
 from gsgen.tiles.streaming.residency import ResidentTiles
 from support.tiles.journeys import write_town
 
@@ -119,7 +119,7 @@ def test_drawable_tiles_equal_those_of_a_recursive_walk(tree: TileTree) -> None:
 
 
 def test_a_replacement_fades_and_a_tile_that_comes_into_view_does_not(tree: TileTree) -> None:
-    fades = Fades(tree, 0.25)
+    fades = TileFades(tree, 0.25)
     visible_mask = np.ones(len(tree), bool)
     drawn = np.zeros(len(tree), bool)
     drawn[0] = True
@@ -149,7 +149,7 @@ def test_a_replacement_fades_and_a_tile_that_comes_into_view_does_not(tree: Tile
     assert 0 < middle < 1
     fades.frame(0.55, replaced, visible_mask)
     assert fades.values[0] < middle
-    still = Fades(tree, 0.0)
+    still = TileFades(tree, 0.0)
     still.frame(0.0, drawn, visible_mask)
     still.frame(0.0, replaced, visible_mask)
     assert still.is_settled

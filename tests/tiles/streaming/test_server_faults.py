@@ -134,7 +134,7 @@ FAULTS = {
 
 @pytest.fixture(autouse=True)
 def short_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "_BACKOFF", 0.01)
+    monkeypatch.setattr(client, "_BACKOFF_SECONDS", 0.01)
     monkeypatch.setenv("GSGEN_FETCH_SECONDS", "0.5")
 
 

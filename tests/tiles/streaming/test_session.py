@@ -315,7 +315,7 @@ def test_a_tile_that_another_one_displaces_in_its_own_frame_is_not_uploaded(town
 def test_a_faulty_server_still_gives_frames(
     town: Path, monkeypatch: pytest.MonkeyPatch, failures: tuple[FailureRule, ...]
 ) -> None:
-    monkeypatch.setattr(client, "_BACKOFF", 0.01)
+    monkeypatch.setattr(client, "_BACKOFF_SECONDS", 0.01)
     monkeypatch.setenv("GSGEN_FETCH_SECONDS", "0.3")
     faults = NetworkFaults(failures=(), seed=1)
     with served(town, faults) as address:

@@ -12,7 +12,7 @@ from gsgen.contract import Level, Report, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.tiles.validation.fixtures import tiles_fixtures
-from gsgen.tiles.validation.rules import RULES, all_rules
+from gsgen.tiles.validation.rules import TILESET_RULES, all_rules
 from gsgen.tiles.validation.validate import validate
 
 FIXTURES = tiles_fixtures()
@@ -49,7 +49,7 @@ def test_a_good_tileset_breaks_nothing(fixture: Fixture, judge) -> None:
     assert report.verdict == "conforms"
     statuses = {o.rule.id: o.status for o in report.outcomes if o.rule.family == "GT"}
     assert set(statuses.values()) == {"pass"}
-    assert len(statuses) == len(RULES) == 22
+    assert len(statuses) == len(TILESET_RULES) == 22
 
 
 @pytest.mark.parametrize("fixture", FIXTURES, ids=fixture_name)
@@ -64,7 +64,7 @@ def silent_check(_: object) -> Iterator[Violation]:
     yield from ()
 
 
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.id)
+@pytest.mark.parametrize("rule", TILESET_RULES, ids=lambda rule: rule.id)
 def test_fixture_fails_when_its_rule_is_silent(rule: Rule, tmp_path: Path) -> None:
     fixture = next(entry for entry in BROKEN if entry.rule == rule.id)
     rules = [
@@ -78,8 +78,8 @@ def test_fixture_fails_when_its_rule_is_silent(rule: Rule, tmp_path: Path) -> No
 
 
 def test_ids_and_fixtures_are_complete() -> None:
-    assert [rule.id for rule in RULES] == [f"GT{number:03}" for number in range(1, 23)]
-    assert {rule.id for rule in RULES} == {fixture.rule for fixture in BROKEN}
+    assert [rule.id for rule in TILESET_RULES] == [f"GT{number:03}" for number in range(1, 23)]
+    assert {rule.id for rule in TILESET_RULES} == {fixture.rule for fixture in BROKEN}
 
 
 @pytest.mark.parametrize("fixture", FIXTURES, ids=fixture_name)

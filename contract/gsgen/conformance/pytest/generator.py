@@ -16,7 +16,7 @@ from gsgen.conformance.pytest.session import (
 )
 from gsgen.conformance.pytest.testing import refuse_unmatched_entries
 from gsgen.conformance.run import ModelRun
-from gsgen.conformance.suite import SUITES, Suite
+from gsgen.conformance.suite import ALL_SUITES, Suite
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.fields.roles import GENERATOR, POST_PROCESS
@@ -110,7 +110,7 @@ class GeneratorConformance:
 def _suite_name(rule: Rule) -> str:
     """Return the name of the first suite that tests a rule, on a generator if the rule allows."""
     is_generator = GENERATOR in rule.kinds
-    suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
+    suites = [suite for suite in ALL_SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
@@ -140,7 +140,7 @@ def _test_name(suite: Suite) -> str:
 
 def _add_tests() -> None:
     """Add a test method for each conformance suite to a class; subclasses can override it."""
-    for suite in SUITES:
+    for suite in ALL_SUITES:
         rules = [r for r in installed_rules().rules.values() if _suite_name(r) == suite.name]
         if rules:
             setattr(GeneratorConformance, _test_name(suite), _make_suite_test(suite, rules))

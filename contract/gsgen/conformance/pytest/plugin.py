@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gsgen.conformance.pytest.testing import Check
 
 _MARKER_NAME = "gsgen_rules"
-_CLASSES = "gsgen.conformance.pytest.generator"  # loaded if a test inherits from our class
+_CLASS_MODULE = "gsgen.conformance.pytest.generator"  # loaded if a test inherits from our class
 _SUFFIX = ".onnx"
 
 
@@ -32,7 +32,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="Test this ONNX file by the contract, one test a rule; repeatable. A folder or a glob "
         "names all in it.",
     )
-    for name, metavar, text in _OPTIONS:
+    for name, metavar, text in _PYTEST_OPTIONS:
         group.addoption(f"--gsgen-{name}", metavar=metavar, help=text)
     group.addoption(
         "--gsgen-suite",
@@ -43,7 +43,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-_OPTIONS = (
+_PYTEST_OPTIONS = (
     ("target", "TARGET", "Target of the validation (default: core)."),
     (
         "level",
@@ -126,7 +126,7 @@ def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.I
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Raise for a crashed validation rule, and skip tests of a model that cannot be validated."""
-    if _CLASSES in sys.modules:
+    if _CLASS_MODULE in sys.modules:
         from gsgen.conformance.pytest.skipped import skip_if_unusable
 
         skip_if_unusable(item)
@@ -144,7 +144,7 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Shorten pytest's failure report of a conformance test whose model cannot be validated."""
     report = yield
-    if call.when == "setup" and report.failed and _CLASSES in sys.modules:
+    if call.when == "setup" and report.failed and _CLASS_MODULE in sys.modules:
         from gsgen.conformance.pytest.skipped import record_unusable_model, uses_model
 
         if uses_model(item):

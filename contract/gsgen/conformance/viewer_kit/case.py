@@ -34,8 +34,8 @@ COMMON_FAULTS: Final = ("rows", "dilation", "encoded-twice")
 COMMON_SH_FAULTS: Final = (*COMMON_FAULTS, "sh-offset", "sh-stride")
 """The faults that spoil every case with SH of a degree below 3 and more than one row."""
 
-_NEAR: Final = 0.01
-_FOCAL: Final = 60.0
+_NEAR_PLANE: Final = 0.01
+_FOCAL_PIXELS: Final = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,13 +54,13 @@ class KitCamera:
     """
 
     view: Float[np.ndarray, "4 4"]
-    fx: float = _FOCAL
-    fy: float = _FOCAL
+    fx: float = _FOCAL_PIXELS
+    fy: float = _FOCAL_PIXELS
     cx: float = WIDTH / 2
     cy: float = HEIGHT / 2
     width: int = WIDTH
     height: int = HEIGHT
-    near: float = _NEAR
+    near: float = _NEAR_PLANE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

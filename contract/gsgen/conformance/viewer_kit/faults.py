@@ -1,11 +1,11 @@
 """The faults of viewers that the viewer test kit can tell apart, each with a hint."""
 
-__all__ = ["FAULTS"]
+__all__ = ["VIEWER_FAULTS"]
 
 from collections.abc import Mapping
 from typing import Final
 
-FAULTS: Final[Mapping[str, tuple[str, str]]] = {
+VIEWER_FAULTS: Final[Mapping[str, tuple[str, str]]] = {
     "rows": (
         "rows, the camera, the blending or the screen are read in another way, in every case",
         "A row is x y z, opacity, xx xy xz yy yz zz; the camera has +x right, +y down, +z forward; "

@@ -12,7 +12,7 @@ import numpy as np
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _ARRAY_MAGIC = b"\x93NUMPY"
-_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+_CHANNELS_BY_COLOR_TYPE = {0: 1, 2: 3, 4: 2, 6: 4}
 _MAX_BYTES = 64 << 20
 _MAX_FLOAT_VALUE = 8.0  # floats beyond it are in another unit, such as 0 to 255
 
@@ -125,12 +125,12 @@ def decode_png(raw: bytes) -> np.ndarray:
     if len(chunks.get(b"IHDR", b"")) != 13:
         raise PictureUnreadable("the PNG is cut or damaged: it has no whole IHDR chunk")
     width, height, depth, color, _, _, interlace = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
-    if depth != 8 or color not in _CHANNELS or interlace:
+    if depth != 8 or color not in _CHANNELS_BY_COLOR_TYPE or interlace:
         raise PictureUnreadable(
             f"the PNG has depth {depth}, colour type {color}, interlace {interlace}; expected "
             "8 bits of grey or RGB, with or without alpha, without palette, not interlaced"
         )
-    size = width * _CHANNELS[color]
+    size = width * _CHANNELS_BY_COLOR_TYPE[color]
     if (size + 1) * height > _MAX_BYTES:
         raise PictureUnreadable(
             f"the picture of {width}×{height} pixels takes {(size + 1) * height:,} bytes, "
@@ -138,7 +138,9 @@ def decode_png(raw: bytes) -> np.ndarray:
         )
     inflated = _inflate(chunks.get(b"IDAT", b""), (size + 1) * height)
     lines = np.frombuffer(inflated, np.uint8).reshape(height, size + 1)
-    return _undo_filter(lines, _CHANNELS[color]).reshape(height, width, _CHANNELS[color])
+    return _undo_filter(lines, _CHANNELS_BY_COLOR_TYPE[color]).reshape(
+        height, width, _CHANNELS_BY_COLOR_TYPE[color]
+    )
 
 
 def _inflate(data: bytes, size: int) -> bytes:

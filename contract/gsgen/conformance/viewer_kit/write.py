@@ -15,7 +15,7 @@ from jaxtyping import Float
 from gsgen.conformance.viewer_kit import check_viewer, picture_files
 from gsgen.conformance.viewer_kit.case import KitCase, KitFrame
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
-from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
 from gsgen.conformance.viewer_kit.row_cases import ROW_CASES
 from gsgen.contract.errors import ConfigInvalid
@@ -27,7 +27,7 @@ TOLERANCE: Final = {"pixel": 0.02, "share": 0.005, "mean": 0.001}
 TOLERANCE_8_BITS: Final = {"pixel": 0.024, "share": 0.005, "mean": 0.0025}
 """The tolerance of PNGs: a step of 1/255 more for a pixel, as rounding down takes up to it."""
 
-_IMPORT = re.compile(rf"from {re.escape(picture_files.__name__)} import .*\n")
+_IMPORT_PATTERN = re.compile(rf"from {re.escape(picture_files.__name__)} import .*\n")
 
 DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h w 3"]]]
 
@@ -75,7 +75,7 @@ def _script() -> str:
     """Return the comparing script, with the module that it imports in the import's place."""
     text = Path(check_viewer.__file__).read_text("utf-8")
     module = Path(picture_files.__file__).read_text("utf-8")
-    script, count = _IMPORT.subn(lambda _: module, text)
+    script, count = _IMPORT_PATTERN.subn(lambda _: module, text)
     assert count == 1, "check_viewer.py imports picture_files on one line"
     return script
 
@@ -124,7 +124,7 @@ def _index_document(cases: list[dict[str, Any]]) -> dict[str, Any]:
         "tolerance_8_bits": TOLERANCE_8_BITS,
         "faults": [
             {"id": fault, "title": title, "hint": hint, **_spoiled_cases(fault)}
-            for fault, (title, hint) in FAULTS.items()
+            for fault, (title, hint) in VIEWER_FAULTS.items()
         ],
         "cases": cases,
     }

@@ -23,8 +23,8 @@ from gsgen.contract.fetching.responses import FilePart, check_status
 _SECONDS: Final = 60.0  # for one file, all attempts together
 _STALL_SECONDS: Final = 10.0  # for the headers, and for each kilobyte after them
 _RETRIES: Final = 5
-_BACKOFF: Final = 0.25
-_MOST_REDIRECTS: Final = 5
+_BACKOFF_SECONDS: Final = 0.25
+_MAX_REDIRECTS: Final = 5
 _REDIRECTS: Final = (301, 302, 303, 307, 308)
 _MAX_UNDECLARED: Final = 32 << 20
 """Most bytes in memory of a response that is compressed, or does not declare its length."""
@@ -206,11 +206,11 @@ class WebClient:
 
     def _with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
         """Try a request again after transient failures, until the deadline of its file."""
-        for backoff in [*(_BACKOFF * 2**index for index in range(_RETRIES)), 0.0]:
+        for backoff in [*(_BACKOFF_SECONDS * 2**index for index in range(_RETRIES)), 0.0]:
             try:
                 return attempt()
             except ServerUnavailable as error:
-                wait = max(error.retry_after, backoff + random.uniform(0, _BACKOFF))
+                wait = max(error.retry_after, backoff + random.uniform(0, _BACKOFF_SECONDS))
                 can_retry = error.is_transient and backoff and not self._pool.is_closed
                 if not (can_retry and wait < deadline.remaining):
                     raise
@@ -223,7 +223,7 @@ class WebClient:
     ) -> Iterator[tuple[HTTPResponse, WebConnection]]:
         """Send a request, follow its redirects, and release the connection in the end."""
         target, current = _parse(address), address
-        for _ in range(_MOST_REDIRECTS + 1):
+        for _ in range(_MAX_REDIRECTS + 1):
             connection, response = self._send(method, target, address, headers, deadline)
             try:
                 if response.status not in _REDIRECTS:
@@ -234,7 +234,7 @@ class WebClient:
             finally:
                 self._pool.release(connection, response)
             target, current = self._redirected(address, current, location)
-        raise ServerUnavailable(f"more than {_MOST_REDIRECTS} redirects", where=address)
+        raise ServerUnavailable(f"more than {_MAX_REDIRECTS} redirects", where=address)
 
     def _send(
         self,

@@ -9,7 +9,7 @@ from typing import Final
 
 from gsgen.contract.fetching.deadline import Deadline, DeadlineSocket
 
-_CHUNK: Final = 1 << 18
+_CHUNK_BYTES: Final = 1 << 18
 _SLOWEST: Final = 1024  # bytes that a server has to send in each stall time
 _ZLIB_FORMATS: Final = {"gzip": 31, "x-gzip": 31, "deflate": 15}
 _CODING_OVERHEAD: Final = 1 << 16  # bytes that a coded body may be larger than its content
@@ -55,7 +55,7 @@ def _received_chunks(
     window, window_bytes = deadline.within(stall), 0
     while missing != 0:
         connection.deadline = window
-        chunk = response.read1(_CHUNK)
+        chunk = response.read1(_CHUNK_BYTES)
         if not chunk:
             break
         if missing is not None:
@@ -77,7 +77,7 @@ def _decoded_chunks(received: Iterator[bytes], coding: str, max_coded: int) -> I
             raise HTTPException(f"the {coding} stream does not end")
         while chunk and not decoder.eof:
             try:
-                piece = decoder.decompress(chunk, _CHUNK)
+                piece = decoder.decompress(chunk, _CHUNK_BYTES)
             except zlib.error as error:
                 raise HTTPException(f"the body is not {coding}") from error
             chunk = decoder.unconsumed_tail

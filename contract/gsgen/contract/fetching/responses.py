@@ -12,7 +12,7 @@ from typing import Final, final
 from gsgen.contract.fetching.errors import FileMissing, ResponseTooLarge, ServerUnavailable
 
 _NOT_FOUND: Final = (404, 410)
-_TRANSIENT: Final = (429, 500, 502, 503, 504)
+_TRANSIENT_STATUSES: Final = (429, 500, 502, 503, 504)
 _MOST_DIGITS: Final = 15  # of a Retry-After
 
 
@@ -95,7 +95,7 @@ def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> No
     raise ServerUnavailable(
         f"the server answers {status}{suffix}",
         where=address,
-        is_transient=status in _TRANSIENT,
+        is_transient=status in _TRANSIENT_STATUSES,
         retry_after=wait,
     )
 

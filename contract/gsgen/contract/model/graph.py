@@ -26,14 +26,14 @@ from onnx import (
     ValueInfoProto,
 )
 
-from gsgen.contract.model.model_file import STUB, ModelFile, bodies, subgraphs
+from gsgen.contract.model.model_file import STUB_BYTES, ModelFile, bodies, subgraphs
 from gsgen.contract.model.shape_inference import first_line, infer, propagate
 
 Dims = tuple[int | str | None, ...]
 
 _MAX_DEPTH = 64
 _SPECIAL_DTYPE_NAMES = {"FLOAT": "float32", "DOUBLE": "float64", "UNDEFINED": None}
-_DTYPES = {
+_DTYPE_NAMES = {
     code: _SPECIAL_DTYPE_NAMES.get(name, name.lower())
     for name, code in TensorProto.DataType.items()
 }
@@ -286,7 +286,7 @@ def _without_stubs(file: ModelFile) -> ModelProto:
 
 
 def _is_stub(tensor: TensorProto) -> bool:
-    return tensor.raw_data == STUB
+    return tensor.raw_data == STUB_BYTES
 
 
 def _remove_stubs(graph: GraphProto) -> list[TensorProto]:
@@ -306,7 +306,9 @@ def _remove_stubs(graph: GraphProto) -> list[TensorProto]:
 
 def _to_dense(sparse: SparseTensorProto) -> TensorProto:
     kind = sparse.values.data_type
-    return TensorProto(name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB)
+    return TensorProto(
+        name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB_BYTES
+    )
 
 
 def _add_input(graph: GraphProto, tensor: TensorProto) -> None:
@@ -373,7 +375,7 @@ def _nested_nodes(node: NodeProto, depth: int) -> Iterator[NodeProto]:
 
 
 def _weight_tensor(tensor: TensorProto) -> Tensor:
-    return Tensor(tensor.name, _DTYPES.get(tensor.data_type), tuple(tensor.dims))
+    return Tensor(tensor.name, _DTYPE_NAMES.get(tensor.data_type), tuple(tensor.dims))
 
 
 def _value_tensor(value: ValueInfoProto) -> Tensor:
@@ -386,7 +388,7 @@ def _value_tensor(value: ValueInfoProto) -> Tensor:
             d.dim_value if d.HasField("dim_value") else (d.dim_param or None)
             for d in kind.shape.dim
         )
-    return Tensor(value.name, _DTYPES.get(kind.elem_type), dims)
+    return Tensor(value.name, _DTYPE_NAMES.get(kind.elem_type), dims)
 
 
 def _merge_declared(declared: Tensor | None, inferred: Tensor | None) -> Tensor:

@@ -3,7 +3,7 @@
 __all__ = [
     "MANIFEST_KEY",
     "NEUTRAL_KEY",
-    "STUB",
+    "STUB_BYTES",
     "ExternalRef",
     "ModelFile",
     "bodies",
@@ -39,7 +39,7 @@ from onnx import (
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.model.protobuf_scan import (
     BYTES,
-    STUB,
+    STUB_BYTES,
     StrippedModel,
     WireFault,
     scan,
@@ -58,7 +58,7 @@ MANIFEST_KEY = "gsgen.manifest"
 NEUTRAL_KEY = "gaussian-generator.manifest"
 """The same for tools that do not want to name this project; it is read where the first is absent."""
 
-_KEYS = (MANIFEST_KEY, NEUTRAL_KEY)
+_MANIFEST_KEYS = (MANIFEST_KEY, NEUTRAL_KEY)
 _METADATA_FIELD = 14  # ModelProto.metadata_props
 _MAX_LENGTH = (1 << 63) - 1
 _MAX_DIGITS = 100  # Python refuses to read numbers of thousands
@@ -288,7 +288,7 @@ def _detach_external(parts: list[Body]) -> Iterator[tuple[ExternalRef, TensorPro
         )
         tensor.ClearField("external_data")
         tensor.ClearField("data_location")
-        tensor.raw_data = STUB
+        tensor.raw_data = STUB_BYTES
         for location in locations or [""]:
             ref = ExternalRef(
                 tensor.name,
@@ -420,7 +420,10 @@ def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
 
 def _is_manifest(data: memoryview, start: int, end: int) -> bool:
     key = next((f for f in scan(data, start, end) if f.number == 1 and f.wire_type == BYTES), None)
-    return key is not None and bytes(data[key.value : key.end]).decode(errors="replace") in _KEYS
+    return (
+        key is not None
+        and bytes(data[key.value : key.end]).decode(errors="replace") in _MANIFEST_KEYS
+    )
 
 
 def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:
@@ -434,7 +437,7 @@ def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:
 
 def small_array(weight: TensorProto) -> np.ndarray | None:
     """Return the array of a small weight; None if the weight was not read or is not numeric."""
-    if weight.raw_data == STUB:
+    if weight.raw_data == STUB_BYTES:
         return None
     try:
         array = np.asarray(numpy_helper.to_array(weight))

@@ -5,7 +5,7 @@ the payload of large tensors, and leaves a model that protobuf parses in millise
 Source: "Encoding", protobuf.dev, and ``onnx.proto`` of ONNX 1.18 for the field numbers.
 """
 
-__all__ = ["STUB", "Field", "StrippedModel", "WireFault", "scan", "strip_payloads", "varint"]
+__all__ = ["STUB_BYTES", "Field", "StrippedModel", "WireFault", "scan", "strip_payloads", "varint"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ _TENSOR_TYPE, _TENSOR_RAW = 2, 9
 _INTEGER_TYPES = frozenset({6, 7})  # int32, int64: shape inference may want their values
 
 # The stub that replaces a payload.
-STUB = b"\0"
+STUB_BYTES = b"\0"
 
 # A message up to this size is copied whole: scanning it would cost more than it saves.
 _MAX_SMALL_MESSAGE = 2048
@@ -171,7 +171,7 @@ class _Builder:
                 retained_parts.append(self._copy_range(field.start, field.end))
         self.result.stripped_bytes += payload
         if payload:  # a stub, so that the tensor still has a data field
-            retained_parts.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
+            retained_parts.append(_header(_TENSOR_RAW, len(STUB_BYTES)) + STUB_BYTES)
         return retained_parts
 
     def _copy_range(self, start: int, end: int) -> bytes:

@@ -21,7 +21,7 @@ from onnx import ModelProto, NodeProto, TensorProto
 from gsgen.contract.model.graph import Graph, names_read
 from gsgen.contract.model.model_file import small_array
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
-from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable
+from gsgen.contract.spec.operator_tables import GRAPH_CAPTURE, OperatorTable
 
 # Why a node is not captured. Each has one rule, so that one node makes one finding.
 Cause = Literal[
@@ -152,7 +152,9 @@ def _place_node(
         table.runtime: table.outcome(node.op_type, variant, dtype, opset) if domain else ""
         for table in tables
     }
-    failures = {runtime: outcome for runtime, outcome in outcomes.items() if outcome != CAPTURE}
+    failures = {
+        runtime: outcome for runtime, outcome in outcomes.items() if outcome != GRAPH_CAPTURE
+    }
     if not failures:
         return Placement(node, dtype, "", {})
     known = {runtime: outcome for runtime, outcome in failures.items() if outcome}

@@ -28,7 +28,7 @@ _INFERENCE_ERRORS = (
     MemoryError,
 )
 _MAX_EXPANDED_NODES = 20_000
-_LONGEST = 4096
+_MAX_MESSAGE_LENGTH = 4096
 # Limits of the child. If it exceeds them, the result without propagation is used.
 _MAX_SECONDS, _MAX_MEMORY = 5.0, 1 << 30
 
@@ -100,7 +100,7 @@ def _may_be_long(proto: ModelProto) -> bool:
     known = {value.name for value in values}
     outputs = [name for node in graph.node for name in node.output if name]
     weights = any(
-        len(initializer.dims) == 1 and initializer.dims[0] > _LONGEST
+        len(initializer.dims) == 1 and initializer.dims[0] > _MAX_MESSAGE_LENGTH
         for initializer in graph.initializer
     )
     return weights or any(map(_is_long, values)) or not known.issuperset(outputs)
@@ -111,7 +111,9 @@ def _is_long(value: ValueInfoProto) -> bool:
     if not kind.HasField("shape"):
         return True
     dims = kind.shape.dim
-    return len(dims) == 1 and not (dims[0].HasField("dim_value") and dims[0].dim_value <= _LONGEST)
+    return len(dims) == 1 and not (
+        dims[0].HasField("dim_value") and dims[0].dim_value <= _MAX_MESSAGE_LENGTH
+    )
 
 
 def _propagate_in_subprocess(proto: ModelProto) -> ModelProto | None:

@@ -17,12 +17,12 @@ from gsgen.contract.spec.manifest import AppearanceOutput
 # Rows checked at a time: their unpacked columns stay in the second-level cache.
 CHUNK_ROWS = 16384
 
-_SAMPLE = 1 << 13
+_SAMPLE_ROWS = 1 << 13
 _ORDER_SAMPLE = 1 << 10
 # Half of the smallest step of float16.
-_HALF_STEP = 2.0**-25
-_EXPONENT = {2: 0x7C00, 4: 0x7F800000}
-_MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
+_HALF_FLOAT16_STEP = 2.0**-25
+_EXPONENT_MASK_BY_BYTES = {2: 0x7C00, 4: 0x7F800000}
+_MAGNITUDE_MASK_BY_BYTES = {2: 0x7FFF, 4: 0x7FFFFFFF}
 _WORD_TYPES: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 
@@ -80,7 +80,7 @@ class ModelOutputs:
         rows, color = self.gaussians, self.appearance
         if rows is None or color is None:
             return np.zeros((0, 0))
-        live = slice(0, self.count, max(1, self.count // _SAMPLE))
+        live = slice(0, self.count, max(1, self.count // _SAMPLE_ROWS))
         is_drawn = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
         sample = color[live][is_drawn].astype(np.float32)
         finite = np.isfinite(sample).all(axis=1)
@@ -99,7 +99,7 @@ class ModelOutputs:
             self.gaussians[: self.count : step].astype(np.float64),
             (bounds.min, bounds.max) if bounds is not None else None,
             planes.astype(np.float64),
-            rounding_error=_HALF_STEP if self.gaussians.dtype == np.float16 else 0.0,
+            rounding_error=_HALF_FLOAT16_STEP if self.gaussians.dtype == np.float16 else 0.0,
         )
 
 
@@ -205,7 +205,7 @@ class Rows:
         """The mask of the Gaussians whose packed values and colours are all finite."""
         is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.float32_columns).all(axis=0)
         if self.color is not None:
-            is_finite &= self.color_peak < _EXPONENT[self.color.itemsize]
+            is_finite &= self.color_peak < _EXPONENT_MASK_BY_BYTES[self.color.itemsize]
         return is_finite
 
     @cached_property
@@ -216,7 +216,7 @@ class Rows:
         """
         assert self.color is not None
         bits = _magnitude_bits(self.color)
-        if bits.size == 0 or int(bits.max()) < _EXPONENT[self.color.itemsize] - 1:
+        if bits.size == 0 or int(bits.max()) < _EXPONENT_MASK_BY_BYTES[self.color.itemsize] - 1:
             return np.zeros(len(self), bits.dtype)
         return np.asarray(bits.max(axis=1))
 
@@ -251,7 +251,9 @@ class Rows:
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
     """Return float bits without the sign, which sort by magnitude; NaN and infinity sort last."""
     word = _WORD_TYPES[array.itemsize]
-    return np.asarray(np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize]))
+    return np.asarray(
+        np.ascontiguousarray(array).view(word) & word(_MAGNITUDE_MASK_BY_BYTES[array.itemsize])
+    )
 
 
 def chunks(emission: ModelOutputs) -> Iterator[Rows]:

@@ -28,7 +28,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Input
 # Start of the label of a camera outside the bounds that looks at their centre.
 SIDE_LABEL = "from side"
 # Distance of the farthest camera, in half diagonals: twenty diagonals.
-_FAR = 40.0
+_FAR_DISTANCE = 40.0
 # Distances of the cameras on the twenty sides, in half diagonals; None stands for inside, at this
 # share of the half extents.
 _CAMERA_DISTANCES = (ORBIT_RADII, 1.1, None)
@@ -37,7 +37,7 @@ _INSIDE_FRACTION = 0.6
 _MAX_CORNERS = 8
 _GOLDEN_RATIO = (1 + 5**0.5) / 2
 # The sides: vertices of a regular dodecahedron, of which eight are the diagonals of a cube.
-_SIDES = np.array(
+_SIDE_DIRECTIONS = np.array(
     [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     + [
         np.roll([0, a / _GOLDEN_RATIO, b * _GOLDEN_RATIO], axis_shift)
@@ -96,9 +96,9 @@ def _camera_survey_probes(
             position=_input_name(manifest, "camera_position"),
         )
         yield replace(middle_probe, label="from the centre of a Gaussian", placement=placement)
-    far_view = _camera_at(scene.center - _FAR * scene.radius * forward, forward, scene.up)
+    far_view = _camera_at(scene.center - _FAR_DISTANCE * scene.radius * forward, forward, scene.up)
     yield _survey_probe("from 20 diagonals", base.inputs | _camera_inputs(manifest, base, far_view))
-    for number, side in enumerate(_SIDES):
+    for number, side in enumerate(_SIDE_DIRECTIONS):
         distance = _CAMERA_DISTANCES[number % len(_CAMERA_DISTANCES)]
         camera_distance = (
             _INSIDE_FRACTION * scene.half if distance is None else distance * scene.radius

@@ -7,7 +7,7 @@ drafts and ending its children, and do nothing at all to the first process of a 
 raise a KeyboardInterrupt, too.
 """
 
-__all__ = ["ENDING_SIGNALS", "Interrupts", "Terminated", "ending_at_interrupts"]
+__all__ = ["ENDING_SIGNALS", "InterruptHandler", "Terminated", "ending_at_interrupts"]
 
 import os
 import signal
@@ -37,7 +37,7 @@ class Terminated(KeyboardInterrupt):
 
 @final
 @dataclass(slots=True)
-class Interrupts:
+class InterruptHandler:
     """Records whether the user or the system has asked the process to end.
 
     Attributes:
@@ -50,7 +50,7 @@ class Interrupts:
 
 
 @contextmanager
-def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts]:
+def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptHandler]:
     """Raise KeyboardInterrupt at Ctrl-C, SIGTERM and SIGHUP; end the process if it goes on.
 
     The timer keeps running after the block, since Python waits for threads at exit. Its end removes
@@ -60,7 +60,7 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts
     Args:
         seconds: Time that KeyboardInterrupt handlers have, e.g. to remove unfinished files.
     """
-    interrupts = Interrupts()
+    interrupts = InterruptHandler()
     if threading.current_thread() is not threading.main_thread():
         yield interrupts  # only the main thread receives signals
         return
@@ -104,7 +104,7 @@ def _once_raising() -> Callable[[int, FrameType | None], None]:
     return raise_terminated
 
 
-def _watch_signals(read_end: int, interrupts: Interrupts, seconds: float) -> None:
+def _watch_signals(read_end: int, interrupts: InterruptHandler, seconds: float) -> None:
     while (number := os.read(read_end, 1)) != _STOP_BYTE:
         is_ending = number[0] == signal.SIGINT or number[0] in ENDING_SIGNALS
         if is_ending and not interrupts.requested.is_set():

@@ -6,8 +6,8 @@ from html import escape
 
 from gsgen.contract.validation.finding import Distribution, Statistic
 
-_WIDTH, _HEIGHT = 480, 120
-_MARGIN, _BASELINE_Y = 8, 96
+_WIDTH, _PLOT_HEIGHT = 480, 120
+_MARGIN_PIXELS, _BASELINE_Y = 8, 96
 # The axis of a number line is wider than what it shows, by this share.
 _MARGIN_FRACTION = 0.15
 
@@ -16,17 +16,17 @@ def histogram(distribution: Distribution, name: str) -> str:
     """Return an SVG histogram of the values that a rule checked, valid and invalid ones stacked."""
     bars = list(zip(distribution.valid, distribution.invalid, strict=True))
     max_count = max(valid + invalid for valid, invalid in bars)
-    width = (_WIDTH - 2 * _MARGIN) / len(bars)
+    width = (_WIDTH - 2 * _MARGIN_PIXELS) / len(bars)
     parts = []
     for number, (valid, invalid) in enumerate(bars):
-        left, stack_top = _MARGIN + number * width, float(_BASELINE_Y)
+        left, stack_top = _MARGIN_PIXELS + number * width, float(_BASELINE_Y)
         for count, kind in ((valid, "valid"), (invalid, "invalid")):
-            height = (_BASELINE_Y - _MARGIN) * count / max(max_count, 1)
+            height = (_BASELINE_Y - _MARGIN_PIXELS) * count / max(max_count, 1)
             stack_top -= height
             if count:
                 parts.append(_bar_svg(kind, left, stack_top, width - 1, height))
     low, high = _format_number(distribution.low), _format_number(distribution.high)
-    parts += [_label(_MARGIN, "start", low), _label(_WIDTH - _MARGIN, "end", high)]
+    parts += [_label(_MARGIN_PIXELS, "start", low), _label(_WIDTH - _MARGIN_PIXELS, "end", high)]
     invalid_count = sum(distribution.invalid)
     label = (
         f"Values of {name}: {invalid_count} of {sum(distribution.valid) + invalid_count} sampled rows "
@@ -43,7 +43,7 @@ def number_line(statistic: Statistic) -> str:
     low, high = min(ends) - room, max(ends) + room
 
     def position(value: float) -> float:
-        return _MARGIN + (_WIDTH - 2 * _MARGIN) * (value - low) / (high - low)
+        return _MARGIN_PIXELS + (_WIDTH - 2 * _MARGIN_PIXELS) * (value - low) / (high - low)
 
     left = position(low if statistic.low is None else statistic.low)
     right = position(high if statistic.high is None else statistic.high)
@@ -72,6 +72,6 @@ def _label(left: float, anchor: str, text: str, top: float = 114) -> str:
 
 def _svg(parts: list[str], label: str) -> str:
     caption = escape(label)
-    size = f'viewBox="0 0 {_WIDTH} {_HEIGHT}"'
+    size = f'viewBox="0 0 {_WIDTH} {_PLOT_HEIGHT}"'
     image = f'<svg role="img" aria-label="{caption}" {size}>{"".join(parts)}</svg>'
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"

@@ -8,7 +8,7 @@ from typing import Any
 
 from gsgen.contract.validation.rule import Registry, Rule
 
-FAMILIES = {
+FAMILY_TITLES = {
     "GM": "Manifest",
     "GI": "Inputs",
     "GO": "Outputs",
@@ -74,7 +74,7 @@ def index(registry: Registry) -> str:
     for rule in registry.rules.values():
         if rule.family != family:
             family = rule.family
-            lines += ["", f"## {FAMILIES.get(family, family)} ({family})", ""]
+            lines += ["", f"## {FAMILY_TITLES.get(family, family)} ({family})", ""]
             lines += ["| rule | severity | level | what must hold |", "|---|---|---|---|"]
         name = f"[{rule.id} {rule.slug}]({rule.id.replace('/', '-')}.md)"
         lines.append(f"| {name} | {rule.severity.word} | {rule.level.word} | {rule.statement} |")

@@ -24,7 +24,7 @@ from gsgen.contract.validation.rule import Rule
 _SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _SARIF_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}
 # The name of the fingerprint; another way to compute it needs another name.
-_FINGERPRINT = "gsgen/1"
+_FINGERPRINT_KEY = "gsgen/1"
 
 Json = dict[str, Any]
 
@@ -160,7 +160,7 @@ def _result_entry(report: Report, finding: Finding, rule: int, number: int) -> J
                 "logicalLocations": [_logical_location(finding)],
             }
         ],
-        "partialFingerprints": {_FINGERPRINT: finding.fingerprint},
+        "partialFingerprints": {_FINGERPRINT_KEY: finding.fingerprint},
         "properties": {
             "certainty": finding.certainty,
             "count": finding.count,

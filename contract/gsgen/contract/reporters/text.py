@@ -17,8 +17,8 @@ _STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO:
 _PASS_STYLE = "bold green"
 _FAILURE_STYLE = "bold red"
 _WIDTH = 96
-_MOST_LOCATIONS = 5
-_MOST_BLOCKED = 12
+_MAX_LOCATIONS = 5
+_MAX_BLOCKED_RULES = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +122,8 @@ def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list
         lines.append(Line(head, _STYLE[similar_findings[0].severity]))
         listed = (
             similar_findings
-            if verbose or len(similar_findings) <= _MOST_LOCATIONS
-            else similar_findings[: _MOST_LOCATIONS - 1]
+            if verbose or len(similar_findings) <= _MAX_LOCATIONS
+            else similar_findings[: _MAX_LOCATIONS - 1]
         )
         for finding in listed:
             lines += _location_lines(finding)
@@ -154,7 +154,7 @@ def _location_lines(finding: Finding) -> list[Line]:
 
 def _cause_lines(cause: Cause, *, verbose: bool) -> list[Line]:
     blocked_text = f"so {plural(len(cause.blocked), 'rule')} could not be checked"
-    if len(cause.blocked) > _MOST_BLOCKED and not verbose:
+    if len(cause.blocked) > _MAX_BLOCKED_RULES and not verbose:
         return _wrap_text(f"{blocked_text}, which `gsgen validate -v` lists")
     return _wrap_text(f"{blocked_text}: {', '.join(rule.id for rule in cause.blocked)}")
 

@@ -1,6 +1,6 @@
 """The installed rules: those of the contract, and those that other packages register."""
 
-__all__ = ["FAMILIES", "builtin_rules", "installed_rules"]
+__all__ = ["RULE_FAMILIES", "builtin_rules", "installed_rules"]
 
 import re
 import traceback
@@ -56,13 +56,13 @@ from gsgen.contract.rules.values import (
     rows,
 )
 from gsgen.contract.rules.values import companions as companion_values
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend
 from gsgen.contract.validation.rule import Registry, Rule, backends_in, rule, rules_in
 
-FAMILIES = (
+RULE_FAMILIES = (
     manifest,
     declarations,
     extensions,
@@ -113,7 +113,7 @@ FAMILIES = (
 
 def builtin_rules() -> list[Rule]:
     """Return gsgen's own validation rules, sorted by family and id."""
-    rules = [entry for module in FAMILIES for entry in rules_in(module)]
+    rules = [entry for module in RULE_FAMILIES for entry in rules_in(module)]
     order = list(dict.fromkeys(entry.family for entry in rules))
     return sorted(rules, key=lambda entry: (order.index(entry.family), entry.id))
 
@@ -157,7 +157,7 @@ def _unloadable_rule(point: EntryPoint, number: int, error: Exception) -> Rule:
     """Return a rule that always crashes, to report that a plugin's rules cannot be loaded."""
     name_letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
-    @rule(f"{name_letters or 'plugin'}/XX{number:03}", Severity.ERROR, kinds=KINDS)
+    @rule(f"{name_letters or 'plugin'}/XX{number:03}", Severity.ERROR, kinds=MANIFEST_KINDS)
     def plugin_loads(_: InspectedModel) -> Iterator[Violation]:
         """The rules of every installed plugin can be loaded.
 

@@ -7,7 +7,7 @@ from gsgen.contract.model.graph import tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import probed_bytes, probed_shapes
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
@@ -21,7 +21,7 @@ _MAX_AXES = 64
 _PROBES_AT_ONCE = 4
 
 
-@rule("GS001", Severity.ERROR, kinds=KINDS)
+@rule("GS001", Severity.ERROR, kinds=MANIFEST_KINDS)
 def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
     """External weights lie in files in or below the model's folder, and are complete.
 
@@ -37,7 +37,7 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"external data {location!r}", actual, expected)
 
 
-@rule("GS002", Severity.ERROR, kinds=KINDS)
+@rule("GS002", Severity.ERROR, kinds=MANIFEST_KINDS)
 def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
     """Tensors of the declared sizes fit into the memory that running the model may use.
 
@@ -79,7 +79,7 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("inputs of a frame", actual, f"{probe_limit // MEBIBYTE} MiB at most")
 
 
-@rule("GS004", Severity.ERROR, kinds=KINDS, needs=RUNNABLE)
+@rule("GS004", Severity.ERROR, kinds=MANIFEST_KINDS, needs=RUNNABLE)
 def within_limits(trial: ProbeRuns) -> Iterator[Violation]:
     """The model runs within the limits on time and memory.
 

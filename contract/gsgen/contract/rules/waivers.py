@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.waivers import Review
 
 
-@rule("GW001", Severity.WARNING, kinds=KINDS)
+@rule("GW001", Severity.WARNING, kinds=MANIFEST_KINDS)
 def waiver_matches(review: Review) -> Iterator[Violation]:
     """Every waiver for the model is still valid and matches a finding.
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.errors import LayoutMismatch
-from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, coefficients, degree_of
+from gsgen.contract.spec.spherical_harmonics import SH_COEFFICIENT_COUNTS, coefficients, degree_of
 
 FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
 ROW = len(FIELDS)
@@ -67,7 +67,7 @@ ITEMSIZE = {"float32": 4, "float16": 2}
 
 # The channels an appearance row may have, by its declared space.
 APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
-    "sh": tuple(3 * count for count in COEFFICIENTS),
+    "sh": tuple(3 * count for count in SH_COEFFICIENT_COUNTS),
     "rgb": (3, 4),
 }
 
@@ -102,7 +102,7 @@ class DecodedGaussians:
             expected["rgb"] = (n, 3)
         elif self.sh is not None:
             k = self.sh.shape[1] if self.sh.ndim == 3 else 0
-            expected["sh"] = (n, k if k in COEFFICIENTS else COEFFICIENTS[-1], 3)
+            expected["sh"] = (n, k if k in SH_COEFFICIENT_COUNTS else SH_COEFFICIENT_COUNTS[-1], 3)
         for name, shape in expected.items():
             actual = getattr(self, name).shape
             if actual != shape:

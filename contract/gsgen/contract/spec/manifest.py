@@ -69,7 +69,7 @@ from gsgen.contract.spec.fields.records import (
 )
 from gsgen.contract.spec.fields.scene import Bounds, Space, Tolerances, WeightedSum
 from gsgen.contract.spec.fields.values import ExtensionName, Fraction
-from gsgen.contract.spec.upgrades import CONTRACT
+from gsgen.contract.spec.upgrades import CONTRACT_VERSION
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class _BaseManifest:
     test_vectors: tuple[TestVector, ...] = ()
     contract: Annotated[
         str, Hint(text="Contract version, major.minor.", pattern=r"^[0-9]+\.[0-9]+$")
-    ] = CONTRACT
+    ] = CONTRACT_VERSION
     extensions_used: Annotated[
         tuple[ExtensionName, ...], Hint(text="Registered extensions that the manifest uses.")
     ] = ()

@@ -12,10 +12,16 @@ from typing import Any
 
 from gsgen.contract.errors import ManifestInvalid
 from gsgen.contract.spec.fields.json_schema import from_json, schema_of, to_json
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.manifest import Manifest, manifest_type
 from gsgen.contract.spec.schema_check import SchemaFault, schema_faults
-from gsgen.contract.spec.upgrades import CONTRACT, CURRENT, UPGRADES, Version, upgrade
+from gsgen.contract.spec.upgrades import (
+    CONTRACT_VERSION,
+    CURRENT_VERSION,
+    UPGRADE_BY_VERSION,
+    Version,
+    upgrade,
+)
 
 _MAX_BYTES = 4 << 20
 
@@ -56,13 +62,13 @@ class Parsed:
 
 def schema_name(kind: str) -> str:
     """Return the file name of a published manifest schema."""
-    return f"{kind}-{CONTRACT}.schema.json"
+    return f"{kind}-{CONTRACT_VERSION}.schema.json"
 
 
 def schemas() -> dict[str, dict[str, object]]:
     """Return the JSON Schemas of manifests, by file name."""
     documents: dict[str, dict[str, object]] = {}
-    for kind in KINDS:
+    for kind in MANIFEST_KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
         documents[schema_name(kind)] = body | {"required": _required_fields(body)}
     return documents
@@ -109,9 +115,9 @@ def _parse_document(text: str) -> Parsed:
     if version is None:
         actual = _shorten(document.get("contract", "nothing"))
         return _failed_parse("version", "contract", actual, 'a version such as "1.0"')
-    if version[0] != CURRENT[0]:
+    if version[0] != CURRENT_VERSION[0]:
         complaint = Complaint(
-            "version", "contract", _version_text(version), f"major version {CURRENT[0]}"
+            "version", "contract", _version_text(version), f"major version {CURRENT_VERSION[0]}"
         )
         return Parsed(None, (complaint,), version)
     return _parse_body(document, version)
@@ -119,9 +125,11 @@ def _parse_document(text: str) -> Parsed:
 
 def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     kind = document.get("kind")
-    if kind not in KINDS:
-        return _failed_parse("schema", "kind", _shorten(kind), f"one of {', '.join(KINDS)}")
-    newer = version > CURRENT and version not in UPGRADES
+    if kind not in MANIFEST_KINDS:
+        return _failed_parse(
+            "schema", "kind", _shorten(kind), f"one of {', '.join(MANIFEST_KINDS)}"
+        )
+    newer = version > CURRENT_VERSION and version not in UPGRADE_BY_VERSION
     document = upgrade(document, version)
     faults = list(schema_faults(document, _published_schema(kind)))
     if newer:  # a newer minor may have fields that this reader does not know

@@ -21,7 +21,7 @@ FAILED_OUTCOMES = {
     "error": "keeps the session from loading",
     "control_flow": "is refused as control flow",
 }
-CAPTURE = "capture"
+GRAPH_CAPTURE = "capture"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class OperatorTable:
         """Return an opset in which this runtime's graph capture supports an operator, or None."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype), {})
-        return next((step for step, outcome in steps.items() if outcome == CAPTURE), None)
+        return next((step for step, outcome in steps.items() if outcome == GRAPH_CAPTURE), None)
 
 
 @cache

@@ -1,6 +1,12 @@
 """The registry of manifest extensions, and the operator profiles that models declare."""
 
-__all__ = ["PROFILES", "REGISTERED_EXTENSIONS", "Extension", "OperatorProfile", "smallest_profile"]
+__all__ = [
+    "READER_PROFILES",
+    "REGISTERED_EXTENSIONS",
+    "Extension",
+    "OperatorProfile",
+    "smallest_profile",
+]
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -62,7 +68,7 @@ Reshape Resize ScatterElements ScatterND Shape Sigmoid Sin Sinh Slice Softmax So
 Sqrt Squeeze Sub Tan Tanh ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Where
 """
 
-PROFILES = {
+READER_PROFILES = {
     profile.name: profile
     for profile in (
         OperatorProfile(
@@ -78,4 +84,4 @@ PROFILES = {
 def smallest_profile(operators: Iterable[str], opset: int) -> str | None:
     """Return the name of the first operator profile that covers a graph's operators, or None."""
     names = set(operators)
-    return next((p.name for p in PROFILES.values() if p.holds(names, opset)), None)
+    return next((p.name for p in READER_PROFILES.values() if p.holds(names, opset)), None)

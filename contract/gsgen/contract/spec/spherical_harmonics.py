@@ -6,8 +6,8 @@ extension KHR_gaussian_splatting, which lists the same polynomials.
 """
 
 __all__ = [
-    "COEFFICIENTS",
     "MAX_DEGREE",
+    "SH_COEFFICIENT_COUNTS",
     "SH_DC",
     "basis",
     "coefficients",
@@ -23,13 +23,13 @@ import numpy as np
 from gsgen.contract._array_types import Float
 
 MAX_DEGREE = 3
-COEFFICIENTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
+SH_COEFFICIENT_COUNTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
 
 # The constant basis function: colours are 0.5 + SH_DC · f_dc.
 SH_DC = 0.5 * math.sqrt(1 / math.pi)
-_C1 = math.sqrt(3 / (4 * math.pi))
-_C2 = (0.5 * math.sqrt(15 / math.pi), 0.25 * math.sqrt(5 / math.pi))
-_C3 = (
+_SH_DEGREE_1 = math.sqrt(3 / (4 * math.pi))
+_SH_DEGREE_2 = (0.5 * math.sqrt(15 / math.pi), 0.25 * math.sqrt(5 / math.pi))
+_SH_DEGREE_3 = (
     0.25 * math.sqrt(35 / (2 * math.pi)),
     0.5 * math.sqrt(105 / math.pi),
     0.25 * math.sqrt(21 / (2 * math.pi)),
@@ -48,11 +48,11 @@ def degree_of(count: int) -> int:
     Raises:
         ValueError: ``count`` is not 1, 4, 9 or 16.
     """
-    if count not in COEFFICIENTS:
+    if count not in SH_COEFFICIENT_COUNTS:
         raise ValueError(
-            f"{count} is not a number of SH coefficients: expected one of {COEFFICIENTS}"
+            f"{count} is not a number of SH coefficients: expected one of {SH_COEFFICIENT_COUNTS}"
         )
-    return COEFFICIENTS.index(count)
+    return SH_COEFFICIENT_COUNTS.index(count)
 
 
 def basis(
@@ -63,24 +63,24 @@ def basis(
     xx, yy, zz = x * x, y * y, z * z
     columns = [np.full_like(x, SH_DC)]
     if degree >= 1:
-        columns += [-_C1 * y, _C1 * z, -_C1 * x]
+        columns += [-_SH_DEGREE_1 * y, _SH_DEGREE_1 * z, -_SH_DEGREE_1 * x]
     if degree >= 2:
         columns += [
-            _C2[0] * x * y,
-            -_C2[0] * y * z,
-            _C2[1] * (2 * zz - xx - yy),
-            -_C2[0] * x * z,
-            0.5 * _C2[0] * (xx - yy),
+            _SH_DEGREE_2[0] * x * y,
+            -_SH_DEGREE_2[0] * y * z,
+            _SH_DEGREE_2[1] * (2 * zz - xx - yy),
+            -_SH_DEGREE_2[0] * x * z,
+            0.5 * _SH_DEGREE_2[0] * (xx - yy),
         ]
     if degree >= 3:
         columns += [
-            -_C3[0] * y * (3 * xx - yy),
-            _C3[1] * x * y * z,
-            -_C3[2] * y * (4 * zz - xx - yy),
-            _C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
-            -_C3[2] * x * (4 * zz - xx - yy),
-            0.5 * _C3[1] * z * (xx - yy),
-            -_C3[0] * x * (xx - 3 * yy),
+            -_SH_DEGREE_3[0] * y * (3 * xx - yy),
+            _SH_DEGREE_3[1] * x * y * z,
+            -_SH_DEGREE_3[2] * y * (4 * zz - xx - yy),
+            _SH_DEGREE_3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            -_SH_DEGREE_3[2] * x * (4 * zz - xx - yy),
+            0.5 * _SH_DEGREE_3[1] * z * (xx - yy),
+            -_SH_DEGREE_3[0] * x * (xx - 3 * yy),
         ]
     return np.stack(columns, axis=-1)
 

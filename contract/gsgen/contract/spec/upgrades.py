@@ -1,14 +1,14 @@
 """Upgrades manifests of other contract versions to the current one, by one function per version."""
 
-__all__ = ["CONTRACT", "CURRENT", "UPGRADES", "Version", "upgrade"]
+__all__ = ["CONTRACT_VERSION", "CURRENT_VERSION", "UPGRADE_BY_VERSION", "Version", "upgrade"]
 
 from collections.abc import Callable
 from typing import Any
 
 Version = tuple[int, int]
 
-CURRENT: Version = (1, 0)
-CONTRACT = f"{CURRENT[0]}.{CURRENT[1]}"
+CURRENT_VERSION: Version = (1, 0)
+CONTRACT_VERSION = f"{CURRENT_VERSION[0]}.{CURRENT_VERSION[1]}"
 
 
 def released(document: dict[str, Any]) -> dict[str, Any]:
@@ -17,7 +17,7 @@ def released(document: dict[str, Any]) -> dict[str, Any]:
 
 
 # Development builds wrote the version 1.1, then 1.2. Rule GM018 tells the user.
-UPGRADES: dict[Version, Callable[[dict[str, Any]], dict[str, Any]]] = {
+UPGRADE_BY_VERSION: dict[Version, Callable[[dict[str, Any]], dict[str, Any]]] = {
     (1, 1): released,
     (1, 2): released,
 }
@@ -28,8 +28,8 @@ def upgrade(document: dict[str, Any], version: Version) -> dict[str, Any]:
 
     The document given is not changed. Where no upgrade starts at a version, it stays there.
     """
-    while version in UPGRADES:
-        document = UPGRADES[version](document)
+    while version in UPGRADE_BY_VERSION:
+        document = UPGRADE_BY_VERSION[version](document)
         major, minor = document["contract"].split(".")
         version = (int(major), int(minor))
     return document

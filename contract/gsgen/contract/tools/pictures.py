@@ -12,19 +12,19 @@ from gsgen.contract.validation.gates import PACKED_ROWS
 from gsgen.contract.validation.report import Picture, Report
 from gsgen.contract.validation.settings import Settings
 
-_NEEDED_RULES = (*PACKED_ROWS, "GO005")
+_PREREQUISITE_RULES = (*PACKED_ROWS, "GO005")
 _ZERO_INPUTS_LABEL = "all inputs zero"
 
-Draw = Callable[[Path, str, Settings], bytes]
+DrawPicture = Callable[[Path, str, Settings], bytes]
 """Draws a model at the probe of a label as a PNG, or raises a GsgenError."""
 
 
-def with_picture(report: Report, settings: Settings, draw: Draw) -> Report:
+def with_picture(report: Report, settings: Settings, draw: DrawPicture) -> Report:
     """Add to a validation report a picture of the model at the inputs of its first finding."""
     return replace(report, picture=_picture(report, settings, draw))
 
 
-def _picture(report: Report, settings: Settings, draw: Draw) -> Picture:
+def _picture(report: Report, settings: Settings, draw: DrawPicture) -> Picture:
     if problem := _find_obstacle(report):
         return Picture(problem=problem)
     probe = _choose_probe(report)
@@ -41,7 +41,7 @@ def _find_obstacle(report: Report) -> str:
     if not report.probes:
         return "the model did not run"
     statuses = {outcome.rule.id: outcome.status for outcome in report.outcomes}
-    failed_rules = [rule for rule in _NEEDED_RULES if statuses.get(rule) != "pass"]
+    failed_rules = [rule for rule in _PREREQUISITE_RULES if statuses.get(rule) != "pass"]
     return f"rule {failed_rules[0]} does not hold, or was not checked" if failed_rules else ""
 
 

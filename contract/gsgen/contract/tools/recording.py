@@ -33,7 +33,7 @@ from gsgen.contract.spec.upgrades import upgrade
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
-_Item = TypeVar("_Item")
+_ItemType = TypeVar("_ItemType")
 
 
 class RecordingRefused(GsgenError):
@@ -54,7 +54,7 @@ def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) ->
         raise ConfigInvalid(message, where=str(folder), hint=hint)
 
 
-def evenly_spaced(items: Sequence[_Item], count: int) -> list[_Item]:
+def evenly_spaced(items: Sequence[_ItemType], count: int) -> list[_ItemType]:
     """Return ``count`` evenly spaced items of a sequence; for two or more, with both ends."""
     picked_indices = np.rint(np.linspace(0, len(items) - 1, count)).astype(int)
     return [items[index] for index in picked_indices]

@@ -39,8 +39,8 @@ from gsgen.contract.tools.recording import (
 )
 from gsgen.contract.validation.settings import Settings
 
-MODEL = "model.onnx"
-_COUNT = 3
+MODEL_FILE_NAME = "model.onnx"
+_VECTOR_COUNT = 3
 _SET_NAME = re.compile(r"^test_data_set_[0-9]+$")
 
 
@@ -110,7 +110,7 @@ def record_vectors(
             cannot be written.
     """
     settings = settings or Settings()
-    model = model or folder / MODEL
+    model = model or folder / MODEL_FILE_NAME
     existing = [path for path in _list_folder(folder) if _SET_NAME.match(path.name)]
     if not force:
         refuse_existing(existing, folder, "folder")
@@ -168,7 +168,7 @@ def _subject(source: Path, settings: Settings) -> InspectedModel:
 
 def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
     if count is None:
-        count = min(_COUNT, len(probes))
+        count = min(_VECTOR_COUNT, len(probes))
     if count > len(probes):
         probe_count_text = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
         message = f"{count} test vectors, but the model has only {probe_count_text}"

@@ -4,7 +4,7 @@ Numbers in comments are those of the statements on that page (docs/spec/agreemen
 """
 
 __all__ = [
-    "BLOCK",
+    "ROWS_PER_BLOCK",
     "Allowance",
     "Errors",
     "FieldError",
@@ -43,10 +43,10 @@ from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.spec.spherical_harmonics import basis, degree_of, largest_sum
 from gsgen.contract.validation.report import Tolerance
 
-DIRECTIONS: Final = 64
+DIRECTION_COUNT: Final = 64
 """Directions from which spherical harmonics are seen (statement 6)."""
 
-BLOCK: Final = 8192
+ROWS_PER_BLOCK: Final = 8192
 """Rows compared at a time: copies of all rows would take several times their memory."""
 
 # Statement 8: half a unit in the last place, and the step of the smallest numbers, of a dtype.
@@ -97,11 +97,13 @@ class Allowance:
 Errors = dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
 """Field → the error of each row in the field's unit, and the allowed error of each row."""
 
-Pair = tuple[Float[np.ndarray, "n c"], Float[np.ndarray, "n c"]]
+ArrayPair = tuple[Float[np.ndarray, "n c"], Float[np.ndarray, "n c"]]
 """Packed rows of the reference, and of the other execution, whose dtype is that of the outputs."""
 
 
-def row_errors(rows: Pair, colors: Pair | None, allowance: Allowance, *, is_sh: bool) -> Errors:
+def row_errors(
+    rows: ArrayPair, colors: ArrayPair | None, allowance: Allowance, *, is_sh: bool
+) -> Errors:
     """Return the errors of Gaussians: packed rows and, if they can be compared, their colours."""
     # Statement 2, phrased so that a row whose opacity is NaN is compared.
     is_faint = [side[:, OPACITY].astype(np.float64) < CULL_OPACITY for side in rows]
@@ -112,7 +114,7 @@ def row_errors(rows: Pair, colors: Pair | None, allowance: Allowance, *, is_sh: 
     return errors
 
 
-def cell_errors(cells: Pair, drawn: Bool[np.ndarray, " c"], allowance: Allowance) -> Errors:
+def cell_errors(cells: ArrayPair, drawn: Bool[np.ndarray, " c"], allowance: Allowance) -> Errors:
     """Return the errors of packed cells; ``drawn`` marks those that show a Gaussian."""
     errors = _ellipsoid_errors(cells, drawn, allowance)
     return {
@@ -136,7 +138,7 @@ def drawn_cells(
 
 
 def _color_errors(
-    colors: Pair, drawn: Bool[np.ndarray, " n"], allowance: Allowance, *, is_sh: bool
+    colors: ArrayPair, drawn: Bool[np.ndarray, " n"], allowance: Allowance, *, is_sh: bool
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     a, b = (side.astype(np.float64) for side in colors)
     # Statement 6: RGB as it is, SH from 64 directions.
@@ -151,7 +153,9 @@ def _color_errors(
     return np.where(drawn, error, 0.0), allowance.tolerances.appearance + rounding
 
 
-def _ellipsoid_errors(rows: Pair, drawn: Bool[np.ndarray, " n"], allowance: Allowance) -> Errors:
+def _ellipsoid_errors(
+    rows: ArrayPair, drawn: Bool[np.ndarray, " n"], allowance: Allowance
+) -> Errors:
     a, b = (side.astype(np.float64) for side in rows)
     dtype, allowed = rows[1].dtype, allowance.tolerances
     relative, absolute = allowance.relative(dtype), allowance.absolute(dtype)
@@ -219,8 +223,8 @@ def field_errors(
     live = max(first.count, second.count)
 
     worst_errors: dict[str, FieldError] = {}
-    for start in range(0, live, BLOCK):
-        block = slice(start, min(start + BLOCK, live))
+    for start in range(0, live, ROWS_PER_BLOCK):
+        block = slice(start, min(start + ROWS_PER_BLOCK, live))
         color_blocks = None if colors is None else (colors[0][block], colors[1][block])
         packed_blocks = rows[0][block], rows[1][block]
         errors = row_errors(packed_blocks, color_blocks, allowance, is_sh=first.is_sh)
@@ -246,7 +250,7 @@ def tolerance_of(error: FieldError, tolerances: Sequence[Tolerance]) -> Toleranc
 
 def comparable_parts(
     first: ModelOutputs, second: ModelOutputs
-) -> tuple[Pair | None, Pair | None, Pair | None]:
+) -> tuple[ArrayPair | None, ArrayPair | None, ArrayPair | None]:
     """Return the packed rows, colours and cells of two runs that can be compared field by field."""
     rows = _both_or_none(first.gaussians, second.gaussians)
     if rows is None:
@@ -258,7 +262,7 @@ def comparable_parts(
     return rows, colors, _both_or_none(first.cells, second.cells)
 
 
-def _both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> Pair | None:
+def _both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> ArrayPair | None:
     if first is None or second is None or first.shape != second.shape:
         return None
     return first, second
@@ -267,8 +271,8 @@ def _both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> Pair |
 @cache
 def view_directions() -> Float[np.ndarray, "64 3"]:
     """Return 64 unit vectors spread evenly over the sphere, a Fibonacci lattice (statement 6)."""
-    index = np.arange(DIRECTIONS) + 0.5
-    z = 1 - 2 * index / DIRECTIONS
+    index = np.arange(DIRECTION_COUNT) + 0.5
+    z = 1 - 2 * index / DIRECTION_COUNT
     angle = np.pi * (1 + np.sqrt(5)) * index
     ring = np.sqrt(1 - z * z)
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)

@@ -10,7 +10,7 @@ from pathlib import Path
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.rule import Rule
 
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 # Hashing a larger file would take most of the time of a static validation.
 _STATIC_BYTES = 64 << 20
 
@@ -21,7 +21,7 @@ def digest(path: Path, level: Level, size: int) -> str:
         return ""
     hasher = hashlib.sha256()
     with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
+        while chunk := file.read(_CHUNK_BYTES):
             hasher.update(chunk)
     return hasher.hexdigest()
 

@@ -5,7 +5,7 @@ __all__ = [
     "CELLS",
     "COLORED_ROWS",
     "COUNTED_ROWS",
-    "DECLARED",
+    "DECLARATION_RULES",
     "FINITE_OUTPUTS",
     "MANIFEST_PARSED",
     "MODEL_RUNS",
@@ -27,14 +27,14 @@ MODEL_RUNS: Final = "GV025"
 MANIFEST_PARSED: Final = ("GM002", "GM003")
 
 # Every tensor that the manifest names exists in the graph.
-DECLARED: Final = (*MANIFEST_PARSED, "GM004")
+DECLARATION_RULES: Final = (*MANIFEST_PARSED, "GM004")
 
 # The graph has a supported operator set, standard operators, and passes onnx.checker.
 WELL_FORMED: Final = ("GG001", "GG002", "GG019")
 
 # The model can be loaded and fed, and cannot reach outside its folder or exceed its memory.
 RUNNABLE: Final = (
-    *DECLARED,
+    *DECLARATION_RULES,
     *("GI001", "GI002", "GI003", "GI004", "GI005"),
     *("GG001", "GG002", "GG012", "GG019"),
     *("GS001", "GS002"),

@@ -14,7 +14,7 @@ from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec.fields.json_schema import DIALECT, schema_of
+from gsgen.contract.spec.fields.json_schema import SCHEMA_DIALECT, schema_of
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target, known_targets, load_target
@@ -191,7 +191,7 @@ def config_schema(registry: Registry) -> dict[str, object]:
         },
         "waive": {"type": "array", "items": waiver},
     }
-    return {"$schema": DIALECT, "title": "gsgen.toml"} | _table(tables)
+    return {"$schema": SCHEMA_DIALECT, "title": "gsgen.toml"} | _table(tables)
 
 
 def _table(properties: object) -> dict[str, object]:

@@ -35,14 +35,18 @@ from gsgen.reference_plugins.loading.states import (
 )
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
-_OFFSET = re.compile(r"f_offset_(\d+)")
+_OFFSET_PATTERN = re.compile(r"f_offset_(\d+)")
 _FEATURE_NAME = re.compile(r"f_anchor_feat_(\d+)")
 _SCALES = tuple(f"scale_{i}" for i in range(6))
 _ROTATION = tuple(f"rot_{i}" for i in range(4))
-_LEVELS = ("level", "extra_level", "info")
+_LEVEL_FIELDS = ("level", "extra_level", "info")
 # Both names of a file with all networks; the first versions of Scaffold-GS wrote the second.
 _COMBINED_FILES = ("checkpoints.pth", "checkpoint.pth")
-_RENAMED = {"appearance": "embedding", "feature_bank_mlp": "bank", "mlp_feature_bank": "bank"}
+_NAME_REPLACEMENTS = {
+    "appearance": "embedding",
+    "feature_bank_mlp": "bank",
+    "mlp_feature_bank": "bank",
+}
 _UNUSED_NETWORKS = ("vi_mlp",)  # Duplex-GS saves this network, but does not evaluate it
 _DIRECTION_SIZE = 3
 _OUTPUT_CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
@@ -122,7 +126,7 @@ def read_anchors(
     method = "octree-gs" if octree else "scaffold-gs"
     run = open_run(method, folder, iteration, needs_cfg=octree)
     ply = required_file(run.files / "point_cloud.ply", "the anchors")
-    cloud = read_cloud(ply, columns=_LEVELS if octree else ())
+    cloud = read_cloud(ply, columns=_LEVEL_FIELDS if octree else ())
     require_sizes(run.cfg, cloud, ply)
     return AnchorCheckpoint(run, cloud, read_nets(run, cloud, octree=octree))
 
@@ -144,7 +148,7 @@ def read_cloud(
     """
     with format_faults(path):
         names = ply_properties(path)
-        offsets, features = numbered(_OFFSET, names), numbered(_FEATURE_NAME, names)
+        offsets, features = numbered(_OFFSET_PATTERN, names), numbered(_FEATURE_NAME, names)
         groups = {"position": XYZ, "scale": _SCALES, "rotation": _ROTATION}
         groups |= {"offset": offsets} | ({"feature": features} if features else {})
         groups |= {name: (name,) for name in columns}
@@ -232,14 +236,16 @@ def _states(iteration_folder: Path) -> NetworkStates:
         iteration_folder / name for name in _COMBINED_FILES if (iteration_folder / name).is_file()
     ):
         states = load_state(combined_file, "the networks")
-        input_size = {*_OUTPUT_CHANNELS, *_RENAMED, *_UNUSED_NETWORKS}
+        input_size = {*_OUTPUT_CHANNELS, *_NAME_REPLACEMENTS, *_UNUSED_NETWORKS}
         if unknown := sorted(str(key) for key in states if states[key] and key not in input_size):
             message = (
                 f"unexpected: {', '.join(unknown)}; expected only {', '.join(sorted(input_size))}"
             )
             raise CheckpointInvalid(message, where=str(combined_file))
         return {
-            _RENAMED.get(key, key): (combined_file, states[key]) for key in states if states[key]
+            _NAME_REPLACEMENTS.get(key, key): (combined_file, states[key])
+            for key in states
+            if states[key]
         }
     files = {name: f"{name}.pt" for name in _OUTPUT_CHANNELS}
     files |= {"bank": "feature_bank_mlp.pt", "embedding": "embedding_appearance.pt"}

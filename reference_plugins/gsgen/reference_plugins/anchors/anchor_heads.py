@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud, AnchorNets, Mlp
 from gsgen.reference_plugins.tensors.layers import Dense
 
-_COVARIANCE = 7
+_COVARIANCE_CHANNELS = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class AnchorHeads(nn.Module):
         level = cloud.level[:, None] if nets.level and cloud.level is not None else None
         self.register_buffer("level", level)
         self.opacity = self._layers(nets.opacity)
-        self.covariance = self._layers(nets.covariance, _COVARIANCE)
+        self.covariance = self._layers(nets.covariance, _COVARIANCE_CHANNELS)
         self.color = self._layers(nets.color)
         bank = nets.bank
         self.bank = _Layers(bank.hidden, bank, 1) if bank is not None else None

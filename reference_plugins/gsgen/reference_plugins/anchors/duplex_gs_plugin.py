@@ -12,7 +12,7 @@ from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
     FrustumCull,
-    Iteration,
+    IterationOption,
     MaxAnchors,
     note,
     report_checkpoint,
@@ -38,7 +38,7 @@ BlendOption = Annotated[
         "by cell; the model also emits the cells."
     ),
 ]
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Liu et al. 2025",
     arxiv="2508.03180",
     code="https://github.com/LiYukeee/Duplex-GS",
@@ -48,7 +48,7 @@ _PUBLICATION = Publication(
 
 def build(
     checkpoint: Checkpoint,
-    iteration: Iteration = None,
+    iteration: IterationOption = None,
     opacity: OpacityOption = "decoded",
     blend: BlendOption = "alpha",
     appearance_id: AppearanceId = None,
@@ -84,7 +84,7 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    generator.producer = producer_of(_PUBLICATION.code, read.anchors.run)
+    generator.producer = producer_of(_PAPER.code, read.anchors.run)
     return generator
 
 
@@ -103,7 +103,7 @@ PLUGIN = Plugin(
     "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "appearance_id"),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=lambda run, iteration: "anchor_size_0" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="around it"),
     build=build,

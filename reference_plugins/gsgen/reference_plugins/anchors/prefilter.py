@@ -15,7 +15,7 @@ from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
 from gsgen.runtime.kernels.shared.shader import TILE
-from gsgen.runtime.scene.camera import DILATION
+from gsgen.runtime.scene.camera import DEFAULT_DILATION
 
 _NEAR_DEPTH = 0.2
 # The slope beyond which the projection is linearised at the edge of the image.
@@ -85,9 +85,9 @@ class Prefilter(nn.Module):
         x_axis = torch.cat([pixels[:, 0:1], zero, -pixels[:, 0:1] * clamped_slope[:, 0:1]], dim=1)
         y_axis = torch.cat([zero, pixels[:, 1:2], -pixels[:, 1:2] * clamped_slope[:, 1:2]], dim=1)
         u, v = self._extent_along(x_axis, turn), self._extent_along(y_axis, turn)
-        a = (u * u).sum(dim=1, keepdim=True) + DILATION
+        a = (u * u).sum(dim=1, keepdim=True) + DEFAULT_DILATION
         b = (u * v).sum(dim=1, keepdim=True)
-        c = (v * v).sum(dim=1, keepdim=True) + DILATION
+        c = (v * v).sum(dim=1, keepdim=True) + DEFAULT_DILATION
         mean_eigenvalue = 0.5 * (a + c)
         eigenvalue_spread = (mean_eigenvalue * mean_eigenvalue - (a * c - b * b)).clamp(
             min=_MIN_SPREAD

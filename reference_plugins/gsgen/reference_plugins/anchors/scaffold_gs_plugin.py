@@ -10,7 +10,7 @@ from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
     CullOption,
-    Iteration,
+    IterationOption,
     MaxAnchors,
     note,
     report_checkpoint,
@@ -19,7 +19,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.scaffold_gs import ScaffoldGS
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Lu et al. 2024",
     arxiv="2312.00109",
     code="https://github.com/city-super/Scaffold-GS",
@@ -29,7 +29,7 @@ _PUBLICATION = Publication(
 
 def build(
     checkpoint: Checkpoint,
-    iteration: Iteration = None,
+    iteration: IterationOption = None,
     appearance_id: AppearanceId = None,
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
@@ -55,7 +55,7 @@ def build(
     generator = ScaffoldGS(
         saved_anchors.cloud, saved_anchors.nets, appearance=appearance, selection=selection
     )
-    generator.producer = producer_of(_PUBLICATION.code, saved_anchors.run)
+    generator.producer = producer_of(_PAPER.code, saved_anchors.run)
     return generator
 
 
@@ -80,7 +80,7 @@ PLUGIN = Plugin(
     "opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, embedding_appearance.pt), "
     "or all of them in checkpoints.pth.",
     inputs=("view", "projection", "viewport", "appearance_id"),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=_recognises,
     demo=Demo(write=_write_demo, caption="around it: colours follow the camera"),
     build=build,

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
-_HEADS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
+_CHANNELS_BY_HEAD = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 _HUE_COUNT = 3
 
 
@@ -198,7 +198,7 @@ def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
     generator = torch.Generator().manual_seed(options.seed)
     input_size = options.width + options.direction + options.level
     networks: dict[str, nn.Module] = {}
-    for index, (name, outputs) in enumerate(_HEADS.items()):
+    for index, (name, outputs) in enumerate(_CHANNELS_BY_HEAD.items()):
         inputs = input_size + options.distance[index]
         inputs += options.appearance if name == "color_mlp" else 0
         head = _network(inputs, options.width, outputs * options.per_anchor, generator)

@@ -35,7 +35,7 @@ _REQUIRED_ARRAYS = (
     "kintree_table",
 )
 _HAND_MEANS = ("hands_meanl", "hands_meanr")
-_FACES = "f"
+_FACES_KEY = "f"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +117,15 @@ def read_body(path: Path, joints: int) -> Body:
     if hand_mean_pose is not None and hand_mean_pose.shape != (90,):
         message = f"hands_meanl and hands_meanr hold {hand_mean_pose.size} numbers, expected 90"
         raise CheckpointInvalid(message, where=str(path))
-    faces = _require_numbers(path, _FACES, read[_FACES]) if _FACES in read else np.zeros((0, 3))
+    faces = (
+        _require_numbers(path, _FACES_KEY, read[_FACES_KEY])
+        if _FACES_KEY in read
+        else np.zeros((0, 3))
+    )
     if faces.ndim != 2 or faces.shape[1] != 3 or not _is_within(faces, len(arrays["v_template"])):
-        message = f"{_FACES} is {list(faces.shape)}, expected triangles of the vertices, [faces, 3]"
+        message = (
+            f"{_FACES_KEY} is {list(faces.shape)}, expected triangles of the vertices, [faces, 3]"
+        )
         raise CheckpointInvalid(message, where=str(path))
     return Body(
         path=path,
@@ -149,7 +155,7 @@ def _arrays(path: Path) -> dict[str, Any]:
         zipped = file.read(4) == b"PK\x03\x04"
     # Read the known arrays only: the published files also hold other objects.
     return (read_npz if zipped else read_array_pickle)(
-        path, (*_REQUIRED_ARRAYS, *_HAND_MEANS, _FACES)
+        path, (*_REQUIRED_ARRAYS, *_HAND_MEANS, _FACES_KEY)
     )
 
 

@@ -1,7 +1,7 @@
 """Command-line options that all plugins for avatars and heads share."""
 
 __all__ = [
-    "BodyFile", "Hands", "Instances", "MotionFile", "RootRotation", "Shape", "Spacing",
+    "BodyFile", "HandsOption", "Instances", "MotionFile", "RootRotation", "Shape", "Spacing",
     "parse_numbers", "read_shape", "warn_about_body", "with_motion",
 ]  # fmt: skip
 
@@ -55,7 +55,7 @@ MotionFile = Annotated[
 Spacing = Annotated[
     float, typer.Option(help="Distance between instances that play a motion, along x.")
 ]
-Hands = Annotated[
+HandsOption = Annotated[
     Literal["full", "raw"],
     typer.Option(
         help="Whether poses of SMPL-X include the mean pose of the hands (full) or not (raw)."

@@ -6,7 +6,7 @@ so a model of many Gaussians holds the tables
 (:mod:`gsgen.reference_plugins.tensors.baked_constants`).
 """
 
-__all__ = ["LEAST_WEIGHT", "BigPoseGaussians", "SurfaceGaussians", "inverse"]
+__all__ = ["MIN_SKINNING_WEIGHT", "BigPoseGaussians", "SurfaceGaussians", "inverse"]
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
 from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, positional_encoding
 
 # Added to the skinning weights before their logarithm (GauHuman, scene/gaussian_model.py).
-LEAST_WEIGHT = 1e-9
+MIN_SKINNING_WEIGHT = 1e-9
 _GAUSSIANS = ("position", "scale", "rotation")
 
 
@@ -67,7 +67,7 @@ class BigPoseGaussians(nn.Module):
         """
         super().__init__()
         # Added here and not at the logarithm: exporters remove the addition of so small a number.
-        near = near if nets is None else near + LEAST_WEIGHT
+        near = near if nets is None else near + MIN_SKINNING_WEIGHT
         _register(self, near=near, vertex=vertex, transforms=transforms.reshape(-1, 12))
         _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
         self.offsets = None if nets is None else _WeightOffsets(nets)

@@ -17,12 +17,12 @@ from gsgen.sdk.math.skinning import NO_PARENT
 
 _SMPL = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 # The parent of jaw and eyes is the head; each wrist has five fingers of three joints.
-_FINGERS = tuple(
+_FINGER_SEGMENTS = tuple(
     wrist if joint % 3 == 0 else first + joint - 1
     for wrist, first in ((20, 25), (21, 40))
     for joint in range(15)
 )
-_PARENTS = {24: _SMPL, 55: (*_SMPL[:22], 15, 15, 15, *_FINGERS)}
+_PARENTS = {24: _SMPL, 55: (*_SMPL[:22], 15, 15, 15, *_FINGER_SEGMENTS)}
 # Offset of each joint from its parent: a stick figure of 1.7 m, y up, arms apart.
 _BONE_TABLE = (
     *((0, 0, 0), (0.09, -0.09, 0), (-0.09, -0.09, 0), (0, 0.12, 0)),
@@ -31,7 +31,7 @@ _BONE_TABLE = (
     *((0.08, 0.12, 0), (-0.08, 0.12, 0), (0, 0.12, 0.03), (0.11, 0.03, 0), (-0.11, 0.03, 0)),
     *((0.26, 0, 0), (-0.26, 0, 0), (0.25, 0, 0), (-0.25, 0, 0)),
 )
-_PALMS = ((0.08, 0, 0), (-0.08, 0, 0))
+_PALM_OFFSETS = ((0.08, 0, 0), (-0.08, 0, 0))
 _FACE_POINTS = ((0, 0, 0.05), (0.03, 0.06, 0.07), (-0.03, 0.06, 0.07))
 _HEAD_JOINT = 15
 _CROWN_OFFSET = (0.0, 0.13, 0.02)  # top of the head, from its joint
@@ -42,12 +42,12 @@ _BONE_RADII = (
 )
 _PALM_RADIUS, _FINGER_RADIUS = 0.03, 0.012
 # Garment → joints whose tubes it covers; skin elsewhere.
-_CLOTHING = {
+_CLOTHING_BY_JOINT = {
     "shirt": (0, 3, 6, 9, 13, 14, 16, 17, 18, 19),
     "trousers": (1, 2, 4, 5, 7, 8),
     "shoes": (10, 11),
 }
-_COLORS = {
+_CLOTHING_COLORS = {
     "skin": (0.85, 0.6, 0.46),
     "shirt": (0.16, 0.45, 0.68),
     "trousers": (0.76, 0.66, 0.45),
@@ -116,7 +116,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
 
 
 def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
-    bones = _BONE_TABLE + (_PALMS if joints == 24 else _FACE_POINTS)
+    bones = _BONE_TABLE + (_PALM_OFFSETS if joints == 24 else _FACE_POINTS)
     positions = np.zeros((joints, 3))
     for joint, parent in enumerate(_PARENTS[joints][1:], start=1):
         if joint < len(bones):
@@ -143,7 +143,8 @@ def _tubes(
     radius = np.array(
         [
             *_BONE_RADII,
-            *[_PALM_RADIUS if extra_joints == len(_PALMS) else _FINGER_RADIUS] * extra_joints,
+            *[_PALM_RADIUS if extra_joints == len(_PALM_OFFSETS) else _FINGER_RADIUS]
+            * extra_joints,
         ]
     )
     return tube_start, end, radius
@@ -228,13 +229,13 @@ def clothing_colors(
         axis=1,
     )
     tube = distance.argmin(axis=1)
-    worn = np.tile(_COLORS["skin"], (options.joints, 1))
-    for name, tubes in _CLOTHING.items():
-        worn[list(tubes)] = _COLORS[name]
+    worn = np.tile(_CLOTHING_COLORS["skin"], (options.joints, 1))
+    for name, tubes in _CLOTHING_BY_JOINT.items():
+        worn[list(tubes)] = _CLOTHING_COLORS[name]
     colors = worn[tube]
     head = points - joint_positions[_HEAD_JOINT]
     hair = (tube == _HEAD_JOINT) & (head[:, 1] - 0.8 * head[:, 2] > 0.1)
-    colors[hair] = _COLORS["hair"]
+    colors[hair] = _CLOTHING_COLORS["hair"]
     tube_center = tube_start[tube] + 0.5 * (end - tube_start)[tube]
     brightness = np.clip((points - tube_center)[:, 1:] @ [0.6, 0.8] / radius[tube], -1, 1)
     lit_colors: Float[np.ndarray, "n 3"] = np.clip(

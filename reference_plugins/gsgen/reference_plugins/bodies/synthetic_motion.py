@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 # Joints of SMPL; the left one of each pair is at +x.
-_HIPS, _KNEES, _SHOULDERS, _ELBOWS = (1, 2), (4, 5), (16, 17), (18, 19)
+_HIP_JOINTS, _KNEE_JOINTS, _SHOULDER_JOINTS, _ELBOW_JOINTS = (1, 2), (4, 5), (16, 17), (18, 19)
 _STRIDE_ANGLE, _BEND_ANGLE, _SWING_ANGLE = 0.55, 0.9, 0.6
 _ARM_DOWN_ANGLE, _ELBOW_ANGLE = 1.25, 0.5  # arms hang down, slightly bent
 
@@ -26,11 +26,17 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
         step = sign * np.sin(along)
         lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
         _turn(
-            poses, _HIPS[side], np.stack([-_STRIDE_ANGLE * step - 0.3 * lift, 0 * step, 0 * step])
+            poses,
+            _HIP_JOINTS[side],
+            np.stack([-_STRIDE_ANGLE * step - 0.3 * lift, 0 * step, 0 * step]),
         )
-        _turn(poses, _KNEES[side], np.stack([0.1 + _BEND_ANGLE * lift, 0 * step, 0 * step]))
-        _turn(poses, _SHOULDERS[side], _arm(_SWING_ANGLE * step, sign))
-        _turn(poses, _ELBOWS[side], np.stack([0 * step, 0 * step - sign * _ELBOW_ANGLE, 0 * step]))
+        _turn(poses, _KNEE_JOINTS[side], np.stack([0.1 + _BEND_ANGLE * lift, 0 * step, 0 * step]))
+        _turn(poses, _SHOULDER_JOINTS[side], _arm(_SWING_ANGLE * step, sign))
+        _turn(
+            poses,
+            _ELBOW_JOINTS[side],
+            np.stack([0 * step, 0 * step - sign * _ELBOW_ANGLE, 0 * step]),
+        )
     np.savez(
         path,
         poses=poses,

@@ -9,7 +9,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.deformation.sc_gs_plugin import is_sc_gs
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Iteration,
+    IterationOption,
     note,
     report_checkpoint,
     with_time_options,
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Operations of a good graphics card in a sixtieth of a second, at a tenth of its peak.
 _HIGH_OPERATIONS = 60e9
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Yang et al. 2024",
     arxiv="2309.13101",
     code="https://github.com/ingra14m/Deformable-3D-Gaussians",
@@ -30,7 +30,9 @@ _PUBLICATION = Publication(
 
 
 @with_time_options
-def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -> "Deformable3DGS":
+def build(
+    checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input
+) -> "Deformable3DGS":
     """Read a checkpoint of Deformable-3D-Gaussians, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
     from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
@@ -43,7 +45,7 @@ def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -
     if read.operations > _HIGH_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     generator = Deformable3DGS(read.canonical, read.net, time)
-    generator.producer = producer_of(_PUBLICATION.code, read.run)
+    generator.producer = producer_of(_PAPER.code, read.run)
     return generator
 
 
@@ -65,7 +67,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=_recognises,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

@@ -10,7 +10,7 @@ import typer
 from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Iteration,
+    IterationOption,
     note,
     report_checkpoint,
     with_time_options,
@@ -27,7 +27,7 @@ _Bake = Annotated[
         "themselves (never), or the smaller ones (auto)."
     ),
 ]
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Wu et al. 2024",
     arxiv="2310.08528",
     code="https://github.com/hustvl/4DGaussians",
@@ -37,7 +37,7 @@ _PUBLICATION = Publication(
 
 @with_time_options
 def build(
-    checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input, bake: _Bake = "auto"
+    checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input, bake: _Bake = "auto"
 ) -> "HexPlane4DGS":
     """Read a checkpoint of 4DGaussians, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
@@ -49,7 +49,7 @@ def build(
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel was never compared with the original code")
     generator = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    generator.producer = producer_of(_PUBLICATION.code, read.run)
+    generator.producer = producer_of(_PAPER.code, read.run)
     return generator
 
 
@@ -71,7 +71,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and "
     "deformation.pth. Iterations of the coarse stage are passed over.",
     inputs=("time",),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=lambda run, iteration: (iteration / "deformation.pth").is_file(),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

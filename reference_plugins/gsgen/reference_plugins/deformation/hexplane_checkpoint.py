@@ -29,7 +29,7 @@ from gsgen.reference_plugins.loading.states import (
     require_tensors,
 )
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
-from gsgen.reference_plugins.tensors.hexplane import PLANES
+from gsgen.reference_plugins.tensors.hexplane import PLANE_COUNT
 
 # Head, named after the values that it changes → number of its outputs.
 HEAD_SIZES = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
@@ -161,7 +161,7 @@ def _read_nets(path: Path, flags: DeformationFlags) -> HexPlaneNets:
     )
     read = entries_below(read, _NETWORK_PREFIX)
     grids = tuple(
-        tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(PLANES)) for s in range(scales)
+        tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(PLANE_COUNT)) for s in range(scales)
     )
     _require_sizes(path, grids)
     if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
@@ -200,7 +200,7 @@ def _expected_shapes(
     width, channels = first.shape[0], plane.shape[1]
     expected: dict[str, Shape] = {"grid.aabb": (2, 3)}
     for scale in range(scales):
-        for index in range(PLANES):
+        for index in range(PLANE_COUNT):
             expected[f"grid.grids.{scale}.{index}"] = (1, channels, None, None)
     for layer in range(layers):
         expected |= linear_shapes(

@@ -29,7 +29,7 @@ from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, p
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 # The published code adds this to each weight before they are normalised.
-_LEAST_WEIGHT = 1e-7
+_MIN_WEIGHT = 1e-7
 _CHUNK_ROWS = 8192  # rows whose distances to all nodes are in memory at once
 
 
@@ -45,7 +45,7 @@ def node_weights(
         squared_distance = (part[:, None] - centres[None]).square().sum(dim=2)
         nearest, index = squared_distance.topk(neighbours, dim=1, largest=False)
         weight = (
-            torch.exp(-nearest / (2 * radius[index].square())) * weight_share[index] + _LEAST_WEIGHT
+            torch.exp(-nearest / (2 * radius[index].square())) * weight_share[index] + _MIN_WEIGHT
         )
         indices.append(index)
         weights.append(weight / weight.sum(dim=1, keepdim=True))

@@ -34,10 +34,10 @@ from gsgen.reference_plugins.loading.states import (
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 _FEATURE_NAME = re.compile(r"fea_(\d+)")
-_NETWORK = "network."
+_NETWORK_PREFIX = "network."
 _COLOR_LAYERS = ("gaussian_color.0", "gaussian_color.2", "gaussian_color.4")
 # Option → head of the network that it adds, by its first weight.
-_HEADS = {
+_CHANNELS_BY_HEAD = {
     "local_frame": "local_rotation.weight",
     "pred_opacity": "gaussian_opacity.weight",
     "pred_color": "gaussian_color.0.weight",
@@ -169,10 +169,12 @@ def _read_nodes(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> ControlNo
     expected: dict[str, Shape] = {
         "nodes": (count, size), "_node_radius": (count,), "_node_weight": (count, 1),
     }  # fmt: skip
-    control_nodes = require_tensors(path, state, expected, ignored=(_NETWORK, "gs_", "inited"))
-    network = entries_below(state, _NETWORK)
-    heads = {option for option, weight in _HEADS.items() if weight in network}
-    for option in _HEADS:
+    control_nodes = require_tensors(
+        path, state, expected, ignored=(_NETWORK_PREFIX, "gs_", "inited")
+    )
+    network = entries_below(state, _NETWORK_PREFIX)
+    heads = {option for option, weight in _CHANNELS_BY_HEAD.items() if weight in network}
+    for option in _CHANNELS_BY_HEAD:
         if cfg.flag(option, default=option in heads) != (option in heads):
             message = f"{option} is {option not in heads}, but the network in {path} differs"
             raise CheckpointInvalid(message, where=str(cfg.path))

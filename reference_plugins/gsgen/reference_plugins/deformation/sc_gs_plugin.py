@@ -9,7 +9,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Iteration,
+    IterationOption,
     note,
     report_checkpoint,
     with_time_options,
@@ -19,7 +19,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
 
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Huang et al. 2024",
     arxiv="2312.14937",
     code="https://github.com/yihua7/SC-GS",
@@ -28,7 +28,7 @@ _PUBLICATION = Publication(
 
 
 @with_time_options
-def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -> "ScGs":
+def build(checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input) -> "ScGs":
     """Read a checkpoint of SC-GS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
     from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
@@ -39,7 +39,7 @@ def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -
     if read.run.cfg.flag("d_rot_as_rotmat"):
         note("warning: d_rot_as_rotmat=True is honoured as in training; render.py ignores it")
     generator = ScGs(read, time)
-    generator.producer = producer_of(_PUBLICATION.code, read.run)
+    generator.producer = producer_of(_PAPER.code, read.run)
     return generator
 
 
@@ -66,7 +66,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=is_sc_gs,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

@@ -38,7 +38,7 @@ _FILE_NAMES = tuple(
     for kind in ("safetensors", "bin")
 )
 _CONFIG_FILE = "adapter_config.json"
-_METADATA = "lora_adapter_metadata"
+_METADATA_KEY = "lora_adapter_metadata"
 _PEFT_PREFIX = "base_model.model."
 # The layer, then A (down) or B (up), with an adapter name in between.
 _PAIR_NAME = re.compile(
@@ -184,12 +184,12 @@ def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], 
     if path.name.startswith("adapter_model") and config_file.is_file():
         return dict(read_model_config(path.parent, _CONFIG_FILE).values), config_file
     try:
-        settings = json.loads(metadata.get(_METADATA, "{}"))
+        settings = json.loads(metadata.get(_METADATA_KEY, "{}"))
     except (ValueError, RecursionError) as error:
-        message = f"{_METADATA} is not valid JSON: {error}"
+        message = f"{_METADATA_KEY} is not valid JSON: {error}"
         raise CheckpointInvalid(message, where=str(path)) from error
     if not isinstance(settings, dict):
-        raise CheckpointInvalid(f"{_METADATA} is not a JSON object", where=str(path))
+        raise CheckpointInvalid(f"{_METADATA_KEY} is not a JSON object", where=str(path))
     # diffusers prefixes each setting with the network's name.
     return {name.removeprefix("unet."): value for name, value in settings.items()}, path
 

@@ -13,7 +13,7 @@ from typing import Any
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import likely_folders
 
-_MOST_BYTES = 1 << 20
+_MAX_CONFIG_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +106,9 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
         message = "is missing: expected the options of a network"
         raise CheckpointInvalid(message, where=str(path), hint=nearby_folders)
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > _MAX_CONFIG_BYTES:
             raise ValueError(
-                f"the file has {path.stat().st_size:,} bytes, expected at most {_MOST_BYTES:,}"
+                f"the file has {path.stat().st_size:,} bytes, expected at most {_MAX_CONFIG_BYTES:,}"
             )
         values = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:

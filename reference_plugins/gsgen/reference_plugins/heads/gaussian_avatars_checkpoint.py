@@ -23,7 +23,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_fau
 from gsgen.reference_plugins.loading.folder import required_file
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
-_JOINTS = 5
+_JOINT_COUNT = 5
 _REST_NAME = re.compile(r"f_rest_\d+")
 _FLAME_FILES = ("flame2023.pkl", "flame2023_no_jaw.pkl", "generic_model.pkl")
 
@@ -64,7 +64,7 @@ def read_gaussian_avatars(
             message = f"{name} is missing, or holds other values than finite numbers"
             raise CheckpointInvalid(message, where=str(path))
     candidates = {name: run.folder / "assets" / name for name in _FLAME_FILES}
-    flame = read_body(required_body(body, candidates, _JOINTS), _JOINTS)
+    flame = read_body(required_body(body, candidates, _JOINT_COUNT), _JOINT_COUNT)
     offset = arrays["static_offset"].astype(np.float64)
     offset = offset[0] if offset.ndim == 3 and len(offset) == 1 else offset
     if offset.shape == (len(flame.template) + TOOTH_VERTICES, 3):

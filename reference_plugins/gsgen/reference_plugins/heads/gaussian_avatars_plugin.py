@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.reference_plugins.loading.method_detection import point_columns
-from gsgen.reference_plugins.loading.options import Checkpoint, Iteration, note, report_checkpoint
+from gsgen.reference_plugins.loading.options import (
+    Checkpoint,
+    IterationOption,
+    note,
+    report_checkpoint,
+)
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
@@ -21,7 +26,7 @@ _Body = Annotated[
         show_default="flame2023.pkl in assets of the run",
     ),
 ]
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Qian et al. 2024",
     arxiv="2312.02069",
     code="https://github.com/ShenhanQian/GaussianAvatars",
@@ -30,7 +35,7 @@ _PUBLICATION = Publication(
 
 
 def build(
-    checkpoint: Checkpoint, body: _Body = None, iteration: Iteration = None
+    checkpoint: Checkpoint, body: _Body = None, iteration: IterationOption = None
 ) -> "GaussianAvatars":
     """Read a checkpoint of GaussianAvatars, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.heads.gaussian_avatars import GaussianAvatars
@@ -41,7 +46,7 @@ def build(
     report_checkpoint(read.describe(), read.run.cfg)
     note("warning: the model contains parts of FLAME, whose licence forbids redistribution")
     generator = GaussianAvatars(read)
-    generator.producer = producer_of(_PUBLICATION.code, read.run)
+    generator.producer = producer_of(_PAPER.code, read.run)
     return generator
 
 
@@ -59,7 +64,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N: point_cloud.ply and flame_param.npz, "
     "and the face model that --body names or DIR/assets holds.",
     inputs=("pose", "expression", "root_translation"),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=lambda run, iteration: "binding_0" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="around it", view="head"),
     build=build,

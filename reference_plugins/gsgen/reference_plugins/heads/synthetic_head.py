@@ -16,7 +16,7 @@ from gsgen.formats.shared.quantities import SH_C0
 from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
-_ITERATION = 600_000
+_ITERATION_NUMBER = 600_000
 _HALF_AXES = np.array([0.09, 0.13, 0.11])  # half axes, in metres
 
 
@@ -37,7 +37,7 @@ def write_gaussian_avatar(
     rng = np.random.default_rng(seed)
     vertices, faces = _ellipsoid(rings)
     _write_face_model(folder / "assets", vertices, faces, expressions, rng)
-    files = folder / f"point_cloud/iteration_{_ITERATION}"
+    files = folder / f"point_cloud/iteration_{_ITERATION_NUMBER}"
     files.mkdir(parents=True, exist_ok=True)
     total = len(vertices) + (120 if teeth else 0)
     frames = 3

@@ -24,7 +24,7 @@ from gsgen.sdk import PostProcess, inputs
 # Black and white in diffusion networks, and in renderers.
 _SIGNED_RANGE, _UNIT_RANGE = (-1.0, 1.0), (0.0, 1.0)
 # Number of timesteps of a checkpoint without a schedule.
-_STEPS = 1000
+_TRAINING_TIMESTEPS = 1000
 
 SignalShare = Tensor | float
 
@@ -150,7 +150,7 @@ def _clean_image(
 
 
 def _last_timestep(read: DiffusionCheckpoint) -> int:
-    return _STEPS - 1 if read.noise is None else len(read.noise.signal) - 1
+    return _TRAINING_TIMESTEPS - 1 if read.noise is None else len(read.noise.signal) - 1
 
 
 def _check_step(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.images.diffusion_checkpoint import DiffusionCheckpoint
     from gsgen.reference_plugins.images.embeddings import Embeddings
 
-_EMBEDDINGS = "prompt_embeds.npz"
+_EMBEDDINGS_FILE = "prompt_embeds.npz"
 _DEMO_TIMESTEP = 60
 
 Folder = Annotated[
@@ -53,10 +53,10 @@ DifixFile = Annotated[
     ),
 ]
 Timestep = Annotated[float, typer.Option(help="Timestep of the denoising step.", min=0)]
-Steers = Annotated[
+SteersOption = Annotated[
     bool, typer.Option("--timestep-input", help="The timestep is an input of the model.")
 ]
-Size = Annotated[
+SizeOption = Annotated[
     str | None,
     typer.Option(
         help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture.",
@@ -68,7 +68,7 @@ EmbeddingsFile = Annotated[
     typer.Option(
         help="Embeddings of the prompt: npz with one array [1, L, D]; for SDXL with "
         "prompt_embeds, pooled_prompt_embeds and, to override the image size, time_ids.",
-        show_default=f"DIR/{_EMBEDDINGS}",
+        show_default=f"DIR/{_EMBEDDINGS_FILE}",
     ),
 ]
 TimeIds = Annotated[
@@ -94,13 +94,13 @@ def build(
     lora: Lora = None,
     difix: DifixFile = None,
     timestep: Timestep = 199.0,
-    size: Size = None,
+    size: SizeOption = None,
     embeddings: EmbeddingsFile = None,
     time_ids: TimeIds = None,
     values: Values = "signed",
     result: Result = "image",
     *,
-    timestep_input: Steers = False,
+    timestep_input: SteersOption = False,
 ) -> "Denoiser":
     """Read a diffusion checkpoint, report its contents, and return the post-process model."""
     from importlib.metadata import version
@@ -166,7 +166,7 @@ def _conditioning(
     """Read the prompt's embeddings from the given file, or from the checkpoint's folder."""
     from gsgen.reference_plugins.images.embeddings import Embeddings, read_embeddings
 
-    usual, options = folder / _EMBEDDINGS, read.unet.options
+    usual, options = folder / _EMBEDDINGS_FILE, read.unet.options
     if embeddings is None and (options.context is None or not usual.is_file()):
         return Embeddings()
     path = embeddings or usual

@@ -4,7 +4,7 @@ Most layers are switched off: a residual block whose second convolution is zero 
 The remaining path is described at each step below.
 """
 
-__all__ = ["BINOMIAL", "COLORS", "Weights", "set_denoising_weights", "set_outline_weights"]
+__all__ = ["BINOMIAL_KERNEL", "COLORS", "Weights", "set_denoising_weights", "set_outline_weights"]
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ COLORS = 3
 _MAX_DETAIL = 1.2  # standard deviations of fine detail; stronger contrasts are edges and stay
 _SILU_FACTOR = 3.0  # factor before SiLU, so that it approximates a ReLU
 _LUMA_WEIGHTS = torch.tensor([0.3, 0.6, 0.1])
-BINOMIAL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
+BINOMIAL_KERNEL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
 
 
 def set_denoising_weights(unet: "UNet") -> None:
@@ -115,7 +115,7 @@ def _set_to_one(weight: Float[Tensor, "o i 1 1"]) -> None:
 
 def _blur(weight: Float[Tensor, "o i 3 3"]) -> None:
     for channel in range(min(weight.shape[:2])):
-        weight[channel, channel] = BINOMIAL
+        weight[channel, channel] = BINOMIAL_KERNEL
 
 
 def _color_and_contrast(weight: Float[Tensor, "o 3 9 9"]) -> None:

@@ -43,7 +43,7 @@ class _Block(nn.Module):
         return output
 
 
-class _Residual(nn.Module):
+class _ResidualBlock(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.first = _Block(channels, channels, 3)
@@ -68,7 +68,7 @@ class Stylise(PostProcess):
         self.down = nn.ModuleList(
             [_Block(3, c, 9), _Block(c, 2 * c, 3, 2), _Block(2 * c, 4 * c, 3, 2)]
         )
-        self.middle = nn.ModuleList(_Residual(4 * c) for _ in range(options.blocks))
+        self.middle = nn.ModuleList(_ResidualBlock(4 * c) for _ in range(options.blocks))
         self.up = nn.ModuleList([_Block(4 * c, 2 * c, 3), _Block(2 * c, c, 3)])
         self.last = nn.Conv2d(c, 3, 9)
         self.size = size

@@ -20,16 +20,18 @@ Folder = Annotated[
         "--checkpoint", help="Folder with config.json and stylise.safetensors.", show_default=False
     ),
 ]
-Size = Annotated[
+SizeOption = Annotated[
     str, typer.Option(help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture.")
 ]
-Slider = Annotated[
+SliderOption = Annotated[
     bool,
     typer.Option("--slider/--no-slider", help="Declare the strength of the style as an input."),
 ]
 
 
-def build(checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True) -> "Stylise":
+def build(
+    checkpoint: Folder, size: SizeOption = "360x640", *, slider: SliderOption = True
+) -> "Stylise":
     """Read a style transfer checkpoint, report its contents, and return the model."""
     import hashlib
     from importlib.metadata import version

@@ -29,12 +29,12 @@ from gsgen.reference_plugins.images.diffusers_writer import (
     write_network,
     write_schedule,
 )
-from gsgen.reference_plugins.images.handmade_weights import BINOMIAL, COLORS, Weights
+from gsgen.reference_plugins.images.handmade_weights import BINOMIAL_KERNEL, COLORS, Weights
 
 _CHANNEL_COUNT = 24
 _LARGE_FACTOR = 16.0  # K
 # Contrasts in −1 … 1 up to this are artifacts; those of twice as much are edges.
-_SOFTNESS = 0.3
+_BLUR_STRENGTH = 0.3
 _SILU_FACTOR = 16.0  # factor before SiLU, so that it approximates a ReLU
 # Knots of f(d), in units of _SOFT, and the change of its slope there: f(d) = d up to 1, back to 0
 # at 2, and odd.
@@ -106,7 +106,7 @@ def _set_identity(autoencoder_model: Autoencoder) -> None:
         _set_bias(bias, color)
         _set_bias(weights[_sampler("decoder", "up").replace("weight", "bias")], color)
         for channel in range(4 * color, 4 * color + 2):
-            up_weight[channel, channel] = BINOMIAL
+            up_weight[channel, channel] = BINOMIAL_KERNEL
     _set_output(weights, "decoder")
 
 
@@ -151,7 +151,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
         output_weight[x], output_weight[x + 1] = image_gain, -image_gain
         for channel, (bend_channel, change) in enumerate(_BEND_CHANNELS, x + 2):
             beta[channel], output_weight[channel] = (
-                _SILU_FACTOR * _SOFTNESS * bend_channel,
+                _SILU_FACTOR * _BLUR_STRENGTH * bend_channel,
                 contrast_gain * change / _SILU_FACTOR,
             )
 

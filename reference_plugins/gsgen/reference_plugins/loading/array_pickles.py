@@ -23,7 +23,7 @@ _RECONSTRUCT_NAMES, _SCALAR_NAMES, _FROM_BUFFER_NAMES = (
     for name in ("multiarray._reconstruct", "multiarray.scalar", "numeric._frombuffer")
 )
 _OLD_OBJECTS: Final = ("copy_reg._reconstructor", "copyreg._reconstructor")
-_NUMBERS: Final = re.compile(r"b1|[iu][1248]|f[248]")
+_DTYPE_PATTERN: Final = re.compile(r"b1|[iu][1248]|f[248]")
 _MAX_NUMBERS: Final = 1 << 26
 """The most numbers in sparse matrices, their zeros included, and in selections; SMPL-X has 13 M."""
 
@@ -120,7 +120,7 @@ class _Decoder:
             for item in data if isinstance(data, list) else ():
                 self.array(item)
             raise ValueError("an array in the pickle holds objects, expected numbers")
-        if dtype.name != "numpy.dtype" or not _NUMBERS.fullmatch(code):
+        if dtype.name != "numpy.dtype" or not _DTYPE_PATTERN.fullmatch(code):
             raise ValueError(f"an array in the pickle has the dtype {code!r:.20}, expected numbers")
         if any(type(size) is not int or size < 0 for size in shape):
             raise ValueError("an array in the pickle has a size that is not a whole number")

@@ -22,7 +22,7 @@ _FILE_NAME = "cfg_args"
 _MAX_BYTES = 1 << 20
 _MAX_SHOWN = 80
 # The class names in pathlib's printed paths.
-_PATHS = frozenset(
+_PATH_SETTINGS = frozenset(
     f"{pure_prefix}{kind}Path" for pure_prefix in ("", "Pure") for kind in ("", "Posix", "Windows")
 )
 # Quoted texts, and printed values that Python cannot parse: objects, as <function main at 0x7f…>,
@@ -177,6 +177,6 @@ class _PlainValues(ast.NodeTransformer):
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
         match node:
-            case ast.Call(ast.Name(name), [ast.Constant(str(path))], []) if name in _PATHS:
+            case ast.Call(ast.Name(name), [ast.Constant(str(path))], []) if name in _PATH_SETTINGS:
                 return ast.Constant(path)
         return node

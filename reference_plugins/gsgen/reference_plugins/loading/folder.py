@@ -9,16 +9,16 @@ from pathlib import Path
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 
-_ITERATION = re.compile(r"iteration_(\d+)")
-_CLOUD = "point_cloud"
+_ITERATION_PATTERN = re.compile(r"iteration_(\d+)")
+_CLOUD_FOLDER = "point_cloud"
 _LAST_ITERATION = -1
 # Folders of a run that hold a folder for each iteration.
-_PARENTS = (_CLOUD, "deform", "mlp_ckpt")
+_PARENTS = (_CLOUD_FOLDER, "deform", "mlp_ckpt")
 # Files of a run that may be given in place of its folder.
 _RUN_FILE = re.compile(r"cfg_args|point_cloud\.ply|.*\.pth?")
-_LEVELS = 2
-_MOST_LOOKED_AT = 500
-_MOST_NAMED = 3
+_MAX_FOLDER_DEPTH = 2
+_MAX_SCANNED_ENTRIES = 500
+_MAX_NAMED_FOLDERS = 3
 
 
 def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | None]:
@@ -31,7 +31,7 @@ def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | No
     file = path.is_file() and _RUN_FILE.fullmatch(path.name) is not None
     folder = path.parent if file else path
     absolute = folder.absolute()
-    match = _ITERATION.fullmatch(absolute.name)
+    match = _ITERATION_PATTERN.fullmatch(absolute.name)
     if match and absolute.parent.name in _PARENTS:
         number = int(match[1])
         if iteration not in (None, number):
@@ -39,7 +39,7 @@ def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | No
             message = f"is iteration {number}, not {iteration}"
             raise NotInCheckpoint(message, where=str(path), hint=hint)
         return absolute.parent.parent, number
-    if absolute.name in _PARENTS and not (folder / _CLOUD).exists():
+    if absolute.name in _PARENTS and not (folder / _CLOUD_FOLDER).exists():
         return absolute.parent, iteration
     return folder, iteration
 
@@ -51,13 +51,13 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
     ignored. Or it has the files of one iteration by themselves: the number is that of its name, or
     0. The hint of an error names likely folders, or the existing iterations.
     """
-    parent = folder / _CLOUD
+    parent = folder / _CLOUD_FOLDER
     if not folder.is_dir():
         message = "is not a folder" if folder.exists() else "does not exist"
         hint = "Give the folder that training wrote: the one with cfg_args in it."
         raise CheckpointInvalid(message, where=str(folder), hint=hint)
-    if (folder / f"{_CLOUD}.ply").is_file() and not parent.is_dir():
-        match = _ITERATION.fullmatch(folder.absolute().name)
+    if (folder / f"{_CLOUD_FOLDER}.ply").is_file() and not parent.is_dir():
+        match = _ITERATION_PATTERN.fullmatch(folder.absolute().name)
         number = int(match[1]) if match else 0
         if iteration not in (None, number):
             message = f"holds iteration {number} alone, not {iteration}"
@@ -81,7 +81,7 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
 
 def last_iteration(folder: Path) -> Path:
     """Return the folder of a training run's last iteration; the run's folder if none is saved."""
-    parent = folder / _CLOUD
+    parent = folder / _CLOUD_FOLDER
     iterations = _iterations(parent) if parent.is_dir() else {}
     return iterations[max(iterations)] if iterations else folder
 
@@ -89,8 +89,8 @@ def last_iteration(folder: Path) -> Path:
 def likely_folders(folder: Path, is_wanted: Callable[[Path], bool]) -> str:
     """Return a hint with the folders for which ``is_wanted`` is true, up to two levels away."""
     candidates = [
-        *folder.absolute().parents[:_LEVELS],
-        *islice(_folders_below(folder), _MOST_LOOKED_AT),
+        *folder.absolute().parents[:_MAX_FOLDER_DEPTH],
+        *islice(_folders_below(folder), _MAX_SCANNED_ENTRIES),
     ]
     matches: list[Path] = []
     for candidate in candidates:
@@ -98,8 +98,10 @@ def likely_folders(folder: Path, is_wanted: Callable[[Path], bool]) -> str:
             matches.append(candidate)
     if not matches:
         return ""
-    remainder = f" ({len(matches) - _MOST_NAMED} more look right.)" * (len(matches) > _MOST_NAMED)
-    return f"Did you mean {' or '.join(map(str, matches[:_MOST_NAMED]))}?{remainder}"
+    remainder = f" ({len(matches) - _MAX_NAMED_FOLDERS} more look right.)" * (
+        len(matches) > _MAX_NAMED_FOLDERS
+    )
+    return f"Did you mean {' or '.join(map(str, matches[:_MAX_NAMED_FOLDERS]))}?{remainder}"
 
 
 def _matches(is_wanted: Callable[[Path], bool], folder: Path) -> bool:
@@ -109,7 +111,7 @@ def _matches(is_wanted: Callable[[Path], bool], folder: Path) -> bool:
         return False
 
 
-def _folders_below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
+def _folders_below(folder: Path, levels: int = _MAX_FOLDER_DEPTH) -> Iterator[Path]:
     """Yield the readable subfolders of ``folder``, down to a depth of ``levels``."""
     try:
         subfolders = sorted(child for child in folder.iterdir() if child.is_dir())
@@ -132,7 +134,7 @@ def required_file(path: Path, content: str) -> Path:
 def _elsewhere_hint(path: Path) -> str:
     """Return a hint that lists the other iterations of a training run where the file exists."""
     training_folder = path.parent.parent
-    if not _ITERATION.fullmatch(path.parent.name) or not training_folder.is_dir():
+    if not _ITERATION_PATTERN.fullmatch(path.parent.name) or not training_folder.is_dir():
         return ""
     numbers = [
         n for n, folder in _iterations(training_folder).items() if (folder / path.name).is_file()
@@ -141,5 +143,7 @@ def _elsewhere_hint(path: Path) -> str:
 
 
 def _iterations(training_folder: Path) -> dict[int, Path]:
-    matches = ((_ITERATION.fullmatch(child.name), child) for child in training_folder.iterdir())
+    matches = (
+        (_ITERATION_PATTERN.fullmatch(child.name), child) for child in training_folder.iterdir()
+    )
     return {int(match[1]): child for match, child in matches if match and child.is_dir()}

@@ -1,7 +1,7 @@
 """Command-line options and console messages that several plugins share."""
 
 __all__ = [
-    "AppearanceId", "Checkpoint", "CloudFile", "CullOption", "Fps", "FrustumCull", "Iteration", "Loop", "MaxAnchors",
+    "AppearanceId", "Checkpoint", "CloudFile", "CullOption", "Fps", "FrustumCull", "IterationOption", "Loop", "MaxAnchors",
     "note", "report_checkpoint", "warn_unsupported", "with_time_options",
 ]  # fmt: skip
 
@@ -24,7 +24,7 @@ CloudFile = Annotated[
     Path,
     typer.Option("--checkpoint", help="Folder that training wrote, or a PLY.", show_default=False),
 ]
-Iteration = Annotated[
+IterationOption = Annotated[
     int | None, typer.Option(help="Iteration to export.", show_default="the last, as -1", min=-1)
 ]
 AppearanceId = Annotated[
@@ -71,10 +71,10 @@ _Frames = Annotated[
 _TIME_OPTIONS: dict[str, tuple[Any, Any]] = {
     "frames": (_Frames, None), "fps": (Fps, None), "loop": (Loop, False),
 }  # fmt: skip
-_T = TypeVar("_T")
+_OptionType = TypeVar("_OptionType")
 
 
-def with_time_options(build: Callable[..., _T]) -> Callable[..., _T]:
+def with_time_options(build: Callable[..., _OptionType]) -> Callable[..., _OptionType]:
     """Replace a plugin's parameter ``time`` by the options --frames, --fps and --loop.
 
     ``time`` is the declaration of the input for the time, with the values of these options.
@@ -92,7 +92,7 @@ def with_time_options(build: Callable[..., _T]) -> Callable[..., _T]:
     @functools.wraps(build)
     def with_options(
         *values: Any, frames: _Frames = None, fps: Fps = None, loop: Loop = False, **options: Any
-    ) -> _T:
+    ) -> _OptionType:
         from gsgen.sdk import inputs
 
         time = inputs.time(frames=frames, fps=fps, loop=loop or None)

@@ -36,7 +36,7 @@ from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 _NEURAL_BASE = "scaffoldgs"
 _BASE_MODELS = (_NEURAL_BASE, "3dgs", "2dgs")
 _CLASS_HAS_LEVELS = {"GaussianModel": False, "GaussianLoDModel": True}
-_COLORS = ("logit_opacity", "sh")
+_COLOR_COLUMNS = ("logit_opacity", "sh")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +121,8 @@ def _levels(cfg: CfgArgs, ply: Path) -> Levels:
 def _colors(ply: Path) -> ExplicitColors:
     with format_faults(ply):
         groups = splat_groups(splat_degree(ply_properties(ply)))
-        tables = read_ply_columns(ply, {name: list(groups[name]) for name in _COLORS})
-    opacity, sh = (torch.from_numpy(tables[name]) for name in _COLORS)
+        tables = read_ply_columns(ply, {name: list(groups[name]) for name in _COLOR_COLUMNS})
+    opacity, sh = (torch.from_numpy(tables[name]) for name in _COLOR_COLUMNS)
     return ExplicitColors(logit_opacity=opacity, sh=sh.reshape(len(sh), -1, 3))
 
 

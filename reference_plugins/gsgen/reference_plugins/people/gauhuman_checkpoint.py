@@ -26,9 +26,9 @@ JOINTS = {"smpl": 24, "smplx": 55}
 # Number of shape coefficients in training. For SMPL-X these are ten, and ten more that the published
 # code calls expressions, but takes from the same array.
 SHAPE_COUNTS = {"smpl": 10, "smplx": 20}
-_GENDERS = ("neutral", "male", "female")
+_SMPL_GENDERS = ("neutral", "male", "female")
 # Levels from a run up to the training code: output/DATA/NAME.
-_LEVELS = 3
+_LEVEL_COUNT = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +73,11 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
         hint = "The published code reads this kind of body, but its model has no branch for it."
         message = f"smpl_type is {kind!r}, expected {' or '.join(map(repr, JOINTS))}"
         raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
-    gender = cfg.word("actor_gender", "neutral", _GENDERS).upper()
+    gender = cfg.word("actor_gender", "neutral", _SMPL_GENDERS).upper()
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
     # Training reads assets from the folder of its code, and writes runs to output/NAME there.
-    parent_folders = [folder, *folder.absolute().parents[:_LEVELS]]
+    parent_folders = [folder, *folder.absolute().parents[:_LEVEL_COUNT]]
     candidates = {
         f"assets {level}": parent_folder / "assets" / file
         for level, parent_folder in enumerate(parent_folders)

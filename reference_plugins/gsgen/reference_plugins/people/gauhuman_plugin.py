@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from gsgen.reference_plugins.bodies.options import (
     BodyFile,
-    Hands,
+    HandsOption,
     Instances,
     MotionFile,
     RootRotation,
@@ -21,7 +21,7 @@ from gsgen.reference_plugins.loading.cfg_args import read_cfg_args
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
     Fps,
-    Iteration,
+    IterationOption,
     Loop,
     report_checkpoint,
 )
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 def build(
     checkpoint: Checkpoint,
     body: BodyFile = None,
-    iteration: Iteration = None,
+    iteration: IterationOption = None,
     shape: Shape = None,
     root_rotation: RootRotation = "matrix",
-    hands: Hands = "full",
+    hands: HandsOption = "full",
     instances: Instances = 1,
     motion: MotionFile = None,
     fps: Fps = None,

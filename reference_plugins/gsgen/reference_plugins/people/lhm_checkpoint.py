@@ -27,7 +27,7 @@ from gsgen.reference_plugins.loading.folder import likely_folders, required_file
 from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
 JOINTS = 55
-BETAS = 10
+SHAPE_BETA_COUNT = 10
 # Index of the first expression in a full SMPL-X file, and the number of those that LHM uses.
 FIRST_EXPRESSION = 300
 EXPRESSIONS = 100
@@ -176,7 +176,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
         "scaling": (count, 3),
         "rotation": (count, 4),
         "transform_mat_neutral_pose": (JOINTS, 4, 4),
-        "betas": (BETAS,),
+        "betas": (SHAPE_BETA_COUNT,),
     }
     tensors = {}
     for name, shape in expected.items():

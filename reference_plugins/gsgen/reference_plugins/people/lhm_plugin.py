@@ -21,7 +21,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
 
-Flame = Annotated[
+FlameOption = Annotated[
     Path | None,
     typer.Option(
         "--flame", help="FLAME_NEUTRAL.pkl, whose expressions LHM uses.", show_default="none"
@@ -41,7 +41,7 @@ NoExpression = Annotated[
 def build(
     checkpoint: Checkpoint,
     body: BodyFile = None,
-    flame: Flame = None,
+    flame: FlameOption = None,
     flame_ids: FlameIds = None,
     instances: Instances = 1,
     motion: MotionFile = None,

@@ -31,7 +31,7 @@ from gsgen.reference_plugins.bodies.skinning import (
     repeat_rows,
     transform_points,
 )
-from gsgen.reference_plugins.bodies.skinning_weights import LEAST_WEIGHT, inverse
+from gsgen.reference_plugins.bodies.skinning_weights import MIN_SKINNING_WEIGHT, inverse
 from gsgen.reference_plugins.people.appearance import Appearance
 from gsgen.reference_plugins.people.gauhuman import big_pose_transforms
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
@@ -102,7 +102,7 @@ class R3Avatar(GaussianGenerator):
         register = self.register_buffer
         register("position", xyz.t().contiguous()[None])
         register("factor", factor.float())
-        near = body.weights[used] + LEAST_WEIGHT
+        near = body.weights[used] + MIN_SKINNING_WEIGHT
         register("near", torch.from_numpy(near.astype(np.float32)))
         big = big_pose_transforms(body).reshape(body.joints, 12).astype(np.float32)
         ones_column = np.ones((body.joints, 1), np.float32)

@@ -5,7 +5,7 @@ training code has. ``torch.load(weights_only=True)`` replaces these by an inert 
 (Yifever20002/R3Avatars, ``scene/gaussian_model.py``: ``capture``).
 """
 
-__all__ = ["DATASETS", "R3Checkpoint", "guess_dataset", "read_r3"]
+__all__ = ["FRAMES_BY_DATASET", "R3Checkpoint", "guess_dataset", "read_r3"]
 
 import re
 from collections.abc import Iterator, Mapping
@@ -33,10 +33,10 @@ from gsgen.reference_plugins.loading.states import (
 )
 from gsgen.reference_plugins.loading.tensor_files import InertObject, load_tensors
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_body_of
-from gsgen.reference_plugins.tensors.hexplane import PLANES
+from gsgen.reference_plugins.tensors.hexplane import PLANE_COUNT
 
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
-DATASETS = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
+FRAMES_BY_DATASET = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
 # Part of the path by which training selects the reader, in its order (its scene/__init__.py).
 _DATASET_NAMES = {
     "zju_mocap": "zju",
@@ -49,7 +49,7 @@ _BODY_MODEL_OF_DATASET = {"dna": "smplx", "zju": "smpl", "hifi4g": "smpl", "mvhu
 
 _FILE_PATTERN = re.compile(r"chkpnt(\d+)\.pth")
 _FIELD_COUNT = 19
-_HEADS = {"warp": 3, "opacity": 1, "rotation": 4, "scaling": 3}
+_CHANNELS_BY_HEAD = {"warp": 3, "opacity": 1, "rotation": 4, "scaling": 3}
 _TRAINING_CLASSES = (
     "nets.gaussian_decoder.GaussianDecoder",
     "nets.mlp_delta_body_pose.BodyPoseRefiner",
@@ -118,7 +118,7 @@ def read_r3(
     path = _checkpoint_file(folder, iteration)
     folder = path.parent
     cfg = read_cfg_args(folder)
-    origin = DATASETS[dataset or guess_dataset(cfg)]
+    origin = FRAMES_BY_DATASET[dataset or guess_dataset(cfg)]
     model = read_body_of(folder, cfg, body)
     fields = _fields(path)
     nets = read_pose_nets(path, _state(path, fields[12]), _state(path, fields[13]), model.joints)
@@ -177,7 +177,7 @@ def guess_dataset(cfg: CfgArgs) -> str:
             return dataset
     for text in (source, name):
         mentioned_datasets = [
-            dataset_name for dataset_name in DATASETS if dataset_name in text.lower()
+            dataset_name for dataset_name in FRAMES_BY_DATASET if dataset_name in text.lower()
         ]
         matching_datasets = [
             dataset_name
@@ -186,7 +186,7 @@ def guess_dataset(cfg: CfgArgs) -> str:
         ]
         if len(mentioned_datasets) == 1 or len(matching_datasets) == 1:
             return (mentioned_datasets if len(mentioned_datasets) == 1 else matching_datasets)[0]
-    known = ", ".join(DATASETS)
+    known = ", ".join(FRAMES_BY_DATASET)
     message = f"source_path is {source!r}, which names no known data set"
     hint = f"Give the data set of training: --dataset, one of {known}."
     raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
@@ -241,11 +241,11 @@ def _grids(path: Path, state: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...],
     sizes: dict[str, Shape] = {
         f"{scale}.{plane}": (1, None, None, None)
         for scale in range(len(scales))
-        for plane in range(PLANES)
+        for plane in range(PLANE_COUNT)
     }
     read = require_tensors(path, state, sizes)
     return tuple(
-        tuple(read[f"{scale}.{plane}"][0] for plane in range(PLANES))
+        tuple(read[f"{scale}.{plane}"][0] for plane in range(PLANE_COUNT))
         for scale in range(len(scales))
     )
 
@@ -259,8 +259,8 @@ def _decoder(
     expected: dict[str, Shape] = {}
     for index in range(count):
         expected |= linear_shapes(f"linear.{index}", width if index else features, width)
-    for head, outputs in _HEADS.items():
+    for head, outputs in _CHANNELS_BY_HEAD.items():
         expected |= linear_shapes(f"gaussian_{head}", width, outputs)
     read = require_tensors(path, state, expected)
     inner = tuple(layer_of(read, f"linear.{index}") for index in range(count))
-    return inner, {head: layer_of(read, f"gaussian_{head}") for head in _HEADS}
+    return inner, {head: layer_of(read, f"gaussian_{head}") for head in _CHANNELS_BY_HEAD}

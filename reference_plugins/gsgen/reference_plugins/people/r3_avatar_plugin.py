@@ -11,7 +11,7 @@ import typer
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.bodies.options import (
     BodyFile,
-    Hands,
+    HandsOption,
     Instances,
     MotionFile,
     RootRotation,
@@ -24,7 +24,7 @@ from gsgen.reference_plugins.bodies.options import (
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
     Fps,
-    Iteration,
+    IterationOption,
     Loop,
     note,
     report_checkpoint,
@@ -35,7 +35,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
 
-_MOST_POSES = 100_000
+_MAX_POSES = 100_000
 
 Dataset = Annotated[
     Literal["dna", "zju", "hifi4g", "mvhuman"] | None,
@@ -64,12 +64,12 @@ NovelPoses = Annotated[
 def build(
     checkpoint: Checkpoint,
     body: BodyFile = None,
-    iteration: Iteration = None,
+    iteration: IterationOption = None,
     dataset: Dataset = None,
     pose_ids: PoseIds = None,
     shape: Shape = None,
     root_rotation: RootRotation = "matrix",
-    hands: Hands = "full",
+    hands: HandsOption = "full",
     instances: Instances = 1,
     motion: MotionFile = None,
     fps: Fps = None,
@@ -133,8 +133,8 @@ def parse_pose_ids(text: str) -> list[int]:
                 f"{word!r} is no number or range of poses", where="--pose-ids", hint=hint
             )
         listed_ids = range(int(first), int(last or first) + 1)
-        if not listed_ids or listed_ids.stop > _MOST_POSES:
-            message = f"{word!r} is not an ascending range of pose ids below {_MOST_POSES:,}"
+        if not listed_ids or listed_ids.stop > _MAX_POSES:
+            message = f"{word!r} is not an ascending range of pose ids below {_MAX_POSES:,}"
             raise ConfigInvalid(message, where="--pose-ids")
         ids += listed_ids
     return ids

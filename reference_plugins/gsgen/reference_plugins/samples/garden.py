@@ -23,11 +23,13 @@ from gsgen.reference_plugins.samples.surfaces import (
 SUN_DIRECTION = np.array([0.55, 0.75, 0.36])  # towards the sun
 _SUN_COLOR, _SKY_COLOR = np.array([1.45, 1.3, 1.02]), np.array([0.36, 0.45, 0.58])
 _GROUND_COLOR = np.array([0.16, 0.17, 0.1])
-_PAVING, _LAWN = 1.9, 5.2  # radii in metres
+_PAVING_RADIUS, _LAWN_RADIUS = 1.9, 5.2  # radii in metres
 _TABLE_HEIGHT, _TABLE_RADIUS = 0.78, 0.8
 _HEDGE_RADIUS = 4.7  # radius of the ring in metres
 _TREE_POSITIONS = ((-2.6, -3.1, 1.0), (2.5, -3.3, 0.85), (-3.9, 0.9, 0.8))  # x, z, size
-_PETALS = np.array([[0.95, 0.55, 0.08], [0.9, 0.18, 0.2], [0.93, 0.75, 0.85], [0.55, 0.3, 0.8]])
+_PETAL_COLORS = np.array(
+    [[0.95, 0.55, 0.08], [0.9, 0.18, 0.2], [0.93, 0.75, 0.85], [0.55, 0.3, 0.8]]
+)
 _OPACITY = 3.5  # logit
 
 
@@ -85,7 +87,7 @@ def _is_in_shadow(position: Points, sun: Float[np.ndarray, "3"]) -> Bool[np.ndar
 
 
 def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
-    paving = on_disc(int(11_000 * unit), _PAVING, np.zeros(3))
+    paving = on_disc(int(11_000 * unit), _PAVING_RADIUS, np.zeros(3))
     x, _, z = paving.position.T
     ring_row, angle = np.hypot(x, z) / 0.32, np.arctan2(z, x)
     row = np.floor(ring_row)
@@ -109,9 +111,11 @@ def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
         color=color,
         gloss=paving.gloss,
     )
-    soil_cloud = on_disc(int(7000 * unit), _LAWN, np.array([0.09, 0.15, 0.04]), hole=_PAVING)
+    soil_cloud = on_disc(
+        int(7000 * unit), _LAWN_RADIUS, np.array([0.09, 0.15, 0.04]), hole=_PAVING_RADIUS
+    )
     count = int(15_000 * unit)
-    distance = np.sqrt(rng.uniform(_PAVING**2, _LAWN**2, count))
+    distance = np.sqrt(rng.uniform(_PAVING_RADIUS**2, _LAWN_RADIUS**2, count))
     turn = rng.uniform(0, 2 * np.pi, count)
     roots = np.stack([distance * np.cos(turn), np.zeros(count), distance * np.sin(turn)], axis=1)
     patch = 0.5 + 0.5 * np.sin(2.1 * roots[:, 0]) * np.sin(1.7 * roots[:, 2] + 1)
@@ -210,7 +214,7 @@ def _flowers(
             spoke_direction - np.sum(spoke_direction * normal, axis=1, keepdims=True) * normal
         )
         spoke_tangent /= np.linalg.norm(spoke_tangent, axis=1, keepdims=True)
-        hue = _PETALS[number % len(_PETALS)] * rng.uniform(0.8, 1.1)
+        hue = _PETAL_COLORS[number % len(_PETAL_COLORS)] * rng.uniform(0.8, 1.1)
         petals = Cloud(
             position=outward_direction * radii + 0.55 * size * spoke_direction,
             normal=normal,

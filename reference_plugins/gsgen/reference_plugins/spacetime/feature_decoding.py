@@ -19,8 +19,8 @@ from gsgen.reference_plugins.spacetime.moving_splats import MovingSplats
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import FeatureDecoder, SpacetimeSplats
 from gsgen.sdk import Gaussians, PostProcess, inputs
 
-_PASSES = 3  # albedo, specular features, features that grow with dt
-_FEATURES = 9
+_FEATURE_GROUPS = 3  # albedo, specular features, features that grow with dt
+_FEATURE_COUNT = 9
 _CONDITIONING_SIZE = 9  # of a pixel: the features of passes 1 and 2, and the direction of the ray
 _MAX_COORDINATE = 1e4  # bound of the camera's coordinates, in the scene's unit
 
@@ -61,16 +61,18 @@ class FeaturePasses(MovingSplats):
 
     def __init__(self, splats: SpacetimeSplats, time: Input | None = None) -> None:
         super().__init__(splats)
-        select = inputs.control("features", range=(0, _PASSES - 1), default=0.0, label="Features")
+        select = inputs.control(
+            "features", range=(0, _FEATURE_GROUPS - 1), default=0.0, label="Features"
+        )
         self.inputs = (time or inputs.time(), select)
         scale = FeatureScale.of(splats)
-        self.register_buffer("low", scale.low.reshape(_PASSES, 1, 3))
-        self.register_buffer("gain", (1 / scale.width).reshape(_PASSES, 1, 3))
+        self.register_buffer("low", scale.low.reshape(_FEATURE_GROUPS, 1, 3))
+        self.register_buffer("gain", (1 / scale.width).reshape(_FEATURE_GROUPS, 1, 3))
 
     def forward(self, time: Float[Tensor, "1"], features: Float[Tensor, "1"]) -> Gaussians:
         """Return the Gaussians at a time, coloured by the three features that an input selects."""
         time_offset, position, opacity, covariance = self.moved(time)
-        groups = [self.features[:, i : i + 3] for i in range(0, _FEATURES, 3)]
+        groups = [self.features[:, i : i + 3] for i in range(0, _FEATURE_COUNT, 3)]
         groups[-1] = time_offset * groups[-1]
         rgb = torch.zeros_like(position)
         for index, group in enumerate(groups):
@@ -108,8 +110,8 @@ class PixelDecoder(PostProcess):
         pixels = inputs.conditioning(size[0] * size[1], _CONDITIONING_SIZE)
         self.inputs = (inputs.image(4, size), pixels, origin)
         self.activation = decoder.activation
-        self.register_buffer("low", scale.low.reshape(1, _FEATURES, 1))
-        self.register_buffer("width", scale.width.reshape(1, _FEATURES, 1))
+        self.register_buffer("low", scale.low.reshape(1, _FEATURE_COUNT, 1))
+        self.register_buffer("width", scale.width.reshape(1, _FEATURE_COUNT, 1))
         # Columns: specular features, those that change with time, camera, ray.
         camera, ray = decoder.hidden[:, 6:9], decoder.hidden[:, 9:]
         self.register_buffer("hidden", torch.cat([decoder.hidden[:, :6], ray], dim=1))

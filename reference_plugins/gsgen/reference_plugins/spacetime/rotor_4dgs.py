@@ -23,7 +23,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import camera_centre, covariance_upper, safe_normalize, upper_triangle
 
 # Gaussians of a smaller factor of time are not drawn (its rasteriser's condition).
-_LEAST_FACTOR = 0.05
+_MIN_TIME_WEIGHT = 0.05
 # 1 / variance is at most this, so that its product with a squared time is finite in float32.
 _MAX_RATE = 1e30
 
@@ -138,7 +138,7 @@ class Rotor4DGS(GaussianGenerator):
             "opacity": torch.sigmoid(splats.logit_opacity),
             "centre": slices.centre,
             "half_rate": (0.5 / variance).clamp(max=_MAX_RATE),
-            "reach": torch.sqrt(-2 * math.log(_LEAST_FACTOR) * variance),
+            "reach": torch.sqrt(-2 * math.log(_MIN_TIME_WEIGHT) * variance),
             "sh": splats.sh,
             "changing_sh": splats.changing_sh,
         }

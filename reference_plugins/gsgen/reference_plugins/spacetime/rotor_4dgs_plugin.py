@@ -10,7 +10,7 @@ import typer
 from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Iteration,
+    IterationOption,
     note,
     report_checkpoint,
     with_time_options,
@@ -43,7 +43,7 @@ _Color = Annotated[
         "method does, towards the stored centre (adds the input view)."
     ),
 ]
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Yang et al. 2024",
     arxiv="2310.10642",
     code="https://github.com/fudan-zvg/4d-gaussian-splatting",
@@ -56,7 +56,7 @@ def build(
     checkpoint: Checkpoint,
     config: _Config = None,
     time_duration: _TimeDuration = None,
-    iteration: Iteration = None,
+    iteration: IterationOption = None,
     *,
     time: Input,
     color: _Color = "sh",
@@ -73,7 +73,7 @@ def build(
         note("warning: the learnt background (env_map) is not of Gaussians, and is left out")
     prefilter = read.run.cfg.number("prefilter_var", -1.0)
     generator = Rotor4DGS(read.splats, duration, time, prefilter=prefilter, color=color)
-    generator.producer = producer_of(_PUBLICATION.code, read.run, [read.path])
+    generator.producer = producer_of(_PAPER.code, read.run, [read.path])
     return generator
 
 
@@ -119,7 +119,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/chkpntN.pth and DIR/cfg_args, and the YAML of the training that --config "
     "names, for the times of the first and last frame.",
     inputs=("time", "view"),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

@@ -26,7 +26,7 @@ from gsgen.reference_plugins.loading.training_run import TrainingRun
 _FILE_PATTERN = re.compile(r"chkpnt(\d+)\.pth")
 _BEST_FILE = "chkpnt_best.pth"
 # The values of capture() that are read: name → index and columns; all of N rows.
-_FIELDS = {
+_CHECKPOINT_FIELDS = {
     "position": (1, 3), "log_scale": (4, 3), "rotation": (5, 4), "logit_opacity": (6, 1),
     "temporal_centre": (13, 1), "log_temporal_scale": (14, 1), "right_rotation": (15, 4),
 }  # fmt: skip
@@ -39,7 +39,7 @@ _HAS_CHANGING_COLOR = {16: False, 33: False, 48: True}
 
 _NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # The top-level key of a YAML file, with its two numbers in one line or in one line each.
-_DURATION = re.compile(
+_DURATION_PATTERN = re.compile(
     rf"^time_duration:\s*(?:\[\s*({_NUMBER_PATTERN})\s*,\s*({_NUMBER_PATTERN})\s*\]|"
     rf"\n\s*-\s*({_NUMBER_PATTERN})\s*\n\s*-\s*({_NUMBER_PATTERN}))\s*(?:#.*)?$",
     re.MULTILINE,
@@ -95,7 +95,7 @@ def read_time_duration(path: Path, frame_ratio: int = 1) -> tuple[float, float]:
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
-    match = _DURATION.search(text)
+    match = _DURATION_PATTERN.search(text)
     if match is None:
         message = "has no time_duration of two numbers"
         hint = "Give the YAML that the training was started with, or --time-duration 0 1."
@@ -167,10 +167,12 @@ def _describe(content: Any) -> str:
 
 
 def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
-    position = values[_FIELDS["position"][0]]
+    position = values[_CHECKPOINT_FIELDS["position"][0]]
     count = position.shape[0] if isinstance(position, Tensor) and position.ndim else None
-    expected: dict[str, Shape] = {name: (count, columns) for name, (_, columns) in _FIELDS.items()}
-    state = {name: values[index] for name, (index, _) in _FIELDS.items()}
+    expected: dict[str, Shape] = {
+        name: (count, columns) for name, (_, columns) in _CHECKPOINT_FIELDS.items()
+    }
+    state = {name: values[index] for name, (index, _) in _CHECKPOINT_FIELDS.items()}
     state |= {"f_dc": values[_DC_FIELD], "f_rest": values[_REST_FIELD]}
     expected |= {"f_dc": (count, 1, 3), "f_rest": (count, None, 3)}
     tensors = require_tensors(path, state, expected)

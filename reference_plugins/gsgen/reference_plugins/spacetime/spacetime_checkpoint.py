@@ -30,8 +30,11 @@ _ACTIVATIONS: dict[str, Activation] = {
     "sandwichnoact": "clamp",
     "sandwichnoactss": "clamp",
 }
-_HIDDEN = 6
-_LAYER_SHAPES = {"mlp1.weight": (_HIDDEN, 12, 1, 1), "mlp2.weight": (3, _HIDDEN, 1, 1)}
+_HIDDEN_CHANNELS = 6
+_LAYER_SHAPES = {
+    "mlp1.weight": (_HIDDEN_CHANNELS, 12, 1, 1),
+    "mlp2.weight": (3, _HIDDEN_CHANNELS, 1, 1),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.sdk import Gaussians, inputs
 from gsgen.sdk.math import camera_centre, safe_normalize
 
-_FEATURES = 3
+_FEATURE_COUNT = 3
 
 
 def color_range(colors: Float[Tensor, "n 3"]) -> tuple[float, float] | None:
@@ -74,11 +74,11 @@ class SpacetimeGaussians(MovingSplats):
         assert self.out is not None
         origin = camera_centre(camera)[None]
         direction = safe_normalize(position - origin)
-        albedo = self.features[:, :_FEATURES]
-        specular = self.features[:, _FEATURES : 2 * _FEATURES]
-        changing_features = time_offset * self.features[:, 2 * _FEATURES :]
+        albedo = self.features[:, :_FEATURE_COUNT]
+        specular = self.features[:, _FEATURE_COUNT : 2 * _FEATURE_COUNT]
+        changing_features = time_offset * self.features[:, 2 * _FEATURE_COUNT :]
         # Each part of the input has its own product, which saves copying them into a wide tensor.
-        weights = torch.split(self.hidden.weight, _FEATURES)
+        weights = torch.split(self.hidden.weight, _FEATURE_COUNT)
         hidden = specular @ weights[0] + changing_features @ weights[1] + direction @ weights[3]
         color: Tensor = albedo + self.out(torch.relu(hidden + origin @ weights[2]))
         return torch.sigmoid(color) if self.activation == "sigmoid" else color.clamp(0.0, 1.0)

@@ -12,7 +12,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     CloudFile,
-    Iteration,
+    IterationOption,
     note,
     report_checkpoint,
     with_time_options,
@@ -32,10 +32,10 @@ _Decode = Annotated[
         show_default="none, for the lite model",
     ),
 ]
-_Size = Annotated[
+_SizeOption = Annotated[
     str, typer.Option(help="Image size of --decode decoder, as HEIGHTxWIDTH: 360x640.")
 ]
-_PUBLICATION = Publication(
+_PAPER = Publication(
     paper="Li et al. 2024",
     arxiv="2312.16812",
     code="https://github.com/oppo-us-research/SpacetimeGaussians",
@@ -46,11 +46,11 @@ _PUBLICATION = Publication(
 @with_time_options
 def build(
     checkpoint: CloudFile,
-    iteration: Iteration = None,
+    iteration: IterationOption = None,
     *,
     time: Input,
     decode: _Decode = None,
-    size: _Size = "360x640",
+    size: _SizeOption = "360x640",
 ) -> "GaussianGenerator | PostProcess":
     """Read a checkpoint of SpacetimeGaussians, report its contents, and return its model."""
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -61,7 +61,7 @@ def build(
     duration = read.run.cfg.integer("duration", 0)
     time = replace(time, frames=time.frames or duration or None)
     model = _model(read, time, decode, size)
-    model.producer = producer_of(_PUBLICATION.code, read.run, read.files)
+    model.producer = producer_of(_PAPER.code, read.run, read.files)
     return model
 
 
@@ -132,7 +132,7 @@ PLUGIN = Plugin(
     reads="Reads a PLY with motion, or DIR/cfg_args and DIR/point_cloud/iteration_N: "
     "point_cloud.ply, and point_cloud.pt of the full model.",
     inputs=("time", "view", "control"),
-    publication=_PUBLICATION,
+    publication=_PAPER,
     recognises=lambda run, iteration: "trbf_center" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

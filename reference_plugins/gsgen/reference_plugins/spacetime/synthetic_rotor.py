@@ -16,7 +16,7 @@ from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.reference_plugins.writing.run_files import write_cfg_args
 from gsgen.sdk.math import quaternion_multiply
 
-_ITERATION = 30_000
+_ITERATION_NUMBER = 30_000
 
 
 def write_rotor(
@@ -69,7 +69,7 @@ def write_rotor(
         coefficients // 16 - 1,
     )
     write_cfg_args(folder, {"sh_degree": 3, "frame_ratio": 1, "prefilter_var": -1.0})
-    torch.save((values, _ITERATION), folder / f"chkpnt{_ITERATION}.pth")
+    torch.save((values, _ITERATION_NUMBER), folder / f"chkpnt{_ITERATION_NUMBER}.pth")
     text = f"gaussian_dim: 4\ntime_duration: [{duration[0]}, {duration[1]}]\nrot_4d: {rot_4d}\n"
     (folder / "config.yaml").write_text(text, "utf-8")
     return folder

@@ -15,7 +15,7 @@ from gsgen.formats.shared.quantities import SH_C0
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
-_ITERATION = 25_000
+_ITERATION_NUMBER = 25_000
 
 
 def write_spacetime(
@@ -48,7 +48,7 @@ def write_spacetime(
     variant = "ours_full" if full else "ours_lite"
     function = "sandwich" if full else "rgbv1"
     write_cfg_args(folder, {"model": variant, "rgbfunction": function, "duration": 50})
-    cloud = folder / f"point_cloud/iteration_{_ITERATION}/point_cloud.ply"
+    cloud = folder / f"point_cloud/iteration_{_ITERATION_NUMBER}/point_cloud.ply"
     write_columns(cloud, columns)
     if full:
         noise = torch.Generator().manual_seed(seed)

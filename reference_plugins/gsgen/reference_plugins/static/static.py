@@ -17,7 +17,12 @@ from jaxtyping import Float
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, MAX_DEGREE, basis, coefficients
+from gsgen.contract.spec.spherical_harmonics import (
+    MAX_DEGREE,
+    SH_COEFFICIENT_COUNTS,
+    basis,
+    coefficients,
+)
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.sdk.exporting.constant_generator import ConstantRows, ConstantSource
 from gsgen.sdk.exporting.pipeline import Dtype
@@ -27,7 +32,7 @@ INITIAL_OPACITY = 0.1
 
 # The published initialisation clamps squared distances here, so that duplicates have a size.
 _SMALLEST_SQUARE = 1e-7
-_NEIGHBOURS = 3
+_NEIGHBOUR_COUNT = 3
 _UP_DIRECTION = np.array([[0.0, -1.0, 0.0]])
 
 
@@ -163,7 +168,7 @@ def _from_rows(
 ) -> ConstantRows:
     rows, color = packed.gaussians, packed.appearance
     channels = color.shape[1]
-    sh_channels = [3 * count for count in COEFFICIENTS]
+    sh_channels = [3 * count for count in SH_COEFFICIENT_COUNTS]
     space = appearance or ("rgb" if channels in (3, 4) else "sh")
     if channels not in (sh_channels if space == "sh" else (3, 4)):
         expected = f"{sh_channels} for SH or 3 or 4 for RGB"
@@ -188,7 +193,7 @@ def neighbour_scale(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]
         hint = "pip install 'gsgen[sdk]'"
         raise GsgenError(message, hint=hint) from error
     positions = np.asarray(points, np.float64)
-    k = min(_NEIGHBOURS, len(positions) - 1)
+    k = min(_NEIGHBOUR_COUNT, len(positions) - 1)
     if k < 1:
         return np.full(len(positions), np.sqrt(_SMALLEST_SQUARE))
     distances, _ = KDTree(positions).query(positions, k=k + 1, workers=-1)

@@ -6,14 +6,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsgen.reference_plugins.loading.method_detection import point_columns
-from gsgen.reference_plugins.loading.options import CloudFile, Iteration, note, report_checkpoint
+from gsgen.reference_plugins.loading.options import (
+    CloudFile,
+    IterationOption,
+    note,
+    report_checkpoint,
+)
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.static.static import StaticScene
 
 
-def build(checkpoint: CloudFile, iteration: Iteration = None) -> "StaticScene":
+def build(checkpoint: CloudFile, iteration: IterationOption = None) -> "StaticScene":
     """Read a checkpoint of 2DGS, report its contents, and return its scene."""
     from gsgen.reference_plugins.static.static import StaticScene
     from gsgen.reference_plugins.static.surfels import read_surfels

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Float64
 
 from gsgen.contract.spec.spherical_harmonics import basis, coefficients
 
-_CHUNK = 1 << 14  # Gaussians at a time: normal equations of degree 3 take 2.5 KB each
+_CHUNK_ROWS = 1 << 14  # Gaussians at a time: normal equations of degree 3 take 2.5 KB each
 _RIDGE_FACTOR = (
     1e-6  # of the mean diagonal, on degrees above 0: regularises rows that few cameras see
 )
@@ -42,8 +42,8 @@ def fit_sh(
     """
     count = coefficients(degree)
     sh = np.empty((len(positions), count, 3), np.float32)
-    for start in range(0, len(positions), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(positions), _CHUNK_ROWS):
+        part = slice(start, start + _CHUNK_ROWS)
         harmonics = basis(_directions(positions[part], eye_positions), degree)  # [v, n, k]
         weighted = np.swapaxes(harmonics * np.square(weights[:, part, None]), 0, 1)
         centered_colors = np.swapaxes(np.asarray(colors[:, part], np.float64), 0, 1) - 0.5
@@ -69,8 +69,8 @@ def color_errors(
     """
     degree = int(np.sqrt(sh.shape[1])) - 1
     squared_error = total = 0.0
-    for start in range(0, len(positions), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(positions), _CHUNK_ROWS):
+        part = slice(start, start + _CHUNK_ROWS)
         harmonics = basis(_directions(positions[part], eye_positions), degree)
         fitted_colors = np.maximum(0.5 + np.einsum("vnk,nkc->vnc", harmonics, sh[part]), 0)
         weight = np.square(np.asarray(weights[:, part], np.float64))

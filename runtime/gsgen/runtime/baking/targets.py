@@ -11,7 +11,7 @@ from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.formats import CODECS, Codec, codec_named, codec_of_suffix
 
-_NUMBER: Final = re.compile(r"%(0\d)?d")
+_NUMBER_PATTERN: Final = re.compile(r"%(0\d)?d")
 
 
 @final
@@ -32,7 +32,7 @@ class OutputFiles:
             format: Name of a format; None for that of the suffix.
         """
         codec = writable_codec(pattern, format, where=f"-o {pattern}")
-        numbers = len(_NUMBER.findall(str(pattern)))
+        numbers = len(_NUMBER_PATTERN.findall(str(pattern)))
         example_path = pattern.with_name(f"{pattern.name.split('.')[0]}_%04d{codec.suffixes[0]}")
         if numbers > 1:
             raise ConfigInvalid(
@@ -51,7 +51,9 @@ class OutputFiles:
 
     def path(self, number: int) -> Path:
         """Return the output path of frame ``number``, from 0."""
-        return Path(_NUMBER.sub(lambda match: _frame_digits(match, number), str(self.pattern)))
+        return Path(
+            _NUMBER_PATTERN.sub(lambda match: _frame_digits(match, number), str(self.pattern))
+        )
 
 
 def _frame_digits(match: re.Match[str], number: int) -> str:

@@ -16,7 +16,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.source import GeneratorSource
 
 _IMAGE_SIZE: Final = 256  # pixels: cameras are square, so that no direction is preferred
-_FOV: Final = 50.0
+_FOV_DEGREES: Final = 50.0
 _MAX_UNION_RATIO: Final = 8  # rows of a union this many times larger than a frame do not match
 
 
@@ -56,7 +56,7 @@ def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) 
     They are on a Fibonacci lattice, which ``offset`` shifts to other directions.
     """
     center, scene_radius = source.extent()
-    radius = scene_radius / np.sin(np.radians(_FOV) / 2)
+    radius = scene_radius / np.sin(np.radians(_FOV_DEGREES) / 2)
     number = np.arange(count)
     height = 1 - 2 * (number + 0.5) / count
     azimuth = np.pi * (3 - np.sqrt(5)) * (number + offset)
@@ -69,7 +69,7 @@ def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) 
             up=source.up,
             width=_IMAGE_SIZE,
             height=_IMAGE_SIZE,
-            fov_y=_FOV,
+            fov_y=_FOV_DEGREES,
             near=min(0.01, radius / 100),
         )
         for direction in lattice

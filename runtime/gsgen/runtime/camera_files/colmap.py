@@ -4,7 +4,7 @@ An image has the pose world → camera, as a quaternion (w, x, y, z) and a trans
 ``Camera``: +x right, +y down, +z forward (COLMAP's documentation, "Output Format").
 """
 
-__all__ = ["FOLDERS", "model_folder", "read_colmap"]
+__all__ = ["COLMAP_FOLDERS", "model_folder", "read_colmap"]
 
 import math
 from pathlib import Path
@@ -20,13 +20,13 @@ from gsgen.runtime.camera_files.fields import camera_at
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.scene.camera import Camera
 
-FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
+COLMAP_FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
 """Folders of a data set that may hold a COLMAP model."""
 
 
 def model_folder(folder: Path) -> Path | None:
     """Find the folder with the COLMAP model of a data set; None if there is none."""
-    for part in FOLDERS:
+    for part in COLMAP_FOLDERS:
         for suffix in ("bin", "txt"):
             names = (f"cameras.{suffix}", f"images.{suffix}")
             if all((folder / part / name).is_file() for name in names):

@@ -13,7 +13,12 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.colmap_models import MODEL_NAMES, MODELS, ColmapImage, ColmapLens
+from gsgen.runtime.camera_files.colmap_models import (
+    CAMERA_MODELS,
+    MODEL_NAMES,
+    ColmapImage,
+    ColmapLens,
+)
 
 _LENS_STRUCT: Final = struct.Struct("<iiQQ")  # number, model, width, height
 _IMAGE_STRUCT: Final = struct.Struct("<i7di")  # number, quaternion, translation, camera
@@ -34,7 +39,7 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
                     f"camera {index} has the model {model}, expected 0 to {len(MODEL_NAMES) - 1}",
                     where=str(path),
                 )
-            expected = len(MODELS[MODEL_NAMES[model]].split())
+            expected = len(CAMERA_MODELS[MODEL_NAMES[model]].split())
             values = data.read_record(struct.Struct(f"<{expected}d"))
             lens_by_number[number] = ColmapLens(MODEL_NAMES[model], width, height, values)
         return lens_by_number

@@ -1,13 +1,13 @@
 """COLMAP's camera models with their parameters, and the records of COLMAP's files."""
 
-__all__ = ["MODELS", "MODEL_NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
+__all__ = ["CAMERA_MODELS", "MODEL_NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
 
 from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.contract.errors import ConfigInvalid
 
-MODELS: Final = {
+CAMERA_MODELS: Final = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
     "SIMPLE_RADIAL": "f cx cy k",
@@ -22,7 +22,7 @@ MODELS: Final = {
 }
 """Parameter names of each camera model; the index of a model is its number in binary files."""
 
-MODEL_NAMES: Final = tuple(MODELS)
+MODEL_NAMES: Final = tuple(CAMERA_MODELS)
 PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
 
 
@@ -55,16 +55,16 @@ def parameters(
     model: str, values: tuple[float, ...], where: str
 ) -> tuple[float, float, float, float, tuple[float, ...]]:
     """Return fx, fy, cx, cy and the distortion coefficients of a COLMAP camera model."""
-    if model not in MODELS or "FISHEYE" in model or model == "FOV":
+    if model not in CAMERA_MODELS or "FISHEYE" in model or model == "FOV":
         raise ConfigInvalid(
             f"the camera model is {model}, expected one that a pinhole approximates",
             where=where,
             hint="COLMAP's image_undistorter converts images to pinhole cameras.",
         )
-    names = MODELS[model].split()
+    names = CAMERA_MODELS[model].split()
     if len(values) != len(names):
         raise ConfigInvalid(
-            f"{model} has {len(values)} parameters, expected {len(names)}: {MODELS[model]}",
+            f"{model} has {len(values)} parameters, expected {len(names)}: {CAMERA_MODELS[model]}",
             where=where,
         )
     by_name = dict(zip(names, values, strict=True))

@@ -16,7 +16,7 @@ from gsgen.runtime.camera_files.camera_lists import (
     read_gsgen_cameras,
     read_training_cameras,
 )
-from gsgen.runtime.camera_files.colmap import FOLDERS, model_folder, read_colmap
+from gsgen.runtime.camera_files.colmap import COLMAP_FOLDERS, model_folder, read_colmap
 from gsgen.runtime.camera_files.file import CameraFile
 from gsgen.runtime.camera_files.other_programs import unreadable_camera_file
 from gsgen.runtime.camera_files.photogrammetry_json import (
@@ -33,7 +33,7 @@ from gsgen.runtime.camera_files.photogrammetry_text import (
 )
 from gsgen.runtime.camera_files.transforms_json import is_transforms, read_transforms
 
-_LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras take a tenth of them
+_MAX_JSON_BYTES: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras take a tenth of them
 _KNOWN_FORMATS: Final = (
     "Supported: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
     "nerfstudio, cameras.json of 3D Gaussian Splatting, reconstruction.json of OpenSfM, "
@@ -75,9 +75,10 @@ def open_cameras(path: str | os.PathLike[str], size: tuple[int, int] | None = No
             start = file.read(_START_BYTES)
             is_text = _may_be_json(start) or is_bundler(start) or start.lstrip()[:1] == b"<"
             file_size = location.stat().st_size
-            if is_text and file_size > _LARGEST:
+            if is_text and file_size > _MAX_JSON_BYTES:
                 raise ConfigInvalid(
-                    f"has {file_size:,} bytes, expected at most {_LARGEST:,}", where=str(location)
+                    f"has {file_size:,} bytes, expected at most {_MAX_JSON_BYTES:,}",
+                    where=str(location),
                 )
             content = start + file.read() if is_text else start
     except (OSError, ValueError) as error:
@@ -121,7 +122,7 @@ def _open_folder(folder: Path, size: tuple[int, int] | None) -> CameraFile:
         "is a folder without cameras",
         where=str(folder),
         hint=f"Expected {', '.join(_FOLDER_FILES)}, or cameras and images of COLMAP as .bin or .txt, "
-        f"there or in {', '.join(FOLDERS[1:])}.",
+        f"there or in {', '.join(COLMAP_FOLDERS[1:])}.",
     )
 
 

@@ -43,8 +43,8 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.source import axis_direction
 
 _WIDTH: Final = 640
-_HEIGHT: Final = 360
-_FRAMES: Final = 5
+_PICTURE_HEIGHT: Final = 360
+_FRAME_COUNT: Final = 5
 _AGREEMENT_RULE: Final = "GB020"
 _REFERENCES: Final = "GB021"
 _FOV_Y: Final = 50.0
@@ -143,7 +143,7 @@ def _render_probes(
     assert manifest is not None  # the rules apply to generators only
     # All inputs zero would be an invalid camera.
     candidates = [n for n in range(probe_runs.plan.values) if not probe_runs.plan.probes[n].zeros]
-    for number in evenly_spaced(candidates, min(len(candidates), _FRAMES)):
+    for number in evenly_spaced(candidates, min(len(candidates), _FRAME_COUNT)):
         probe = probe_runs.plan.probes[number]
         scene, camera = _probe_scene(probe_runs, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
@@ -268,9 +268,14 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
             elevation=20,
             up=up,
             width=_WIDTH,
-            height=_HEIGHT,
+            height=_PICTURE_HEIGHT,
             fov_y=_FOV_Y,
         )
     return Camera.look_at(
-        eye.reshape(-1).tolist(), center.tolist(), up=up, width=_WIDTH, height=_HEIGHT, fov_y=_FOV_Y
+        eye.reshape(-1).tolist(),
+        center.tolist(),
+        up=up,
+        width=_WIDTH,
+        height=_PICTURE_HEIGHT,
+        fov_y=_FOV_Y,
     )

@@ -11,7 +11,7 @@ from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 
-_WIDTH, _HEIGHT, _FOV = 480, 320, 50.0
+_WIDTH, _PICTURE_HEIGHT, _FOV_DEGREES = 480, 320, 50.0
 _BACKGROUND = (0.1, 0.11, 0.13, 1.0)
 
 
@@ -37,16 +37,16 @@ def draw_preview(value: object) -> bytes | None:
     boxes = [source.extent() for source in sources_of(scene)]
     center = np.mean([middle for middle, _ in boxes], axis=0)
     reach = max(np.linalg.norm(middle - center) + radius for middle, radius in boxes)
-    radius = float(FRAMING_MARGIN * reach / np.sin(np.radians(_FOV) / 2))
+    radius = float(FRAMING_MARGIN * reach / np.sin(np.radians(_FOV_DEGREES) / 2))
     camera = Camera.orbit(
         center.tolist(),
         radius,
         azimuth=30.0,
         elevation=20.0,
-        fov_y=_FOV,
+        fov_y=_FOV_DEGREES,
         near=radius / 100,
         width=_WIDTH,
-        height=_HEIGHT,
+        height=_PICTURE_HEIGHT,
     )
     try:
         renderer = Renderer(rasteriser="tiles")

@@ -25,14 +25,14 @@ def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
     return prepare_render(probe_runs)
 
 
-RUNNER = LevelBackend(Level.RENDER, "drawing frames", _prepare)
+RENDER_BACKEND = LevelBackend(Level.RENDER, "drawing frames", _prepare)
 
 _MIN_AGREEMENT = 60  # decibels
 _render_rule = partial(rule, over="render")
-_NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
+_PREREQUISITE_RULES = ("GV025", "GO001", "GO002", "GO005", "GO008")
 
 
-@_render_rule("GB018", Severity.ERROR, needs=_NEEDS)
+@_render_rule("GB018", Severity.ERROR, needs=_PREREQUISITE_RULES)
 def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
     """At least one drawn frame shows the model.
 
@@ -54,7 +54,7 @@ def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
         yield Violation.at("picture", actual, f"at least {CULL_OPACITY:.2g} somewhere")
 
 
-@_render_rule("GB019", Severity.WARNING, needs=(*_NEEDS, "GB018"))
+@_render_rule("GB019", Severity.WARNING, needs=(*_PREREQUISITE_RULES, "GB018"))
 def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
     """Every drawn frame shows at least one Gaussian, unless its count of Gaussians is zero.
 
@@ -74,7 +74,7 @@ def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
             yield Violation.at("picture", actual, f"a pixel covered by at least {CULL_OPACITY:.2g}")
 
 
-@_render_rule("GB020", Severity.WARNING, needs=(*_NEEDS, "GB018"))
+@_render_rule("GB020", Severity.WARNING, needs=(*_PREREQUISITE_RULES, "GB018"))
 def rasterisers_agree(evidence: "RenderEvidence") -> Iterator[Violation]:
     """The tile and the quad rasteriser draw the same picture, to 60 dB.
 
@@ -93,7 +93,7 @@ def rasterisers_agree(evidence: "RenderEvidence") -> Iterator[Violation]:
             yield Violation.at("picture", actual, f"at least {_MIN_AGREEMENT} dB")
 
 
-@_render_rule("GB021", Severity.WARNING, needs=(*_NEEDS, "GM002", "GM003", "GM005"))
+@_render_rule("GB021", Severity.WARNING, needs=(*_PREREQUISITE_RULES, "GM002", "GM003", "GM005"))
 def reference_images_match(evidence: "RenderEvidence") -> Iterator[Violation]:
     """Every reference image of the manifest exists, and the model draws it.
 

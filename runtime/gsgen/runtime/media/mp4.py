@@ -27,7 +27,7 @@ _TICKS_PER_SECOND: Final = 1000
 _GROUP_FRAMES: Final = 48  # frames encoded together; players can seek to the first
 _MAX_BYTES: Final = 1 << 32  # offsets have 32 bits
 _QUALITY: Final = 80
-_SPEED: Final = 8  # of 10; 6 takes four times as long for the same size at this quality
+_ENCODER_SPEED: Final = 8  # of 10; 6 takes four times as long for the same size at this quality
 _ENTRY_FIELDS: Final = 8 + 78  # bytes of a visual sample entry before its boxes
 _IDENTITY_MATRIX: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
 
@@ -106,7 +106,7 @@ def _encode_group(pictures: Sequence["Image"]) -> _Group:
         append_images=remaining or [first],
         duration=1,
         quality=_QUALITY,
-        speed=_SPEED,
+        speed=_ENCODER_SPEED,
         range="limited",  # the default that players assume
     )
     file = buffer.getvalue()

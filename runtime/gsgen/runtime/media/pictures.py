@@ -2,8 +2,8 @@
 
 __all__ = [
     "IMAGE_SUFFIXES",
-    "MODES",
     "OPAQUE_SUFFIXES",
+    "PICTURE_MODES",
     "VIDEO_SUFFIXES",
     "Mode",
     "array_of",
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 Mode = Literal["color", "depth", "median-depth", "normal", "alpha"]
 
-MODES: Final[dict[Mode, Output]] = {
+PICTURE_MODES: Final[dict[Mode, Output]] = {
     "color": "color",
     "depth": "depth",
     "median-depth": "depth",
@@ -58,7 +58,7 @@ VIDEO_SUFFIXES: Final = (".gif", ".mp4")
 OPAQUE_SUFFIXES: Final = (".jpg", ".jpeg", ".mp4", ".bmp")
 """Suffixes of formats without transparency."""
 
-_OUTLIERS: Final = 2.0  # percent of the depths, at each end, outside the grey scale
+_OUTLIER_PERCENT: Final = 2.0  # percent of the depths, at each end, outside the grey scale
 
 # Animated GIFs have 256 colours a picture, and pixels that are opaque or absent.
 _MILLISECONDS: Final = 1000
@@ -90,7 +90,7 @@ def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
     array = arrays[mode]
     if array is None:
         raise ValueError(
-            f"the frame has no {mode}: pass {MODES[mode]!r} in the outputs of render()"
+            f"the frame has no {mode}: pass {PICTURE_MODES[mode]!r} in the outputs of render()"
         )
     return array
 
@@ -128,7 +128,7 @@ def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
     finite = depth[np.isfinite(depth)]
     if not finite.size:
         return 0.0, 1.0
-    near, far = np.percentile(finite, [_OUTLIERS, 100 - _OUTLIERS])
+    near, far = np.percentile(finite, [_OUTLIER_PERCENT, 100 - _OUTLIER_PERCENT])
     return float(near), float(far)
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 
-_AMBIENT: Final = 0.2
+_AMBIENT_LIGHT: Final = 0.2
 # Pixels whose surface changes within this offset are fragile: rounding may decide it.
 _SAMPLE_OFFSET: Final = 1 / 1024
 _SAMPLE_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SAMPLE_OFFSET
@@ -72,7 +72,9 @@ def cast_rays(
             mesh_color = _convert_color_space(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
                 length = np.linalg.norm(ray_direction[part], axis=-1, keepdims=True)
-                mesh_color = mesh_color * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
+                mesh_color = mesh_color * (
+                    _AMBIENT_LIGHT + (1 - _AMBIENT_LIGHT) * np.abs(facing) / length
+                )
             color[part] = np.where(is_nearer[..., None], mesh_color, color[part])
     return Surface(depth[0], color[0], normal[0], _edge_pixels(depth, color, normal))
 

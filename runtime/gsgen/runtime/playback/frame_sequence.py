@@ -11,7 +11,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.media import deep_pictures, pictures
 from gsgen.runtime.media.output_formats import require_output_format
-from gsgen.runtime.media.pictures import MODES, Mode
+from gsgen.runtime.media.pictures import PICTURE_MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.camera_times import camera_time_tracks
 from gsgen.runtime.playback.input_tracks import Track
@@ -89,7 +89,7 @@ class FrameSequence(Playback):
         self._view, self._mode, self.notes = view, mode, view.notes + notes
         is_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
         self._turn = turn if turn is not None else (FULL_TURN if is_turning else 0.0)
-        self.player = self.make_player(renderer, background, MODES[mode], post)
+        self.player = self.make_player(renderer, background, PICTURE_MODES[mode], post)
         self._last: Frame | None = None
 
     @property

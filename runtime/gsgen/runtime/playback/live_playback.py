@@ -18,7 +18,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame, Output
 from gsgen.runtime.sources.source import Source
 
-_FRAMES: Final = 100  # steps of a time range without a frame count of its own
+_DEFAULT_STEP_COUNT: Final = 100  # steps of a time range without a frame count of its own
 
 
 @final
@@ -191,4 +191,4 @@ def _range_length(sources: Sequence[Source]) -> int:
         for spec in source.inputs
         if spec.role == "frame_index" and spec.range is not None and source.time is None
     ]
-    return max([int(high - low) + 1 for low, high in ranges], default=_FRAMES)
+    return max([int(high - low) + 1 for low, high in ranges], default=_DEFAULT_STEP_COUNT)

@@ -32,7 +32,7 @@ _MOTION_FORMATS: Final = (
 )
 _RATE_FIELDS: Final = ("mocap_framerate", "mocap_frame_rate")
 # LHM's names for the parts of an SMPL-X pose, in order, with their numbers of values.
-_PARTS: Final = {
+_BODY_PARTS: Final = {
     "root_pose": 3,
     "body_pose": 63,
     "jaw_pose": 3,
@@ -41,9 +41,9 @@ _PARTS: Final = {
     "lhand_pose": 45,
     "rhand_pose": 45,
 }
-_SHARED: Final = 22  # joints that SMPL, SMPL+H and SMPL-X have in common: root and body
+_SHARED_JOINT_COUNT: Final = 22  # joints that SMPL, SMPL+H and SMPL-X have in common: root and body
 _HAND_JOINTS: Final = 30  # joints of the hands, the last of SMPL+H and SMPL-X
-_BODY_JOINT_COUNTS: Final = (_SHARED, 24, 52, 55)
+_BODY_JOINT_COUNTS: Final = (_SHARED_JOINT_COUNT, 24, 52, 55)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +120,8 @@ def _fit_pose(
         )
     padded = np.zeros((frames, joints, 3))
     file_pose = flat.reshape(frames, file_joints, 3)
-    padded[:, :_SHARED] = file_pose[:, :_SHARED]
-    if min(joints, file_joints) >= _SHARED + _HAND_JOINTS:
+    padded[:, :_SHARED_JOINT_COUNT] = file_pose[:, :_SHARED_JOINT_COUNT]
+    if min(joints, file_joints) >= _SHARED_JOINT_COUNT + _HAND_JOINTS:
         padded[:, -_HAND_JOINTS:] = file_pose[:, -_HAND_JOINTS:]
     return padded
 
@@ -206,7 +206,7 @@ def _motion_of_json(document: object, where: str) -> _Motion:
 
 def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
     parts = []
-    for name, size in _PARTS.items():
+    for name, size in _BODY_PARTS.items():
         part = np.asarray(document.get(name, ()), np.float64).ravel()
         if len(part) != size:
             message = f"has {len(part)} numbers, expected {size}"

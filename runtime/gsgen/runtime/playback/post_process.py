@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels
     from gsgen.sdk.binding.model_facts import ModelFacts
 
-_OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
+_TILE_OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
 
 
 @final
@@ -140,7 +140,7 @@ class PostProcessor:
 
         height, width = session.inputs[self._image].shape[2:]
         if (height, width) != image.shape[2:]:
-            overlap = min(_OVERLAP, (min(height, width) - 1) // 2)
+            overlap = min(_TILE_OVERLAP, (min(height, width) - 1) // 2)
             return run_tiled(image, network, (height, width), overlap)
         return network(image)
 

@@ -24,7 +24,7 @@ SOUND_SUFFIX: Final = ".wav"
 _MAX_BYTES: Final = 1 << 30  # of the windows of all frames
 _MAX_DENOMINATOR: Final = 1000  # largest denominator of the ratio of two sample rates
 _PCM: Final = {1: "u1", 2: "<i2", 4: "<i4"}
-_ARRAYS: Final = "Compute the input yourself, and give an .npy of [frames, …]."
+_ARRAY_HINT: Final = "Compute the input yourself, and give an .npy of [frames, …]."
 
 
 def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> Track:
@@ -46,7 +46,7 @@ def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> 
             f"a sound file cannot feed the input {spec.name!r}, which takes {expected}: "
             "expected an input of audio samples with a sampling rate",
             where=where,
-            hint=_ARRAYS,
+            hint=_ARRAY_HINT,
         )
     samples, rate = read_sound(path)
     samples = _resample(samples, rate, spec.rate)

@@ -93,7 +93,10 @@ class Renderer:
         with self.device.translate_errors():
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
-        self._mesh_residency = MeshResidency(self.device)
+        self._mesh_residency, self._band_images = (
+            MeshResidency(self.device),
+            BandImages(self.device),
+        )
         self._pairs = min(FIRST_PAIR_CAPACITY, self._max_pairs)
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
@@ -115,7 +118,6 @@ class Renderer:
         self._plan_shape: object = None
         self._steady_counts: tuple[object, np.ndarray] | None = None
         self.late_counts, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
-        self._band_images = BandImages(self.device)
 
     def render(
         self,

@@ -17,11 +17,11 @@ from gsgen.sdk.binding.camera_inputs import FAR_RATIO, pinhole_projection
 
 DEFAULT_NEAR = 0.01
 """Near plane of a camera without one, in world units."""
-DILATION = 0.3
+DEFAULT_DILATION = 0.3
 """Variance that the pixel filter adds to each projected Gaussian, in pixels² (Kerbl et al. 2023)."""
 _LARGEST_SIDE = 16_384
 _ROTATION_TOLERANCE = 1e-3
-_UP = (0.0, -1.0, 0.0)  # +y is down in COLMAP's worlds
+_UP_DIRECTION = (0.0, -1.0, 0.0)  # +y is down in COLMAP's worlds
 _ROUNDING = 1e-6  # relative tolerance: a panorama may be wider than a turn by this share
 
 Kind = Literal["pinhole", "orthographic", "panorama"]
@@ -66,7 +66,7 @@ class Camera:
     height: int
     near: float = DEFAULT_NEAR
     kind: Kind = "pinhole"
-    dilation: float = DILATION
+    dilation: float = DEFAULT_DILATION
 
     def __post_init__(self) -> None:
         view = np.array(self.view, np.float64)
@@ -104,7 +104,7 @@ class Camera:
         eye: Sequence[float],
         target: Sequence[float],
         *,
-        up: Sequence[float] = _UP,
+        up: Sequence[float] = _UP_DIRECTION,
         width: int = 1280,
         height: int = 720,
         fov_y: float = 50.0,
@@ -155,7 +155,7 @@ class Camera:
         *,
         azimuth: float = 0.0,
         elevation: float = 0.0,
-        up: Sequence[float] = _UP,
+        up: Sequence[float] = _UP_DIRECTION,
         width: int = 1280,
         height: int = 720,
         fov_y: float = 50.0,
@@ -199,7 +199,7 @@ class Camera:
         eye: Sequence[float],
         toward: Sequence[float] = (0.0, 0.0, 1.0),
         *,
-        up: Sequence[float] = _UP,
+        up: Sequence[float] = _UP_DIRECTION,
         width: int = 2048,
         height: int | None = None,
         longitudes: tuple[float, float] = (-180.0, 180.0),

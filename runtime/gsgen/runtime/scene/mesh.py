@@ -17,7 +17,7 @@ Shading = Literal["unlit", "headlight"]
 SHADINGS: Final[tuple[Shading, ...]] = get_args(Shading)
 
 _DEFAULT_GREY: Final = 0.7
-_LARGEST: Final = 1e18  # its square is finite in float32
+_MAX_COORDINATE: Final = 1e18  # its square is finite in float32
 
 
 @final
@@ -146,11 +146,11 @@ def _floats(
             f"[{'N' if rows is None else rows}, {expected}]",
             where=where,
         )
-    invalid_rows = ~(np.abs(converted) <= _LARGEST).all(axis=1)
+    invalid_rows = ~(np.abs(converted) <= _MAX_COORDINATE).all(axis=1)
     if invalid_rows.any():
         row = int(invalid_rows.argmax())
         raise SceneInvalid(
-            f"{invalid_rows.sum():,} of {len(converted):,} rows are not finite or beyond {_LARGEST:g}; "
+            f"{invalid_rows.sum():,} of {len(converted):,} rows are not finite or beyond {_MAX_COORDINATE:g}; "
             f"row {row} is {converted[row].tolist()}",
             where=where,
             hint="Remove these vertices and the faces that use them.",

@@ -13,7 +13,7 @@ from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients, de
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.runtime.errors import SceneInvalid
 
-_HALVES = (np.dtype(np.float16), np.dtype(np.float32))
+_APPEARANCE_DTYPES = (np.dtype(np.float16), np.dtype(np.float32))
 
 
 @final
@@ -187,13 +187,13 @@ def _validate_rows(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return validated packed Gaussians and colours in C order, and the number of Gaussians."""
     allowed = layout.APPEARANCE_CHANNELS[space]
-    if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
+    if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _APPEARANCE_DTYPES:
         raise SceneInvalid(
             f"is {rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW}]",
             where="rows",
         )
     is_valid = appearance.ndim == 2 and appearance.shape[1] in allowed
-    if not is_valid or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
+    if not is_valid or len(appearance) != len(rows) or appearance.dtype not in _APPEARANCE_DTYPES:
         raise SceneInvalid(
             f"is {appearance.dtype} {list(appearance.shape)}, expected float16 or float32 "
             f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
@@ -207,7 +207,9 @@ def _validate_rows(
 
 def _validate_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
     """Validate the rows of cells (groups of Gaussians), and return them in C order."""
-    is_valid = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
+    is_valid = (
+        cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _APPEARANCE_DTYPES
+    )
     if per_cell < 1 or not is_valid or len(cells) * per_cell != rows:
         raise SceneInvalid(
             f"is {cells.dtype} {list(cells.shape)} with {per_cell} rows a cell, expected float16 "

@@ -5,7 +5,7 @@ neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn o
 the slot table, which is written every frame.
 """
 
-__all__ = ["REACH", "SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool", "pool_row_bytes"]
+__all__ = ["REACH_SIGMAS", "SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool", "pool_row_bytes"]
 
 import heapq
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ SLOT_ROWS: Final = 4096
 
 _VECTOR_BYTES: Final = 16  # bytes: shaders read colours in whole vectors
 
-REACH: Final = 3.5
+REACH_SIGMAS: Final = 3.5
 """More standard deviations than a splat is drawn in: √(2 ln 255) = 3.33."""
 
 
@@ -254,7 +254,7 @@ class SplatPool:
         origin: Float[np.ndarray, "3"],
     ) -> None:
         """Record a tile's slots (row ranges) in the splat pool, and queue its upload to the GPU."""
-        reach = REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
+        reach = REACH_SIGMAS * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         box_lows, box_highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):
             part = slice(index * self.slot_rows, (index + 1) * self.slot_rows)

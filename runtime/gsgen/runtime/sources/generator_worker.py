@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding import FrameSession
     from gsgen.sdk.binding.confined.models import ConfinedModels
 
-_BLOCK = 1 << 16  # elements compared at a time: most often the first block differs
+_BLOCK_ELEMENTS = 1 << 16  # elements compared at a time: most often the first block differs
 
 
 @final
@@ -236,6 +236,8 @@ def _are_bits_equal(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) 
     bits = np.dtype(f"u{a.itemsize}")
     a_bits, b_bits = (np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b))
     return all(
-        np.array_equal(a_bits[start : start + _BLOCK], b_bits[start : start + _BLOCK])
-        for start in range(0, len(a_bits), _BLOCK)
+        np.array_equal(
+            a_bits[start : start + _BLOCK_ELEMENTS], b_bits[start : start + _BLOCK_ELEMENTS]
+        )
+        for start in range(0, len(a_bits), _BLOCK_ELEMENTS)
     )

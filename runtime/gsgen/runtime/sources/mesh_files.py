@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gsgen.contract.errors import GsgenError
-from gsgen.formats.glb.container import COMPRESSIONS
+from gsgen.formats.glb.container import COMPRESSION_EXTENSIONS
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
@@ -30,11 +30,13 @@ SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 # glTF is x left, y up, z forward; worlds here, and PLY files, are x right, y down.
 _SCENE_FROM_GLTF: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SPLAT_EXTENSION: Final = b"KHR_gaussian_splatting"
-_COMPRESSIONS: Final = (*COMPRESSIONS, "KHR_texture_basisu")
-_HEADER: Final = 1 << 20  # bytes of a PLY file that are searched for the end of its header
+_COMPRESSION_EXTENSIONS: Final = (*COMPRESSION_EXTENSIONS, "KHR_texture_basisu")
+_MAX_HEADER_BYTES: Final = (
+    1 << 20
+)  # bytes of a PLY file that are searched for the end of its header
 _STL_HEADER: Final = struct.Struct("<80xI")
 _STL_FACE: Final = 50
-_GLB: Final = struct.Struct("<4sIII4s")
+_GLB_HEADER: Final = struct.Struct("<4sIII4s")
 _WHITE: Final = np.ones(3)
 
 _GltfObject: TypeAlias = dict[str, Any]
@@ -50,7 +52,7 @@ def is_mesh(path: Path) -> bool:
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
-            header = file.read(_HEADER)
+            header = file.read(_MAX_HEADER_BYTES)
     except OSError:
         return False
     suffix = path.suffix.lower()
@@ -275,12 +277,12 @@ def _has_materials(path: Path) -> bool:
 def _json_of(path: Path) -> bytes:
     """Return the JSON text of a GLB or a glTF file."""
     with path.open("rb") as file:
-        header = file.read(_GLB.size)
+        header = file.read(_GLB_HEADER.size)
         if not header.startswith(b"glTF"):
             return header + file.read()
-        if len(header) < _GLB.size:
+        if len(header) < _GLB_HEADER.size:
             return b""
-        return file.read(_GLB.unpack(header)[3])
+        return file.read(_GLB_HEADER.unpack(header)[3])
 
 
 def _lines_of_ply(header: bytes) -> list[list[bytes]]:
@@ -309,7 +311,7 @@ def _require_plausible_sizes(path: Path, kind: str) -> None:
     size = path.stat().st_size
     if kind == "ply":
         with path.open("rb") as file:
-            counts = _counts_of_ply(file.read(_HEADER))
+            counts = _counts_of_ply(file.read(_MAX_HEADER_BYTES))
         for name, count in counts.items():
             _require_count(count, size, f"element {name.decode('ascii', 'replace')}")
     elif kind == "stl":
@@ -330,7 +332,7 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
         message = f"the glTF document is a {type(document).__name__}, expected an object"
         raise SceneInvalid(message, where="JSON")
     for name in document.get("extensionsRequired", []):
-        if name in _COMPRESSIONS:
+        if name in _COMPRESSION_EXTENSIONS:
             raise SceneInvalid(
                 f"needs {name}, which is not supported",
                 where="extensionsRequired",

@@ -1,6 +1,6 @@
 """Interactive camera controls: orbit, look around, pan, zoom and fly."""
 
-__all__ = ["KEYS", "Controls", "unproject"]
+__all__ = ["CAMERA_KEYS", "Controls", "unproject"]
 
 import math
 from dataclasses import replace
@@ -17,12 +17,12 @@ Vector = Float[np.ndarray, "3"]
 _POLE: Final = math.radians(1.0)  # least angle between the view and straight up or down
 _RADIANS_PER_PIXEL: Final = math.radians(0.3)  # per dragged pixel
 _ZOOM_PER_WHEEL_UNIT: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 100
-_SPEED: Final = 0.5  # reaches per second
+_MOVE_SPEED: Final = 0.5  # reaches per second
 _FAST_FACTOR: Final = 4.0  # factor of the speed with shift
 _MIN_DISTANCE: Final = 1e-4  # reaches between the eye and the pivot
 _NEAR_FRACTION: Final = 0.01  # distance of the near plane, relative to that of the pivot
 
-KEYS: Final = {
+CAMERA_KEYS: Final = {
     "w": (0, 0, 1),
     "s": (0, 0, -1),
     "a": (-1, 0, 0),
@@ -126,10 +126,12 @@ class Controls:
 
     def fly(self, keys: frozenset[str], seconds: float, *, fast: bool) -> bool:
         """Move the camera in the directions of the held keys, and return whether it moved."""
-        steps = np.sum([KEYS[key] for key in keys if key in KEYS] or [(0, 0, 0)], axis=0)
+        steps = np.sum(
+            [CAMERA_KEYS[key] for key in keys if key in CAMERA_KEYS] or [(0, 0, 0)], axis=0
+        )
         if not steps.any():
             return False
-        length = _SPEED * self._scene_radius * seconds * (_FAST_FACTOR if fast else 1)
+        length = _MOVE_SPEED * self._scene_radius * seconds * (_FAST_FACTOR if fast else 1)
         self.pivot = self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
         return True
 

@@ -1,6 +1,6 @@
 """The viewer's panels over the picture: statistics, time slider, messages and help."""
 
-__all__ = ["HELP", "Overlay", "SliderState", "Statistics"]
+__all__ = ["HELP_LINES", "Overlay", "SliderState", "Statistics"]
 
 import math
 import textwrap
@@ -15,7 +15,7 @@ from gsgen.runtime.viewer.panels import Slider, paragraph
 from gsgen.runtime.viewer.present import Panel
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 
-HELP: Final = (
+HELP_LINES: Final = (
     ("left drag", "orbit around the point in view"),
     ("right drag", "look around"),
     ("middle or shift drag", "move sideways"),
@@ -148,7 +148,7 @@ class Overlay:
                 lines, size, ratio, 0.3
             )
         if self.shows_help:
-            builders["help", size, ratio] = lambda: _centered_panel(HELP, size, ratio, 0.5)
+            builders["help", size, ratio] = lambda: _centered_panel(HELP_LINES, size, ratio, 0.5)
         self._panels = {key: self._panels.get(key) or build() for key, build in builders.items()}
         return list(self._panels.values())
 

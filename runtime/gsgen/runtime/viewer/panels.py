@@ -13,20 +13,20 @@ from PIL import Image, ImageDraw, ImageFont
 
 _TEXT: Final = 14  # logical pixels
 _LINE_HEIGHT: Final = 1.45  # text sizes
-_MARGIN: Final = 10
+_MARGIN_PIXELS: Final = 10
 _CORNER_RADIUS: Final = 6
 _ASCII_REPLACEMENTS: Final = str.maketrans({"–": "-", "—": "-", "×": "x", "’": "'", "…": "..."})
 _BACKGROUND: Final = (16, 18, 22, 190)
 _WHITE: Final = (236, 238, 242, 255)
-_GREY: Final = (150, 156, 166, 255)
-_ORANGE: Final = (255, 176, 64, 255)
+_GREY_RGBA: Final = (150, 156, 166, 255)
+_ORANGE_RGBA: Final = (255, 176, 64, 255)
 
 
 def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.ndarray, "h w 4"]:
     """Draw a panel of two columns of text; ``ratio`` is surface pixels per logical pixel."""
     rows = [(_printable(left), _printable(right)) for left, right in rows]
     font, size = _font(round(_TEXT * ratio)), _TEXT * ratio
-    margin, line = round(_MARGIN * ratio), round(size * _LINE_HEIGHT)
+    margin, line = round(_MARGIN_PIXELS * ratio), round(size * _LINE_HEIGHT)
     first = max((font.getlength(left) for left, right in rows if right), default=0.0)
     column = round(first + 1.2 * size) if first else 0
     widths = [
@@ -36,7 +36,7 @@ def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.n
     image, draw = _blank_panel(width, line * len(rows) + 2 * margin - round(size * 0.4), ratio)
     for number, (left, right) in enumerate(rows):
         top = margin + number * line - round(size * 0.1)
-        draw.text((margin, top), left, _ORANGE if right else _WHITE, font)
+        draw.text((margin, top), left, _ORANGE_RGBA if right else _WHITE, font)
         draw.text((margin + column, top), right, _WHITE, font)
     return _premultiplied(image)
 
@@ -62,7 +62,7 @@ class Slider:
 
     @property
     def _edge_margin(self) -> int:
-        return round(_MARGIN * self.ratio)
+        return round(_MARGIN_PIXELS * self.ratio)
 
     def _track_ends(self) -> tuple[float, float]:
         """Return both ends of the time slider's track, in pixels from the left of its panel."""
@@ -88,9 +88,9 @@ class Slider:
         (width, height), ratio, (low, high) = self.size, self.ratio, self._track_ends()
         image, draw = _blank_panel(width, height, ratio)
         middle, knob_radius = height / 2, 6 * ratio
-        draw.line((low, middle, high, middle), _GREY, max(1, round(2 * ratio)))
+        draw.line((low, middle, high, middle), _GREY_RGBA, max(1, round(2 * ratio)))
         value = low + (high - low) * fraction
-        draw.line((low, middle, value, middle), _ORANGE, max(1, round(3 * ratio)))
+        draw.line((low, middle, value, middle), _ORANGE_RGBA, max(1, round(3 * ratio)))
         draw.ellipse(
             (value - knob_radius, middle - knob_radius, value + knob_radius, middle + knob_radius),
             _WHITE,

@@ -21,16 +21,18 @@ from gsgen.runtime.gpu.handles import (
 )
 from gsgen.runtime.kernels.raster.render_pipeline import render_pipeline
 from gsgen.runtime.kernels.shared.shader import source
-from gsgen.runtime.media.pictures import MODES, Mode
+from gsgen.runtime.media.pictures import PICTURE_MODES, Mode
 from gsgen.runtime.renderer.bands import DrawnImage
 from gsgen.runtime.scene.camera import Camera
 
-_MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
+_NUMBER_BY_MODE: Final[dict[Mode, int]] = {
+    mode: number for number, mode in enumerate(PICTURE_MODES)
+}
 PRESENT_CONSTANTS: Final = {
-    "MODE_DEPTH": _MODES["depth"],
-    "MODE_MEDIAN": _MODES["median-depth"],
-    "MODE_NORMAL": _MODES["normal"],
-    "MODE_ALPHA": _MODES["alpha"],
+    "MODE_DEPTH": _NUMBER_BY_MODE["depth"],
+    "MODE_MEDIAN": _NUMBER_BY_MODE["median-depth"],
+    "MODE_NORMAL": _NUMBER_BY_MODE["normal"],
+    "MODE_ALPHA": _NUMBER_BY_MODE["alpha"],
 }
 """The modes of present.wgsl; other numbers show colours."""
 
@@ -191,7 +193,7 @@ def _uniforms(view: View, band: DrawnImage, surface: tuple[int, int]) -> np.ndar
     uniforms["size"] = camera.width, camera.height
     uniforms["scale"] = camera.width / surface[0], camera.height / surface[1]
     uniforms["row"], uniforms["first"] = band.row, band.first
-    uniforms["mode"] = _MODES[view.mode]
+    uniforms["mode"] = _NUMBER_BY_MODE[view.mode]
     uniforms["near"], uniforms["far"] = view.depths
     uniforms["is_linear"] = view.color_space == "linear"
     return uniforms

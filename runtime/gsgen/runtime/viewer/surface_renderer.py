@@ -13,7 +13,7 @@ from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.kernel import VEC4
-from gsgen.runtime.media.pictures import MODES, Mode
+from gsgen.runtime.media.pictures import PICTURE_MODES, Mode
 from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.renderer.bands import DrawnImage
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption
@@ -106,7 +106,7 @@ class SurfaceRenderer:
         self._present(context.get_current_texture(), view, panels)
 
     def _draw(self, playback: LivePlayback, request: ViewRequest) -> View:
-        camera, output = request.camera, MODES[request.mode]
+        camera, output = request.camera, PICTURE_MODES[request.mode]
         self._last_view = None  # its buffers may be reused now
         depths = playback.depths(camera)
         if playback.post and request.mode == "color":
@@ -159,7 +159,7 @@ class SurfaceRenderer:
 
     def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
         """Draw a picture of a playback as arrays, through its post-process models."""
-        player = playback.player(self.renderer, request.background, MODES[request.mode])
+        player = playback.player(self.renderer, request.background, PICTURE_MODES[request.mode])
         return playback.frame(player, request.camera)
 
     def recover(self) -> None:

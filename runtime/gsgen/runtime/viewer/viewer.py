@@ -16,11 +16,11 @@ from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import DeviceLost, DeviceUnavailable
 from gsgen.runtime.media import pictures
-from gsgen.runtime.media.pictures import MODES, Mode
+from gsgen.runtime.media.pictures import PICTURE_MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.viewer.camera_controls import KEYS, Controls, unproject
+from gsgen.runtime.viewer.camera_controls import CAMERA_KEYS, Controls, unproject
 from gsgen.runtime.viewer.overlay import Overlay, SliderState
 from gsgen.runtime.viewer.panels import Slider
 from gsgen.runtime.viewer.present import View
@@ -33,7 +33,7 @@ Choice = TypeVar("Choice")
 Event: TypeAlias = Mapping[str, Any]
 """Fields of an event by name: of an input event of rendercanvas, or one for a program."""
 
-_MODES: Final[dict[str, Mode]] = dict(zip("12345", MODES, strict=True))
+_MODE_BY_KEY: Final[dict[str, Mode]] = dict(zip("12345", PICTURE_MODES, strict=True))
 _BACKGROUNDS: Final = ((1.0, 1.0, 1.0, 1.0), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, 0.0, 1.0))
 _SH_DEGREES: Final = (None, *range(MAX_DEGREE + 1))
 _ANTIALIAS: Final[tuple[Literal["classic", "mip"] | None, ...]] = (None, "classic", "mip")
@@ -253,10 +253,10 @@ class Viewer:
         self._overlay.statistics.refresh()
         if "Control" in event.get("modifiers", ()):
             return
-        if key in KEYS:
+        if key in CAMERA_KEYS:
             self._held_keys |= {key}
-        elif key in _MODES:
-            self.mode = _MODES[key]
+        elif key in _MODE_BY_KEY:
+            self.mode = _MODE_BY_KEY[key]
         elif key == "Escape":  # it closes the help first
             self.closed, self._overlay.shows_help = not self._overlay.shows_help, False
         elif key in self._key_actions:

@@ -16,7 +16,7 @@ from gsgen.runtime.viewer.viewer import Event, Viewer
 if TYPE_CHECKING:
     from rendercanvas import BaseRenderCanvas
 
-_EVENTS: Final = (
+_EVENT_NAMES: Final = (
     "key_down",
     "key_up",
     "pointer_down",
@@ -64,7 +64,7 @@ def attach(
         viewer.handle(event)
         canvas.request_draw()
 
-    canvas.add_event_handler(handle, *_EVENTS)
+    canvas.add_event_handler(handle, *_EVENT_NAMES)
     canvas.request_draw(draw)
     return lambda: errors[0] if errors else None
 

@@ -26,7 +26,7 @@ class BuildParameters:
     Attributes:
         leaf: Most splats of a leaf.
         codec: How contents are written.
-        qualities: Qualities of :data:`gsgen.tiles.gltf.encoding.QUALITIES` that are written, finest
+        qualities: Qualities of :data:`gsgen.tiles.gltf.encoding.SPZ_QUALITIES` that are written, finest
             first.
         implicit: Whether the tree is an implicit octree.
         transform: Of the root tile, scene → world: 16 numbers, column by column.

@@ -31,7 +31,7 @@ from gsgen.formats.shared.morton import interleave_bits
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
-from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 
 BUILD_RECORD: Final = "gsgen.tiles.json"
 """Name of the file beside ``tileset.json`` that lists every file with its digest."""

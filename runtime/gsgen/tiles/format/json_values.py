@@ -17,7 +17,7 @@ JsonDict = dict[str, Any]
 """The members of a JSON object, before their types are checked."""
 
 _MAX_SHOWN_CHARACTERS = 60
-_LARGEST = 1e300
+_MAX_MAGNITUDE = 1e300
 MAX_JSON: Final = 128 << 20
 """How many bytes of JSON are parsed."""
 
@@ -119,7 +119,7 @@ class JsonObject:
             self.refuse(key, "an array of strings")
         return tuple(value)
 
-    def number(self, key: str, *, least: float = -_LARGEST) -> float:
+    def number(self, key: str, *, least: float = -_MAX_MAGNITUDE) -> float:
         """Return the finite JSON number at ``key``, which is at least ``least``."""
         value = self.values.get(key)
         if not _is_number(value) or value < least:
@@ -144,4 +144,4 @@ class JsonObject:
 def _is_number(value: object) -> TypeGuard[float]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) < _LARGEST and not math.isnan(value)
+    return abs(value) < _MAX_MAGNITUDE and not math.isnan(value)

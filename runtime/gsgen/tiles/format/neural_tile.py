@@ -4,22 +4,22 @@ The content of such a tile stays a file of splats, which every viewer can draw; 
 knows the extension may run the model instead. It is used and never required.
 """
 
-__all__ = ["EXTENSION", "NeuralTile", "neural_schema", "read_neural_tile"]
+__all__ = ["NEURAL_TILE_EXTENSION", "NeuralTile", "neural_schema", "read_neural_tile"]
 
 import re
 from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.contract.spec.fields.roles import ROLES
-from gsgen.contract.spec.upgrades import CONTRACT
+from gsgen.contract.spec.upgrades import CONTRACT_VERSION
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.format.json_values import JsonDict, JsonObject
 from gsgen.tiles.format.uris import resolve_uri
 
-EXTENSION: Final = "GSGEN_neural_tile"
+NEURAL_TILE_EXTENSION: Final = "GSGEN_neural_tile"
 MAX_SPLATS: Final = 1 << 24
 
-_DIGEST = re.compile(r"^[0-9a-f]{64}$")
+_DIGEST_PATTERN = re.compile(r"^[0-9a-f]{64}$")
 
 
 @final
@@ -55,10 +55,10 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
         TilesetInvalid: A member is missing or is not what the schema says.
     """
     members = JsonObject(extension.values, extension.location, Fault.NEURAL)
-    if members.text("contract") != CONTRACT:
-        members.refuse("contract", CONTRACT)
+    if members.text("contract") != CONTRACT_VERSION:
+        members.refuse("contract", CONTRACT_VERSION)
     digest = members.text("sha256")
-    if not _DIGEST.match(digest):
+    if not _DIGEST_PATTERN.match(digest):
         members.refuse("sha256", "64 hexadecimal digits")
     inputs = members.texts("inputs")
     if not inputs or len(set(inputs)) < len(inputs) or not set(inputs) <= ROLES.keys():
@@ -85,7 +85,7 @@ def neural_schema() -> JsonDict:
     """Return the JSON Schema of the extension GSGEN_neural_tile."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": EXTENSION,
+        "title": NEURAL_TILE_EXTENSION,
         "description": "A Gaussian Generator that a viewer may run instead of the content.",
         "type": "object",
         "required": ["uri", "contract", "sha256", "inputs", "splats_max"],
@@ -97,12 +97,12 @@ def neural_schema() -> JsonDict:
                 "description": "The ONNX model, relative to this file.",
             },
             "contract": {
-                "const": CONTRACT,
+                "const": CONTRACT_VERSION,
                 "description": "Version of the contract that the model keeps.",
             },
             "sha256": {
                 "type": "string",
-                "pattern": _DIGEST.pattern,
+                "pattern": _DIGEST_PATTERN.pattern,
                 "description": "Digest of the model.",
             },
             "inputs": {

@@ -1,6 +1,6 @@
 """A tileset in memory: a tree of tiles, independent of files."""
 
-__all__ = ["Z_UP_FROM_Y_UP", "Content", "Refine", "Tile", "Tileset"]
+__all__ = ["Z_UP_FROM_Y_UP", "Content", "RefineMode", "Tile", "Tileset"]
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from gsgen.tiles.format.neural_tile import NeuralTile
 from gsgen.tiles.format.volumes import Volume
 
-Refine = Literal["ADD", "REPLACE"]
+RefineMode = Literal["ADD", "REPLACE"]
 
 Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
     [[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
@@ -60,7 +60,7 @@ class Tile:
     location: str
     volume: Volume
     geometric_error: float
-    refine: Refine
+    refine: RefineMode
     transform: Float64[np.ndarray, "4 4"]
     contents: tuple[Content, ...] = ()
     children: tuple["Tile", ...] = field(default=(), repr=False)

@@ -14,7 +14,7 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import shorten
 
 _SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
-_LONGEST = 2048
+_MAX_URI_LENGTH = 2048
 
 
 def resolve_uri(base: str, uri: str, location: str) -> str:
@@ -39,7 +39,7 @@ def resolve_uri(base: str, uri: str, location: str) -> str:
         or "\0" in path
         or not path
         or resolved == "."
-        or len(uri) > _LONGEST
+        or len(uri) > _MAX_URI_LENGTH
     )
     if outside:
         raise TilesetInvalid(

@@ -3,7 +3,7 @@
 Equal splats give equal bytes, on any machine.
 """
 
-__all__ = ["CODECS", "EXTENT_SIGMAS", "QUALITIES", "EncodedContent", "write_content"]
+__all__ = ["CODECS", "EXTENT_SIGMAS", "SPZ_QUALITIES", "EncodedContent", "write_content"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,15 +23,15 @@ from gsgen.tiles.format.extensions import SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.axes import to_content_axes
-from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
+from gsgen.tiles.gltf.spz_quality import SPZ_QUALITIES, encode_spz
 
 EXTENT_SIGMAS: Final = 3.0
 """Standard deviations that the volumes of tiles hold of each splat."""
 
-_DIAGONAL = [0, 3, 5]  # xx, yy and zz of an upper triangle
+_DIAGONAL_INDICES = [0, 3, 5]  # xx, yy and zz of an upper triangle
 _FLOAT, _UNSIGNED_BYTE = 5126, 5121
 _WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-_Parts = tuple[JsonDict, bytes, Splats]
+_EncodedParts = tuple[JsonDict, bytes, Splats]
 
 
 @final
@@ -101,7 +101,7 @@ def _translation(center: Float64[np.ndarray, " 3"]) -> list[float]:
 def _extent(stored_splats: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Return the bounding box of splats at 3σ, rotated from glTF axes to the tile's axes."""
     scale = np.exp(stored_splats.log_scale.astype(np.float64))
-    variance = covariance_upper(scale, stored_splats.rotation)[:, _DIAGONAL]
+    variance = covariance_upper(scale, stored_splats.rotation)[:, _DIAGONAL_INDICES]
     reach = EXTENT_SIGMAS * np.sqrt(variance)
     low = (stored_splats.position - reach).min(axis=0)
     high = (stored_splats.position + reach).max(axis=0)
@@ -109,7 +109,7 @@ def _extent(stored_splats: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[n
     return (np.array([low[x], -high[z], low[y]]), np.array([high[x], -low[z], high[y]]))
 
 
-def _as_spz(local: Splats, quality: int) -> _Parts:
+def _as_spz(local: Splats, quality: int) -> _EncodedParts:
     packed, stored_splats = encode_spz(local, quality)
     count = len(stored_splats)
     low, high = stored_splats.position.min(axis=0), stored_splats.position.max(axis=0)
@@ -131,7 +131,7 @@ def _as_spz(local: Splats, quality: int) -> _Parts:
     return document, packed, stored_splats
 
 
-def _as_floats(local: Splats, quality: int) -> _Parts:
+def _as_floats(local: Splats, quality: int) -> _EncodedParts:
     del quality  # floats have one
     arrays = {
         "POSITION": local.position,
@@ -187,5 +187,8 @@ def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) 
     }
 
 
-CODECS: Final[dict[str, Callable[[Splats, int], _Parts]]] = {"spz": _as_spz, "khr": _as_floats}
+CODECS: Final[dict[str, Callable[[Splats, int], _EncodedParts]]] = {
+    "spz": _as_spz,
+    "khr": _as_floats,
+}
 """Codec name → function of splats with glTF axes to JSON, binary chunk and the stored splats."""

@@ -5,7 +5,7 @@ better, and gives coordinates fewer fractional bits; the layout of the file stay
 order of splats without harmonics is the one that gzip packs best.
 """
 
-__all__ = ["QUALITIES", "SPZ_VERSION", "Quality", "encode_spz"]
+__all__ = ["SPZ_QUALITIES", "SPZ_VERSION", "Quality", "encode_spz"]
 
 import math
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ SPZ_VERSION: Final = 2
 """What 3D Tiles viewers decode; version 4 loads nothing in them."""
 
 _FINEST_BITS = 12
-_MOST_BITS = 20
-_ALPHA = "alphas"
+_MAX_BITS = 20
+_ALPHA_STREAM = "alphas"
 
 
 @final
@@ -50,7 +50,7 @@ def _quality(
     return Quality(bits=bits, sh_bits=sh_bits, steps=steps)
 
 
-QUALITIES: Final = (
+SPZ_QUALITIES: Final = (
     _quality(8, 8, 8, 8, (6, 6), 32),
     _quality(7, 7, 8, 7, (5, 4), 16),
     _quality(6, 6, 7, 6, (4, 3), 8),
@@ -67,20 +67,20 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
 
     Args:
         local: With the axes of the file that holds them, of degree 3 or less.
-        quality: An index of ``QUALITIES``.
+        quality: An index of ``SPZ_QUALITIES``.
 
     Raises:
         ValueInvalid: A coordinate is beyond what 24 bits hold, or there is no such quality.
     """
-    if not 0 <= quality < len(QUALITIES):
-        raise ValueInvalid(str(quality), where="quality", expected=f"0 to {len(QUALITIES) - 1}")
-    settings = QUALITIES[quality]
+    if not 0 <= quality < len(SPZ_QUALITIES):
+        raise ValueInvalid(str(quality), where="quality", expected=f"0 to {len(SPZ_QUALITIES) - 1}")
+    settings = SPZ_QUALITIES[quality]
     fraction = _fractional_bits(local, settings, finest=quality == 0)
     content = streams.encode(
         local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=settings.sh_bits
     )
     for name, bits in settings.bits.items():
-        content[name] = _rounded(content[name], bits, least=int(name == _ALPHA))
+        content[name] = _rounded(content[name], bits, least=int(name == _ALPHA_STREAM))
     if local.degree == 0:
         content = _reordered(content, _packing_order(content))
     frame = container.Frame(
@@ -120,7 +120,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
     fine = math.ceil(math.log2(quality.steps) - max(small, -30.0) / math.log(2))
     if finest:
         fine = max(fine, _FINEST_BITS)
-    return max(0, min(fine, room, _MOST_BITS))
+    return max(0, min(fine, room, _MAX_BITS))
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:

@@ -13,7 +13,7 @@ from gsgen.tiles.format.json_values import MAX_JSON, parse_object
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.stores.store import Store
 
-_DIGEST = re.compile(r"^[0-9a-f]{64}$")
+_DIGEST_PATTERN = re.compile(r"^[0-9a-f]{64}$")
 
 
 @final
@@ -60,7 +60,7 @@ def read_build_record(store: Store, index: str) -> BuildRecord | None:
     for uri in files.values:
         entry = files.child(uri)
         digest = entry.text("sha256")
-        if not _DIGEST.match(digest):
+        if not _DIGEST_PATTERN.match(digest):
             entry.refuse("sha256", "64 hexadecimal digits")
         name = resolve_uri(index, uri, files.at(uri))
         recorded_files[name] = RecordedFile(entry.whole("bytes"), digest)

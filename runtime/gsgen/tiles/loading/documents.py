@@ -9,7 +9,7 @@ from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
 from gsgen.tiles.format.implicit_tiling.property_table import PropertyClass, read_classes
 from gsgen.tiles.format.json_values import MAX_JSON, JsonDict, JsonObject, parse_object, shorten
-from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 from gsgen.tiles.format.uris import is_external, resolve_uri
 from gsgen.tiles.loading.limits import Limits, LoadingTime, LoadReport
 from gsgen.tiles.stores.store import Store

@@ -18,7 +18,7 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.report import Report
 from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.format.neural_tile import EXTENSION, NeuralTile
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION, NeuralTile
 from gsgen.tiles.format.tileset import Tile
 from gsgen.tiles.format.volumes import Box, Volume
 
@@ -118,7 +118,7 @@ def check_neural_model(
     if overshoot > _BOUNDS_TOLERANCE * bounds.volume.size:
         yield Violation.at(
             f"tile {tile.location}",
-            f"the bounds of {EXTENSION} reach {overshoot:.4g} out of the tile's volume",
+            f"the bounds of {NEURAL_TILE_EXTENSION} reach {overshoot:.4g} out of the tile's volume",
             "bounds within the volume",
         )
 

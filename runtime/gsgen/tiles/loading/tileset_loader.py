@@ -21,9 +21,9 @@ from gsgen.tiles.format.implicit_tiling.tree import (
     read_implicit,
 )
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, shorten
-from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 from gsgen.tiles.format.neural_tile import NeuralTile, read_neural_tile
-from gsgen.tiles.format.tileset import Content, Refine, Tile, Tileset
+from gsgen.tiles.format.tileset import Content, RefineMode, Tile, Tileset
 from gsgen.tiles.format.uris import is_external, resolve_uri
 from gsgen.tiles.format.volumes import read_volume
 from gsgen.tiles.loading.documents import Document, DocumentReader
@@ -83,7 +83,7 @@ class _Parent:
     """The properties that a tile inherits from its parent."""
 
     transform: Matrix
-    refine: Refine
+    refine: RefineMode
     level: int
 
 
@@ -120,7 +120,7 @@ class _Loader:
             y_up=asset.values.get("gltfUpAxis", "Y") != "Z",
         )
 
-    def _root_refine(self, root: JsonObject) -> Refine:
+    def _root_refine(self, root: JsonObject) -> RefineMode:
         if "refine" not in root:
             self._report.note(
                 TilesetInvalid(
@@ -190,7 +190,7 @@ class _Loader:
                 expected="fewer",
             )
 
-    def _read_refine(self, entry: JsonObject, parent: _Parent) -> Refine:
+    def _read_refine(self, entry: JsonObject, parent: _Parent) -> RefineMode:
         refine = entry.values.get("refine", parent.refine)
         if refine == "ADD":
             return "ADD"

@@ -22,8 +22,8 @@ from gsgen.tiles.prediction.poses import Pose, interpolate, rotation_quaternion,
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-_HISTORY: Final = "camera_history"
-_LONGEST: Final = 1000  # states of a history
+_HISTORY_INPUT: Final = "camera_history"
+_MAX_HISTORY_LENGTH: Final = 1000  # states of a history
 
 
 @final
@@ -39,7 +39,7 @@ class TrajectoryModel:
 
     def __init__(self, path: Path, manifest: TrajectoryManifest, session: "InferenceSession"):
         future = manifest.outputs.future
-        entry = next(entry for entry in manifest.inputs if entry.role == _HISTORY)
+        entry = next(entry for entry in manifest.inputs if entry.role == _HISTORY_INPUT)
         self.name, self.steps = str(path), future.steps
         self.step_seconds, self.history = manifest.step_seconds, (entry.shape or (1,))[0]
         self._width = STATE_SIZES[future.representation]
@@ -64,14 +64,14 @@ class TrajectoryModel:
                 where=str(path),
                 hint=f"Check it with: gsgen validate {path}",
             )
-        histories = [entry for entry in manifest.inputs if entry.role == _HISTORY]
+        histories = [entry for entry in manifest.inputs if entry.role == _HISTORY_INPUT]
         state = STATE_SIZES[manifest.outputs.future.representation]
         shape = (histories[0].shape or ()) if len(histories) == 1 else ()
         fits = len(shape) == 2 and shape[1] == state and isinstance(shape[0], int)
-        if not (fits and 1 <= int(shape[0]) <= _LONGEST and manifest.step_seconds > 0):
+        if not (fits and 1 <= int(shape[0]) <= _MAX_HISTORY_LENGTH and manifest.step_seconds > 0):
             raise InputUnreadable(
                 f"the model's input of past camera poses has shape {list(shape)} and a time step of "
-                f"{manifest.step_seconds} s, expected [T, {state}] with T from 1 to {_LONGEST} and a "
+                f"{manifest.step_seconds} s, expected [T, {state}] with T from 1 to {_MAX_HISTORY_LENGTH} and a "
                 "time step above 0 s",
                 where=str(path),
                 hint=f"Check it with: gsgen validate {path}",

@@ -1,6 +1,6 @@
 """Opens camera pose predictors by name or from a file."""
 
-__all__ = ["NAMES", "predictor_maker"]
+__all__ = ["PREDICTORS_BY_NAME", "predictor_maker"]
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,7 +25,7 @@ class _NoPredictor:
         return []
 
 
-NAMES: Final[dict[str, Callable[[], Predictor]]] = {
+PREDICTORS_BY_NAME: Final[dict[str, Callable[[], Predictor]]] = {
     "constant-velocity": ConstantVelocity,
     "none": _NoPredictor,
 }
@@ -35,17 +35,17 @@ def predictor_maker(name: str) -> Callable[[], Predictor]:
     """Return the factory of a named pose predictor, which makes one for each camera path.
 
     Args:
-        name: One of :data:`NAMES`, or the path of an ONNX file of kind trajectory-predictor.
+        name: One of :data:`PREDICTORS_BY_NAME`, or the path of an ONNX file of kind trajectory-predictor.
 
     Raises:
         UnknownName: There is neither a predictor nor a file of that name.
         InputUnreadable: The file is not such a model.
     """
-    if name in NAMES:
-        return NAMES[name]
+    if name in PREDICTORS_BY_NAME:
+        return PREDICTORS_BY_NAME[name]
     path = Path(name)
     if not path.is_file() and path.suffix.lower() != ".onnx":
-        raise UnknownName.among("predictor", name, NAMES)
+        raise UnknownName.among("predictor", name, PREDICTORS_BY_NAME)
     from gsgen.tiles.prediction.onnx_predictor import TrajectoryModel
 
     return TrajectoryModel.open(path).predictor

@@ -24,7 +24,7 @@ _HORIZON_FRACTIONS: Final = (
     0.5,
     1.0,
 )  # of the horizon: the moments that are looked at
-_INTERVAL: Final = 0.1  # seconds between plans
+_PLAN_INTERVAL_SECONDS: Final = 0.1  # seconds between plans
 
 
 @final
@@ -96,7 +96,7 @@ class HorizonPrefetch:
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the tiles that predicted poses see, the earliest first, in order of request."""
-        if self._planned is None or self._time - self._planned >= _INTERVAL:
+        if self._planned is None or self._time - self._planned >= _PLAN_INTERVAL_SECONDS:
             self._planned = self._time
             self._order = self._plan()
         return [tile for tile in self._order if not loaded[tile]]

@@ -1,7 +1,7 @@
 """Compare renderings of each level of a tileset with renderings of its source scene."""
 
 __all__ = [
-    "DISTANCES",
+    "CAMERA_DISTANCES",
     "FIELD_OF_VIEW",
     "NEAR_SHARE",
     "LevelScore",
@@ -41,7 +41,7 @@ Picture = Float32[np.ndarray, "h w 3"]
 _CAPTION_HEIGHT: Final = 18  # pixels of the caption above a picture on a sheet
 _PICTURE_GAP: Final = 4  # pixels between the pictures of a sheet
 
-DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
+CAMERA_DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 """Name → distance of the camera from the middle, in radii of the scene."""
 
 FIELD_OF_VIEW: Final = 50.0
@@ -49,8 +49,8 @@ FIELD_OF_VIEW: Final = 50.0
 NEAR_SHARE: Final = 100
 """Radii of a scene or a tile over the distance of the near plane."""
 
-_AZIMUTHS = (20.0, 140.0, 260.0)
-_RING_LATITUDE = 20.0
+_AZIMUTH_DEGREES = (20.0, 140.0, 260.0)
+_CAMERA_RING_LATITUDE = 20.0
 _INNER_FRACTION = 0.9
 
 
@@ -205,7 +205,7 @@ def _cameras(
         name: cameras_around(
             center, distance * radius, up, size=(width, height), near=radius / NEAR_SHARE
         )
-        for name, distance in DISTANCES.items()
+        for name, distance in CAMERA_DISTANCES.items()
     }
 
 
@@ -224,14 +224,14 @@ def cameras_around(
             center.tolist(),
             distance,
             azimuth=azimuth,
-            elevation=_RING_LATITUDE,
+            elevation=_CAMERA_RING_LATITUDE,
             up=up.tolist(),
             width=width,
             height=height,
             fov_y=FIELD_OF_VIEW,
             near=near,
         )
-        for azimuth in _AZIMUTHS
+        for azimuth in _AZIMUTH_DEGREES
     ]
 
 
@@ -266,12 +266,12 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
     height, width = score.pictures["scene"]["near"].shape[:2]
     size = (
         len(columns) * (width + _PICTURE_GAP) - _PICTURE_GAP,
-        len(DISTANCES) * (height + _CAPTION_HEIGHT + _PICTURE_GAP) - _PICTURE_GAP,
+        len(CAMERA_DISTANCES) * (height + _CAPTION_HEIGHT + _PICTURE_GAP) - _PICTURE_GAP,
     )
     sheet: Any = Image.new("RGB", size, (40, 40, 40))
     drawing = ImageDraw.Draw(sheet)
     for column, name in enumerate(columns):
-        for row, distance in enumerate(DISTANCES):
+        for row, distance in enumerate(CAMERA_DISTANCES):
             x, y = column * (width + _PICTURE_GAP), row * (height + _CAPTION_HEIGHT + _PICTURE_GAP)
             picture = np.rint(score.pictures[name][distance] * 255).astype(np.uint8)
             sheet.paste(Image.fromarray(picture), (x, y + _CAPTION_HEIGHT))

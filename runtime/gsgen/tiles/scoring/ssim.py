@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 _SIGMA: Final = 1.5
-_RADIUS: Final = 5  # pixels: a window of 11
-_C1, _C2 = 0.01**2, 0.03**2
+_WINDOW_RADIUS: Final = 5  # pixels: a window of 11
+_LUMINANCE_CONSTANT, _CONTRAST_CONSTANT = 0.01**2, 0.03**2
 
 
 def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
@@ -31,18 +31,22 @@ def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
     variance_a = _blur(a * a) - mean_a**2
     variance_b = _blur(b * b) - mean_b**2
     covariance = _blur(a * b) - mean_a * mean_b
-    structure = (2 * covariance + _C2) / (variance_a + variance_b + _C2)
-    luminance = (2 * mean_a * mean_b + _C1) / (mean_a**2 + mean_b**2 + _C1)
+    structure = (2 * covariance + _CONTRAST_CONSTANT) / (
+        variance_a + variance_b + _CONTRAST_CONSTANT
+    )
+    luminance = (2 * mean_a * mean_b + _LUMINANCE_CONSTANT) / (
+        mean_a**2 + mean_b**2 + _LUMINANCE_CONSTANT
+    )
     return float((structure * luminance).mean())
 
 
 def _blur(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
     """Convolve a picture with the SSIM window, without borders."""
-    steps = np.arange(-_RADIUS, _RADIUS + 1)
+    steps = np.arange(-_WINDOW_RADIUS, _WINDOW_RADIUS + 1)
     window = np.exp(-0.5 * (steps / _SIGMA) ** 2)
     window /= window.sum()
     for axis in (0, 1):
-        inner = image.shape[axis] - 2 * _RADIUS
+        inner = image.shape[axis] - 2 * _WINDOW_RADIUS
         parts = (
             weight * np.take(image, range(shift, shift + inner), axis=axis)
             for shift, weight in enumerate(window)

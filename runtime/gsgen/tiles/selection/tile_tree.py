@@ -13,9 +13,9 @@ from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume
 from gsgen.tiles.loading.limits import LoadingTime
 from gsgen.tiles.stores.store import Store
 
-_GLOBE = 6.4e6  # a ball of this radius in metres holds the globe
+_GLOBE_RADIUS = 6.4e6  # a ball of this radius in metres holds the globe
 _LARGE_ANGLE = 0.5
-_GRID = 5
+_GRID_POINTS = 5
 
 
 @final
@@ -171,8 +171,8 @@ def _region_box(region: Region) -> Box:
     """Return a box around a region of the globe, aligned to the region's middle."""
     height = region.north - region.south
     if max(region.width, height) > _LARGE_ANGLE:
-        return Box(np.zeros(3), np.eye(3) * (_GLOBE + max(region.maximum, 0.0)))
-    cells = range(_GRID)
+        return Box(np.zeros(3), np.eye(3) * (_GLOBE_RADIUS + max(region.maximum, 0.0)))
+    cells = range(_GRID_POINTS)
     points = np.concatenate([_region_cell(region, x, y).samples() for x in cells for y in cells])
     east = region.west + region.width / 2
     north = (region.south + region.north) / 2
@@ -186,14 +186,14 @@ def _region_box(region: Region) -> Box:
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
     # Between samples the globe bulges by less than r·(angle/step)²/8.
-    curvature_sag = _GLOBE * (max(region.width, height) / (2 * _GRID)) ** 2 / 8
+    curvature_sag = _GLOBE_RADIUS * (max(region.width, height) / (2 * _GRID_POINTS)) ** 2 / 8
     half = (high - low) / 2 + curvature_sag
     return Box((low + high) / 2 @ axes, axes * half[:, None])
 
 
 def _region_cell(region: Region, x: int, y: int) -> Region:
     """Return one cell of a regular grid that divides a region of the globe."""
-    width, height = region.width / _GRID, (region.north - region.south) / _GRID
+    width, height = region.width / _GRID_POINTS, (region.north - region.south) / _GRID_POINTS
     west, south = region.west + width * x, region.south + height * y
     return Region(
         west=west,

@@ -16,9 +16,9 @@ from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.serving.faults import NetworkFaults
 
-_CHUNK = 16 << 10
+_CHUNK_BYTES = 16 << 10
 _STALL_SECONDS = 60.0
-_RANGE = re.compile(r"^bytes=(\d*)-(\d*)$")
+_RANGE_PATTERN = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
 _TYPES: Final = {
     ".json": "application/json",
@@ -36,12 +36,12 @@ _TYPES: Final = {
 }
 _NAMED_BY_DIGEST = re.compile(r"-[0-9a-f]{8}\.glb$")
 
-Log = Callable[[str], None]
+LogFunction = Callable[[str], None]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Span:
+class _ByteSpan:
     """The byte range of a file that an HTTP response sends."""
 
     start: int
@@ -60,7 +60,7 @@ class TileServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(
-        self, folder: Path, *, host: str, port: int, faults: NetworkFaults, log: Log
+        self, folder: Path, *, host: str, port: int, faults: NetworkFaults, log: LogFunction
     ) -> None:
         super().__init__((host, port), _Handler)
         self.folder, self.faults, self.log = folder.resolve(), faults, log
@@ -78,7 +78,7 @@ def serve_folder(
     host: str = "127.0.0.1",
     port: int = 0,
     faults: NetworkFaults | None = None,
-    log: Log = lambda line: None,
+    log: LogFunction = lambda line: None,
 ) -> TileServer:
     """Return a listening server of ``folder``; call ``serve_forever`` to answer requests.
 
@@ -167,20 +167,20 @@ class _Handler(BaseHTTPRequestHandler):
             return None
         return file if inside and is_regular else None
 
-    def _span(self, size: int, etag: str) -> _Span | None:
+    def _span(self, size: int, etag: str) -> _ByteSpan | None:
         """Return the byte range that an HTTP request asks for; None if unsatisfiable."""
-        match = _RANGE.match(self.headers.get("Range") or "")
+        match = _RANGE_PATTERN.match(self.headers.get("Range") or "")
         if_range = self.headers.get("If-Range")
         if match is None or match[0] == "bytes=-" or if_range not in (None, etag):
-            return _Span(0, size)
+            return _ByteSpan(0, size)
         if max(len(match[1]), len(match[2])) > _LONGEST_NUMBER:
             return None
         if not match[1]:  # the last so many
             count = min(int(match[2]), size)
-            return _Span(size - count, count) if count else None
+            return _ByteSpan(size - count, count) if count else None
         start = int(match[1])
         end = min(int(match[2]), size - 1) if match[2] else size - 1
-        return _Span(start, end - start + 1) if start <= end else None
+        return _ByteSpan(start, end - start + 1) if start <= end else None
 
     def _head(
         self, status: HTTPStatus, file: Path, etag: str, headers: list[tuple[str, str]]
@@ -223,7 +223,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
         self.server.log(f"{status.value} {self.path}")
 
-    def _send_body(self, file: Path, span: _Span, *, cut: bool) -> None:
+    def _send_body(self, file: Path, span: _ByteSpan, *, cut: bool) -> None:
         size = span.size // 2 if cut else span.size
         try:
             with file.open("rb") as stream:
@@ -240,7 +240,7 @@ class _Handler(BaseHTTPRequestHandler):
 def _chunks(stream: BinaryIO, size: int) -> Iterator[bytes]:
     remaining = size
     while remaining > 0:
-        chunk = stream.read(min(_CHUNK, remaining))
+        chunk = stream.read(min(_CHUNK_BYTES, remaining))
         if not chunk:
             return
         remaining -= len(chunk)

@@ -12,7 +12,7 @@ The reactive client is normative. Frames are the rows of the path. At each frame
    index), in depth-first order; as long as the root is missing, for no other.
 """
 
-__all__ = ["POLICIES", "Simulation", "policy_named", "simulate"]
+__all__ = ["PREFETCH_POLICIES", "Simulation", "policy_named", "simulate"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,12 +30,12 @@ from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.planner import RequestPlanner
 
 Policy = Literal["reactive", "predictive", "oracle"]
-POLICIES: Final[tuple[Policy, ...]] = ("reactive", "predictive", "oracle")
+PREFETCH_POLICIES: Final[tuple[Policy, ...]] = ("reactive", "predictive", "oracle")
 
 
 def policy_named(name: str) -> Policy:
     """Return the prefetch policy with a given name, such as ``reactive``."""
-    return next(policy for policy in POLICIES if policy == name)
+    return next(policy for policy in PREFETCH_POLICIES if policy == name)
 
 
 @final

@@ -61,7 +61,7 @@ class Delivery:
 
 @final
 @dataclass(slots=True)
-class _Transfer:
+class _PendingTransfer:
     tile: int
     start: float
     remaining: float
@@ -90,7 +90,7 @@ class SimulatedLink:
     ) -> None:
         self._clock, self._trace, self._size = clock, trace, size
         self._rtt, self._connections = rtt, connections
-        self._transfers: list[_Transfer] = []
+        self._transfers: list[_PendingTransfer] = []
 
     @property
     def free(self) -> int:
@@ -100,7 +100,7 @@ class SimulatedLink:
     def request(self, tile: int) -> None:
         """Begin to fetch a tile over the simulated network link."""
         start = self._clock.now() + self._rtt
-        self._transfers.append(_Transfer(tile, start, float(self._size[tile])))
+        self._transfers.append(_PendingTransfer(tile, start, float(self._size[tile])))
 
     def progress(self, tile: int) -> float:
         """Return the fraction of a requested tile's bytes that were received so far."""
@@ -112,7 +112,7 @@ class SimulatedLink:
         self._transfers.remove(transfer)
         return round(float(self._size[tile]) - transfer.remaining)
 
-    def _transfer(self, tile: int) -> _Transfer:
+    def _transfer(self, tile: int) -> _PendingTransfer:
         return next(entry for entry in self._transfers if entry.tile == tile)
 
     def advance(self, end_time: float) -> Delivery | None:

@@ -15,9 +15,9 @@ from gsgen.tiles.simulate.network import RateTrace
 
 PATH_COLUMNS: Final = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 TRACE_COLUMNS: Final = ("t", "mbps")
-_MOST_BYTES: Final = 256 << 20
-_BITS: Final = 8e-6  # megabits of a byte
-_LEAST_LENGTH: Final = 1e-9
+_MAX_FILE_BYTES: Final = 256 << 20
+_MEGABITS_PER_BYTE: Final = 8e-6  # megabits of a byte
+_MIN_VECTOR_LENGTH: Final = 1e-9
 
 
 def read_path(path: Path) -> list[Pose]:
@@ -28,7 +28,7 @@ def read_path(path: Path) -> list[Pose]:
     """
     rows = _read_table(path, PATH_COLUMNS)
     lengths = np.linalg.norm(rows[:, 4:], axis=1)
-    if (short := np.flatnonzero(lengths < _LEAST_LENGTH)).size:
+    if (short := np.flatnonzero(lengths < _MIN_VECTOR_LENGTH)).size:
         line = int(short[0])
         raise _refuse(path, line + 2, f"quaternion {rows[line, 4:].tolist()}", "a length above 0")
     quaternions = rows[:, 4:] / lengths[:, None]
@@ -48,15 +48,15 @@ def read_trace(path: Path) -> RateTrace:
     if (negative_rows := np.flatnonzero(rows[:, 1] < 0)).size:
         line = int(negative_rows[0])
         raise _refuse(path, line + 2, f"{rows[line, 1]:g} Mbps", "0 or more")
-    return RateTrace(rows[:, 0], rows[:, 1] / _BITS)
+    return RateTrace(rows[:, 0], rows[:, 1] / _MEGABITS_PER_BYTE)
 
 
 def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n c"]:
     """Read named columns of a CSV file as numbers; the first column, time, must ascend."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > _MAX_FILE_BYTES:
             raise InputUnreadable(
-                f"the file has {path.stat().st_size:,} bytes, expected {_MOST_BYTES:,} or fewer",
+                f"the file has {path.stat().st_size:,} bytes, expected {_MAX_FILE_BYTES:,} or fewer",
                 where=str(path),
                 hint="Split the table.",
             )

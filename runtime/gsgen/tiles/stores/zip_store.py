@@ -25,7 +25,7 @@ _INDEX_RECORD = struct.Struct("<16sQ")
 _LOCAL_HEADER = struct.Struct("<4s5H3I2H")
 _LOCAL_MAGIC = b"PK\x03\x04"
 _DEFLATED = 8
-_MOST_MEMBERS = 4_000_000
+_MAX_MEMBERS = 4_000_000
 _ARCHIVE_DATE = (1980, 1, 1, 0, 0, 0)  # the first of a zip file: equal folders give equal archives
 
 
@@ -69,9 +69,9 @@ class ZipStore(Store):
                 members = archive.infolist()
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
             raise self._damage_error(f"the zip archive cannot be listed ({error})") from error
-        if len(members) > _MOST_MEMBERS:
+        if len(members) > _MAX_MEMBERS:
             raise self._damage_error(
-                f"the archive has {len(members):,} files, over {_MOST_MEMBERS:,}"
+                f"the archive has {len(members):,} files, over {_MAX_MEMBERS:,}"
             )
         by_name = {member.filename: member for member in members}
         index = by_name.get(INDEX_NAME)

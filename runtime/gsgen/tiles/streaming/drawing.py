@@ -1,6 +1,6 @@
 """Chooses the tiles to draw while better tiles arrive, without holes, and fades tiles."""
 
-__all__ = ["FADE_SECONDS", "Fades", "drawable_tiles"]
+__all__ = ["FADE_SECONDS", "TileFades", "drawable_tiles"]
 
 from typing import Final, final
 
@@ -59,7 +59,7 @@ def drawable_tiles(
 
 
 @final
-class Fades:
+class TileFades:
     """Cross-fades tiles: new tiles fade in while the tiles that they replace fade out.
 
     A tile that merely comes into view is drawn at once, and one that leaves it is gone at once.

@@ -20,7 +20,7 @@ Fetched = TypeVar("Fetched")
 Decoded = TypeVar("Decoded")
 RETRY_AFTER: Final = 30.0
 """Seconds after which a file that could not be had for now is requested again, at first."""
-_DECODERS = 2  # threads that decode at once: more would take frames their time
+_DECODER_THREADS = 2  # threads that decode at once: more would take frames their time
 
 OnBytes = Callable[[int], None]
 
@@ -80,7 +80,7 @@ class FetchLink(Generic[Fetched, Decoded]):
     ) -> None:
         self._fetch, self._decode, self._size = fetch, decode, size
         self._connections = connections
-        self._decoders = Semaphore(_DECODERS)
+        self._decoders = Semaphore(_DECODER_THREADS)
         self._active_requests: dict[int, _Request] = {}
         self._queue: deque[int] = deque()
         self._started: list[int] = []

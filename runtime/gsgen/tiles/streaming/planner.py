@@ -18,7 +18,7 @@ from gsgen.tiles.streaming.metrics import MetricsRecorder
 CANCEL_BELOW: Final = 0.5
 """A request is cancelled only below this share of its bytes."""
 
-_Purpose = Literal["needed", "prefetched", "finer"]
+_RequestPurpose = Literal["needed", "prefetched", "finer"]
 """Why a tile was requested."""
 
 _MAX_WASTE_FRACTION: Final = (
@@ -75,7 +75,7 @@ class RequestPlanner:
         self._prefetch = prefetch
         self._is_bounded = not isinstance(prefetch, PathPrefetch)
         self._demand: Int64[np.ndarray, " m"] = np.zeros(0, np.int64)
-        self._in_flight: dict[int, _Purpose] = {}
+        self._in_flight: dict[int, _RequestPurpose] = {}
         self._ledger = _PrefetchLedger(tree.size)
 
     @property
@@ -139,13 +139,13 @@ class RequestPlanner:
         rows = missing_tiles(self._demand, loaded).tolist()
         return [tile for tile in rows if tile not in self._in_flight]
 
-    def _requested(self, *purposes: _Purpose) -> list[int]:
+    def _requested(self, *purposes: _RequestPurpose) -> list[int]:
         """Return the tiles in flight that were requested for one of some purposes."""
         return [tile for tile, purpose in self._in_flight.items() if purpose in purposes]
 
     def _next(
         self, loaded: Bool[np.ndarray, " n"], finer_tiles: Sequence[int]
-    ) -> tuple[int | None, _Purpose]:
+    ) -> tuple[int | None, _RequestPurpose]:
         # 1. Seen tiles; while one of them is missing or in flight, nothing else is requested.
         missing = self.missing(loaded)
         if missing:

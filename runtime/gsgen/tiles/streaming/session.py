@@ -28,7 +28,7 @@ from gsgen.tiles.stores.store import Store
 from gsgen.tiles.streaming.clock import Clock, SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
-from gsgen.tiles.streaming.drawing import FADE_SECONDS, Fades, drawable_tiles
+from gsgen.tiles.streaming.drawing import FADE_SECONDS, TileFades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog
 from gsgen.tiles.streaming.fetch import FailedTiles, FetchLink, FetchResult
 from gsgen.tiles.streaming.generator_opening import ModelReader
@@ -233,7 +233,7 @@ class TilesetSession:
         if tree.is_counted:  # a pool need not hold more than the whole tileset
             self.pool_slots = min(self.pool_slots, max(1, int(self._slots.sum())))
         self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
-        self._fades = Fades(tree, options.fade_seconds)
+        self._fades = TileFades(tree, options.fade_seconds)
         self._is_contentless = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
         self._partial_upload: TileArrival | None = None  # whose rows are not all uploaded

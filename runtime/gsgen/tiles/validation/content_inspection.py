@@ -36,7 +36,7 @@ from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
 from gsgen.tiles.validation.values import ContentValues, check_values, measure_content
 
 Progress = Callable[[str], None]
-_MOST_THREADS: Final = 4
+_MAX_THREADS: Final = 4
 
 
 def inspect_tileset(
@@ -146,7 +146,7 @@ def _read_contents(
 
 
 def _threads() -> int:
-    return min(_MOST_THREADS, os.cpu_count() or 1)
+    return min(_MAX_THREADS, os.cpu_count() or 1)
 
 
 def _distinct_files(
@@ -167,7 +167,7 @@ def _read_in_order(
     remaining = iter(pairs)
     pending: deque[Future[_FileResult]] = deque()
     while True:
-        for pair in islice(remaining, 2 * _MOST_THREADS - len(pending)):
+        for pair in islice(remaining, 2 * _MAX_THREADS - len(pending)):
             pending.append(executor.submit(read, *pair))
         if not pending:
             return

@@ -34,8 +34,8 @@ MAX_DRAWN: Final = 1_000_000
 REFINEMENT_PIXELS: Final = 16.0
 """Pixels of geometric error at which viewers change from a tile to its children."""
 
-_DISTANCE: Final = 2.5  # radii of the tile, with which it fills the picture
-_SIZES: Final = (64, 512)  # the smallest and largest picture, in pixels
+_CAMERA_DISTANCE_RADII: Final = 2.5  # radii of the tile, with which it fills the picture
+_PICTURE_SIZE_LIMITS: Final = (64, 512)  # the smallest and largest picture, in pixels
 _WINDOW: Final = 16  # pixels: the smallest part of a picture that is compared
 _RGBA = Float32[np.ndarray, "h w 4"]
 
@@ -158,7 +158,9 @@ class _TileRenderer:
             return None
         parts = self._read(cut)
         view = _View.around(parts, self._up)
-        pictures = self._pictures(join_placed(parts, view.center), view.cameras(_DISTANCE))
+        pictures = self._pictures(
+            join_placed(parts, view.center), view.cameras(_CAMERA_DISTANCE_RADII)
+        )
         return DrawnTile(
             uri=tile.contents[0].uri,
             splats=self.count(cut),
@@ -256,10 +258,14 @@ class _View:
         radius = max(float(np.linalg.norm(high - low)) / 2 + 2 * reach, 1e-6)
         half = math.tan(math.radians(FIELD_OF_VIEW) / 2)
         share = error / radius
-        size = _SIZES[1] if not share else 2 * half * _DISTANCE * REFINEMENT_PIXELS / share
-        size = int(min(max(size, _SIZES[0]), _SIZES[1]))
+        size = (
+            _PICTURE_SIZE_LIMITS[1]
+            if not share
+            else 2 * half * _CAMERA_DISTANCE_RADII * REFINEMENT_PIXELS / share
+        )
+        size = int(min(max(size, _PICTURE_SIZE_LIMITS[0]), _PICTURE_SIZE_LIMITS[1]))
         focal = size / 2 / half
-        distance = max(_DISTANCE, share * focal / REFINEMENT_PIXELS)
+        distance = max(_CAMERA_DISTANCE_RADII, share * focal / REFINEMENT_PIXELS)
         return cls(
             center=(low + high) / 2,
             radius=radius,

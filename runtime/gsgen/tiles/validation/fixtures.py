@@ -17,7 +17,7 @@ from gsgen.contract.spec.severity import Level
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container, streams
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
-from gsgen.tiles.format.neural_tile import EXTENSION as NEURAL
+from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 from gsgen.tiles.validation.sketches import (
     TilesetSketch,
     edit_glb,
@@ -27,8 +27,8 @@ from gsgen.tiles.validation.sketches import (
 
 __all__ = ["tiles_fixtures"]
 
-Draw = Callable[[], TilesetSketch]
-_INDEX = "/tileset.json"
+DrawTileset = Callable[[], TilesetSketch]
+_INDEX_PATH = "/tileset.json"
 
 
 def tiles_fixtures() -> list[Fixture]:
@@ -36,15 +36,15 @@ def tiles_fixtures() -> list[Fixture]:
     return fixtures_in(sys.modules[__name__])
 
 
-def _example(rule: str = "", *, level: Level = Level.VALUES) -> Callable[[Draw], Fixture]:
-    def declare(draw: Draw) -> Fixture:
+def _example(rule: str = "", *, level: Level = Level.VALUES) -> Callable[[DrawTileset], Fixture]:
+    def declare(draw: DrawTileset) -> Fixture:
         return Fixture(
             name=draw.__name__,
             rule=rule,
             summary=summary_of(draw),
             draw=draw,  # type: ignore[arg-type]
             level=level,
-            suffix=_INDEX,
+            suffix=_INDEX_PATH,
         )
 
     return declare

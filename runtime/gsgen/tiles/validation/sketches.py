@@ -30,8 +30,8 @@ from gsgen.tiles.format.index import (
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.gltf.encoding import write_content
 
-_ROWS = 24
-_CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
+_ROW_COUNT = 24
+_TILE_CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
 _GEOMETRIC_ERROR = 1.0
 _JsonEdit = Callable[[JsonDict], JsonDict]
 
@@ -72,7 +72,7 @@ def explicit_sketch(
     codec: CodecName = "spz",
     transform: Float64[np.ndarray, "4 4"] | None = None,
     record: bool = True,
-    leaf_rows: int = _ROWS,
+    leaf_rows: int = _ROW_COUNT,
     edit_root: Callable[[Splats], Splats] | None = None,
 ) -> TilesetSketch:
     """Return an explicit tileset of a root and two leaves.
@@ -84,11 +84,11 @@ def explicit_sketch(
         leaf_rows: Splats of the first leaf; where they are many, all are alike.
         edit_root: Changes the splats of the root's content, a third of those of the leaves.
     """
-    leaves = [sample_splats(_ROWS, center, seed=n) for n, center in enumerate(_CENTERS)]
+    leaves = [sample_splats(_ROW_COUNT, center, seed=n) for n, center in enumerate(_TILE_CENTERS)]
     coarse = join_splats([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
     if edit_root is not None:
         coarse = edit_root(coarse)
-    if leaf_rows > _ROWS:
+    if leaf_rows > _ROW_COUNT:
         leaves[0] = _rows(leaves[0], np.zeros(leaf_rows, int))
     files: dict[str, bytes] = {}
     children = tuple(_leaf_record(leaf, n, codec, files) for n, leaf in enumerate(leaves))
@@ -109,7 +109,7 @@ def _leaf_record(
     splats: Splats, number: int, codec: CodecName, files: dict[str, bytes]
 ) -> TileRecord:
     leaf = _record(splats, 1, (number, 0, 0), codec, files)
-    center = np.array(_CENTERS[number])
+    center = np.array(_TILE_CENTERS[number])
     return replace(leaf, low=center - 2.0, high=center + 2.0)
 
 
@@ -152,7 +152,7 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
     leaves: dict[tuple[int, int, int], Splats] = {}
     for number, cell in enumerate(cells):
         x, y, z = (-8 + 4 * value + 2.0 for value in cell)
-        leaves[cell] = sample_splats(_ROWS, (x, y, z), seed=number)
+        leaves[cell] = sample_splats(_ROW_COUNT, (x, y, z), seed=number)
     records = {
         (2, cell): _record(splats, 2, cell, codec, files, implicit=True)
         for cell, splats in leaves.items()

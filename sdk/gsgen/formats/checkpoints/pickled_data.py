@@ -137,7 +137,7 @@ def _build_object(name: str, arguments: Any) -> Any:
 
 
 _INSTRUCTIONS = {instruction.code: instruction for instruction in pickletools.opcodes}
-_ACTIONS: dict[str, Callable[[_PickleMachine, Any], object]] = {
+_OPCODE_ACTIONS: dict[str, Callable[[_PickleMachine, Any], object]] = {
     "PROTO": lambda machine, _: None,
     "FRAME": lambda machine, _: None,
     "MARK": lambda machine, _: machine.mark(),
@@ -203,9 +203,9 @@ def pickled_data(content: bytes) -> Any:
         name = f"{code!r}" if instruction is None else instruction.name
         if name == "STOP":
             return machine.pop_many(1)[0]
-        if instruction is None or name not in _ACTIONS:
+        if instruction is None or name not in _OPCODE_ACTIONS:
             raise ValueError(f"the instruction {name} of the pickle is not supported")
-        _ACTIONS[name](machine, _argument(instruction, stream))
+        _OPCODE_ACTIONS[name](machine, _argument(instruction, stream))
     raise ValueError("the pickle ends without a STOP instruction")
 
 

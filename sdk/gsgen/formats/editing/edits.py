@@ -108,7 +108,7 @@ def _floaters(text: str) -> Edit:
     return lambda splats: without_floaters(splats, size, int(neighbours))
 
 
-OPTIONS: Final[dict[str, Option]] = {
+EDIT_OPTIONS: Final[dict[str, Option]] = {
     "translate": _numeric(translated, "X,Y,Z"),
     "rotate": _numeric(rotated, "X,Y,Z"),
     "scale": Option("FACTOR", _scaling),
@@ -128,5 +128,5 @@ def parse_edit(name: str, text: str) -> ParsedEdit:
     Raises:
         ValueInvalid: The value has another form.
     """
-    option = OPTIONS[name]
+    option = EDIT_OPTIONS[name]
     return ParsedEdit(f"--{name.replace('_', '-')} {text}", option.parse(text), option.is_row_wise)

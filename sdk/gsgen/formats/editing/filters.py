@@ -24,7 +24,7 @@ _COMPARISONS: Final[dict[str, Callable[[np.ndarray, float], np.ndarray]]] = {
     "<": operator.lt,
     ">": operator.gt,
 }
-_CONDITION: Final = re.compile(r"\s*(\w+)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
+_CONDITION_PATTERN: Final = re.compile(r"\s*(\w+)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
 
 Quantity = Callable[[Splats], Float32[np.ndarray, " n"]]
 
@@ -41,7 +41,7 @@ def _color(channel: int) -> Quantity:
     return lambda splats: np.asarray(0.5 + SH_C0 * splats.sh[:, 0, channel], np.float32)
 
 
-QUANTITIES: Final[dict[str, Quantity]] = {
+FILTER_QUANTITIES: Final[dict[str, Quantity]] = {
     **{name: _coordinate(axis) for axis, name in enumerate("xyz")},
     **{f"scale_{axis}": _scale(axis) for axis in range(3)},
     "largest_scale": lambda splats: np.exp(splats.log_scale.max(axis=1)),
@@ -87,18 +87,18 @@ def where_value(splats: Splats, condition: str) -> Splats:
     """Return the splats that satisfy a condition such as ``opacity>=0.1``.
 
     Raises:
-        ValueInvalid: The condition is not a name of ``QUANTITIES``, a comparison and a number.
+        ValueInvalid: The condition is not a name of ``FILTER_QUANTITIES``, a comparison and a number.
     """
-    match = _CONDITION.fullmatch(condition)
+    match = _CONDITION_PATTERN.fullmatch(condition)
     number = _number(match[3]) if match else None
-    if match is None or number is None or match[1] not in QUANTITIES:
+    if match is None or number is None or match[1] not in FILTER_QUANTITIES:
         raise ValueInvalid(
             f"the condition is {quoted(condition)}",
             where="condition",
-            expected=f"one of {', '.join(QUANTITIES)}, then {' '.join(_COMPARISONS)}, then a number",
+            expected=f"one of {', '.join(FILTER_QUANTITIES)}, then {' '.join(_COMPARISONS)}, then a number",
         )
     with np.errstate(over="ignore"):
-        return rows_of(splats, _COMPARISONS[match[2]](QUANTITIES[match[1]](splats), number))
+        return rows_of(splats, _COMPARISONS[match[2]](FILTER_QUANTITIES[match[1]](splats), number))
 
 
 def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:

@@ -8,13 +8,13 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.formats.editing.filters import QUANTITIES
+from gsgen.formats.editing.filters import FILTER_QUANTITIES
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, replace_file
 from gsgen.formats.shared.splats import Splats
 
 _LOG_SCALED_WORD: Final = "scale"  # quantities with this word are drawn on a logarithmic axis
-_BINS, _BAR_WIDTH, _HEIGHT, _COLUMNS, _MARGIN = 80, 3, 90, 3, 18
+_BIN_COUNT, _BAR_WIDTH, _PLOT_HEIGHT, _COLUMN_COUNT, _MARGIN_PIXELS = 80, 3, 90, 3, 18
 
 
 @final
@@ -23,7 +23,7 @@ class Statistics:
     """The distribution of one quantity, such as opacity, over the splats where it is finite.
 
     Attributes:
-        name: The quantity, a key of ``QUANTITIES``.
+        name: The quantity, a key of ``FILTER_QUANTITIES``.
         count: The splats with a finite value.
         low: The least value.
         median: The value in the middle.
@@ -43,7 +43,7 @@ class Statistics:
 
 def summarise(splats: Splats) -> tuple[Statistics, ...]:
     """Return the distribution of every quantity of splats, such as opacity, with units."""
-    return tuple(_statistics(name, _values(splats, name)) for name in QUANTITIES)
+    return tuple(_statistics(name, _values(splats, name)) for name in FILTER_QUANTITIES)
 
 
 def statistics_text(summary: Sequence[Statistics]) -> str:
@@ -71,19 +71,22 @@ def write_histograms(path: FilePath, splats: Splats) -> None:
             where="histograms",
             hint="pip install 'gsgen[formats]'",
         ) from error
-    width, height = _BINS * _BAR_WIDTH + _MARGIN, _HEIGHT + 2 * _MARGIN
-    rows = -(-len(QUANTITIES) // _COLUMNS)
-    image = Image.new("RGB", (_COLUMNS * width + _MARGIN, rows * height), "white")
+    width, height = _BIN_COUNT * _BAR_WIDTH + _MARGIN_PIXELS, _PLOT_HEIGHT + 2 * _MARGIN_PIXELS
+    rows = -(-len(FILTER_QUANTITIES) // _COLUMN_COUNT)
+    image = Image.new("RGB", (_COLUMN_COUNT * width + _MARGIN_PIXELS, rows * height), "white")
     draw = ImageDraw.Draw(image)
-    for index, name in enumerate(QUANTITIES):
-        left_edge, top_edge = _MARGIN + index % _COLUMNS * width, index // _COLUMNS * height
+    for index, name in enumerate(FILTER_QUANTITIES):
+        left_edge, top_edge = (
+            _MARGIN_PIXELS + index % _COLUMN_COUNT * width,
+            index // _COLUMN_COUNT * height,
+        )
         values = _values(splats, name)
         counts, low, high = histogram(name, values)
-        base = top_edge + _MARGIN + _HEIGHT
+        base = top_edge + _MARGIN_PIXELS + _PLOT_HEIGHT
         axis = ", logarithmic" if _LOG_SCALED_WORD in name else ""
         draw.text((left_edge, top_edge + 2), f"{name}: {low:.3g} to {high:.3g}{axis}", fill="black")
         for bar, count in enumerate(counts):
-            bar_height = round(_HEIGHT * count / max(counts.max(), 1))
+            bar_height = round(_PLOT_HEIGHT * count / max(counts.max(), 1))
             draw.rectangle(
                 (
                     left_edge + bar * _BAR_WIDTH,
@@ -93,7 +96,7 @@ def write_histograms(path: FilePath, splats: Splats) -> None:
                 ),
                 fill="#3465a4",
             )
-        draw.line((left_edge, base, left_edge + _BINS * _BAR_WIDTH, base), fill="black")
+        draw.line((left_edge, base, left_edge + _BIN_COUNT * _BAR_WIDTH, base), fill="black")
     stream = BytesIO()
     image.save(stream, "PNG")
     with replace_file(path) as file:
@@ -103,17 +106,17 @@ def write_histograms(path: FilePath, splats: Splats) -> None:
 def histogram(name: str, values: Float64[np.ndarray, " n"]) -> tuple[np.ndarray, float, float]:
     """Return an 80-bin histogram of values with its range; bins of scales are logarithmic."""
     if not len(values):
-        return np.zeros(_BINS, np.int64), 0.0, 0.0
+        return np.zeros(_BIN_COUNT, np.int64), 0.0, 0.0
     low, high = float(values.min()), float(values.max())
     if _LOG_SCALED_WORD in name:
         values = np.log(values[values > 0])
-    counts, _ = np.histogram(values, _BINS)
+    counts, _ = np.histogram(values, _BIN_COUNT)
     return counts, low, high
 
 
 def _values(splats: Splats, name: str) -> Float64[np.ndarray, " n"]:
     with np.errstate(over="ignore"):
-        values = np.asarray(QUANTITIES[name](splats), np.float64)
+        values = np.asarray(FILTER_QUANTITIES[name](splats), np.float64)
     return values[np.isfinite(values)]
 
 

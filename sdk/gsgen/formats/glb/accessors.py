@@ -12,7 +12,7 @@ from gsgen.formats.glb.container import Container, Json, require_integer
 from gsgen.formats.shared.bytes import require_length
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, quoted
 
-_COMPONENTS: Final = {
+_COMPONENT_DTYPES: Final = {
     5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4",
 }  # fmt: skip
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -37,7 +37,7 @@ def read_accessor(
     kind, width = accessor.get("componentType"), accessor.get("type")
     if (
         not (isinstance(kind, int) and isinstance(width, str))
-        or kind not in _COMPONENTS
+        or kind not in _COMPONENT_DTYPES
         or width not in _WIDTHS
     ):
         raise HeaderMalformed(
@@ -50,7 +50,7 @@ def read_accessor(
         raise HeaderMalformed(
             f"the accessor has type {width}", where=where, expected=" or ".join(names)
         )
-    stored = _stored(glb, accessor, np.dtype(_COMPONENTS[kind]), _WIDTHS[width], where)
+    stored = _stored(glb, accessor, np.dtype(_COMPONENT_DTYPES[kind]), _WIDTHS[width], where)
     values = stored.astype(np.float32)
     if accessor.get("normalized") and stored.dtype.kind != "f":
         values = np.maximum(values / np.float32(np.iinfo(stored.dtype).max), -1)

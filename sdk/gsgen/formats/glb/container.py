@@ -15,14 +15,14 @@ from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSuppo
 
 MAGIC: Final = b"glTF"
 
-COMPRESSIONS: Final = (
+COMPRESSION_EXTENSIONS: Final = (
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
     "KHR_draco_mesh_compression",
 )
 """Extensions that compress attributes or indices, which are not decoded."""
 
-_HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_FILE_HEADER, _CHUNK_HEADER = struct.Struct("<4sII"), struct.Struct("<I4s")
 _MAX_JSON_BYTES = 1 << 28
 Json = dict[str, Any]
 
@@ -66,8 +66,8 @@ def parse(data: Data) -> Container:
         FileTruncated: The file ends early.
         HeaderMalformed: A chunk has an unknown type, or its JSON is invalid.
     """
-    require_length(data, 0, _HEADER.size + _CHUNK.size, "header")
-    magic, version, length = _HEADER.unpack_from(data)
+    require_length(data, 0, _FILE_HEADER.size + _CHUNK_HEADER.size, "header")
+    magic, version, length = _FILE_HEADER.unpack_from(data)
     if magic != MAGIC:
         raise NotRecognised(
             magic.hex(" "), where="first bytes", expected="67 6c 54 46 (glTF), the start of a GLB"
@@ -77,28 +77,28 @@ def parse(data: Data) -> Container:
             f"the file has glTF version {version}", where="byte 4", expected="version 2"
         )
     require_length(data, 0, length, "header")
-    size, kind = _CHUNK.unpack_from(data, _HEADER.size)
-    start = _HEADER.size + _CHUNK.size
+    size, kind = _CHUNK_HEADER.unpack_from(data, _FILE_HEADER.size)
+    start = _FILE_HEADER.size + _CHUNK_HEADER.size
     if kind != b"JSON" or size > _MAX_JSON_BYTES:
         raise HeaderMalformed(
             f"the first chunk is {kind!r} of {size} bytes",
-            where=f"byte {_HEADER.size}",
+            where=f"byte {_FILE_HEADER.size}",
             expected=f"a chunk JSON of at most {_MAX_JSON_BYTES} bytes",
         )
     require_length(data, start, size, "chunk JSON")
     document = _document(bytes(data[start : start + size]))
     binary, body = start + size, 0
-    if binary + _CHUNK.size <= min(length, len(data)):
-        body, kind = _CHUNK.unpack_from(data, binary)
+    if binary + _CHUNK_HEADER.size <= min(length, len(data)):
+        body, kind = _CHUNK_HEADER.unpack_from(data, binary)
         body = body if kind == b"BIN\0" else 0
-        require_length(data, binary + _CHUNK.size, body, "chunk BIN")
-    return Container(document, data, binary + _CHUNK.size, body)
+        require_length(data, binary + _CHUNK_HEADER.size, body, "chunk BIN")
+    return Container(document, data, binary + _CHUNK_HEADER.size, body)
 
 
 def require_uncompressed(document: Json) -> None:
     """Raise if a glTF document can only be read with an extension that compresses attributes."""
     for name in array_member(document, "extensionsRequired", "document"):
-        if name in COMPRESSIONS:
+        if name in COMPRESSION_EXTENSIONS:
             raise NotSupported(
                 f"the file needs {name}, which is not decoded",
                 where="extensionsRequired",
@@ -126,13 +126,13 @@ def build(document: Json, size: int) -> bytes:
     """Return the first part of a GLB file: header, JSON and the binary chunk's header."""
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    total = _HEADER.size + 2 * _CHUNK.size + len(text) + size
+    total = _FILE_HEADER.size + 2 * _CHUNK_HEADER.size + len(text) + size
     return b"".join(
         [
-            _HEADER.pack(MAGIC, 2, total),
-            _CHUNK.pack(len(text), b"JSON"),
+            _FILE_HEADER.pack(MAGIC, 2, total),
+            _CHUNK_HEADER.pack(len(text), b"JSON"),
             text,
-            _CHUNK.pack(size, b"BIN\0"),
+            _CHUNK_HEADER.pack(size, b"BIN\0"),
         ]
     )
 

@@ -31,7 +31,7 @@ from gsgen.formats.shared.values import require_rows
 
 __all__ = ["decode_glb", "read_glb", "scene_primitives", "write_glb"]
 
-_LARGEST = 2**32 - 1
+_MAX_UINT32 = 2**32 - 1
 _HEADER_ROOM = 1 << 16
 _FLOAT, _WIDTHS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _BYTES_PER_SPLAT = 44  # of a splat in memory, less its harmonics
@@ -122,7 +122,7 @@ def write_glb(path: FilePath, splats: Splats) -> None:
         require_drawable(splats)
         arrays = _attributes(flip(splats, RDF_LUF))
         size = sum(array.nbytes for array in arrays.values())
-        if size > _LARGEST - _HEADER_ROOM:
+        if size > _MAX_UINT32 - _HEADER_ROOM:
             raise ValueInvalid(
                 f"the arrays take {size} bytes",
                 where="arrays",

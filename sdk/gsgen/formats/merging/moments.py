@@ -20,7 +20,7 @@ fills them where they come from, between the members; f = 1.1 does the rest. Bot
 ``tests/bench/tiles/bench_tiles.py`` measures the gain.
 """
 
-__all__ = ["MAX_OPACITY", "SPREAD", "WIDEN", "ellipsoids", "merge_clusters"]
+__all__ = ["MAX_OPACITY", "MAX_SPREAD_SIGMAS", "WIDENING_FACTOR", "ellipsoids", "merge_clusters"]
 
 from typing import Final
 
@@ -33,9 +33,9 @@ from gsgen.formats.merging.mixture import Mixture, surface_area
 from gsgen.formats.shared.quantities import rotations
 
 MAX_OPACITY: Final = 0.999
-SPREAD: Final = 2.0
+MAX_SPREAD_SIGMAS: Final = 2.0
 """κ: how much wider than its members' centres a merged Gaussian is, in variance."""
-WIDEN: Final = 1.1
+WIDENING_FACTOR: Final = 1.1
 """f: how much wider a merged Gaussian is at last, in standard deviations."""
 _ROUNDED_DIGITS: Final = 6  # eigenvectors are rounded: their last bits differ between machines
 
@@ -44,8 +44,8 @@ def merge_clusters(
     mixture: Mixture,
     starts: Int64[np.ndarray, " m"],
     *,
-    spread: float = SPREAD,
-    widen: float = WIDEN,
+    spread: float = MAX_SPREAD_SIGMAS,
+    widen: float = WIDENING_FACTOR,
 ) -> Mixture:
     """Merge the Gaussians of each cluster, which are consecutive, into one by moment matching.
 

@@ -17,7 +17,7 @@ Encoding = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 MAGIC: Final = (b"ply\n", b"ply\r\n")
 """The first line of a PLY file, with either line end."""
 
-ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
+PLY_ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
 ANTIALIASED_COMMENT: Final = "comment SplatRenderMode: mip"
 """The header line of antialiased splats, in the words of Brush."""
 _RENDER_MODE = re.compile(r"SplatRenderMode:\s*(\S+)|antialiased\s+(\d+)", re.IGNORECASE)
@@ -135,8 +135,8 @@ def parse_header(data: mmap.mmap) -> Header:
                 infos.append(line.strip().removeprefix("obj_info").strip())
             case []:
                 continue
-            case ["format", name, "1.0"] if encoding is None and name in ENCODINGS:
-                encoding = ENCODINGS[ENCODINGS.index(name)]  # for the type checker
+            case ["format", name, "1.0"] if encoding is None and name in PLY_ENCODINGS:
+                encoding = PLY_ENCODINGS[PLY_ENCODINGS.index(name)]  # for the type checker
             case ["element", name, count]:
                 _add_element(tables, name, count, number)
             case ["property", "list", count_type, item_type, name] if tables:
@@ -245,7 +245,7 @@ def _count_type(type_name: str, number: int) -> str:
 def _expected_syntax(line: str) -> str:
     """Return the valid syntax of a PLY header line like ``line``, for error messages."""
     syntax_by_keyword = {
-        "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
+        "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(PLY_ENCODINGS)}",
         "element": "`element NAME COUNT`",
         "property": "`property TYPE NAME` or `property list TYPE TYPE NAME`, after an element",
     }

@@ -9,7 +9,7 @@ from typing import BinaryIO, Final, Literal, final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.ply.header import ANTIALIASED_COMMENT, ENCODINGS, Encoding
+from gsgen.formats.ply.header import ANTIALIASED_COMMENT, PLY_ENCODINGS, Encoding
 from gsgen.formats.ply.layout import COLORS, XYZ, splat_names
 from gsgen.formats.ply.values import require_cloud, require_splats
 from gsgen.formats.shared.errors import ValueInvalid, quoted
@@ -17,7 +17,7 @@ from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.splats import PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
-_MOST_SH_BYTES: Final = 1 << 28  # of SH coefficients, at most, whose rows PlyFrames keeps
+_MAX_SH_BYTES: Final = 1 << 28  # of SH coefficients, at most, whose rows PlyFrames keeps
 _NO_SH: Final = np.empty((0, 1, 3), np.float32)
 
 
@@ -52,8 +52,10 @@ def write_ply(
         FileUnwritable: The file cannot be written at ``path``.
     """
     with naming(path):
-        if format not in ENCODINGS:
-            raise ValueInvalid(quoted(str(format)), where="format", expected=", ".join(ENCODINGS))
+        if format not in PLY_ENCODINGS:
+            raise ValueInvalid(
+                quoted(str(format)), where="format", expected=", ".join(PLY_ENCODINGS)
+            )
         if isinstance(content, Splats):
             require_splats(content)
             blocks = _splat_blocks(content)
@@ -94,7 +96,7 @@ class PlyFrames:
 
     def write(self, path: FilePath, splats: Splats) -> None:
         """Write a frame's splats to ``path``; see :func:`write_ply` for the errors."""
-        if splats.sh.nbytes > _MOST_SH_BYTES:
+        if splats.sh.nbytes > _MAX_SH_BYTES:
             write_ply(path, splats)
             return
         keeps_colors = splats.sh is self._sh

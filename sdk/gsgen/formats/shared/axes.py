@@ -13,16 +13,16 @@ from jaxtyping import Float32
 from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.splats import Splats
 
-Signs = tuple[int, int, int]
+AxisSigns = tuple[int, int, int]
 """The factors of x, y and z, each 1 or −1."""
 
-RDF_RUB: Final[Signs] = (1, -1, -1)
+RDF_RUB: Final[AxisSigns] = (1, -1, -1)
 """Converts between x right, y down, z forward (PLY) and x right, y up, z back (SPZ)."""
-RDF_LUF: Final[Signs] = (-1, -1, 1)
+RDF_LUF: Final[AxisSigns] = (-1, -1, 1)
 """Converts between x right, y down, z forward (PLY) and x left, y up, z forward (glTF)."""
 
 
-def axis_signs(axes: str) -> Signs:
+def axis_signs(axes: str) -> AxisSigns:
     """Return the signs that convert PLY axes to ``axes``, such as ``RUB`` (right, up, back).
 
     Raises:
@@ -39,7 +39,7 @@ def axis_signs(axes: str) -> Signs:
     return x, y, z
 
 
-def flip(splats: Splats, signs: Signs) -> Splats:
+def flip(splats: Splats, signs: AxisSigns) -> Splats:
     """Return ``splats`` in a coordinate system whose axes are negated where ``signs`` are −1.
 
     A second call with the same ``signs`` undoes the first.
@@ -61,13 +61,13 @@ def _multiply(
     return np.asarray(product)
 
 
-def sh_signs(degree: int, signs: Signs) -> Float32[np.ndarray, " k"]:
+def sh_signs(degree: int, signs: AxisSigns) -> Float32[np.ndarray, " k"]:
     """Return the sign change of each SH coefficient if x, y and z are multiplied by ``signs``."""
     bands_and_orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
     return np.array([_sh_sign(band, m, signs) for band, m in bands_and_orders], np.float32)
 
 
-def _sh_sign(degree: int, order: int, signs: Signs) -> int:
+def _sh_sign(degree: int, order: int, signs: AxisSigns) -> int:
     x, y, z = signs
     sine = order < 0
     odd_in_x = (order % 2 == 1) != sine  # cos m(π − φ) = (−1)^m cos mφ, and −(−1)^m for sin

@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float32, Int64, Integer, UInt64
 
-_BITS = 10
+_AXIS_BITS = 10
 _CHUNK_ROWS = 1 << 18
-_MAX_CELL = (1 << _BITS) - 1
+_MAX_CELL = (1 << _AXIS_BITS) - 1
 _SPREAD_STEPS = (
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),

@@ -49,7 +49,7 @@ class Chunks:
 
 
 @dataclass(slots=True)
-class _Leaf:
+class _LeafNode:
     """A leaf of the tree: its entry in lod-meta.json, and a range of Morton-sorted splats."""
 
     node: dict[str, Any]
@@ -75,7 +75,7 @@ def write_levels(
     Raises:
         FileUnwritable: A file cannot be written.
     """
-    leaves: list[_Leaf] = []
+    leaves: list[_LeafNode] = []
     root = _node(splats, codes, _TOP_BIT, chunks, leaves)
     names: list[str] = []
     counts: list[int] = []
@@ -111,7 +111,11 @@ def write_levels(
 
 
 def _node(
-    splats: Splats, codes: UInt64[np.ndarray, " n"], bit: int, chunks: Chunks, leaves: list[_Leaf]
+    splats: Splats,
+    codes: UInt64[np.ndarray, " n"],
+    bit: int,
+    chunks: Chunks,
+    leaves: list[_LeafNode],
 ) -> dict[str, Any]:
     """Return the tree's node of Morton-sorted splats; its leaves are appended to ``leaves``."""
     extent = np.ptp(splats.position, axis=0).max()
@@ -132,17 +136,17 @@ def _node(
         ]
     else:
         node["lods"] = {}
-        leaves.append(_Leaf(node, splats))
+        leaves.append(_LeafNode(node, splats))
     return node
 
 
 def _files(
-    leaves: Sequence[_Leaf], level: int, file_rows: int
-) -> Iterator[list[tuple[_Leaf, Splats]]]:
+    leaves: Sequence[_LeafNode], level: int, file_rows: int
+) -> Iterator[list[tuple[_LeafNode, Splats]]]:
     """Yield the leaves of each file of a level, with their splats at that level."""
     from gsgen.formats.merging.decimation import decimate
 
-    members: list[tuple[_Leaf, Splats]] = []
+    members: list[tuple[_LeafNode, Splats]] = []
     file_splats = 0
     for leaf in leaves:
         if level:

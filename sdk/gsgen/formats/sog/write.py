@@ -33,7 +33,7 @@ from gsgen.formats.sog.streamed_write import write_levels
 
 __all__ = ["SplatParts", "sog_order", "write_sog", "write_sog_parts"]
 
-_MOST_DEGREE: Final = 3
+_MAX_SH_DEGREE: Final = 3
 _MAX_UINT16_LEVEL: Final = 65535
 _FLAT_LOG_SCALE: Final = -20.0  # the logarithm of the scale of a flat axis, whose own is -inf
 _CHUNK_ROWS: Final = 1 << 18
@@ -132,9 +132,10 @@ def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = Fal
 
 def _require_encodable(splats: SplatParts) -> None:
     """Raise NotSupported for harmonics above degree 3, and more splats than an image holds."""
-    if splats.degree > _MOST_DEGREE:
+    if splats.degree > _MAX_SH_DEGREE:
         raise NotSupported(
-            f"the splats have SH degree {splats.degree}", expected=f"degree {_MOST_DEGREE} or less"
+            f"the splats have SH degree {splats.degree}",
+            expected=f"degree {_MAX_SH_DEGREE} or less",
         )
     if len(splats) > _MAX_IMAGE_WIDTH**2:
         raise NotSupported(

@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import UInt8
 
-from gsgen.formats.shared.axes import RDF_RUB, Signs
+from gsgen.formats.shared.axes import RDF_RUB, AxisSigns
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_SPLATS, Data, read_array, require_length
 from gsgen.formats.shared.errors import (
     ArchiveDamaged,
@@ -35,14 +35,14 @@ NEWEST_GZIP_VERSION, NEWEST_VERSION = 3, 4
 """The last version in gzip, and the last version."""
 
 _ANTIALIASED_FLAG, _EXTENDED_FLAG = 1, 2
-_HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
+_FILE_HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
 _TOC_ENTRY = struct.Struct("<QQ")
 _RECORD = struct.Struct("<II")
 _MAX_SPLATS_PER_NINE_BYTES = 1024
 
-_MOST_DEGREE, _MAX_FRACTIONAL_BITS = 4, 24
+_MAX_SH_DEGREE, _MAX_FRACTIONAL_BITS = 4, 24
 _MAX_EXTENSIONS = 1 << 20
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 _CAMERA_EXTENSION, _COORDINATES_EXTENSION = 0xADBE0002, 0xADBE0003
 
 Streams = dict[str, UInt8[np.ndarray, " b"]]
@@ -63,7 +63,7 @@ class Frame:
     fractional_bits: int
     antialiased: bool
     streams: Streams
-    signs: Signs = RDF_RUB
+    signs: AxisSigns = RDF_RUB
 
 
 def unpack(data: Data, max_bytes: int) -> Frame:
@@ -79,8 +79,8 @@ def unpack(data: Data, max_bytes: int) -> Frame:
     """
     if data[:2] == GZIP:
         return _unpack_gzip(data, max_bytes)
-    require_length(data, 0, _HEADER.size, "header")
-    version = _HEADER.unpack_from(data)[1]
+    require_length(data, 0, _FILE_HEADER.size, "header")
+    version = _FILE_HEADER.unpack_from(data)[1]
     if (
         data[:4] == MAGIC and version <= NEWEST_GZIP_VERSION
     ):  # the content of the gzip stream, not compressed
@@ -96,11 +96,11 @@ def _inflated(data: Data) -> Iterator[bytes]:
     """Yield the unpacked bytes of a gzip file, piece by piece."""
     unpacker = zlib.decompressobj(wbits=31)
     try:
-        for start in range(0, len(data), _CHUNK):
-            piece = data[start : start + _CHUNK]
+        for start in range(0, len(data), _CHUNK_BYTES):
+            piece = data[start : start + _CHUNK_BYTES]
             output = b"more"
             while not unpacker.eof and (piece or output):
-                output = unpacker.decompress(piece, _CHUNK)
+                output = unpacker.decompress(piece, _CHUNK_BYTES)
                 piece = unpacker.unconsumed_tail
                 yield output
     except zlib.error as error:
@@ -118,20 +118,20 @@ def _inflated(data: Data) -> Iterator[bytes]:
 def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     """Parse the header and attributes of SPZ versions 1 to 3 from unpacked gzip data."""
     body = bytearray()
-    _append_pieces(body, pieces, _HEADER.size)
-    require_length(body, 0, _HEADER.size, "header, unpacked")
-    magic, version, count, degree, fraction, flags = _HEADER.unpack_from(body)
+    _append_pieces(body, pieces, _FILE_HEADER.size)
+    require_length(body, 0, _FILE_HEADER.size, "header, unpacked")
+    magic, version, count, degree, fraction, flags = _FILE_HEADER.unpack_from(body)
     if version > NEWEST_GZIP_VERSION:
         raise HeaderMalformed(
             f"the gzip file has SPZ version {version}", where="byte 4", expected="1, 2 or 3"
         )
     _require_header(magic, version, count, degree, fraction, size)
     parts = sizes(version, count, degree)
-    end = _HEADER.size + sum(parts.values())
+    end = _FILE_HEADER.size + sum(parts.values())
     _require_memory(end, max_bytes)
     # One more byte than needed, which reveals excess data.
     _append_pieces(body, pieces, end + (_MAX_EXTENSIONS if flags & _EXTENDED_FLAG else 1))
-    require_length(body, _HEADER.size, end - _HEADER.size, f"{count} splats, unpacked")
+    require_length(body, _FILE_HEADER.size, end - _FILE_HEADER.size, f"{count} splats, unpacked")
     trailing_bytes = body[end:]
     if trailing_bytes and not flags & _EXTENDED_FLAG:
         raise HeaderMalformed(
@@ -141,7 +141,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
             hint=DOWNLOAD_HINT,
         )
     signs = _extensions(bytes(trailing_bytes)) if flags & _EXTENDED_FLAG else RDF_RUB
-    streams, offset = {}, _HEADER.size
+    streams, offset = {}, _FILE_HEADER.size
     for name, length in parts.items():
         streams[name] = read_array(body, np.uint8, (length,), offset, name)
         offset += length
@@ -232,7 +232,7 @@ def _require_header(
     if count == 0:
         raise ValueInvalid("the file has 0 splats", where="byte 8", expected="at least one")
     require_count(count, size)
-    if degree > _MOST_DEGREE:
+    if degree > _MAX_SH_DEGREE:
         raise HeaderMalformed(f"the SH degree is {degree}", where="byte 12", expected="0 to 4")
     if fraction > _MAX_FRACTIONAL_BITS:
         raise HeaderMalformed(
@@ -260,7 +260,7 @@ def _require_memory(needed: int, max_bytes: int) -> None:
         )
 
 
-def _extensions(records: bytes) -> Signs:
+def _extensions(records: bytes) -> AxisSigns:
     """Return the axis signs that SPZ extension records declare; warn about unknown records."""
     signs, offset = RDF_RUB, 0
     while offset < len(records):
@@ -277,7 +277,7 @@ def _extensions(records: bytes) -> Signs:
     return signs
 
 
-def _declared_signs(payload: bytes) -> Signs:
+def _declared_signs(payload: bytes) -> AxisSigns:
     """Return the axis signs that convert a declared SPZ coordinate system to that of PLY."""
     code = int.from_bytes(payload, "little")
     if not 1 <= code <= 8:
@@ -299,7 +299,7 @@ def _fields(frame: Frame) -> tuple[bytes, int, int, int, int, int]:
 def pack_gzip(frame: Frame, content: Iterable[Iterable[bytes]]) -> Iterator[bytes]:
     """Yield the bytes of an SPZ file of version 1 to 3; each attribute comes in pieces."""
     packer = zlib.compressobj(6, wbits=31)
-    yield packer.compress(_HEADER.pack(*_fields(frame)))
+    yield packer.compress(_FILE_HEADER.pack(*_fields(frame)))
     for pieces in content:  # each attribute has Huffman codes of its own: 4 to 7 % fewer bytes
         for piece in pieces:
             yield packer.compress(piece)

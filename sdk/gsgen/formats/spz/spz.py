@@ -11,7 +11,7 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from gsgen.formats.shared.axes import Signs, axis_signs, flip
+from gsgen.formats.shared.axes import AxisSigns, axis_signs, flip
 from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming, replace_file
@@ -29,11 +29,11 @@ FRACTIONAL_BITS = 12
 SH_BITS = (5, 4)
 """The kept bits of eight for harmonics of degree 1, and of higher degrees."""
 
-AXES = "RUB"
+SPZ_AXES = "RUB"
 """The axes of the format: x right, y up, z back."""
 
 _LARGEST_HALF = 65504.0
-_PIECE_BYTES = 1 << 20
+_READ_BYTES = 1 << 20
 
 
 def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = None) -> Splats:
@@ -62,7 +62,7 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = N
         return decode_spz(data, max_bytes, None if axes is None else axis_signs(axes))
 
 
-def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: Signs | None = None) -> Splats:
+def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: AxisSigns | None = None) -> Splats:
     """Return the splats of the SPZ file ``data``, in the coordinate axes of a PLY file."""
     frame = container.unpack(data, max_bytes)
     splats = streams.decode(
@@ -76,7 +76,7 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: Signs | None = Non
     return _flipped(splats, frame.signs if signs is None else signs)
 
 
-def _flipped(splats: Splats, signs: Signs) -> Splats:
+def _flipped(splats: Splats, signs: AxisSigns) -> Splats:
     """Convert splats to other coordinate axes, exactly as the library nianticlabs/spz does.
 
     That code treats the harmonic of degree 4 and order 4, x⁴ − 6x²y² + y⁴, as odd in y. It is
@@ -94,7 +94,7 @@ def write_spz(
     *,
     version: int = VERSION,
     sh_bits: tuple[int, int] = SH_BITS,
-    axes: str = AXES,
+    axes: str = SPZ_AXES,
 ) -> None:
     """Write ``splats`` to ``path`` as an SPZ file.
 
@@ -166,7 +166,7 @@ def write_spz_parts(
         degree, antialiased = 0, False
         for part in parts:
             degree, antialiased = part.degree, part.antialiased
-            flipped_splats = _flipped(part, axis_signs(AXES))
+            flipped_splats = _flipped(part, axis_signs(SPZ_AXES))
             content = streams.encode(
                 flipped_splats, version=VERSION, fractional_bits=fraction, sh_bits=SH_BITS
             )
@@ -182,7 +182,7 @@ def write_spz_parts(
         )
         for attribute in files.values():
             attribute.seek(0)
-        pieces = (iter(partial(attribute.read, _PIECE_BYTES), b"") for attribute in files.values())
+        pieces = (iter(partial(attribute.read, _READ_BYTES), b"") for attribute in files.values())
         with replace_file(path) as file:
             file.writelines(container.pack_gzip(frame, pieces))
             container.require_count(count, file.tell())

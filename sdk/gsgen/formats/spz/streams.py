@@ -28,7 +28,7 @@ COORDINATE_LIMIT: Final = (1 << 23) - 1
 """The largest 24-bit coordinate."""
 
 _COLOR_SCALE = 0.15
-_MAGNITUDE = 511
+_QUATERNION_MAGNITUDE = 511
 _SQRT_HALF = float(np.sqrt(0.5))
 
 
@@ -93,7 +93,7 @@ def _decode_word_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarra
     smaller = np.empty((len(words), 3))
     for index in range(3):  # the last of the three has the lowest bits
         field = words >> np.uint32(10 * (2 - index)) & 0x3FF
-        size = (field & 0x1FF) / _MAGNITUDE * _SQRT_HALF
+        size = (field & 0x1FF) / _QUATERNION_MAGNITUDE * _SQRT_HALF
         smaller[:, index] = np.where(field & 0x200, -size, size)
     xyzw = quaternions_from_largest((words >> 30).astype(np.int64), smaller)
     return unit(xyzw[:, [3, 0, 1, 2]])
@@ -134,7 +134,7 @@ def _encode_byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
 
 def _encode_word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
     largest, smaller = without_largest(rotation[:, [1, 2, 3, 0]])
-    sizes = rounded(np.abs(smaller) / _SQRT_HALF * _MAGNITUDE, 0, _MAGNITUDE)
+    sizes = rounded(np.abs(smaller) / _SQRT_HALF * _QUATERNION_MAGNITUDE, 0, _QUATERNION_MAGNITUDE)
     fields = np.where(smaller < 0, 0x200, 0) | sizes
     words = largest << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
     return bytes(words.astype("<u4").tobytes())

@@ -5,7 +5,7 @@ from typing import Any
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT
 from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported
 
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 _MAX_WINDOW = 1 << 27
 
 
@@ -28,7 +28,7 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
         unpacker = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
         with unpacker.stream_reader(data, read_across_frames=False) as reader:
             while len(content) <= size:
-                piece = reader.read(min(_CHUNK, size + 1 - len(content)))
+                piece = reader.read(min(_CHUNK_BYTES, size + 1 - len(content)))
                 if not piece:
                     break
                 content += piece

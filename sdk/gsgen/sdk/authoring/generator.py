@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from gsgen.contract.spec.manifest import Input, Producer, Space, WeightedSum
-from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS
+from gsgen.contract.spec.spherical_harmonics import SH_COEFFICIENT_COUNTS
 from gsgen.sdk.authoring.cells import Cells, expect_shape, expect_spread
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.math import covariance_upper
@@ -59,7 +59,7 @@ class Gaussians:
             self._require_shape(name, (n, width))
         self._require_shape("rgb", (n, 3))
         self._require_shape("opacity", (n,), (n, 1))
-        self._require_shape("sh", *((n, k, 3) for k in COEFFICIENTS))
+        self._require_shape("sh", *((n, k, 3) for k in SH_COEFFICIENT_COUNTS))
         if self.count is not None and self.count.numel() != 1:
             count_shape = list(self.count.shape)
             message = f"shape is {count_shape}, expected one element"

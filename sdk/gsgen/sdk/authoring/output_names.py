@@ -1,6 +1,6 @@
 """The names of an exported model's ONNX outputs."""
 
-__all__ = ["APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT", "GAUSSIANS", "output_names"]
+__all__ = ["APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT_OUTPUT", "GAUSSIANS", "output_names"]
 
 from gsgen.contract.spec.manifest import GeneratorManifest
 
@@ -9,7 +9,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 GAUSSIANS = "gaussians"
 APPEARANCE_SH = "color_sh"
 APPEARANCE_RGB = "color_rgb"
-COUNT = "num_points"
+COUNT_OUTPUT = "num_points"
 CELLS = "cells"
 
 
@@ -17,5 +17,5 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
     """Return the ONNX output names of an exported model, in graph order."""
     appearance = manifest.outputs.appearance
     assert appearance is not None
-    names = (GAUSSIANS, appearance.name, COUNT)
+    names = (GAUSSIANS, appearance.name, COUNT_OUTPUT)
     return names if manifest.outputs.cells is None else (*names, CELLS)

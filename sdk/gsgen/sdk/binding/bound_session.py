@@ -27,7 +27,7 @@ _SIZE_MISMATCH = re.compile(
     r"output '([^']*)' of node .* has shape \{([\d,]*)\} but the computed output shape for this "
     r"run is \{([\d,]*)\}"
 )
-_DTYPES = {
+_DTYPE_BY_ONNX_NAME = {
     "tensor(bool)": "bool", "tensor(double)": "float64", "tensor(float)": "float32",
     "tensor(float16)": "float16", "tensor(int16)": "int16", "tensor(int32)": "int32",
     "tensor(int64)": "int64", "tensor(int8)": "int8", "tensor(uint16)": "uint16",
@@ -71,11 +71,13 @@ def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
     """Return name, dtype and dimensions of each input or output of an ONNX Runtime session."""
     tensors = []
     for argument in arguments:
-        if argument.type not in _DTYPES:
+        if argument.type not in _DTYPE_BY_ONNX_NAME:
             message = f"is a {argument.type}, expected a numeric tensor"
             raise RunFailed(message, where=f"tensor {argument.name}")
         tensors.append(
-            TensorSpec(argument.name, np.dtype(_DTYPES[argument.type]), tuple(argument.shape))
+            TensorSpec(
+                argument.name, np.dtype(_DTYPE_BY_ONNX_NAME[argument.type]), tuple(argument.shape)
+            )
         )
     return tuple(tensors)
 

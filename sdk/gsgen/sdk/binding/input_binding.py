@@ -11,7 +11,7 @@ import numpy as np
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.binding.providers.errors import InputInvalid
 
-_MATRICES = ("view", "projection")
+_MATRIX_ROLES = ("view", "projection")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class InputBinding:
     @property
     def transposed(self) -> bool:
         """Whether the matrix input is column-major, so that matrices are fed transposed."""
-        return self.role in _MATRICES and self.order == "column"
+        return self.role in _MATRIX_ROLES and self.order == "column"
 
     def tensor(self, value: object) -> np.ndarray:
         """Convert a value to the tensor of a model input; a number fills a one-element tensor.
@@ -121,7 +121,7 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
     default = declared.default
     if default is None:
         low = declared.range[0] if declared.range else 0.0
-        default = "identity" if declared.role in _MATRICES else low
+        default = "identity" if declared.role in _MATRIX_ROLES else low
     if default == "zeros":
         return np.zeros(shape)
     if default == "identity":

@@ -28,8 +28,8 @@ from gsgen.sdk.parity import Reference
 
 # Bounds are widened by this share of their size, so that Gaussians stay inside them at times and
 # poses between the probes, too.
-_MARGIN = 0.02
-_CHUNK = 1 << 16
+_MEMORY_MARGIN = 0.02
+_CHUNK_ELEMENTS = 1 << 16
 
 
 class EagerRuns:
@@ -186,8 +186,8 @@ def _covariance(ellipsoids: Gaussians | Cells) -> np.ndarray:
     assert ellipsoids.rotation is not None
     scale, rotation = _array(ellipsoids.scale), _array(ellipsoids.rotation)
     upper_triangle = np.empty((len(scale), 6))
-    for start in range(0, len(scale), _CHUNK):
-        rows = slice(start, start + _CHUNK)
+    for start in range(0, len(scale), _CHUNK_ELEMENTS):
+        rows = slice(start, start + _CHUNK_ELEMENTS)
         upper_triangle[rows] = covariance_upper(scale[rows], rotation[rows])
     return upper_triangle
 
@@ -206,7 +206,7 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
     """
     corners = [corner for r in references if not r.probe.zeros for corner in _corners(r)]
     points = np.array(corners) if corners else np.zeros((0, 3))
-    bounds = Bounds.from_points(points, _MARGIN)
+    bounds = Bounds.from_points(points, _MEMORY_MARGIN)
     if bounds is None:
         message = "no probe gives a single finite, visible Gaussian"
         hint = "Check that opacity is activated and that positions are finite."

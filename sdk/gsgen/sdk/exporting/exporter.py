@@ -57,7 +57,7 @@ _HALF_ROUNDINGS = 3
 # Tolerances of the final comparison, at all probes, including those that the search did not use.
 _HALF_SLACK = Tolerances(position=2e-2, covariance=8e-3, opacity=1e-3, appearance=1e-3)
 # Measurements and probes of the search during an export; the command `gsgen float16` takes more.
-_HALF_BUDGET, _HALF_PROBES = 24, 4
+_FLOAT16_RUN_BUDGET, _FLOAT16_PROBE_COUNT = 24, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,15 +204,15 @@ def _rewrite(
     if not (half and options.rewrite):
         return _RewrittenModel(model, manifest, changes, None)
     normalize_model(model)
-    stride = max(1, len(references) // _HALF_PROBES)
+    stride = max(1, len(references) // _FLOAT16_PROBE_COUNT)
     model, halved = to_float16(
         model,
         manifest,
-        references.probes[::stride][:_HALF_PROBES],
+        references.probes[::stride][:_FLOAT16_PROBE_COUNT],
         tolerances=_HALF_CHOICE,
         arithmetic=False,
         roundings=_HALF_ROUNDINGS,
-        budget=_HALF_BUDGET,
+        budget=_FLOAT16_RUN_BUDGET,
         progress=options.progress,
     )
     return _RewrittenModel(model, float16_manifest(manifest), changes, halved)

@@ -50,7 +50,7 @@ from gsgen.sdk.float16.convert_image_model import image_to_float16
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
 
-OUTPUT = "result"
+OUTPUT_NAME = "result"
 # Sets of inputs for each image size that is compared, and for the search for float16 nodes.
 _RUNS_PER_SIZE = 4
 _HALF_PROBES = 3
@@ -153,7 +153,7 @@ def _trace(model: PostProcess, example: Probe, opset: int, *, half: bool) -> ir.
         for name, value in example.inputs.items()
     }
     module = _PositionalModule(copy.deepcopy(model).half() if half else model)
-    names = TensorNames(tuple(inputs), (OUTPUT,), _dynamic_axes(model.inputs))
+    names = TensorNames(tuple(inputs), (OUTPUT_NAME,), _dynamic_axes(model.inputs))
     where = type(model).__name__
     return trace_module(module, replace(example, inputs=inputs), names, opset, where=where)
 
@@ -191,7 +191,7 @@ def _check_inputs(model: PostProcess) -> None:
         hint = "Give inputs.image() the same range."
         raise GeneratorInvalid(message, where=where, hint=hint)
     for entry in model.inputs:
-        if entry.name == OUTPUT:
+        if entry.name == OUTPUT_NAME:
             message = f"{entry.name!r} is the name of the result"
             raise GeneratorInvalid(message, where=where, hint="Give the input another name.")
         if POST_PROCESS not in ROLES[entry.role].kinds:
@@ -202,7 +202,7 @@ def _check_inputs(model: PostProcess) -> None:
 
 
 def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
-    image = ImageOutput(OUTPUT, dtype, model.output_range, model.color_space)
+    image = ImageOutput(OUTPUT_NAME, dtype, model.output_range, model.color_space)
     return PostProcessManifest(
         name=name,
         family=model.family,
@@ -255,8 +255,8 @@ def _check_parity(
 ) -> Parity:
     progress(f"comparing with eager torch at {len(probes)} probes")
     low, high = manifest.outputs.image.range
-    runs = run_exported(path, (OUTPUT,), probes, frame_bytes=max(e.nbytes for e in expected))
-    images = [np.array(outputs[OUTPUT]) for outputs in runs]
+    runs = run_exported(path, (OUTPUT_NAME,), probes, frame_bytes=max(e.nbytes for e in expected))
+    images = [np.array(outputs[OUTPUT_NAME]) for outputs in runs]
     field_errors = list(_image_errors(images, expected, probes, abs(high - low), allowed))
     worst_error = max(field_errors, key=lambda field: field.excess)
     parity = Parity((worst_error,), len(probes))

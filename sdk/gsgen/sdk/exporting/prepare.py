@@ -24,7 +24,13 @@ from gsgen.contract.spec.manifest import (
     Tolerances,
 )
 from gsgen.sdk.authoring.generator import GaussianGenerator
-from gsgen.sdk.authoring.output_names import APPEARANCE_RGB, APPEARANCE_SH, CELLS, COUNT, GAUSSIANS
+from gsgen.sdk.authoring.output_names import (
+    APPEARANCE_RGB,
+    APPEARANCE_SH,
+    CELLS,
+    COUNT_OUTPUT,
+    GAUSSIANS,
+)
 from gsgen.sdk.authoring.packed_module import check_whole_cells
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.eager_reference import (
@@ -174,7 +180,7 @@ def manifest_of(
         outputs=GeneratorOutputs(
             GaussiansOutput(GAUSSIANS, capacity, dtype),
             appearance,
-            CountOutput(COUNT, generator.count_semantics),
+            CountOutput(COUNT_OUTPUT, generator.count_semantics),
         ),
         space=generator.space,
         bounds=bounds,

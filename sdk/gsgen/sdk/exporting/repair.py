@@ -21,7 +21,7 @@ from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from gsgen.sdk.authoring.output_names import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
+from gsgen.sdk.authoring.output_names import APPEARANCE_RGB, APPEARANCE_SH, COUNT_OUTPUT, GAUSSIANS
 from gsgen.sdk.exporting.embed_manifest import with_profile
 from gsgen.sdk.passes import (
     CastCount,
@@ -181,7 +181,7 @@ def _repair_steps(
         )
     if rows and color and count and request.rename:
         color_name = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
-        names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT}
+        names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT_OUTPUT}
         changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
         if changed:
             repair_steps.append(
@@ -191,6 +191,6 @@ def _repair_steps(
                 outputs,
                 gaussians=replace(rows, name=GAUSSIANS),
                 appearance=replace(color, name=color_name),
-                count=replace(count, name=COUNT),
+                count=replace(count, name=COUNT_OUTPUT),
             )
     return repair_steps, replace(manifest, outputs=outputs)

@@ -15,7 +15,7 @@ from gsgen.contract.spec.layout import CULL_OPACITY
 from gsgen.sdk.authoring.generator import Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
 
-_FIELDS = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
+_SPLAT_FIELDS = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
 _CELL_FIELDS = ("position", "visibility", "scale", "rotation", "covariance")
 _NOT_FINITE = (
     "Find the division, logarithm, root or norm that sees 0, and clamp what it takes, for example "
@@ -47,7 +47,7 @@ def check_gaussians(gaussians: Gaussians, count: int, inputs: str) -> None:
 
 def _fields(gaussians: Gaussians, count: int) -> Iterator[tuple[str, Tensor]]:
     """Yield each field of the live Gaussians and of the cells, with its name in error messages."""
-    for name in _FIELDS:
+    for name in _SPLAT_FIELDS:
         if (values := getattr(gaussians, name)) is not None:
             yield f"Gaussians.{name}", values[:count]
     for name in _CELL_FIELDS if gaussians.cells is not None else ():

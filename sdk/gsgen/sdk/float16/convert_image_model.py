@@ -17,7 +17,7 @@ import onnx_ir as ir
 from gsgen.contract.probing.probes import Probe
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
-from gsgen.sdk.float16.to_float16 import FLOAT, HALF, ToFloat16, can_compute_in_float16, node_key
+from gsgen.sdk.float16.to_float16 import FLOAT, FLOAT16, ToFloat16, can_compute_in_float16, node_key
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import free_name
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
@@ -145,7 +145,7 @@ def _halve_input(graph: ir.Graph, name: str) -> None:
     for use in readers:
         if use.node is not node:
             use.node.replace_input_with(use.idx, cast_output)
-    value.type = ir.TensorType(HALF)
+    value.type = ir.TensorType(FLOAT16)
     first_node = next(iter(graph), None)
     if first_node is None:
         graph.append(node)

@@ -182,7 +182,7 @@ def to_float16(
         roundings=roundings,
         weights_only=not arithmetic,
     )
-    search = _Search(model, measure, arithmetic=arithmetic, budget=budget)
+    search = _ConversionSearch(model, measure, arithmetic=arithmetic, budget=budget)
     if not search.nodes and not measure.weights:
         raise RewriteFailed(
             "the model has no node that computes in float32, and no large float32 weight",
@@ -237,7 +237,7 @@ class _Float16Choice:
         return {entry.node for entry in self.retained}
 
 
-class _Search:
+class _ConversionSearch:
     """Searches for nodes and weight tables that can be rounded to float16 together.
 
     Attributes:

@@ -14,7 +14,7 @@ from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.units import FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
 from gsgen.sdk.float16.to_float16 import (
     FLOAT,
-    HALF,
+    FLOAT16,
     can_compute_in_float16,
     convertible_indices,
     node_key,
@@ -228,7 +228,7 @@ def _round_output(graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, num
 
 
 def _rounding_nodes(value: ir.Value, name: str) -> list[ir.Node]:
-    half = new_node("Cast", [value], f"{name}_half", dtype=HALF, to=HALF.value)
+    half = new_node("Cast", [value], f"{name}_half", dtype=FLOAT16, to=FLOAT16.value)
     float32_cast = new_node("Cast", [half.outputs[0]], f"{name}_back", dtype=FLOAT, to=FLOAT.value)
     return [half, float32_cast]
 

@@ -11,7 +11,7 @@ import onnx_ir as ir
 from gsgen.contract.spec.units import FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
 from gsgen.sdk.float16.error_measure import ErrorProbe
 from gsgen.sdk.float16.instrumented_model import GUARD_ELEMENTS
-from gsgen.sdk.float16.sensitivity_search import Search, Sensitivity, max_quantizable
+from gsgen.sdk.float16.sensitivity_search import Sensitivity, SensitivitySearch, max_quantizable
 from gsgen.sdk.float16.to_float16 import FLOAT, Boundary, convertible_indices, node_key
 from gsgen.sdk.float16.weight_tables import MIN_TABLE_ELEMENTS
 from gsgen.sdk.passes.framework.base import is_op
@@ -42,7 +42,7 @@ class RetainedFloat32:
 
 def choose_tables(
     measure: ErrorProbe, budget: int, allowed: float, allowed_for_small: float
-) -> Search:
+) -> SensitivitySearch:
     """Choose weight tables to store in 16 bits, large ones first, within the allowed error.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
@@ -84,7 +84,7 @@ def choose_tables(
         budget=budget - measured,
         allowed=allowed_for_small,
     )
-    return Search(
+    return SensitivitySearch(
         stored | second_search.quantized,
         (*(group for group in retained_groups if group.units), *second_search.retained),
         measured + second_search.measured,

@@ -1,6 +1,6 @@
 """Searches for many nodes or weights that can be quantized together, with few measurements."""
 
-__all__ = ["Search", "Sensitivity", "max_quantizable"]
+__all__ = ["Sensitivity", "SensitivitySearch", "max_quantizable"]
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class SensitivitySearch:
     """The result of a sensitivity search: the nodes or weights to quantize, and the errors."""
 
     quantized: frozenset[int]  # indices of the units that can be quantized together
@@ -33,7 +33,7 @@ MeasureError = Callable[[Collection[int]], tuple[float, str]]
 
 def max_quantizable(
     units: Sequence[int], measure: MeasureError, *, budget: int = 200, allowed: float = 1.0
-) -> Search:
+) -> SensitivitySearch:
     """Find many nodes or weight tables to quantize together within an allowed output error.
 
     Step 1: all units together.
@@ -54,10 +54,10 @@ def max_quantizable(
         return measure(group)
 
     if not units:
-        return Search(frozenset(), (), 0)
+        return SensitivitySearch(frozenset(), (), 0)
     excess, field = measure_cost(units)
     if excess <= allowed:
-        return Search(frozenset(units), (), count)
+        return SensitivitySearch(frozenset(units), (), count)
     groups = [Sensitivity(tuple(units), excess, field)]
     while count + 2 <= budget // 2:
         costly_groups = [
@@ -80,7 +80,7 @@ def _choose_groups(
     allowed: float,
     call_count: Callable[[], int],
     budget: int,
-) -> Search:
+) -> SensitivitySearch:
     low, high = 0, sum(group.excess <= allowed for group in groups)
     # Step 3: the first `low` groups together were measured to fit.
     while low < high:
@@ -96,7 +96,7 @@ def _choose_groups(
             quantized.append(group)
         else:
             retained.append(group)
-    return Search(frozenset(_units_of(quantized)), tuple(retained), call_count())
+    return SensitivitySearch(frozenset(_units_of(quantized)), tuple(retained), call_count())
 
 
 def _units_of(groups: Sequence[Sensitivity]) -> list[int]:

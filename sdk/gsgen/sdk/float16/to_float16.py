@@ -1,7 +1,7 @@
 """Converts an ONNX graph to float16, except for given nodes."""
 
 __all__ = [
-    "FLOAT", "HALF", "Boundary", "ToFloat16", "can_compute_in_float16", "convertible_indices",
+    "FLOAT", "FLOAT16", "Boundary", "ToFloat16", "can_compute_in_float16", "convertible_indices",
     "node_key",
 ]  # fmt: skip
 
@@ -18,7 +18,7 @@ from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 
-FLOAT, HALF = ir.DataType.FLOAT, ir.DataType.FLOAT16
+FLOAT, FLOAT16 = ir.DataType.FLOAT, ir.DataType.FLOAT16
 _FLOAT16_TYPE = "tensor(float16)"
 # Operators that read shapes, not numbers, so that they need no Cast.
 _SHAPE_OPERATORS = ("Shape", "Size")
@@ -85,12 +85,12 @@ class ToFloat16(CautiousRewrite):
         for node in selected:
             self.note(node)
             if is_op(node, "Cast") and node.outputs[0] in native:
-                node.attributes["to"] = ir.AttrInt64("to", HALF.value)
+                node.attributes["to"] = ir.AttrInt64("to", FLOAT16.value)
         for value in list(_values(graph)):
             if value.dtype != FLOAT:
                 continue
             if value in native:
-                value.type = ir.TensorType(HALF)
+                value.type = ir.TensorType(FLOAT16)
             if value.is_initializer() and not value.is_graph_input():
                 stored, in_steps = (value.name in self.stored, value.name not in self.unstepped)
                 _convert_weight(graph, value, half_inputs, stored=stored, in_steps=in_steps)
@@ -202,7 +202,7 @@ def _convert_weight(
             node.replace_input_with(index, copy)
         return
     value.const_value = ir.tensor(array, name=value.name)
-    value.type = ir.TensorType(HALF)
+    value.type = ir.TensorType(FLOAT16)
 
 
 def _store_table(
@@ -236,7 +236,7 @@ def _convert_value(
     mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched:
         return
-    cast = _cast(value, FLOAT if is_half else HALF)
+    cast = _cast(value, FLOAT if is_half else FLOAT16)
     _insert_after(graph, value, cast)
     for node, index in mismatched:
         node.replace_input_with(index, cast.outputs[0])
@@ -244,7 +244,7 @@ def _convert_value(
 
 def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bool) -> None:
     """Cast a graph output to float16 or float32, and keep its name."""
-    dtype = HALF if is_half else FLOAT
+    dtype = FLOAT16 if is_half else FLOAT
     if value.dtype == dtype:
         return
     name = value.name
@@ -259,7 +259,7 @@ def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bo
 
 
 def _cast(value: ir.Value, dtype: ir.DataType) -> ir.Node:
-    name = f"{value.name}_to_{'float16' if dtype == HALF else 'float32'}"
+    name = f"{value.name}_to_{'float16' if dtype == FLOAT16 else 'float32'}"
     node = ir.node("Cast", [value], attributes={"to": dtype.value}, name=name)
     output = node.outputs[0]
     output.name, output.type, output.shape = name, ir.TensorType(dtype), value.shape

@@ -18,7 +18,7 @@ from gsgen.sdk.binding.replay_check import (
     output_origin,
     wrong_outputs,
 )
-from gsgen.sdk.live.level import Frame, Live, Outputs
+from gsgen.sdk.live.level import Frame, LiveLevel, Outputs
 
 # Of more rows than this, evenly spaced ones are compared.
 _MAX_ROWS = 1 << 14
@@ -27,7 +27,7 @@ _TOLERANCE = 2e-3
 _EXPECTED_TEXT = "the CPU's value"
 
 
-def wrong_replays(live: Live) -> Iterator[WrongReplay]:
+def wrong_replays(live: LiveLevel) -> Iterator[WrongReplay]:
     """Yield every output whose frames replayed by graph capture differ from uncaptured frames."""
     graph = live.subject.graph
     pairs = [(f.uncaptured, f.replayed) for f in live.frames if f.uncaptured and f.replayed]
@@ -35,7 +35,7 @@ def wrong_replays(live: Live) -> Iterator[WrongReplay]:
     yield from wrong_outputs(uncaptured, replayed, lambda name: output_origin(graph, name))
 
 
-def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
+def disagreements(live: LiveLevel) -> Iterator[tuple[str, str, str]]:
     """Yield (location, actual, expected) for each output field in which CPU and WebGPU differ."""
     frames = [frame for frame in live.frames if frame.uncaptured is not None]
     pairs = [_compared_rows(live, frame) for frame in frames]
@@ -71,7 +71,7 @@ def _worst_errors(
     return worst_errors.values()
 
 
-def _compared_rows(live: Live, frame: Frame) -> tuple[ModelOutputs, ModelOutputs] | None:
+def _compared_rows(live: LiveLevel, frame: Frame) -> tuple[ModelOutputs, ModelOutputs] | None:
     """Return some rows of both providers; None without packed rows, colours and cells in both."""
     cpu, gpu = (_model_outputs(live, frame, outputs) for outputs in (frame.cpu, frame.uncaptured))
     rows, colors, cells = comparable_parts(cpu, gpu)
@@ -92,7 +92,7 @@ def _compared_rows(live: Live, frame: Frame) -> tuple[ModelOutputs, ModelOutputs
     return cpu_rows, gpu_rows
 
 
-def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
+def _model_outputs(live: LiveLevel, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
     probe = frame.probe
     return read_outputs(live.subject, probe.label, dict(outputs or {}), zeros=probe.zeros)
 
@@ -113,7 +113,7 @@ def _even_indices(count: int, most: int) -> np.ndarray:
     return np.linspace(0, count - 1, most).astype(np.int64)
 
 
-def _declared_names(live: Live) -> set[str]:
+def _declared_names(live: LiveLevel) -> set[str]:
     parts = (
         live.subject.declared_gaussians,
         live.subject.declared_appearance,

@@ -5,7 +5,7 @@ Each frame is computed without capture and by a session that replays captured co
 change from frame to frame; the CPU's outputs for them are already known.
 """
 
-__all__ = ["EarlyStop", "Frame", "Live", "Node", "prepare_live", "survey"]
+__all__ = ["EarlyStop", "Frame", "LiveLevel", "Node", "prepare_live", "survey"]
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -60,7 +60,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Live:
+class LiveLevel:
     """The results of running a model in ONNX Runtime's WebGPU provider."""
 
     subject: InspectedModel
@@ -168,7 +168,7 @@ def _adapter(events: tuple[Event, ...]) -> str:
     return str(device)
 
 
-def _read(probe_runs: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
+def _read(probe_runs: ProbeRuns, execution: Execution, runs: list[int]) -> LiveLevel:
     events = execution.events
     samples = {sample.index: sample.outputs for sample in execution.samples}
     outputs = {
@@ -187,7 +187,7 @@ def _read(probe_runs: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
         for index, run in enumerate(runs)
     )
     placed_nodes = next((event["nodes"] for event in events if event["event"] == "placed"), None)
-    return Live(
+    return LiveLevel(
         subject=probe_runs.subject,
         adapter=_adapter(events),
         nodes=None if placed_nodes is None else tuple(Node(*entry) for entry in placed_nodes),

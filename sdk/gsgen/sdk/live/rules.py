@@ -9,14 +9,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend, LevelContext
 from gsgen.contract.validation.rule import rule
 
 if TYPE_CHECKING:
-    from gsgen.sdk.live.level import Live
+    from gsgen.sdk.live.level import LiveLevel
 
 
 def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
@@ -28,11 +28,11 @@ def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
 LIVE_BACKEND = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare)
 
 _EXPECTED_RUN = "every frame of several, with inputs that change"
-_live_rule = partial(rule, over="live", kinds=KINDS)
+_live_rule = partial(rule, over="live", kinds=MANIFEST_KINDS)
 
 
 @_live_rule("GB011", Severity.ERROR, needs=("GB017", "GV001"))
-def ep_agreement(live: "Live") -> Iterator[Violation]:
+def ep_agreement(live: "LiveLevel") -> Iterator[Violation]:
     """The outputs of the WebGPU provider equal those of the CPU, within the model's tolerances.
 
     Why:
@@ -50,7 +50,7 @@ def ep_agreement(live: "Live") -> Iterator[Violation]:
 
 
 @_live_rule("GB014", Severity.WARNING, needs=("GB017", "GB015"))
-def capture_accepted(live: "Live") -> Iterator[Violation]:
+def capture_accepted(live: "LiveLevel") -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider agrees to capture the graph.
 
     Why:
@@ -65,7 +65,7 @@ def capture_accepted(live: "Live") -> Iterator[Violation]:
 
 
 @_live_rule("GB015", Severity.WARNING, needs=("GB017",))
-def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
+def all_nodes_on_gpu(live: "LiveLevel") -> Iterator[Violation]:
     """The WebGPU provider runs every node; no node runs on the CPU.
 
     Why:
@@ -88,7 +88,7 @@ def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
 
 
 @_live_rule("GB016", Severity.ERROR, needs=("GB014",))
-def replay_not_stale(live: "Live") -> Iterator[Violation]:
+def replay_not_stale(live: "LiveLevel") -> Iterator[Violation]:
     """Frames replayed by graph capture equal uncaptured frames for the same inputs.
 
     Why:
@@ -109,7 +109,7 @@ def replay_not_stale(live: "Live") -> Iterator[Violation]:
 
 
 @_live_rule("GB017", Severity.ERROR, needs=("GV025",))
-def runs_on_webgpu(live: "Live") -> Iterator[Violation]:
+def runs_on_webgpu(live: "LiveLevel") -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider runs the model to the end.
 
     Why:

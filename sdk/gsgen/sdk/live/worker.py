@@ -38,7 +38,7 @@ _OPENED_DEVICE = re.compile(r'Using "([^"]+)" with driver')
 _SOFTWARE_ADAPTER = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
 
 
-class Opener(Protocol):
+class SourceOpener(Protocol):
     """Protocol of a function that opens a session for a model, with or without graph capture."""
 
     def __call__(self, model: Path | bytes, *, capture: bool) -> Any: ...
@@ -80,7 +80,7 @@ def _set_driver_environment(folder: Path) -> None:
         os.environ.setdefault(name, value)
 
 
-def _find_provider(emit: Emit) -> Opener:
+def _find_provider(emit: Emit) -> SourceOpener:
     """Report the GPU of the WebGPU provider, and return a function that opens models on it."""
     adapter = find_adapter()
     emit("device", name=adapter.name, version=adapter.version)
@@ -92,7 +92,7 @@ def _find_provider(emit: Emit) -> Opener:
     return open_with_adapter
 
 
-def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> None:
+def _try_adapter(opener: SourceOpener, folder: Path, emit: Emit, *, half: bool) -> None:
     """Run a minimal model in float32 and float16, and report the GPU that ran it."""
     try:
         _run_smallest(opener, "float32")
@@ -117,7 +117,7 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
         emit("adapter", name=name, software=bool(_SOFTWARE_ADAPTER.search(name)), half=True)
 
 
-def _run_smallest(opener: Opener, dtype: str) -> None:
+def _run_smallest(opener: SourceOpener, dtype: str) -> None:
     from onnx import ModelProto, NodeProto, TensorProto
 
     kind = TensorProto.FLOAT16 if dtype == "float16" else TensorProto.FLOAT
@@ -140,7 +140,7 @@ def _run_smallest(opener: Opener, dtype: str) -> None:
 class _FrameRunner:
     """Computes the frames of one model in WebGPU, without graph capture and by replay."""
 
-    def __init__(self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener) -> None:
+    def __init__(self, folder: Path, job: dict[str, Any], emit: Emit, opener: SourceOpener) -> None:
         self.folder, self.job, self.emit, self.opener = folder, job, emit, opener
         self.known: dict[str, int] = {}
 

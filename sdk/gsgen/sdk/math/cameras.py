@@ -8,12 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-Order = Literal["column", "row"]
+MatrixOrder = Literal["column", "row"]
 
 _SMALLEST_SCALE = 1e-12
 
 
-def camera_centre(view: Float[Tensor, "4 4"], order: Order = "column") -> Float[Tensor, "3"]:
+def camera_centre(view: Float[Tensor, "4 4"], order: MatrixOrder = "column") -> Float[Tensor, "3"]:
     """Return the camera centre −Rᵀ t / s² of a view matrix, in local space.
 
     Args:
@@ -35,7 +35,7 @@ def frustum_mask(
     radius: Float[Tensor, " n"] | float = 0.0,
     *,
     margin: float = 0.1,
-    order: Order = "column",
+    order: MatrixOrder = "column",
 ) -> Float[Tensor, " n"]:
     """Return 1 for Gaussians that may be visible and 0 for those outside the view frustum.
 
@@ -74,5 +74,5 @@ def _product(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
     return first
 
 
-def _matrix(tensor: Float[Tensor, "4 4"], order: Order) -> Float[Tensor, "4 4"]:
+def _matrix(tensor: Float[Tensor, "4 4"], order: MatrixOrder) -> Float[Tensor, "4 4"]:
     return tensor.transpose(0, 1) if order == "column" else tensor

@@ -13,7 +13,7 @@ from torch import Tensor
 from gsgen.sdk.errors import GeneratorInvalid
 
 # Row indices are sorted as float32, which represents integers up to this number.
-_MOST_ROWS = 1 << 24
+_MAX_ROWS = 1 << 24
 
 
 def keep_rows(
@@ -58,7 +58,7 @@ def _sizes(values: Tensor, capacity: int, where: str) -> tuple[int, int]:
     n = values.shape[0]
     if capacity < 1:
         raise GeneratorInvalid(f"the capacity is {capacity}, expected 1 or more", where=where)
-    if n > _MOST_ROWS:
-        message = f"the mask or scores have {n} rows, expected {_MOST_ROWS} at most"
+    if n > _MAX_ROWS:
+        message = f"the mask or scores have {n} rows, expected {_MAX_ROWS} at most"
         raise GeneratorInvalid(message, where=where, hint="Select rows in several parts.")
     return n, min(capacity, n)

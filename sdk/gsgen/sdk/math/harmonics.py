@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, MAX_DEGREE, coefficients
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, SH_COEFFICIENT_COUNTS, coefficients
 from gsgen.sdk.errors import GeneratorInvalid
 
 # The constant basis function, ½ √(1/π).
-_Y0 = 0.28209479177387814
+_SH_CONSTANT_TERM = 0.28209479177387814
 
 
 def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
@@ -29,7 +29,7 @@ def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
         GeneratorInvalid: The shape is another one, or K is not 1, 4, 9 or 16.
     """
     parts = sh.reshape(sh.shape[0], 3, -1) if _is_flat(sh) else sh
-    if parts.ndim != 3 or parts.shape[1] != 3 or parts.shape[2] not in COEFFICIENTS:
+    if parts.ndim != 3 or parts.shape[1] != 3 or parts.shape[2] not in SH_COEFFICIENT_COUNTS:
         raise _misshapen("sh_from_channel_major", sh, "[N, 3, K] or [N, 3K]")
     return parts.transpose(1, 2)
 
@@ -44,7 +44,7 @@ def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 
         GeneratorInvalid: The shape is another one, or K is not 1, 4, 9 or 16.
     """
     parts = sh.reshape(sh.shape[0], -1, 3) if _is_flat(sh) else sh
-    if parts.ndim != 3 or parts.shape[2] != 3 or parts.shape[1] not in COEFFICIENTS:
+    if parts.ndim != 3 or parts.shape[2] != 3 or parts.shape[1] not in SH_COEFFICIENT_COUNTS:
         raise _misshapen("sh_from_coefficient_major", sh, "[N, K, 3] or [N, 3K]")
     return parts
 
@@ -63,7 +63,7 @@ def sh_from_ply(
         GeneratorInvalid: The number of columns is another one.
     """
     n, columns = f_rest.shape
-    if constant.shape != (n, 3) or columns % 3 or columns // 3 + 1 not in COEFFICIENTS:
+    if constant.shape != (n, 3) or columns % 3 or columns // 3 + 1 not in SH_COEFFICIENT_COUNTS:
         raise _misshapen("sh_from_ply, rest", f_rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
     if not columns:
         return constant[:, None, :]
@@ -72,7 +72,7 @@ def sh_from_ply(
 
 def sh_from_rgb(rgb: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1 3"]:
     """Return SH of degree 0 with the colour ``rgb`` in every direction: ½ + Y₀ c₀ = rgb."""
-    return ((rgb - 0.5) / _Y0)[:, None, :]
+    return ((rgb - 0.5) / _SH_CONSTANT_TERM)[:, None, :]
 
 
 def sh_of_degree(sh: Float[Tensor, "n k 3"], degree: int) -> Float[Tensor, "n l 3"]:

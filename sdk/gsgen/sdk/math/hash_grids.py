@@ -11,7 +11,7 @@ from torch import Tensor
 from gsgen.sdk.errors import GeneratorInvalid
 
 # Factors of the spatial hash, one per axis (Müller et al. 2022, equation 4).
-_PRIMES = (1, 2654435761, 805459861)
+_HASH_PRIMES = (1, 2654435761, 805459861)
 
 
 def hash_grid(
@@ -76,5 +76,5 @@ def _rows(corners: Int[Tensor, "n 8 3"], size: int, resolution: int) -> Int[Tens
             where="hash_grid",
         )
     # Only the lowest bits of a product count, and these depend on those of the prime alone.
-    factors = [prime % size for prime in _PRIMES]
+    factors = [prime % size for prime in _HASH_PRIMES]
     return ((x * factors[0]) ^ (y * factors[1]) ^ (z * factors[2])) % size

@@ -20,7 +20,7 @@ from gsgen.sdk.plugins.plugin import find_plugins
 _NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 # Template → path in the package; @package@ stands for the import name.
-_FILES = {
+_TEMPLATE_FILES = {
     "pyproject.toml.in": "pyproject.toml",
     "README.md.in": "README.md",
     "gitignore.in": ".gitignore",
@@ -62,7 +62,7 @@ def write_plugin_package(name: str, parent_folder: Path) -> PluginPackage:
     }
     texts = {
         _fill_template(where, replacements): _template(source, replacements)
-        for source, where in _FILES.items()
+        for source, where in _TEMPLATE_FILES.items()
     }
     try:
         _write(folder, texts)

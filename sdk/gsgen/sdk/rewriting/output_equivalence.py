@@ -23,7 +23,7 @@ from gsgen.sdk.passes.framework.base import ErrorBudget
 _PROBE_COUNT = 5
 _UNKNOWN_SIZE = 3
 _HIGHEST_INDEX = 2
-_EPSILON = {"float16": 2.0**-10, "float32": 2.0**-22, "float64": 2.0**-50}
+_EPSILON_BY_DTYPE = {"float16": 2.0**-10, "float32": 2.0**-22, "float64": 2.0**-50}
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +274,6 @@ def _error(
     if old.dtype.kind == "f" and (allowed.relative or allowed.absolute):
         axes = tuple(range(size.ndim - 1)) if size.ndim > 1 else None
         largest = size.max(axis=axes, keepdims=True, initial=0.0)
-        rounding = _EPSILON[old.dtype.name] * size
+        rounding = _EPSILON_BY_DTYPE[old.dtype.name] * size
         allowed_error = allowed_error + allowed.absolute + allowed.relative * largest + rounding
     return error.reshape(-1), allowed_error.reshape(-1)

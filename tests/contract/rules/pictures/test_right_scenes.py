@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.builders.scenes import KINDS, Kind, pack, scene
+from gsgen.conformance.fixtures.builders.scenes import SCENE_KINDS, Kind, pack, scene
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.drawn_sample import draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs
@@ -51,7 +51,7 @@ def outputs_of_a_right_scene(kind: Kind, seed: int) -> ModelOutputs:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_no_statistical_rule_suspects_a_right_scene(kind: Kind, seed: int) -> None:
     sample = draw_sample(outputs_of_a_right_scene(kind, seed))

@@ -17,11 +17,11 @@ from gsgen.contract.validation.rule import rule
 
 # A cone in front of every camera: half the opening of the narrowest lens.
 _CONE_SLOPE = 0.2
-_NEAR = 0.1
+_NEAR_DISTANCE = 0.1
 _MIN_CULLED_SHARE = 0.01
 # Of the hidden rows, a sample is compared with the drawn ones: a method that fades rows, or replaces
 # them by others, leaves few of them bare (0 to 0.11 in exports), culling leaves most (0.75 and more).
-_SAMPLE = 64
+_SAMPLE_ROWS = 64
 _COVERED_SIGMAS = 2.0
 _MAX_BARE_SHARE = 0.4
 
@@ -127,7 +127,7 @@ def _uncovered_share(
     if not len(drawn):
         return 1.0
     size = np.square(_COVERED_SIGMAS) * drawn[:, list(VARIANCES)].max(axis=1)
-    sample = hidden_rows[:: max(1, len(hidden_rows) // _SAMPLE), POSITION]
+    sample = hidden_rows[:: max(1, len(hidden_rows) // _SAMPLE_ROWS), POSITION]
     squared_distances = (np.square(drawn[:, POSITION] - centre).sum(axis=1) for centre in sample)
     return float(np.mean([not (square <= size).any() for square in squared_distances]))
 
@@ -136,7 +136,9 @@ def _cone_mask(
     position: Float[np.ndarray, "n 3"], view: Float[np.ndarray, "4 4"]
 ) -> Bool[np.ndarray, " n"]:
     x, y, z = (position @ view[:3, :3].T + view[:3, 3]).T
-    return np.asarray((z > _NEAR) & (np.abs(x) < _CONE_SLOPE * z) & (np.abs(y) < _CONE_SLOPE * z))
+    return np.asarray(
+        (z > _NEAR_DISTANCE) & (np.abs(x) < _CONE_SLOPE * z) & (np.abs(y) < _CONE_SLOPE * z)
+    )
 
 
 @rule("GV017", Severity.WARNING, needs=("GV025", "GO010", "GO011", "GV016"))

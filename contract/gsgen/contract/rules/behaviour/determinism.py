@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probes import INPUT_PREFIX
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
-from gsgen.contract.spec.fields.roles import CAMERA_ROLES, KINDS
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES, MANIFEST_KINDS
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -19,7 +19,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
         yield Violation.at(f"output {name}", actual, expected)
 
 
-@rule("GB001", Severity.ERROR, needs=(MODEL_RUNS, *NOT_RANDOM), kinds=KINDS)
+@rule("GB001", Severity.ERROR, needs=(MODEL_RUNS, *NOT_RANDOM), kinds=MANIFEST_KINDS)
 def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     """Two consecutive runs with the same inputs give the same bits.
 
@@ -33,7 +33,7 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     yield from _differences(behaviour.repeated, "the same bits as the run before")
 
 
-@rule("GB002", Severity.ERROR, needs=("GV025", "GB001"), kinds=KINDS)
+@rule("GB002", Severity.ERROR, needs=("GV025", "GB001"), kinds=MANIFEST_KINDS)
 def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     """The same inputs give the same bits, regardless of other runs in between.
 

@@ -21,7 +21,7 @@ from gsgen.contract.probing.test_vectors import (
     recorded_label,
     vector_label,
 )
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS
 from gsgen.contract.spec.manifest import TestVector, VectorRows
 from gsgen.contract.spec.severity import Severity
@@ -40,7 +40,7 @@ from gsgen.contract.validation.tolerances import effective_tolerances
 Fault = tuple[str, str]
 
 
-@rule("GM012", Severity.WARNING, needs=(*REPRODUCIBLE, *MANIFEST_PARSED), kinds=KINDS)
+@rule("GM012", Severity.WARNING, needs=(*REPRODUCIBLE, *MANIFEST_PARSED), kinds=MANIFEST_KINDS)
 def test_vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
     """Every test vector names a known probe (test inputs), and the model reproduces its outputs.
 

@@ -9,7 +9,7 @@ from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import (
@@ -67,7 +67,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     yield from _broken_runs(behaviour.trial_runs("outside"))
 
 
-@rule("GB010", Severity.WARNING, needs=(*REPRODUCIBLE, "GG020"), kinds=KINDS)
+@rule("GB010", Severity.WARNING, needs=(*REPRODUCIBLE, "GG020"), kinds=MANIFEST_KINDS)
 def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
     """Outputs with and without ONNX Runtime's graph optimisations agree within the tolerances.
 
@@ -132,7 +132,7 @@ def _compare_loosely(
         yield Violation.at(f"output {name}", actual, expected)
 
 
-@rule("GB012", Severity.INFO, needs=REPRODUCIBLE, kinds=KINDS)
+@rule("GB012", Severity.INFO, needs=REPRODUCIBLE, kinds=MANIFEST_KINDS)
 def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Test inputs repeated in reverse order after all other runs give the same output bits.
 

@@ -14,7 +14,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_FEWEST = 4
+_MIN_ROWS = 4
 # All rows move alike if they differ by less than this fraction, and as told within the second.
 _MAX_RIGID_ERROR = 5e-3
 _MAX_VALUE_ERROR = 0.02
@@ -37,7 +37,7 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_RunPair]:
             continue
         drawn = (first[:, OPACITY] >= CULL_OPACITY) & (second[:, OPACITY] >= CULL_OPACITY)
         drawn &= np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
-        if np.count_nonzero(drawn) >= _FEWEST:
+        if np.count_nonzero(drawn) >= _MIN_ROWS:
             yield base, probe, first[drawn, POSITION], second[drawn, POSITION]
 
 

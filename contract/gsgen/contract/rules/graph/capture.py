@@ -12,7 +12,7 @@ from gsgen.contract.model.graph import Graph
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import Cause, Placement, is_copy, shape_arguments
 from gsgen.contract.model.value_ranges import Interval, intervals
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import FAILED_OUTCOMES
 from gsgen.contract.spec.severity import Severity
@@ -20,7 +20,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
-_CAPTURE = "graph_capture"
+_CAPTURE_REQUIREMENT = "graph_capture"
 _INT32_MIN, _INT32_MAX = -(2.0**31), 2.0**31 - 1
 _SCATTER_OPERATORS = frozenset({"ScatterElements", "ScatterND"})
 # The operator is not in the user's code: the SDK selects rows with it.
@@ -59,9 +59,9 @@ def _expected(subject: InspectedModel, node: NodeProto, default_hint: str) -> st
 @rule(
     "GG004",
     Severity.ERROR,
-    kinds=KINDS,
+    kinds=MANIFEST_KINDS,
     needs=WELL_FORMED,
-    limit=_CAPTURE,
+    limit=_CAPTURE_REQUIREMENT,
     settled_by=("GB014", "GB015"),
 )
 def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
@@ -83,7 +83,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule("GG005", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
+@rule("GG005", Severity.ERROR, kinds=MANIFEST_KINDS, needs=WELL_FORMED, limit=_CAPTURE_REQUIREMENT)
 def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     """No operator of a frame computes in int64 without an int64 kernel on the target runtime.
 
@@ -102,7 +102,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule("GG006", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
+@rule("GG006", Severity.ERROR, kinds=MANIFEST_KINDS, needs=WELL_FORMED, limit=_CAPTURE_REQUIREMENT)
 def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """WebGPU on the target runtime has a kernel for every operator of a frame, in its dtype.
 
@@ -122,7 +122,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule("GG007", Severity.ERROR, kinds=KINDS, needs=("GG019",), limit="split_outputs")
+@rule("GG007", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG019",), limit="split_outputs")
 def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
     """A Split has no more outputs, and a Concat no more inputs, than the target GPU can bind.
 
@@ -151,7 +151,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GG008", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
+@rule("GG008", Severity.ERROR, kinds=MANIFEST_KINDS, needs=WELL_FORMED, limit=_CAPTURE_REQUIREMENT)
 def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """WebGPU on the target runtime has a kernel for every norm and normalisation of a frame.
 
@@ -169,7 +169,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule("GG018", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
+@rule("GG018", Severity.ERROR, kinds=MANIFEST_KINDS, needs=WELL_FORMED, limit=_CAPTURE_REQUIREMENT)
 def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """Operators with a WebGPU kernel on the target runtime have a supported operator set version.
 
@@ -190,9 +190,9 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG009",
     Severity.INFO,
-    kinds=KINDS,
+    kinds=MANIFEST_KINDS,
     needs=("GG003", "GG004", "GG005", "GG006", "GG008", "GG011", "GG018"),
-    limit=_CAPTURE,
+    limit=_CAPTURE_REQUIREMENT,
 )
 def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
     """According to operator tables, the target's GPU provider can graph-capture every node.
@@ -213,7 +213,7 @@ def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
         )
 
 
-@rule("GG017", Severity.ERROR, kinds=KINDS, needs=WELL_FORMED, limit=_CAPTURE)
+@rule("GG017", Severity.ERROR, kinds=MANIFEST_KINDS, needs=WELL_FORMED, limit=_CAPTURE_REQUIREMENT)
 def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
     """All int64 values that a frame computes stay within 32 bits.
 
@@ -256,7 +256,11 @@ def _range_violation(placement: Placement, span: Interval | None) -> Violation:
 
 
 @rule(
-    "GG016", Severity.WARNING, kinds=KINDS, needs=("GG019",), settled_by=("GB014", "GB016", "GB011")
+    "GG016",
+    Severity.WARNING,
+    kinds=MANIFEST_KINDS,
+    needs=("GG019",),
+    settled_by=("GB014", "GB016", "GB011"),
 )
 def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     """Every output that varies by frame is written by a computing operator, not by a buffer view.

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -16,7 +16,7 @@ def _node_location(node: NodeProto) -> str:
     return f"node {node.name or node.op_type} ({node.op_type})"
 
 
-@rule("GG001", Severity.ERROR, kinds=KINDS)
+@rule("GG001", Severity.ERROR, kinds=MANIFEST_KINDS)
 def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     """The target runtime supports the model's operator set and IR version.
 
@@ -41,7 +41,7 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("ir_version", str(proto.ir_version), f"{subject.target.ir} at most")
 
 
-@rule("GG002", Severity.ERROR, kinds=KINDS)
+@rule("GG002", Severity.ERROR, kinds=MANIFEST_KINDS)
 def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
     """Every operator is a standard ONNX operator, or a function that the model defines.
 
@@ -61,7 +61,7 @@ def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GG003", Severity.WARNING, kinds=KINDS, settled_by=("GB014",))
+@rule("GG003", Severity.WARNING, kinds=MANIFEST_KINDS, settled_by=("GB014",))
 def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has no If, Loop or Scan.
 
@@ -76,7 +76,7 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_node_location(node), node.op_type, "a graph without control flow")
 
 
-@rule("GG011", Severity.ERROR, kinds=KINDS, needs=("GG019",))
+@rule("GG011", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG019",))
 def no_float64(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor of the graph is float64.
 
@@ -92,7 +92,7 @@ def no_float64(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"tensor {tensor.name}", "float64", "float32 or float16")
 
 
-@rule("GG015", Severity.ERROR, kinds=KINDS, needs=("GG019",))
+@rule("GG015", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG019",))
 def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
     """Declared shapes and dtypes agree with the shapes and dtypes that operators compute.
 
@@ -110,7 +110,7 @@ def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("graph", subject.graph.inference_fault, "operators whose shapes fit")
 
 
-@rule("GG020", Severity.ERROR, kinds=KINDS, needs=("GG019",))
+@rule("GG020", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG019",))
 def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]:
     """No MatMul multiplies the result of a Transpose by a vector of rank 1.
 
@@ -135,7 +135,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
             )
 
 
-@rule("GG019", Severity.ERROR, kinds=KINDS, needs=("GG001", "GG002"))
+@rule("GG019", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG001", "GG002"))
 def onnx_well_formed(subject: InspectedModel) -> Iterator[Violation]:
     """ONNX's own checker accepts the model.
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor, tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
@@ -19,7 +19,7 @@ _MAX_CONSTANT_BYTES = MEBIBYTE
 _UNKNOWN_TENSOR = Tensor("", None, None)
 
 
-@rule("GG012", Severity.ERROR, kinds=KINDS)
+@rule("GG012", Severity.ERROR, kinds=MANIFEST_KINDS)
 def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     """Names of nodes are unique, and names of inputs and outputs are printable, without spaces.
 
@@ -44,7 +44,7 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
                 )
 
 
-@rule("GG014", Severity.WARNING, kinds=KINDS)
+@rule("GG014", Severity.WARNING, kinds=MANIFEST_KINDS)
 def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
     """The model file is below 1500 MiB, and large weights are initialisers, not Constant nodes.
 

@@ -8,7 +8,7 @@ from onnx import NodeProto, TensorProto
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import small_array
 from gsgen.contract.model.provider_placement import DATA_SIZED_OPERATORS
-from gsgen.contract.spec.fields.roles import GENERATOR, KINDS, POST_PROCESS
+from gsgen.contract.spec.fields.roles import GENERATOR, MANIFEST_KINDS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN, RANDOM_OPERATORS
 from gsgen.contract.spec.severity import Severity
@@ -38,7 +38,7 @@ def _location(node: NodeProto) -> str:
     return f"node {node.name or (node.output[0] if node.output else '')} ({node.op_type})"
 
 
-@rule("GG010", Severity.ERROR, kinds=KINDS, needs=("GG025",))
+@rule("GG010", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG025",))
 def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
     """No output is computed from random numbers, with or without a seed.
 
@@ -56,7 +56,7 @@ def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_location(node), actual, "stored numbers")
 
 
-@rule("GG025", Severity.ERROR, kinds=KINDS, needs=("GG019",))
+@rule("GG025", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG019",))
 def inference_mode(subject: InspectedModel) -> Iterator[Violation]:
     """No layer is in training mode: Dropout passes its input on, and nothing is sampled.
 

@@ -9,7 +9,7 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_SOUND = ("rate", "window", "hop")
+_SOUND_FIELDS = ("rate", "window", "hop")
 _MEL = "mel"
 _ARKIT = "arkit-52"
 
@@ -78,7 +78,7 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
         Declare "rate" in samples per second; for mel also "window" and "hop", in samples.
     """
     for entry in declared_inputs(subject):
-        declared = [name for name in _SOUND if getattr(entry, name) is not None]
+        declared = [name for name in _SOUND_FIELDS if getattr(entry, name) is not None]
         if entry.role != "audio":
             if declared:
                 yield _input_violation(
@@ -87,7 +87,7 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
             continue
         shape = shape_of(subject, entry)
         is_mel = entry.convention == _MEL or (shape is not None and len(shape) > 1)
-        required_fields = _SOUND if is_mel else _SOUND[:1]
+        required_fields = _SOUND_FIELDS if is_mel else _SOUND_FIELDS[:1]
         missing = [name for name in required_fields if name not in declared]
         if missing:
             yield _input_violation(

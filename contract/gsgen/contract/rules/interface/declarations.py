@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gsgen.contract.model.files_beside import FileRefused, contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.fields.roles import KINDS, ROLES
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES
 from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
@@ -19,7 +19,7 @@ from gsgen.contract.validation.rule import rule
 _METADATA_PREFIX = "gsgen."
 # A PNG file begins with these bytes, and a reference image has this size at most.
 _PNG = b"\x89PNG\r\n\x1a\n"
-_MOST_IMAGE_BYTES = 32 * MEBIBYTE
+_MAX_IMAGE_BYTES = 32 * MEBIBYTE
 _LICENSE_NAME = r"[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?"
 _LICENSE_TERM = rf"\(*\s*{_LICENSE_NAME}\s*\)*"
 _SPDX = re.compile(rf"^{_LICENSE_TERM}(?:\s+(?:AND|OR|WITH)\s+{_LICENSE_TERM})*$")
@@ -81,7 +81,7 @@ def time_domain(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(location, f"range {list(entry.range or ())}", "first < last")
 
 
-@rule("GM013", Severity.INFO, kinds=KINDS, needs=MANIFEST_PARSED)
+@rule("GM013", Severity.INFO, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
 def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
     """The producer's declared licence is an SPDX expression, and the declared tool has a version.
 
@@ -103,7 +103,7 @@ def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest producer.tool", repr(producer.tool), "name and version")
 
 
-@rule("GM014", Severity.WARNING, kinds=KINDS)
+@rule("GM014", Severity.WARNING, kinds=MANIFEST_KINDS)
 def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     """Contract data is stored in the model's metadata, not in the metadata of single tensors.
 
@@ -180,8 +180,8 @@ def _image_fault(model: Path, image: ReferenceImage) -> tuple[str, str] | None:
     expected = "a PNG in the model's folder or below it"
     try:
         path = contained_file(model, image.path)
-        if path.stat().st_size > _MOST_IMAGE_BYTES:
-            return format_mebibytes(path.stat().st_size), f"{format_mebibytes(_MOST_IMAGE_BYTES)}"
+        if path.stat().st_size > _MAX_IMAGE_BYTES:
+            return format_mebibytes(path.stat().st_size), f"{format_mebibytes(_MAX_IMAGE_BYTES)}"
         content = path.read_bytes()
     except FileRefused as error:
         return error.actual, expected

@@ -4,21 +4,21 @@ from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, ROW
 from gsgen.contract.spec.manifest import GeneratorManifest, TrajectoryManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.contract.spec.reader_needs import PROFILES, REGISTERED_EXTENSIONS
+from gsgen.contract.spec.reader_needs import READER_PROFILES, REGISTERED_EXTENSIONS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
-_MOST_NAMED = 5
+_MAX_NAMED_EXTENSIONS = 5
 
 
-@rule("GM030", Severity.ERROR, kinds=KINDS, needs=MANIFEST_PARSED)
+@rule("GM030", Severity.ERROR, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
 def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
     """Every extension in `extensions_required` is also listed in `extensions_used`.
 
@@ -36,7 +36,7 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
 
 
-@rule("GM031", Severity.WARNING, kinds=KINDS, needs=("GM030",))
+@rule("GM031", Severity.WARNING, kinds=MANIFEST_KINDS, needs=("GM030",))
 def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
     """Every required manifest extension is registered.
 
@@ -55,7 +55,7 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at("manifest extensions_required", name, expected)
 
 
-@rule("GM032", Severity.ERROR, kinds=KINDS, needs=(*MANIFEST_PARSED, "GG019"))
+@rule("GM032", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*MANIFEST_PARSED, "GG019"))
 def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has only operators and operator sets of the declared operator profile.
 
@@ -69,11 +69,11 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
     name = subject.manifest.operator_profile if subject.manifest else None
     if name is None:
         return
-    if name not in PROFILES:
-        expected = f"one of {', '.join(PROFILES)}"
+    if name not in READER_PROFILES:
+        expected = f"one of {', '.join(READER_PROFILES)}"
         yield Violation.at("manifest operator_profile", repr(name), expected)
         return
-    profile = PROFILES[name]
+    profile = READER_PROFILES[name]
     opset = max(
         (o.version for o in subject.file.proto.opset_import if o.domain in MAIN_DOMAIN), default=0
     )
@@ -83,9 +83,11 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
     missing = profile.missing(node.op_type for node in subject.graph.all_nodes())
     if missing:
         remainder_text = (
-            f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+            f" and {len(missing) - _MAX_NAMED_EXTENSIONS} more"
+            if len(missing) > _MAX_NAMED_EXTENSIONS
+            else ""
         )
-        actual = f"{', '.join(missing[:_MOST_NAMED])}{remainder_text} in the graph"
+        actual = f"{', '.join(missing[:_MAX_NAMED_EXTENSIONS])}{remainder_text} in the graph"
         yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
 
 
@@ -109,7 +111,7 @@ def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"manifest cost.{number}", format_bytes(entry.bytes), expected)
 
 
-@rule("GM035", Severity.ERROR, kinds=KINDS)
+@rule("GM035", Severity.ERROR, kinds=MANIFEST_KINDS)
 def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
     """Manifests stored under both ONNX metadata keys of a model are the same.
 
@@ -125,7 +127,7 @@ def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("metadata_props", actual, "one manifest")
 
 
-@rule("GM036", Severity.ERROR, kinds=KINDS, needs=MANIFEST_PARSED)
+@rule("GM036", Severity.ERROR, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
 def unit_agrees_with_scale(subject: InspectedModel) -> Iterator[Violation]:
     """A coordinate frame in the unit `metre` has one metre per unit.
 

@@ -10,7 +10,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import (
     CONVENTION_SHAPES,
     JOINTS,
-    KINDS,
+    MANIFEST_KINDS,
     ROLES,
     ROTATION_ROLES,
     matches_shape,
@@ -51,7 +51,7 @@ def shape_of(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
     return entry.shape if dims is None else tuple(int(dim) for dim in dims)
 
 
-@rule("GI013", Severity.ERROR, needs=("GM004",), kinds=KINDS)
+@rule("GI013", Severity.ERROR, needs=("GM004",), kinds=MANIFEST_KINDS)
 def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     """A declared input range runs from low to high, with whole numbers for integer inputs.
 
@@ -77,7 +77,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     "GI014",
     Severity.ERROR,
     needs=("GM005", "GI001", "GI002", "GI003", "GI005", "GI013"),
-    kinds=KINDS,
+    kinds=MANIFEST_KINDS,
 )
 def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
     """A declared default fills its input, lies in its range, and is whole for integer inputs.
@@ -128,7 +128,7 @@ def _default_numbers(entry: Input) -> tuple[float, ...]:
     return tuple(map(float, default if isinstance(default, tuple) else (default or 0.0,)))
 
 
-@rule("GI015", Severity.ERROR, needs=("GM004", "GI005"), kinds=KINDS)
+@rule("GI015", Severity.ERROR, needs=("GM004", "GI005"), kinds=MANIFEST_KINDS)
 def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
     """A declared input convention (such as axis-angle) suits the input's role and shape.
 
@@ -170,7 +170,7 @@ def _shape_fits_convention(entry: Input, shape: tuple[int, ...]) -> bool:
     return shape[-1:] == (_AXIS_ANGLE,) and (entry.role != "root_rotation" or len(shape) == 1)
 
 
-@rule("GI017", Severity.ERROR, needs=("GM004",), kinds=KINDS)
+@rule("GI017", Severity.ERROR, needs=("GM004",), kinds=MANIFEST_KINDS)
 def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
     """Only time inputs declare frames, fps and loop; rates and steps of time are above 0.
 
@@ -214,7 +214,7 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_input_location(entry), actual, f"{numbers} distinct frames at most")
 
 
-@rule("GI018", Severity.ERROR, needs=("GM004", "GI015"), kinds=KINDS)
+@rule("GI018", Severity.ERROR, needs=("GM004", "GI015"), kinds=MANIFEST_KINDS)
 def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of a rotation vector lies within ±2π, since angles are in radians.
 
@@ -235,7 +235,7 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_input_location(entry), actual, "radians, within ±2π (±6.28)")
 
 
-@rule("GI016", Severity.WARNING, needs=("GM004",), kinds=KINDS)
+@rule("GI016", Severity.WARNING, needs=("GM004",), kinds=MANIFEST_KINDS)
 def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
     """An input that no runtime can fill by itself, such as a pose, declares a default value.
 

@@ -7,7 +7,13 @@ import numpy as np
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
-from gsgen.contract.spec.fields.roles import GENERATOR, KINDS, POST_PROCESS, ROLES, matching_shape
+from gsgen.contract.spec.fields.roles import (
+    GENERATOR,
+    MANIFEST_KINDS,
+    POST_PROCESS,
+    ROLES,
+    matching_shape,
+)
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
@@ -73,7 +79,7 @@ def time_is_1(subject: InspectedModel) -> Iterator[Violation]:
     yield from _wrong_shape(subject, "time", (1,))
 
 
-@rule("GI004", Severity.ERROR, needs=("GM004",), kinds=KINDS)
+@rule("GI004", Severity.ERROR, needs=("GM004",), kinds=MANIFEST_KINDS)
 def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """Every input has the dtype of its input role: float32, or int32 for indices.
 
@@ -91,7 +97,7 @@ def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"input {entry.name}", str(tensor.dtype), " or ".join(dtypes))
 
 
-@rule("GI005", Severity.ERROR, needs=("GM004",), kinds=KINDS)
+@rule("GI005", Severity.ERROR, needs=("GM004",), kinds=MANIFEST_KINDS)
 def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Every graph input is declared with an input role, so that any runtime can feed it.
 
@@ -181,7 +187,7 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
             )
 
 
-@rule("GI006", Severity.WARNING, needs=("GM004", "GG019"), kinds=KINDS)
+@rule("GI006", Severity.WARNING, needs=("GM004", "GG019"), kinds=MANIFEST_KINDS)
 def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     """Some output is computed from each input, unless `depends_on` declares the opposite.
 
@@ -207,7 +213,7 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GI012", Severity.WARNING, kinds=KINDS)
+@rule("GI012", Severity.WARNING, kinds=MANIFEST_KINDS)
 def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """No weight (initialiser) is listed among the graph inputs.
 

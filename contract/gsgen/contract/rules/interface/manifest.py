@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.spec.upgrades import CONTRACT, UPGRADES
+from gsgen.contract.spec.upgrades import CONTRACT_VERSION, UPGRADE_BY_VERSION
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
@@ -18,7 +18,7 @@ from gsgen.contract.validation.rule import rule
 _MANIFEST_OPENING = 1 << 16
 
 
-@rule("GM001", Severity.ERROR, kinds=KINDS)
+@rule("GM001", Severity.ERROR, kinds=MANIFEST_KINDS)
 def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
     """The model carries a manifest in its metadata.
 
@@ -56,10 +56,10 @@ def _misplaced_manifest(subject: InspectedModel) -> str:
 def _looks_like_manifest(text: str) -> bool:
     """Return whether a text begins like a JSON object and names a kind of model."""
     first_text = text[:_MANIFEST_OPENING].lstrip()
-    return first_text.startswith("{") and any(f'"{kind}"' in first_text for kind in KINDS)
+    return first_text.startswith("{") and any(f'"{kind}"' in first_text for kind in MANIFEST_KINDS)
 
 
-@rule("GM002", Severity.ERROR, kinds=KINDS)
+@rule("GM002", Severity.ERROR, kinds=MANIFEST_KINDS)
 def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is a JSON document that follows the schema of its kind.
 
@@ -80,7 +80,7 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(location, complaint.actual, complaint.expected)
 
 
-@rule("GM003", Severity.ERROR, kinds=KINDS)
+@rule("GM003", Severity.ERROR, kinds=MANIFEST_KINDS)
 def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a contract version that this validator supports.
 
@@ -96,7 +96,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"manifest {complaint.where}", complaint.actual, complaint.expected)
 
 
-@rule("GM004", Severity.ERROR, needs=MANIFEST_PARSED, kinds=KINDS)
+@rule("GM004", Severity.ERROR, needs=MANIFEST_PARSED, kinds=MANIFEST_KINDS)
 def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     """Every tensor that the manifest names is a graph input or output, and is named only once.
 
@@ -263,7 +263,7 @@ def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", actual, expected)
 
 
-@rule("GM015", Severity.WARNING, kinds=KINDS)
+@rule("GM015", Severity.WARNING, kinds=MANIFEST_KINDS)
 def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is of no newer minor version than this validator supports.
 
@@ -275,10 +275,10 @@ def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.parsed is not None and subject.parsed.newer and subject.parsed.version:
         major, minor = subject.parsed.version
-        yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT} or older")
+        yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT_VERSION} or older")
 
 
-@rule("GM018", Severity.INFO, kinds=KINDS)
+@rule("GM018", Severity.INFO, kinds=MANIFEST_KINDS)
 def contract_version_released(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a released contract version, not one of a development build.
 
@@ -289,5 +289,5 @@ def contract_version_released(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Export the model again, or set "contract": "1.0".
     """
-    if subject.parsed is not None and subject.parsed.version in UPGRADES:
-        yield Violation.at("manifest contract", subject.declared_version, CONTRACT)
+    if subject.parsed is not None and subject.parsed.version in UPGRADE_BY_VERSION:
+        yield Violation.at("manifest contract", subject.declared_version, CONTRACT_VERSION)

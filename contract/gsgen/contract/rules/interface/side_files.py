@@ -7,20 +7,20 @@ from pathlib import Path
 from gsgen.contract.model.files_beside import FileRefused, contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.manifest import VectorFile
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 
 
 def _digest(path: Path) -> str:
     hasher = hashlib.sha256()
     with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
+        while chunk := file.read(_CHUNK_BYTES):
             hasher.update(chunk)
     return hasher.hexdigest()
 
@@ -34,7 +34,7 @@ def _fault(model: Path, location: str, sha256: str) -> tuple[str, str] | None:
     return None if actual == sha256 else (f"sha256 {actual[:12]}…", f"{sha256[:12]}…, as declared")
 
 
-@rule("GM033", Severity.WARNING, kinds=KINDS, needs=("GM004",))
+@rule("GM033", Severity.WARNING, kinds=MANIFEST_KINDS, needs=("GM004",))
 def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
     """The files of a test vector hold all model inputs, lie beside the model, and match digests.
 
@@ -64,7 +64,7 @@ def _check_files(where: str, files: tuple[VectorFile, ...], model: Path) -> Iter
             yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1])
 
 
-@rule("GS005", Severity.ERROR, kinds=KINDS, needs=(*MANIFEST_PARSED, "GS001"))
+@rule("GS005", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*MANIFEST_PARSED, "GS001"))
 def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """External data files have the digests that the manifest declares, and the model uses them.
 

@@ -17,7 +17,7 @@ _ROUNDING = 256
 # Fewer padding rows have no measurable cost.
 _MIN_WASTED_ROWS = 4096
 _MIN_USED_SHARE = 0.5
-_FRAMES = 60
+_FRAME_COUNT = 60
 
 
 def _is_wasteful(max_count: int, capacity: int) -> bool:
@@ -86,8 +86,10 @@ def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
     declared = (subject.graph.output(name) for name in subject.output_names)
     size = sum(tensor_bytes(tensor) for tensor in declared if tensor is not None)
     if size > limit:
-        rate = 2 * size * _FRAMES / 1e9
-        actual = f"{format_mebibytes(size)} a frame, {rate:.1f} GB/s at {_FRAMES} frames a second"
+        rate = 2 * size * _FRAME_COUNT / 1e9
+        actual = (
+            f"{format_mebibytes(size)} a frame, {rate:.1f} GB/s at {_FRAME_COUNT} frames a second"
+        )
         yield Violation.at("outputs", actual, f"{format_mebibytes(limit, 0)} at most")
 
 

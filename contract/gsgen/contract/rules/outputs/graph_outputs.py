@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 
-@rule("GO013", Severity.WARNING, kinds=KINDS, needs=("GG019",))
+@rule("GO013", Severity.WARNING, kinds=MANIFEST_KINDS, needs=("GG019",))
 def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
     """Every output except a constant row count is computed by an operator, and is not a weight.
 
@@ -29,7 +29,7 @@ def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", "a weight", "the result of an operator")
 
 
-@rule("GO014", Severity.ERROR, kinds=KINDS)
+@rule("GO014", Severity.ERROR, kinds=MANIFEST_KINDS)
 def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor is listed as a graph output twice.
 
@@ -45,7 +45,12 @@ def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", f"listed {count} times", "listed once")
 
 
-@rule("GO017", Severity.WARNING, kinds=KINDS, needs=("GM004", "GO001", "GO005", "GO010", "TV102"))
+@rule(
+    "GO017",
+    Severity.WARNING,
+    kinds=MANIFEST_KINDS,
+    needs=("GM004", "GO001", "GO005", "GO010", "TV102"),
+)
 def outputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Every output of the graph is declared in the manifest.
 

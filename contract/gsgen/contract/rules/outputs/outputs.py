@@ -8,7 +8,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW, WORD_BYTES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import DECLARED
+from gsgen.contract.validation.gates import DECLARATION_RULES
 from gsgen.contract.validation.rule import rule
 
 COLUMN_MEANINGS: Final = {
@@ -26,7 +26,7 @@ def _dim_of_axis(tensor: Tensor | None, axis: int) -> int | str | None:
     return tensor.dims[axis] if tensor is not None and tensor.dims else None
 
 
-@rule("GO001", Severity.ERROR, needs=DECLARED)
+@rule("GO001", Severity.ERROR, needs=DECLARATION_RULES)
 def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares one output that holds the packed Gaussians.
 
@@ -114,7 +114,7 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {declared.name}", f"shape {declared}", expected)
 
 
-@rule("GO005", Severity.ERROR, needs=DECLARED)
+@rule("GO005", Severity.ERROR, needs=DECLARATION_RULES)
 def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares one output that holds the appearance (colours) of the Gaussians.
 
@@ -229,7 +229,7 @@ def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", actual, f"a multiple of {WORD_BYTES} bytes")
 
 
-@rule("GO010", Severity.ERROR, needs=DECLARED)
+@rule("GO010", Severity.ERROR, needs=DECLARATION_RULES)
 def count_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares an output that holds the number of live Gaussians (rows in use).
 

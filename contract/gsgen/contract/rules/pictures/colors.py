@@ -105,7 +105,7 @@ def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
 # Unrelated: above the second.
 _MAX_SMOOTH_ROUGHNESS, _MIN_UNRELATED_ROUGHNESS = 0.5, 0.75
 # The columns whose order, ascending or descending, exporters sort rows by.
-_KEYS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
+_SORT_COLUMNS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
 
 
 @rule("GV047", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS))
@@ -126,7 +126,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     stored_roughness = _roughness(sample, color)
     if stored_roughness <= _MIN_UNRELATED_ROUGHNESS:
         return
-    for name, column in _KEYS.items():
+    for name, column in _SORT_COLUMNS.items():
         for sign, direction in ((1, "ascending"), (-1, "descending")):
             order = np.argsort(sign * sample.rows[:, column], kind="stable")
             restored_color = np.empty_like(color)

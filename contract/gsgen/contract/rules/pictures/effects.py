@@ -27,7 +27,7 @@ _MIN_INSTANTS = 3
 _MAX_FIRST_STEP, _MAX_SECOND_STEP = 0.45, 0.15
 # Fewer drawn rows say nothing of the motion of a scene.
 _MIN_MOVED_ROWS = 16
-_NEAR = (0.005, 0.02)
+_NEAR_FRACTIONS = (0.005, 0.02)
 
 
 @rule("GB032", Severity.WARNING, needs=(*REPRODUCIBLE, "GB003", "GI006", "GO001", "GO002"))
@@ -105,7 +105,9 @@ def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
             continue
         pairs = [(b - a, _mean_motion(x, y)) for (a, x), (b, y) in pairwise(series)]
         steps = [
-            motion for value_gap, motion in pairs if _NEAR[0] * span < value_gap < _NEAR[1] * span
+            motion
+            for value_gap, motion in pairs
+            if _NEAR_FRACTIONS[0] * span < value_gap < _NEAR_FRACTIONS[1] * span
         ]
         motion_from_start = (_mean_motion(series[0][1], outputs) for _, outputs in series[1:])
         largest = max([*(motion for _, motion in pairs), *motion_from_start], default=0.0)

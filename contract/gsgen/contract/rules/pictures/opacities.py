@@ -25,7 +25,7 @@ _MIN_ZERO_SHARE, _MIN_ONE_SHARE, _MIN_BETWEEN_SHARE = 0.03, 0.2, 0.05
 # of opacity gives 0.9 to 1.
 _MAX_TRANSPARENT_OPACITY, _MIN_TRANSPARENT_SHARE = 0.4, 0.08
 _MIN_DARKER_SHARE = 0.995
-_CORRELATED = 0.7
+_MIN_CORRELATION = 0.7
 _MIN_BRIGHTNESS = 1e-3
 
 
@@ -113,17 +113,17 @@ def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
         return
     logarithms = np.log(np.maximum([max_channel, opacity], _MIN_BRIGHTNESS))
     correlation = float(np.corrcoef(logarithms)[0, 1])
-    if correlation > _CORRELATED:
+    if correlation > _MIN_CORRELATION:
         actual = (
             f"no colour is brighter than its opacity in {darker_share:.1%} of {len(color)} rows, and "
             f"both correlate by {correlation:.2f}, as if colours were multiplied by opacity"
         )
-        expected = f"transparent rows of any brightness, or a correlation below {_CORRELATED}"
+        expected = f"transparent rows of any brightness, or a correlation below {_MIN_CORRELATION}"
         location = Location(sample.emission.color_label)
         yield Violation(
             where=location,
             expected=expected,
             actual=actual,
             certainty="possible",
-            statistic=Statistic("correlation with opacity", correlation, high=_CORRELATED),
+            statistic=Statistic("correlation with opacity", correlation, high=_MIN_CORRELATION),
         )

@@ -20,7 +20,7 @@ from gsgen.contract.validation.gates import VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 # Deviations above this are not those of right scenes.
-_UNRELATED = 0.55
+_UNRELATED_ROUGHNESS = 0.55
 
 # Axis-aligned Gaussians of which the longest axis is this much longer than the shortest.
 _MIN_ASPECT_RATIO = 10.0
@@ -41,7 +41,7 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
         not Rᵀ S Sᵀ R. Turn, mirror, swap or sort covariances and positions together.
     """
     alignment = measure_alignment(sample)
-    if alignment is None or alignment.deviation <= _UNRELATED:
+    if alignment is None or alignment.deviation <= _UNRELATED_ROUGHNESS:
         return
     actual = (
         f"deviation {alignment.deviation:.2f} of the orientation from the neighbours' "
@@ -50,14 +50,14 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
     axis_order = _find_axis_order(sample, alignment)
     if axis_order:
         actual += f"; it would fit if the axes of the covariances were {axis_order}"
-    expected = f"below {_UNRELATED}: 0 is along the surface or strand, 1 is random"
+    expected = f"below {_UNRELATED_ROUGHNESS}: 0 is along the surface or strand, 1 is random"
     location = Location(sample.emission.rows_label, "covariance")
     yield Violation(
         where=location,
         expected=expected,
         actual=actual,
         certainty="possible",
-        statistic=Statistic("deviation", alignment.deviation, 0.0, _UNRELATED),
+        statistic=Statistic("deviation", alignment.deviation, 0.0, _UNRELATED_ROUGHNESS),
     )
 
 
@@ -103,7 +103,7 @@ def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
     aspect_ratio = np.sqrt(
         variances.max(axis=1) / np.maximum(variances.min(axis=1), np.finfo(float).tiny)
     )
-    if alignment is not None and alignment.deviation <= _UNRELATED:
+    if alignment is not None and alignment.deviation <= _UNRELATED_ROUGHNESS:
         return
     if alignment is None and np.median(aspect_ratio) < _MIN_ASPECT_RATIO:
         return

@@ -23,7 +23,7 @@ from gsgen.contract.validation.finding import Statistic, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
-_FEWEST_ROWS = 12
+_MIN_ROWS = 12
 # A scene whose motion bends everywhere has a few neighbourhoods that turn rigidly by chance; a limb
 # that turns is a larger fraction of the sample.
 _MIN_ROW_FRACTION = 0.05
@@ -81,7 +81,7 @@ def _deviation(
     size = np.maximum(np.linalg.norm(covariance_before, axis=(1, 2)), np.finfo(float).tiny)
     change = np.linalg.norm(rotated_covariance - covariance_before, axis=(1, 2)) / size
     counts = motion.is_rigid & (motion.angle > _MIN_ROTATION) & (change > _MIN_COVARIANCE_CHANGE)
-    if np.count_nonzero(counts) < max(_FEWEST_ROWS, _MIN_ROW_FRACTION * len(counts)):
+    if np.count_nonzero(counts) < max(_MIN_ROWS, _MIN_ROW_FRACTION * len(counts)):
         return None
     error = np.linalg.norm(covariance_after - rotated_covariance, axis=(1, 2)) / size
     covariance_difference = np.linalg.norm(covariance_after - covariance_before, axis=(1, 2)) / size
@@ -167,7 +167,7 @@ def _diagnose_convention(
 ) -> str:
     """Return the wrong interpretation of a pose that explains the motion (e.g. degrees), or ""."""
     is_rigid_row = motion.is_rigid
-    if np.count_nonzero(is_rigid_row) < _FEWEST_ROWS or base.shape == (3, 3):
+    if np.count_nonzero(is_rigid_row) < _MIN_ROWS or base.shape == (3, 3):
         return ""
     pose_before, pose_after = (base.reshape(-1, base.shape[-1]), value.reshape(-1, base.shape[-1]))
     width = pose_before.shape[1]

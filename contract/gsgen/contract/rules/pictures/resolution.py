@@ -10,18 +10,18 @@ from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.layout import POSITION
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Statistic, Violation
-from gsgen.contract.validation.gates import DECLARED, VALID_ROWS
+from gsgen.contract.validation.gates import DECLARATION_RULES, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 # Positions lie on a lattice if their differences are multiples of the smallest one, within this
 # fraction of it, and it is this many steps of float32 long: shorter ones are steps of float32.
-_MAX_LATTICE_ERROR, _STEPS = 0.02, 64
-_AXES = 2
+_MAX_LATTICE_ERROR, _LATTICE_STEPS = 0.02, 64
+_MIN_AXES = 2
 # A lattice shows if its step exceeds the thinnest axis, and this fraction of the middle one. In
 # files that quantise positions, the fraction is below 0.05.
 _MAX_VISIBLE_STEP = 0.1
 # Gaussians on purpose on a grid, such as voxels, are not turned.
-_TURNED = 0.5
+_MIN_TURNED_ANGLE = 0.5
 
 # A range is divided too coarsely if float32 has fewer numbers in it than this.
 _MIN_RANGE_STEPS = 64
@@ -42,7 +42,7 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
     position = sample.rows[:, POSITION]
     steps = [step for axis in range(3) if (step := _lattice_step(position[:, axis])) > 0]
     rotated_share = float((sample.rows[:, [5, 6, 8]] != 0).any(axis=1).mean())
-    if len(steps) < _AXES or rotated_share < _TURNED:
+    if len(steps) < _MIN_AXES or rotated_share < _MIN_TURNED_ANGLE:
         return
     step, thin_sigma, middle_sigma = (
         min(steps),
@@ -69,16 +69,16 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
 def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     """Return the step of the regular grid on which all values lie; 0 if there is no such grid."""
     distinct = np.unique(values)
-    if len(distinct) < _AXES + 1:
+    if len(distinct) < _MIN_AXES + 1:
         return 0.0
     step = float(np.diff(distinct).min())
-    if step < _STEPS * np.spacing(np.float32(np.abs(distinct).max())):
+    if step < _LATTICE_STEPS * np.spacing(np.float32(np.abs(distinct).max())):
         return 0.0
     multiples = (distinct - distinct[0]) / step
     return step if np.abs(multiples - np.rint(multiples)).max() < _MAX_LATTICE_ERROR else 0.0
 
 
-@rule("GI045", Severity.WARNING, needs=DECLARED)
+@rule("GI045", Severity.WARNING, needs=DECLARATION_RULES)
 def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of a float32 input contains enough float32 numbers for smooth change.
 

@@ -37,16 +37,16 @@ _EXP_TWICE_RANGE = (0.999, 1.05)
 # the shortest axis that most discs and needles stand on.
 _SCREEN_BLUR_RANGE, _MIN_BLURRED_SHARE = (0.2999, 0.301), 0.5
 
-Sigma = Float[np.ndarray, "m 3"]
+SigmaArray = Float[np.ndarray, "m 3"]
 
 
-def _multiply_by(factor: float) -> Callable[[Sigma], Sigma]:
+def _multiply_by(factor: float) -> Callable[[SigmaArray], SigmaArray]:
     return lambda sigma: sigma * factor
 
 
 # The mistake, the interval of the statistic it is suspected in, and the function that undoes it.
 _NOT_SQUARED_TEXT = "standard deviations stand where variances belong"
-_KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[Sigma], Sigma]], ...] = (
+_KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[SigmaArray], SigmaArray]], ...] = (
     (
         "log scales were squared, and exp is missing",
         (_HUGE_RATIO, np.inf),

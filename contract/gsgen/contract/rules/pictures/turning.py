@@ -16,11 +16,11 @@ from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 # Rows that are drawn at the same place before and after the turn; fewer say nothing.
-_FEWEST_ROWS = 8
+_MIN_ROWS = 8
 # The statistic is the change that a tenth of the rows exceeds: of a colour in 0 to 1, and of a
 # covariance relative to its trace. The median would miss light that is clamped on the half that
 # faces away. Right models have 1e-6, from rounding of the matrix; wrong ones 0.03 to 0.9.
-_CHANGED = 0.01
+_MIN_PIXEL_CHANGE = 0.01
 _CHANGE_QUANTILE = 0.9
 
 
@@ -45,7 +45,7 @@ def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation
         if base is None or turned_outputs is None:
             return
         rows = _drawn_in_both(base, turned_outputs)
-        if np.count_nonzero(rows) < _FEWEST_ROWS:
+        if np.count_nonzero(rows) < _MIN_ROWS:
             return
         yield from _field_changes(base, turned_outputs, rows)
 
@@ -59,12 +59,12 @@ def _field_changes(
     if color is not None and other_color is not None and color.shape == other_color.shape:
         changes = np.abs(color[rows].astype(float) - other_color[rows]).max(axis=1)
         change = float(np.quantile(changes, _CHANGE_QUANTILE))
-        if change > _CHANGED:
+        if change > _MIN_PIXEL_CHANGE:
             actual = (
                 f"a tenth of the colours changes by {change:.3g} or more while the "
                 "camera turns about its own centre, as if its centre were computed without the inverse rotation"
             )
-            usual_statistic = Statistic("change of colour", change, 0.0, _CHANGED)
+            usual_statistic = Statistic("change of colour", change, 0.0, _MIN_PIXEL_CHANGE)
             expected = "the same colours from the same centre"
             yield _possible_violation(base.color_label, "", actual, expected, usual_statistic)
     a, b = (
@@ -73,12 +73,12 @@ def _field_changes(
     trace = np.maximum(a[:, VARIANCES].sum(axis=1), np.finfo(np.float32).tiny)
     changes = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
     change = float(np.quantile(changes, _CHANGE_QUANTILE))
-    if change > _CHANGED:
+    if change > _MIN_PIXEL_CHANGE:
         actual = (
             f"a tenth of the covariances changes by {change:.3g} of the trace or "
             "more while the camera turns about its own centre, as if they were in camera space"
         )
-        usual_statistic = Statistic("change over trace", change, 0.0, _CHANGED)
+        usual_statistic = Statistic("change over trace", change, 0.0, _MIN_PIXEL_CHANGE)
         expected = "covariances in local space"
         yield _possible_violation(base.rows_label, "covariance", actual, expected, usual_statistic)
 
@@ -155,7 +155,7 @@ def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
             int(_drawn_mask(base).sum()),
             int(_drawn_mask(away_outputs).sum()),
         )
-        if behind_count >= _FEWEST_ROWS and ahead_count < behind_count / 2:
+        if behind_count >= _MIN_ROWS and ahead_count < behind_count / 2:
             actual = (
                 f"{ahead_count} rows are drawn by a camera that looks at the scene, and {behind_count} by one "
                 "that looks away, as if culling took −z for forward"

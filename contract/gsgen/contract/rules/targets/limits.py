@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from gsgen.contract.model.graph import Graph, Tensor, names_read, tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import frame_nodes
-from gsgen.contract.spec.fields.roles import KINDS
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_mebibytes
 from gsgen.contract.validation.finding import Violation
@@ -45,7 +45,7 @@ def _oversized_buffers(subject: InspectedModel, limit: int) -> Iterator[Violatio
             yield Violation.at(location, _mebibyte_text(size), f"{_mebibyte_text(limit)} at most")
 
 
-@rule("GL001", Severity.ERROR, kinds=KINDS, limit="binding_bytes", needs=("GL002",))
+@rule("GL001", Severity.ERROR, kinds=MANIFEST_KINDS, limit="binding_bytes", needs=("GL002",))
 def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one storage buffer binding of the target's GPU.
 
@@ -61,7 +61,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     yield from _oversized_buffers(subject, subject.target.limits["binding_bytes"])
 
 
-@rule("GL002", Severity.ERROR, kinds=KINDS, limit="buffer_bytes")
+@rule("GL002", Severity.ERROR, kinds=MANIFEST_KINDS, limit="buffer_bytes")
 def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one buffer of the target's GPU.
 

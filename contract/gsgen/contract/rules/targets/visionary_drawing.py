@@ -18,7 +18,7 @@ from gsgen.contract.validation.rule import rule
 _WORKGROUP_ROWS = 256
 # The viewer's filter, in squared pixels; a lens of 45 degrees on 1080 rows; a camera that sees all.
 _KERNEL_PIXELS = 0.1
-_FOCAL = 1304.0
+_FOCAL_PIXELS = 1304.0
 _WHOLE_VIEW_RADII = 2.2
 _MIN_OPACITY_SHARE = 0.5
 
@@ -97,7 +97,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
     distance = _WHOLE_VIEW_RADII * float(np.linalg.norm(high - low)) / 2
-    pixels = rows.max_variance * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
+    pixels = rows.max_variance * np.float32((_FOCAL_PIXELS / max(distance, 1e-9)) ** 2)
     opacity_share = pixels / (pixels + np.float32(_KERNEL_PIXELS))
     yield Violation.rows(
         Location(rows.emission.rows_label, "covariance"),

@@ -17,11 +17,11 @@ _COLOR_SLACK = 1e-2
 
 # Mean degree of the coefficients' energy. Trained scenes lie below 0.3, since detail falls with
 # the degree; a wrong order spreads the constant terms over all degrees and gives 1 or more.
-_SUSPECT_DEGREE = 0.5
-_MAX_DEGREE_RATIO = 0.4
+_MIN_SUSPECT_BAND_RATIO = 0.5
+_MAX_BAND_ENERGY_RATIO = 0.4
 
 # Beyond what any colour needs; fewer than one in a hundred may be outliers.
-_LARGE = 10.0
+_LARGE_COEFFICIENT = 10.0
 _MAX_LARGE_SHARE = 0.01
 
 
@@ -87,9 +87,14 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
     }
     stored_degree = spread.pop("coefficient-major")
     name, min_degree = min(spread.items(), key=lambda item: item[1])
-    if stored_degree > _SUSPECT_DEGREE and min_degree < _MAX_DEGREE_RATIO * stored_degree:
+    if (
+        stored_degree > _MIN_SUSPECT_BAND_RATIO
+        and min_degree < _MAX_BAND_ENERGY_RATIO * stored_degree
+    ):
         actual = f"energy lies at mean degree {stored_degree:.2f} as stored, {min_degree:.2f} if read {name}"
-        expected = f"a mean degree below {_SUSPECT_DEGREE}, as coefficient-major SH of a scene has"
+        expected = (
+            f"a mean degree below {_MIN_SUSPECT_BAND_RATIO}, as coefficient-major SH of a scene has"
+        )
         yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
@@ -126,13 +131,13 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     if not emission.is_sh or emission.shown_colors.shape[1] <= 3:
         return
     detail = emission.shown_colors[:, 3:]
-    if not len(detail) or max(-detail.min(), detail.max()) <= _LARGE:
+    if not len(detail) or max(-detail.min(), detail.max()) <= _LARGE_COEFFICIENT:
         return
     detail = np.abs(detail)
-    share = float(np.count_nonzero(detail > _LARGE) / max(detail.size, 1))
+    share = float(np.count_nonzero(detail > _LARGE_COEFFICIENT) / max(detail.size, 1))
     if share > _MAX_LARGE_SHARE:
-        actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
-        expected = f"magnitudes up to {_LARGE:g}"
+        actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE_COEFFICIENT:g}, up to {detail.max():.3g}"
+        expected = f"magnitudes up to {_LARGE_COEFFICIENT:g}"
         yield Violation.at(emission.color_label, actual, expected, certainty="possible")
 
 

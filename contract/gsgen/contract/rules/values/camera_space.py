@@ -17,11 +17,11 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
 from gsgen.contract.validation.rule import rule
 
-_FEWEST = 4
+_MIN_ROWS = 4
 # Positions follow the camera if they move by more than the first fraction of their spread, and by
 # less than the second once the camera is undone.
 _MIN_MOTION_RATIO = 0.05
-_MAX_REST_RATIO = 2e-3
+_MAX_RESIDUAL_RATIO = 2e-3
 # Culling is backwards if this fraction of the rows that are drawn behind the camera, or less, is
 # drawn in front of it.
 _MAX_VISIBLE_RATIO = 0.1
@@ -107,7 +107,7 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if first.position.shape != second.position.shape:
             continue
         drawn = first.drawn & second.drawn
-        if np.count_nonzero(drawn) < _FEWEST or declared is None:
+        if np.count_nonzero(drawn) < _MIN_ROWS or declared is None:
             continue
         for space in ("camera space", "clip space"):
             if _follows_camera(first, second, drawn, space):
@@ -132,7 +132,7 @@ def _follows_camera(
     scene_size = float(np.linalg.norm(np.ptp(first.position[drawn], axis=0)))
     return bool(
         np.median(row_motion) > _MIN_MOTION_RATIO * scene_size
-        and residual_motion.max() < _MAX_REST_RATIO * spread
+        and residual_motion.max() < _MAX_RESIDUAL_RATIO * spread
     )
 
 

@@ -19,7 +19,7 @@ from gsgen.contract.validation.rule import rule
 # A sigmoid in float16 may round up by one unit in the last place.
 _VISIBILITY_SLACK = 1e-3
 # A renderer draws a cell within twice its longest standard deviation.
-_REACH_SIGMAS = 2.0
+_CELL_EXTENT_SIGMAS = 2.0
 
 
 @rule("GM017", Severity.ERROR, needs=MANIFEST_PARSED)
@@ -259,7 +259,7 @@ def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
         return
     float_cells, live = (cells.astype(np.float32), np.asarray(rows[: emission.count], np.float32))
     trace = np.maximum(float_cells[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
-    size = _REACH_SIGMAS * np.sqrt(trace)
+    size = _CELL_EXTENT_SIGMAS * np.sqrt(trace)
     if np.float16 in (cells.dtype, rows.dtype):
         size += FLOAT16_EPSILON * np.abs(float_cells[:, POSITION]).sum(axis=1)
     visible = np.isfinite(float_cells).all(axis=1) & (float_cells[:, VISIBILITY] > 0)

@@ -14,13 +14,13 @@ from gsgen.contract.validation.rule import rule
 
 # In float32, so that arrays of rows stay float32.
 _SMALLEST_NORMAL = np.float32(FLOAT16_SMALLEST_NORMAL)
-_EPSILON = np.float32(FLOAT16_EPSILON)
+_FLOAT16_EPSILON = np.float32(FLOAT16_EPSILON)
 _MIN_COARSE_SHARE = 0.01
 _OUTSIDE_SHARE = 1e-3
 _OUTSIDE_SLACK = 1e-3
 # Below this number of rows, a Gaussian may fill its bounds or repeat by design.
-_FEWEST = 16
-_BLOCK = 4096
+_MIN_ROWS = 16
+_ROWS_PER_BLOCK = 4096
 _MAX_EQUAL_SHARE = 0.1
 
 
@@ -84,7 +84,7 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     if rows.emission.zeros:
         return  # a frame of zeroed inputs only has to be finite
     is_half = rows.packed.dtype == np.float16
-    epsilon = _EPSILON if is_half else np.finfo(np.float32).eps
+    epsilon = _FLOAT16_EPSILON if is_half else np.finfo(np.float32).eps
     # With NaN, all rows are checked.
     step_bound = np.square(np.abs(rows.corners).max(initial=0) * epsilon)
     max_coordinate, is_coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
@@ -120,7 +120,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
         Apply the activation (usually exp) once; clamp scales; prune outliers.
     """
     generator = rows.emission.subject.generator
-    if generator is None or generator.bounds is None or rows.emission.count < _FEWEST:
+    if generator is None or generator.bounds is None or rows.emission.count < _MIN_ROWS:
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
     diagonal = float(np.linalg.norm(high - low))
@@ -152,7 +152,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     low, high = np.asarray([generator.bounds.min, generator.bounds.max], np.float64)
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))
     if rows.packed.dtype == np.float16:
-        slack += float(_EPSILON * max(np.abs(low).max(), np.abs(high).max()))
+        slack += float(_FLOAT16_EPSILON * max(np.abs(low).max(), np.abs(high).max()))
     position, (lower_corner, upper_corner) = rows.position, rows.corners
     is_outside = np.zeros(len(rows), bool)
     if not ((lower_corner >= low - slack) & (upper_corner <= high + slack)).all():
@@ -183,9 +183,9 @@ def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     """
     if emission.gaussians is None or emission.zeros:
         return
-    block = emission.gaussians[: min(emission.count, _BLOCK)]
+    block = emission.gaussians[: min(emission.count, _ROWS_PER_BLOCK)]
     block = np.ascontiguousarray(block[block[:, OPACITY].astype(np.float32) >= CULL_OPACITY])
-    if len(block) < _FEWEST:
+    if len(block) < _MIN_ROWS:
         return
     distinct_count = len({row.tobytes() for row in block})
     copy_count = len(block) - distinct_count

@@ -8,7 +8,7 @@ from gsgen.contract._array_types import Float
 
 # Shares of values that a mistake explains; the rest are outliers.
 _NEARLY_ALL_SHARE = 0.995
-_SLACK = 1e-3
+_RANGE_SLACK = 1e-3
 _MAX_BYTE = 255.0
 _MAX_PERCENT = 100.0
 # Natural logarithms of scales, or of their squares, that scenes have.
@@ -16,7 +16,7 @@ _LOWEST_LOG, _HIGHEST_LOG = -40.0, 8.0
 # Logarithms of lengths below one unit are negative, as are nearly all of a scene.
 _MOSTLY_SHARE = 0.9
 # Fewer values than this fit any mistake by chance.
-_FEWEST = 8
+_MIN_VALUES = 8
 
 
 def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
@@ -26,13 +26,13 @@ def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
         values: Finite opacities of live rows, [n].
     """
     low, high = _finite_range(values)
-    if low >= -_SLACK and _are_bytes(values):
+    if low >= -_RANGE_SLACK and _are_bytes(values):
         return "these are bytes from 0 to 255: divide by 255"
-    if low >= -_SLACK and 2 < high <= _MAX_PERCENT + _SLACK:
+    if low >= -_RANGE_SLACK and 2 < high <= _MAX_PERCENT + _RANGE_SLACK:
         return "these look like percent, 0 to 100: divide by 100"
-    if -1 - _SLACK <= low < -_SLACK and high <= 1 + _SLACK:
+    if -1 - _RANGE_SLACK <= low < -_RANGE_SLACK and high <= 1 + _RANGE_SLACK:
         return "values within [-1, 1] suggest tanh in place of the sigmoid: negative opacity"
-    if low < -_SLACK:
+    if low < -_RANGE_SLACK:
         return "values on both sides suggest logits: apply the sigmoid"
     return "values above 1 alone suggest a missing clamp"
 
@@ -44,11 +44,11 @@ def diagnose_rgb(values: Float[np.ndarray, "n 3"]) -> str:
         values: Finite colours of drawn rows, [n, 3].
     """
     low, high = _finite_range(values)
-    if low >= -_SLACK and _are_bytes(values):
+    if low >= -_RANGE_SLACK and _are_bytes(values):
         return "these are bytes from 0 to 255: divide by 255"
-    if low >= -_SLACK:
+    if low >= -_RANGE_SLACK:
         return "values above 1 alone suggest a missing clamp"
-    if low >= -1 - _SLACK and high <= 1 + _SLACK and (low < -0.9 or high > 0.9):
+    if low >= -1 - _RANGE_SLACK and high <= 1 + _RANGE_SLACK and (low < -0.9 or high > 0.9):
         return "values within [-1, 1] suggest signed colours: use (x + 1) / 2"
     return (
         "values on both sides suggest SH coefficients (0.5 + 0.28209479 · f_dc) "
@@ -62,7 +62,7 @@ def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
     Args:
         values: Finite xx, yy, zz of drawn rows, [n, 3].
     """
-    if len(values) < _FEWEST:
+    if len(values) < _MIN_VALUES:
         return ""
     most_negative = bool(np.mean(values < 0) > _MOSTLY_SHARE)
     if most_negative and values.min() >= _LOWEST_LOG and values.max() <= _HIGHEST_LOG:
@@ -78,6 +78,6 @@ def _finite_range(values: Float[np.ndarray, "..."]) -> tuple[float, float]:
 
 def _are_bytes(values: Float[np.ndarray, "..."]) -> bool:
     """Return whether values look like bytes: nearly all whole, up to 255, and some far above 1."""
-    if values.size < _FEWEST or not 2 < values.max() <= _MAX_BYTE:
+    if values.size < _MIN_VALUES or not 2 < values.max() <= _MAX_BYTE:
         return False
     return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL_SHARE)

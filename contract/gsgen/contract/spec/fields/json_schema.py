@@ -4,7 +4,7 @@
 :func:`from_json` convert its instances.
 """
 
-__all__ = ["DIALECT", "Hint", "Json", "from_json", "schema_of", "to_json"]
+__all__ = ["SCHEMA_DIALECT", "Hint", "Json", "from_json", "schema_of", "to_json"]
 
 import types
 import typing
@@ -13,7 +13,7 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # What `json.loads` gives.
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
@@ -59,7 +59,7 @@ def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
     """Return the JSON Schema of a frozen dataclass, with nested dataclasses in ``$defs``."""
     definitions: dict[str, object] = {}
     body = _object_schema(cls, definitions)
-    head: dict[str, object] = {"$schema": DIALECT, "title": title or cls.__name__}
+    head: dict[str, object] = {"$schema": SCHEMA_DIALECT, "title": title or cls.__name__}
     return head | body | {"$defs": dict(sorted(definitions.items()))}
 
 

@@ -25,7 +25,7 @@ Shape = tuple[int | str, ...]
 GENERATOR = "gaussian-generator"
 POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
-KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
+MANIFEST_KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 # Roles of the camera: they cull, fade and light, and from some places change nothing.
 CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")

@@ -45,11 +45,11 @@ def inspect(
 
 def _schema(kind: str) -> dict[str, object]:
     from gsgen.contract.errors import UnknownName
-    from gsgen.contract.spec.fields.roles import KINDS
+    from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
     from gsgen.contract.spec.manifest_io import schema_name, schemas
 
-    if kind not in KINDS:
-        raise UnknownName.among("kind", kind, KINDS, "--schema")
+    if kind not in MANIFEST_KINDS:
+        raise UnknownName.among("kind", kind, MANIFEST_KINDS, "--schema")
     return schemas()[schema_name(kind)]
 
 

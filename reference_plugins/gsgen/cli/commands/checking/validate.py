@@ -29,13 +29,13 @@ Paths = Annotated[
         show_default=False,
     ),
 ]
-Ignore = Annotated[
+IgnoreOption = Annotated[
     list[str] | None,
     typer.Option(
         help="Rule (id or name) whose findings do not count; repeat or separate by commas."
     ),
 ]
-Only = Annotated[
+OnlyOption = Annotated[
     list[str] | None,
     typer.Option(help="Check only this rule and those that it needs; repeat or use commas."),
 ]
@@ -55,10 +55,12 @@ BaselineFile = Annotated[
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", help="Write the report to a file instead.")
 ]
-Jobs = Annotated[
+JobsOption = Annotated[
     int, typer.Option("-j", "--jobs", help="Number of models to validate at once.", min=1)
 ]
-Strict = Annotated[bool, typer.Option(help="A missing manifest is an error for every target.")]
+StrictOption = Annotated[
+    bool, typer.Option(help="A missing manifest is an error for every target.")
+]
 Times = Annotated[bool, typer.Option(help="Report how long it took; equal inputs then differ.")]
 
 
@@ -94,15 +96,15 @@ def validate(
     format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
     as_json: AsJson = False,
     fail_on: FailOn = None,
-    ignore: Ignore = None,
-    only: Only = None,
+    ignore: IgnoreOption = None,
+    only: OnlyOption = None,
     require_rules: RequireRules = None,
     severity: SeverityOf = None,
     config: Config = None,
     baseline: BaselineFile = None,
     output: Output = None,
-    jobs: Jobs = 1,
-    strict: Strict = False,
+    jobs: JobsOption = 1,
+    strict: StrictOption = False,
     times: Times = False,
     timeout: Timeout = None,
     memory: Memory = None,

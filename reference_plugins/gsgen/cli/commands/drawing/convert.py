@@ -17,12 +17,12 @@ from gsgen.cli.commands.drawing.convert_edits import (
     DropFloaters,
     Histograms,
     Morton,
-    Rotate,
+    RotateOption,
     Scale,
     ShowStatistics,
     Sphere,
-    Translate,
-    Where,
+    TranslateOption,
+    WhereOption,
     WithinBox,
     edits_in_order,
 )
@@ -52,7 +52,9 @@ Target = Annotated[Path, typer.Argument(help="The file to write.", show_default=
 Format = Annotated[
     str | None, typer.Option(help=f"{writable_formats()}. [default: by TARGET's suffix]")
 ]
-Degree = Annotated[int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)]
+DegreeOption = Annotated[
+    int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)
+]
 DropInvalid = Annotated[
     bool,
     typer.Option(
@@ -77,7 +79,7 @@ SpzAxes = Annotated[
         "[default: RUB, or as declared]"
     ),
 ]
-Force = Annotated[
+ForceOption = Annotated[
     bool, typer.Option("--force", help="Allow TARGET to be SOURCE, which is replaced.")
 ]
 
@@ -88,14 +90,14 @@ def convert(
     target: Target,
     *,
     format: Format = None,
-    sh_degree: Degree = None,
+    sh_degree: DegreeOption = None,
     drop_invalid: DropInvalid = False,
-    translate: Translate = None,
-    rotate: Rotate = None,
+    translate: TranslateOption = None,
+    rotate: RotateOption = None,
     scale: Scale = None,
     box: WithinBox = None,
     sphere: Sphere = None,
-    where: Where = None,
+    where: WhereOption = None,
     drop_floaters: DropFloaters = None,
     decimate: Decimate = None,
     morton: Morton = False,
@@ -104,7 +106,7 @@ def convert(
     spz_version: SpzVersion = None,
     spz_axes: SpzAxes = None,
     encoding: Encoding = None,
-    force: Force = False,
+    force: ForceOption = False,
     as_json: AsJson = False,
 ) -> None:
     """Write the splats of SOURCE to TARGET in another format, and print the losses.

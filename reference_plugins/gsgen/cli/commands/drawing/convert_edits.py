@@ -8,32 +8,35 @@ import typer
 
 from gsgen.cli.options import OPTION_ORDER
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.formats.editing.edits import OPTIONS, parse_edit
-from gsgen.formats.editing.filters import QUANTITIES
+from gsgen.formats.editing.edits import EDIT_OPTIONS, parse_edit
+from gsgen.formats.editing.filters import FILTER_QUANTITIES
 from gsgen.formats.editing.statistics import Statistics, summarise, write_histograms
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.splats import Splats
 
-_EDITS = "Edits, in the order typed"
+_EDITS_PANEL = "Edits, in the order typed"
 
 
 def _edit_option(help: str, name: str) -> Any:
-    metavar = OPTIONS[name].metavar
-    return typer.Option(metavar=metavar, help=help, show_default=False, rich_help_panel=_EDITS)
+    metavar = EDIT_OPTIONS[name].metavar
+    return typer.Option(
+        metavar=metavar, help=help, show_default=False, rich_help_panel=_EDITS_PANEL
+    )
 
 
-Translate = Annotated[list[str] | None, _edit_option("Move, in scene units.", "translate")]
-Rotate = Annotated[
+TranslateOption = Annotated[list[str] | None, _edit_option("Move, in scene units.", "translate")]
+RotateOption = Annotated[
     list[str] | None,
     _edit_option("Turn about the axes x, y, z in this order, in degrees.", "rotate"),
 ]
 Scale = Annotated[list[str] | None, _edit_option("Scale about the origin.", "scale")]
 WithinBox = Annotated[list[str] | None, _edit_option("Keep the splats between two corners.", "box")]
 Sphere = Annotated[list[str] | None, _edit_option("Keep the splats in a sphere.", "sphere")]
-Where = Annotated[
+WhereOption = Annotated[
     list[str] | None,
     _edit_option(
-        f"Keep what fulfils it, such as 'opacity>=0.1'; names: {', '.join(QUANTITIES)}.", "where"
+        f"Keep what fulfils it, such as 'opacity>=0.1'; names: {', '.join(FILTER_QUANTITIES)}.",
+        "where",
     ),
 ]
 DropFloaters = Annotated[
@@ -49,12 +52,14 @@ Morton = Annotated[bool, _edit_option("Order along Morton's curve.", "morton")]
 ShowStatistics = Annotated[
     bool,
     typer.Option(
-        "--statistics", help="Print the distribution of each quantity.", rich_help_panel=_EDITS
+        "--statistics",
+        help="Print the distribution of each quantity.",
+        rich_help_panel=_EDITS_PANEL,
     ),
 ]
 Histograms = Annotated[
     list[Path] | None,
-    typer.Option(help="Write a PNG picture of the distributions.", rich_help_panel=_EDITS),
+    typer.Option(help="Write a PNG picture of the distributions.", rich_help_panel=_EDITS_PANEL),
 ]
 
 
@@ -82,7 +87,7 @@ def edits_in_order(
             edits.append(_observer(lambda splats: summaries.append(summarise(splats))))
         elif name == "histograms":
             edits.append(_observer(_histogram_writer(remaining_entries[name].pop(0))))
-        elif name in OPTIONS:
+        elif name in EDIT_OPTIONS:
             text = remaining_entries[name].pop(0) if name in remaining_entries else ""
             try:
                 edit = parse_edit(name, text)

@@ -46,7 +46,7 @@ Frames = Annotated[
         min=1,
     ),
 ]
-Turn = Annotated[
+TurnOption = Annotated[
     float | None,
     typer.Option(help="Degrees that an orbit turns over all frames. [default: 360 or 0]"),
 ]
@@ -56,10 +56,10 @@ FramesPerSecond = Annotated[
         help="Frames per second of a video. [default: the manifest's, or 25]", min=0.1, max=100
     ),
 ]
-Bits = Annotated[
+BitsOption = Annotated[
     Literal["8", "16"], typer.Option(help="Bits of each channel of PNG files; an .exr has 32.")
 ]
-Wait = Annotated[
+WaitOption = Annotated[
     float, typer.Option(help="Most seconds that a frame waits for tiles of a tileset.", min=0.1)
 ]
 AllowMissing = Annotated[
@@ -92,7 +92,7 @@ def render(
     pose: options.Poses = None,
     inputs: options.Inputs = None,
     frames: Frames = None,
-    turn: Turn = None,
+    turn: TurnOption = None,
     fps: FramesPerSecond = None,
     sh_degree: options.ShDegree = None,
     antialias: options.Antialias = None,
@@ -101,9 +101,9 @@ def render(
     wsr: WeightedSums = "contract",
     post: options.Post = None,
     size: options.ImageSizes = None,
-    bits: Bits = "8",
+    bits: BitsOption = "8",
     provider: options.Provider = "cpu",
-    wait: Wait = 30.0,
+    wait: WaitOption = 30.0,
     allow_missing: AllowMissing = False,
     trust: options.Trust = False,
     timeout: options.ModelTimeout = None,

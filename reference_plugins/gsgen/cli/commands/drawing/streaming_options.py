@@ -60,7 +60,7 @@ def _settings(
     )
 
 
-_OPTIONS = inspect.signature(_settings).parameters
+_STREAMING_OPTIONS = inspect.signature(_settings).parameters
 
 
 def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -68,11 +68,12 @@ def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
     own_parameters = inspect.signature(command).parameters
 
     def streaming_command(*arguments: Any, **values: Any) -> None:
-        streaming_values = {name: values.pop(name) for name in _OPTIONS if name in values}
+        streaming_values = {name: values.pop(name) for name in _STREAMING_OPTIONS if name in values}
         command(*arguments, **values, streaming=_settings(**streaming_values))
 
     further_parameters = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in _OPTIONS.values()
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in _STREAMING_OPTIONS.values()
     ]
     merged_parameters = [
         *(own_parameters[name] for name in own_parameters if name != "streaming"),

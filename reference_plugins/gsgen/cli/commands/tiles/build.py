@@ -27,7 +27,7 @@ _Scenes = Annotated[
 _Output = Annotated[
     Path, typer.Option("-o", "--output", help="The folder to write.", show_default=False)
 ]
-_Leaf = Annotated[int, typer.Option(help="Most splats of a leaf.", min=1, max=1 << 20)]
+_LeafSizeOption = Annotated[int, typer.Option(help="Most splats of a leaf.", min=1, max=1 << 20)]
 _Engine = Annotated[
     str, typer.Option(help="serial, processes, dask (this machine) or dask=ADDRESS.")
 ]
@@ -58,7 +58,7 @@ _Neural = Annotated[
         metavar="MODEL",
     ),
 ]
-_Fresh = Annotated[
+_FreshOption = Annotated[
     bool, typer.Option("--fresh", help="Start from the beginning; do not resume a stopped build.")
 ]
 _AsJson = Annotated[
@@ -69,7 +69,7 @@ _AsJson = Annotated[
 def build(
     scenes: _Scenes,
     output: _Output,
-    leaf: _Leaf = 65_536,
+    leaf: _LeafSizeOption = 65_536,
     engine: _Engine = "processes",
     workers: _Workers = None,
     quality: _QualityCount = 1,
@@ -81,7 +81,7 @@ def build(
     lat: _Latitude = None,
     height: _Height = None,
     neural: _Neural = None,
-    fresh: _Fresh = False,
+    fresh: _FreshOption = False,
     as_json: _AsJson = False,
 ) -> None:
     """Build a tileset of SCENES: a tree of tiles, coarse above and fine below.

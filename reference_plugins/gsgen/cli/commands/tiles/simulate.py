@@ -101,7 +101,9 @@ def simulate(
     store, index = open_store(tileset)
     with store:
         tree = TileTree.of_tileset(load_tileset(store, index, name=tileset), store)
-    policies = client.POLICIES if policy is PolicyName.ALL else (client.policy_named(policy),)
+    policies = (
+        client.PREFETCH_POLICIES if policy is PolicyName.ALL else (client.policy_named(policy),)
+    )
     simulations = [
         client.simulate(
             tree,

@@ -10,7 +10,7 @@ from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN
-from gsgen.runtime.scene.splat_pool import REACH
+from gsgen.runtime.scene.splat_pool import REACH_SIGMAS
 
 CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
 """How far beyond the image a tile slot counts as seen, in images: where Jacobians still vary."""
@@ -39,7 +39,7 @@ class CullSlots:
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             CULL_MARGIN=CULL_MARGIN,
-            REACH=REACH,
+            REACH=REACH_SIGMAS,
             KEYS_ONLY=keys_only,
             PANORAMA=panorama,
         )

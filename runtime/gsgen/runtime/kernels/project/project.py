@@ -24,7 +24,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE
-from gsgen.runtime.scene.camera import DILATION, Camera
+from gsgen.runtime.scene.camera import DEFAULT_DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
 
 SPLAT_RADIUS_SIGMAS: Final = 3.0
@@ -133,7 +133,7 @@ def frame_uniform(
     uniform["period"] = camera.period
     uniform["origin"][1] -= first_row
     uniform["size"][1] = camera.height if rows is None else rows
-    uniform["extra_dilation"] = camera.dilation - DILATION
+    uniform["extra_dilation"] = camera.dilation - DEFAULT_DILATION
     uniform["background"][:3] = background
     return uniform
 

@@ -8,7 +8,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 from gsgen.contract.spec import layout
-from gsgen.runtime.scene.camera import DILATION
+from gsgen.runtime.scene.camera import DEFAULT_DILATION
 
 _INCLUDE = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
 _REPEAT_PATTERN = re.compile(  # without another inside
@@ -38,7 +38,7 @@ POLE = 1e-3
 _SHARED_CONSTANTS: dict[str, int | float | bool] = {
     "ABSENT": NO_ID,
     "CULL_OPACITY": layout.CULL_OPACITY,
-    "DILATION": DILATION,
+    "DILATION": DEFAULT_DILATION,
     "MAX_ALPHA": MAX_ALPHA,
     "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,
     "NOWHERE": NOWHERE,

@@ -17,7 +17,7 @@ MAX_COUNT: Final = 0x7FFFFFFF
 
 _THREADS_PER_WORKGROUP: Final = 256
 _NUMBERS_PER_THREAD: Final = 8
-_BLOCK: Final = _THREADS_PER_WORKGROUP * _NUMBERS_PER_THREAD
+_BLOCK_NUMBERS: Final = _THREADS_PER_WORKGROUP * _NUMBERS_PER_THREAD
 _COUNTER_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 
@@ -64,7 +64,7 @@ class Scan:
                     **constants,
                 )
             )
-            for block_rows in (1, _BLOCK)
+            for block_rows in (1, _BLOCK_NUMBERS)
         )
         self._reduce_kernel, self._add_sums_kernel = (
             cache(
@@ -99,7 +99,7 @@ class Scan:
         uniform_words = np.array([source, block, rows, _COUNTER_EFFECTS[total]], np.uint32)
         self._device.write(uniform, uniform_words)
         # Case 1: one workgroup scans all, where more would not be faster.
-        blocks = -(-numbers.size // (4 * _BLOCK))
+        blocks = -(-numbers.size // (4 * _BLOCK_NUMBERS))
         if not self._always_in_blocks and (self._device.software or blocks <= 2):
             kernel = self._scan_kernel()
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]

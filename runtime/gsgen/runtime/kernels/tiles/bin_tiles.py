@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.shared.shader import TILE
 
 WALK_THREADS: Final = 64
-_BINDINGS = {
+_BINDINGS_BY_PASS = {
     "bin_tiles": {"measure": "urrrwwwrr", "emit": "urrwwwwrr"},
     "bin_cells": {"measure": "urrrwww", "emit": "urrrwww"},
 }
@@ -54,7 +54,7 @@ class BinTiles:
         constants |= digits.constants if digits else {}
         self._measure_kernel, self._emit_kernel = (
             Kernel(device, shader, entry, (kinds,), **constants)
-            for entry, kinds in _BINDINGS[shader].items()
+            for entry, kinds in _BINDINGS_BY_PASS[shader].items()
         )
 
     def steps(

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar, final
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.parent_watchdog import safe_multiprocessing
-from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
+from gsgen.tiles.build.engines.engine import MAX_RETRIES, Engine, EngineFailed
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -20,7 +20,7 @@ _Result = TypeVar("_Result")
 _START_SECONDS = 20
 _SETTINGS: Final = {
     # A worker may die for reasons other than the task that it ran.
-    "distributed.scheduler.allowed-failures": RETRIES,
+    "distributed.scheduler.allowed-failures": MAX_RETRIES,
     # Profiles, which take a stack sample every 10 ms, are not used.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.gil.enabled": False,
@@ -103,7 +103,7 @@ class DaskEngine(Engine):
     ) -> Iterator[tuple[int, _Result]]:
         """Run build tasks on the workers of the Dask cluster."""
         futures = [
-            self._client.submit(function, task, pure=False, retries=RETRIES) for task in tasks
+            self._client.submit(function, task, pure=False, retries=MAX_RETRIES) for task in tasks
         ]
         index = {future.key: number for number, future in enumerate(futures)}
         try:

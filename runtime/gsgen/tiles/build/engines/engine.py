@@ -1,6 +1,6 @@
 """The protocol of build engines, which run tasks, and the error for lost workers."""
 
-__all__ = ["RETRIES", "Engine", "EngineFailed"]
+__all__ = ["MAX_RETRIES", "Engine", "EngineFailed"]
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -11,7 +11,7 @@ from gsgen.contract.errors import GsgenError
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
-RETRIES: Final = 5
+MAX_RETRIES: Final = 5
 """How often a task is tried again after its worker was killed."""
 
 
@@ -28,6 +28,6 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         """Run a function on every build task; yield each task's number and result when it is done.
 
         Raises:
-            EngineFailed: A worker died more than ``RETRIES`` times.
+            EngineFailed: A worker died more than ``MAX_RETRIES`` times.
         """
         ...

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from typing import Final, TypeVar, final
 
 from gsgen.contract.process.parent_watchdog import prepare_worker, safe_multiprocessing
-from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
+from gsgen.tiles.build.engines.engine import MAX_RETRIES, Engine, EngineFailed
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -70,7 +70,7 @@ class Processes(Engine):
                     yield running.pop(future), result
             except BrokenProcessPool as error:
                 failures += 1
-                if failures > RETRIES:
+                if failures > MAX_RETRIES:
                     raise EngineFailed(
                         f"worker processes died {failures} times", hint=_MEMORY_HINT
                     ) from error

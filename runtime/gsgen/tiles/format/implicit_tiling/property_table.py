@@ -16,11 +16,11 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonObject
 
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_DTYPES: Final = {
+_DTYPE_BY_COMPONENT: Final = {
     "INT8": "i1", "UINT8": "u1", "INT16": "<i2", "UINT16": "<u2", "INT32": "<i4",
     "UINT32": "<u4", "INT64": "<i8", "UINT64": "<u8", "FLOAT32": "<f4", "FLOAT64": "<f8",
 }  # fmt: skip
-_MOST_COUNT = 4096
+_MAX_ARRAY_LENGTH = 4096
 
 
 @final
@@ -51,12 +51,12 @@ def _read_class(entry: JsonObject) -> PropertyClass:
         assert properties is not None
         column = properties.child(name)
         width = _WIDTHS.get(str(column.values.get("type")))
-        dtype = _DTYPES.get(str(column.values.get("componentType")))
+        dtype = _DTYPE_BY_COMPONENT.get(str(column.values.get("componentType")))
         count = 1
         if column.values.get("array"):
             if "count" not in column:
                 continue
-            count = column.whole("count", least=1, most=_MOST_COUNT)
+            count = column.whole("count", least=1, most=_MAX_ARRAY_LENGTH)
         if width is None or dtype is None:
             continue
         semantic_name = column.text("semantic") if "semantic" in column else name

@@ -22,11 +22,11 @@ from gsgen.tiles.format.json_values import MAX_JSON, JsonDict, JsonObject, parse
 MAX_BITS: Final = 1 << 24
 """How many tiles a subtree may have."""
 
-_HEADER = struct.Struct("<4sIQQ")
-_MAGIC = b"subt"
+_SUBTREE_HEADER = struct.Struct("<4sIQQ")
+_SUBTREE_MAGIC = b"subt"
 _SUBTREE_VERSION = 1
 
-Bits = Bool[np.ndarray, " n"]
+BitArray = Bool[np.ndarray, " n"]
 ReadBuffer = Callable[[str, str, int], bytes]
 """Takes a uri, the location it stands at and the bytes that are needed."""
 
@@ -44,9 +44,9 @@ class Subtree:
         content_properties: The same of each of the contents that there are.
     """
 
-    tiles: Bits
-    contents: tuple[Bits, ...]
-    subtrees: Bits
+    tiles: BitArray
+    contents: tuple[BitArray, ...]
+    subtrees: BitArray
     properties: dict[str, np.ndarray]
     content_properties: tuple[dict[str, np.ndarray], ...]
 
@@ -98,7 +98,7 @@ def _content_tables(
     reader: "_Reader",
     tables: list[JsonObject],
     document: JsonObject,
-    contents: tuple[Bits, ...],
+    contents: tuple[BitArray, ...],
     classes: dict[str, PropertyClass],
 ) -> tuple[dict[str, np.ndarray], ...]:
     indices = document.values.get("contentMetadata", [])
@@ -118,27 +118,31 @@ def _content_tables(
 
 def _split_chunks(data: bytes, location: str) -> tuple[JsonObject, bytes]:
     """Return the JSON and the binary chunk of a subtree file."""
-    if data[:4] != _MAGIC:
+    if data[:4] != _SUBTREE_MAGIC:
         document = parse_object(data, f"{location}, ", fault=Fault.SUBTREE)
         return document, b""
-    if len(data) < _HEADER.size:
+    if len(data) < _SUBTREE_HEADER.size:
         raise _mismatch_error(
-            f"the subtree file has {len(data)} bytes", location, f"a header of {_HEADER.size}"
+            f"the subtree file has {len(data)} bytes",
+            location,
+            f"a header of {_SUBTREE_HEADER.size}",
         )
-    _, version, json_size, binary_size = _HEADER.unpack_from(data)
+    _, version, json_size, binary_size = _SUBTREE_HEADER.unpack_from(data)
     if version != _SUBTREE_VERSION:
         raise _mismatch_error(
             f"the subtree version is {version}", f"{location}, byte 4", f"{_SUBTREE_VERSION}"
         )
-    whole = _HEADER.size + json_size + binary_size
+    whole = _SUBTREE_HEADER.size + json_size + binary_size
     if whole != len(data) or json_size > MAX_JSON:
         raise _mismatch_error(
             f"the subtree file has {len(data)} bytes",
             f"{location}, byte 8",
             f"{whole}: the header, {json_size} of JSON and {binary_size} of data",
         )
-    start = _HEADER.size + json_size
-    document = parse_object(data[_HEADER.size : start], f"{location}, ", fault=Fault.SUBTREE)
+    start = _SUBTREE_HEADER.size + json_size
+    document = parse_object(
+        data[_SUBTREE_HEADER.size : start], f"{location}, ", fault=Fault.SUBTREE
+    )
     return document, data[start:]
 
 
@@ -147,7 +151,11 @@ def _mismatch_error(actual: str, location: str, expected: str) -> TilesetInvalid
 
 
 def _check_tree(
-    document: JsonObject, tiles: Bits, contents: tuple[Bits, ...], below: Bits, branching: int
+    document: JsonObject,
+    tiles: BitArray,
+    contents: tuple[BitArray, ...],
+    below: BitArray,
+    branching: int,
 ) -> None:
     """Raise for subtree tiles without a parent, and contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
@@ -191,7 +199,7 @@ class _Reader:
         self._buffer_views = list(document.objects("bufferViews"))
         self._loaded: dict[int, bytes] = {}
 
-    def availability(self, entry: JsonObject, count: int) -> Bits:
+    def availability(self, entry: JsonObject, count: int) -> BitArray:
         """Read ``count`` availability bits of a subtree, stored as one constant or a bitstream."""
         if count > MAX_BITS:
             raise _mismatch_error(

@@ -15,7 +15,7 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.implicit_tiling.property_table import PropertyClass
 from gsgen.tiles.format.implicit_tiling.subtree import MAX_BITS, Subtree, tile_count
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, shorten
-from gsgen.tiles.format.tileset import Content, Refine, Tile
+from gsgen.tiles.format.tileset import Content, RefineMode, Tile
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume, read_volume
 
@@ -62,7 +62,7 @@ class ImplicitTree:
     content_uris: tuple[str, ...]
     volume: Box | Region
     geometric_error: float
-    refine: Refine
+    refine: RefineMode
     base: str
     location: str
     classes: dict[str, PropertyClass]
@@ -84,7 +84,7 @@ def read_implicit(
     tile: JsonObject,
     volume: Volume,
     geometric_error: float,
-    refine: Refine,
+    refine: RefineMode,
     base: str,
     classes: dict[str, PropertyClass],
 ) -> ImplicitTree:

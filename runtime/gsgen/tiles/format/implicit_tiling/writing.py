@@ -30,9 +30,9 @@ from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.metadata import TILE_CLASS, implicit_metadata_schema
 
 SUBTREE_LEVELS: Final = 5
-_BRANCHING = 8
+_CHILDREN_PER_TILE = 8
 _SUBTREE_URI = "s/{level}/{x}_{y}_{z}.subtree"
-_HEADER = struct.Struct("<4sIQQ")
+_SUBTREE_HEADER = struct.Struct("<4sIQQ")
 _ALIGNMENT = 8
 
 
@@ -203,20 +203,20 @@ def _subtree(
         local = tuple(
             value - (base << depth) for value, base in zip(coordinates, corner, strict=True)
         )
-        return tile_count(_BRANCHING, depth) + morton((local[0], local[1], local[2]))
+        return tile_count(_CHILDREN_PER_TILE, depth) + morton((local[0], local[1], local[2]))
 
     # Bits and rows of property tables are in breadth-first order, in Morton order on each level.
     ordered = sorted(members, key=lambda cell: index(cell.record.level, cell.record.coordinates))
     indices = [index(cell.record.level, cell.record.coordinates) for cell in ordered]
     content_cells = [cell for cell in ordered if cell.record.contents]
     content_indices = [index(c.record.level, c.record.coordinates) for c in content_cells]
-    first = tile_count(_BRANCHING, levels)
+    first = tile_count(_CHILDREN_PER_TILE, levels)
     children = [index(top + levels, child) - first for child in below]
     writer = _SubtreeWriter()
     document: JsonDict = {
         "tileAvailability": writer.bits(indices, first),
         "contentAvailability": [writer.bits(content_indices, first)],
-        "childSubtreeAvailability": writer.bits(children, _BRANCHING**levels),
+        "childSubtreeAvailability": writer.bits(children, _CHILDREN_PER_TILE**levels),
         "tileMetadata": 0,
         "propertyTables": [writer.table(TILE_CLASS, len(ordered), _tile_columns(ordered))],
     }
@@ -283,5 +283,5 @@ class _SubtreeWriter:
             values["bufferViews"] = self._buffer_views
         text = json_bytes(values)
         text += b" " * (-len(text) % _ALIGNMENT)
-        header = _HEADER.pack(b"subt", 1, len(text), len(self._data))
+        header = _SUBTREE_HEADER.pack(b"subt", 1, len(text), len(self._data))
         return header + text + bytes(self._data)

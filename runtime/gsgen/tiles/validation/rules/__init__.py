@@ -1,6 +1,6 @@
 """Which rules (GT) must hold for a tileset of splats?"""
 
-__all__ = ["RULES", "all_rules"]
+__all__ = ["TILESET_RULES", "all_rules"]
 
 from functools import cache
 
@@ -32,7 +32,7 @@ from gsgen.tiles.validation.rules.structure import (
 )
 from gsgen.tiles.validation.rules.values import children_cover, splats_in_box, values_valid
 
-RULES = (
+TILESET_RULES = (
     tileset_schema,
     child_in_parent,
     splats_in_box,
@@ -63,4 +63,4 @@ RULES = (
 def all_rules() -> Registry:
     """Return all installed rules: those of models, and those of tilesets."""
     models = installed_rules()
-    return Registry.from_rules([*models.rules.values(), *RULES], models.backends.values())
+    return Registry.from_rules([*models.rules.values(), *TILESET_RULES], models.backends.values())

@@ -15,10 +15,10 @@ MIN_SIMILARITY: Final = 0.5
 """SSIM between a tile and its children: good levels have .7 to .9, a parent that is turned,
 shifted by a quarter of its size, or has the colours of other splats, less than .5."""
 
-_NEEDS: Final = (SCHEMA_RULE, "GT005", "GT006", "GT010", "GT011", "GT012")
+_PREREQUISITE_RULES: Final = (SCHEMA_RULE, "GT005", "GT006", "GT010", "GT011", "GT012")
 
 
-@tileset_rule("GT021", Severity.ERROR, needs=_NEEDS, level=Level.RENDER)
+@tileset_rule("GT021", Severity.ERROR, needs=_PREREQUISITE_RULES, level=Level.RENDER)
 def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
     """The root tile and a leaf tile are visible from cameras around them.
 
@@ -39,7 +39,7 @@ def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT022", Severity.WARNING, needs=(*_NEEDS, "GT021"), level=Level.RENDER)
+@tileset_rule("GT022", Severity.WARNING, needs=(*_PREREQUISITE_RULES, "GT021"), level=Level.RENDER)
 def levels_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile looks like the tiles that replace it, with an SSIM of 0.5 or more.
 

@@ -10,10 +10,10 @@ from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of, tileset_rule
 
-_NEEDS: Final = (SCHEMA_RULE, "GT005", "GT011", "GT012")
+_PREREQUISITE_RULES: Final = (SCHEMA_RULE, "GT005", "GT011", "GT012")
 
 
-@tileset_rule("GT003", Severity.ERROR, needs=_NEEDS, level=Level.VALUES)
+@tileset_rule("GT003", Severity.ERROR, needs=_PREREQUISITE_RULES, level=Level.VALUES)
 def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     """Splats lie in the bounding volume of their content, out to three standard deviations.
 
@@ -40,7 +40,9 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
             )
 
 
-@tileset_rule("GT008", Severity.ERROR, needs=(*_NEEDS, "GT010", "GT013"), level=Level.VALUES)
+@tileset_rule(
+    "GT008", Severity.ERROR, needs=(*_PREREQUISITE_RULES, "GT010", "GT013"), level=Level.VALUES
+)
 def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
     """If children replace a tile, the centre of each splat of the tile lies in a child.
 

@@ -5,7 +5,7 @@ __all__ = ["Stop"]
 from collections.abc import Callable
 from typing import Any, Final, final
 
-FATAL: Final = 4  # the log level; lesser messages are in the raised error and need no log
+FATAL_LOG_LEVEL: Final = 4  # the log level; lesser messages are in the raised error and need no log
 
 
 @final
@@ -26,7 +26,7 @@ class Stop:
         import onnxruntime
 
         options = onnxruntime.RunOptions()
-        options.log_severity_level = FATAL
+        options.log_severity_level = FATAL_LOG_LEVEL
         options.terminate = self._terminate
         self._options.append(options)
         return options

@@ -20,7 +20,7 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.probing.sandbox_worker import model_source
 from gsgen.sdk.binding.buffers import HostMemory
-from gsgen.sdk.binding.providers.cancellation import FATAL, Stop
+from gsgen.sdk.binding.providers.cancellation import FATAL_LOG_LEVEL, Stop
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import CPU, error_text
 from gsgen.sdk.binding.providers.webgpu import (
@@ -155,7 +155,7 @@ def open_session(model: Path | bytes, session_options: SessionOptions) -> Any:
     import onnxruntime
 
     settings = onnxruntime.SessionOptions()
-    settings.log_severity_level = FATAL
+    settings.log_severity_level = FATAL_LOG_LEVEL
     settings.intra_op_num_threads = session_options.threads
     settings.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
     # Between frames, its threads would keep cores busy that draw or write the last frame.

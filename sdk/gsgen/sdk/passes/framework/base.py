@@ -32,7 +32,7 @@ from onnx_ir import passes
 
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import KERNEL_TYPE_INPUT, MAIN_DOMAIN
-from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable, operator_table
+from gsgen.contract.spec.operator_tables import GRAPH_CAPTURE, OperatorTable, operator_table
 from gsgen.contract.spec.targets import Target, known_targets
 
 # WebGPU guarantees eight storage buffers a stage, and the joined tensor needs one of them.
@@ -116,7 +116,7 @@ class RewriteTarget:
         """Return whether a release of the target runtime is known not to capture a node."""
         dtype = kernel_dtype(node)
         outcomes = (t.outcome(node.op_type, variant, dtype, opset) for t in self.tables)
-        return any(outcome not in ("", CAPTURE) for outcome in outcomes)
+        return any(outcome not in ("", GRAPH_CAPTURE) for outcome in outcomes)
 
 
 class Rewrite(passes.InPlacePass):

@@ -15,7 +15,7 @@ from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 
 # Larger weights do not take part in index arithmetic, and reading them takes time.
-_LARGEST = 1 << 16
+_MAX_VALUES = 1 << 16
 _INT32 = (-(2**31), 2**31 - 1)
 
 
@@ -50,7 +50,7 @@ def _describe_value(value: ir.Value) -> Tensor:
 
 def _weight(value: ir.Value) -> TensorProto | None:
     tensor = value.const_value
-    if tensor is None or value.is_graph_input() or tensor.size > _LARGEST:
+    if tensor is None or value.is_graph_input() or tensor.size > _MAX_VALUES:
         return None
     if tensor.dtype.is_string():
         return None

@@ -12,14 +12,14 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.graph_builder import constant_array
 
-_LARGEST = 1 << 16
-_Fact = TypeVar("_Fact")
+_MAX_ELEMENTS = 1 << 16
+_FactType = TypeVar("_FactType")
 
 # A Slice ends at or above this index to mean the end of the axis.
 UNBOUNDED_END = (1 << 31) - 1
 
 
-def required(fact: _Fact | None) -> _Fact:
+def required(fact: _FactType | None) -> _FactType:
     """Return a value that an earlier check has shown not to be None."""
     assert fact is not None
     return fact
@@ -43,7 +43,7 @@ def rank_of(value: ir.Value | None) -> int | None:
     return None if value is None or value.shape is None else len(value.shape)
 
 
-def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray | None:
+def constant_of(value: ir.Value | None, largest: int = _MAX_ELEMENTS) -> np.ndarray | None:
     """Return the array of a constant graph value; None if it is not constant or too large.
 
     A weight that is also an input of the graph is not constant: callers can feed it.

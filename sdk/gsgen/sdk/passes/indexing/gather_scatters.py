@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.cautious_rewrite import CautiousNodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
-_LARGEST = 1 << 24
+_MAX_INDICES = 1 << 24
 
 
 class GatherScatters(CautiousNodeRewrite):
@@ -60,7 +60,7 @@ class GatherScatters(CautiousNodeRewrite):
 
 def scatter_obstacle(node: ir.Node) -> str:
     """Return the reason why the rows that a scatter updates are unknown; empty if they are known."""
-    if constant_of(node.inputs[1], largest=_LARGEST) is None:
+    if constant_of(node.inputs[1], largest=_MAX_INDICES) is None:
         return "its indices are not known before the frame"
     shape = fixed_shape(node.inputs[0])
     if shape is None:
@@ -80,7 +80,7 @@ class ScatterTargets:
 def scatter_targets(node: ir.Node) -> ScatterTargets:
     """Return the indices of the rows that a scatter with constant indices updates."""
     shape = required(fixed_shape(node.inputs[0]))
-    indices = required(constant_of(node.inputs[1], largest=_LARGEST))
+    indices = required(constant_of(node.inputs[1], largest=_MAX_INDICES))
     if is_op(node, "ScatterND"):
         depth = indices.shape[-1]
         row_shape = shape[depth:]

@@ -17,7 +17,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     required,
 )
 
-_INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
+_INTEGER_TYPES = (ir.DataType.INT32, ir.DataType.INT64)
 _INT32 = ir.DataType.INT32
 _LARGEST_INT32 = (1 << 31) - 1
 # Bits of both operands that index the table of exclusive ors: 2¹⁴ entries.
@@ -35,7 +35,7 @@ _MOVE_OPERATORS = (
 )
 
 
-class _Unprovable(Exception):
+class _UnprovableRange(Exception):
     """Raised if the remainder of a value cannot be computed in int32; the message says why."""
 
 
@@ -66,10 +66,10 @@ class NarrowHashes(TableRewrite, CautiousRewrite):
             spans = spans or spans_of(model, self.target.manifest if self.target else None)
             write = InsertionPoint(node)
             try:
-                remainder = _Remainder(write, _modulus_bits(node), spans).remainder_of(
+                remainder = _RemainderMatch(write, _modulus_bits(node), spans).remainder_of(
                     required(node.inputs[0])
                 )
-            except _Unprovable as reason:
+            except _UnprovableRange as reason:
                 self.refuse(node, str(reason))
                 continue
             self.note(node)
@@ -79,7 +79,7 @@ class NarrowHashes(TableRewrite, CautiousRewrite):
 
 def _modulus_bits(node: ir.Node) -> int:
     """Return k if an ONNX node computes a remainder by 2ᵏ that is never negative; else 0."""
-    if not is_op(node, "Mod", "BitwiseAnd") or node.outputs[0].dtype not in _INTEGERS:
+    if not is_op(node, "Mod", "BitwiseAnd") or node.outputs[0].dtype not in _INTEGER_TYPES:
         return 0
     divisor = constant_of(node.inputs[1])
     if divisor is None or divisor.size != 1 or int_attribute(node, "fmod", 0):
@@ -97,7 +97,7 @@ def _has_xor(value: ir.Value | None) -> bool:
     return is_op(node, "BitwiseXor") or any(_has_xor(entry) for entry in node.inputs)
 
 
-class _Remainder:
+class _RemainderMatch:
     """Writes ONNX nodes that compute integer values modulo 2ᵏ in int32, from 0 to 2ᵏ − 1."""
 
     def __init__(self, write: InsertionPoint, bits: int, spans: dict[str, Interval]) -> None:
@@ -126,7 +126,7 @@ class _Remainder:
             return self._arithmetic(node)
         span = self.spans.get(value.name or "")
         if not fits_int32(span):
-            raise _Unprovable(f"values of tensor {value.name} may leave the range of int32")
+            raise _UnprovableRange(f"values of tensor {value.name} may leave the range of int32")
         return self._reduced(self._cast(value), *required(span))
 
     def _arithmetic(self, node: ir.Node) -> ir.Value:
@@ -143,15 +143,17 @@ class _Remainder:
         factor = constant_of(b)
         if factor is None:
             name = node.outputs[0].name
-            raise _Unprovable(f"tensor {name} multiplies two varying integers: int32 may overflow")
+            raise _UnprovableRange(
+                f"tensor {name} multiplies two varying integers: int32 may overflow"
+            )
         # Factors from −2ᵏ⁻¹ to 2ᵏ⁻¹ keep the product one bit shorter than those from 0 to 2ᵏ.
         factor = np.mod(factor.astype(np.int64) + size // 2, size) - size // 2
         span = self.spans.get(a.name or "")
         if span is None or not fits_int32(span):
-            raise _Unprovable(f"values of tensor {a.name} may leave the range of int32")
+            raise _UnprovableRange(f"values of tensor {a.name} may leave the range of int32")
         most = max(abs(span[0]), abs(span[1])) * int(np.abs(factor).max(initial=0))
         if most + size > _LARGEST_INT32:
-            raise _Unprovable(
+            raise _UnprovableRange(
                 f"the product of {a.name} and a hash factor (modulo {size}) may leave the range of int32"
             )
         product = self.write.op("Mul", self._cast(a), self._constant(factor))
@@ -165,7 +167,9 @@ class _Remainder:
         if low < 0:  # a division rounds towards zero, so the value must not be negative
             offset = -int(low // size) * size
             if high + offset > _LARGEST_INT32:
-                raise _Unprovable(f"values of tensor {value.name} may leave the range of int32")
+                raise _UnprovableRange(
+                    f"values of tensor {value.name} may leave the range of int32"
+                )
             value = self.write.op("Add", value, self._constant(np.array(offset)))
         return self._low_bits(value, self.bits)
 

@@ -17,7 +17,7 @@ from gsgen.sdk.passes.indexing.gather_scatters import (
 
 _REDUCTIONS = {"add": "ReduceSum", "mul": "ReduceProd", "max": "ReduceMax", "min": "ReduceMin"}
 # The number that a sum or a product does not change; extremes repeat an element instead.
-_NEUTRAL = {"add": 0, "mul": 1}
+_NEUTRAL_BY_REDUCTION = {"add": 0, "mul": 1}
 # The table of groups is at most this many times as large as the tensors that it gathers from.
 _MAX_PADDING = 16
 
@@ -85,11 +85,13 @@ def _replace(node: ir.Node, targets: ScatterTargets, groups: np.ndarray, reducti
         "Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape)
     )
     parts, padding = [old_rows, new_rows], groups[:, :1]
-    if reduction in _NEUTRAL:
+    if reduction in _NEUTRAL_BY_REDUCTION:
         padding = np.full_like(groups[:, :1], targets.rows + targets.flat.size)
         shape = (1, *targets.row_shape)
         parts.append(
-            write.constant(np.full(shape, _NEUTRAL[reduction], numpy_dtype(old_rows)), "neutral")
+            write.constant(
+                np.full(shape, _NEUTRAL_BY_REDUCTION[reduction], numpy_dtype(old_rows)), "neutral"
+            )
         )
     joined_rows = write.op("Concat", *parts, axis=0)
     index = np.where(groups < 0, padding, groups)

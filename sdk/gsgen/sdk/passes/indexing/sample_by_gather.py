@@ -18,10 +18,10 @@ from gsgen.sdk.passes.framework.value_facts import (
     required,
 )
 
-_BILINEAR = ("bilinear", "linear")  # the name since operator set 20
+_BILINEAR_MODES = ("bilinear", "linear")  # the name since operator set 20
 _MAX_PIXELS = 1 << 24  # float32 represents every pixel index up to this number
 _IMAGE_RANK, _VOLUME_RANK = 4, 5
-_FLOAT, _INT = ir.DataType.FLOAT, ir.DataType.INT32
+_FLOAT, _INT32 = ir.DataType.FLOAT, ir.DataType.INT32
 
 
 class SampleByGather(TableRewrite, CautiousNodeRewrite):
@@ -70,7 +70,7 @@ def _find_obstacle(node: ir.Node) -> str:
         return f"its image has {len(image)} axes, expected {_IMAGE_RANK} or {_VOLUME_RANK}"
     mode = _string_attribute(node, "mode", "bilinear")
     padding = _string_attribute(node, "padding_mode", "zeros")
-    if mode not in _BILINEAR:
+    if mode not in _BILINEAR_MODES:
         return f"mode is {mode}, expected bilinear"
     if padding not in ("zeros", "border"):
         return f"padding is {padding}, expected zeros or border"
@@ -160,7 +160,7 @@ class _Sampler:
             (high, op("Sub", coordinate, low)),
         ):
             masked_weight = weight if self.border else self._mask_outside(index, weight, last)
-            pixel = op("Cast", self._clamp(index, last), dtype=_INT, to=_INT.value)
+            pixel = op("Cast", self._clamp(index, last), dtype=_INT32, to=_INT32.value)
             pairs.append((pixel, masked_weight))
         return pairs
 

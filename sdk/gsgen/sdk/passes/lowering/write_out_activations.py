@@ -43,7 +43,7 @@ class WriteOutActivations(Substitute):
     def replace(self, node: ir.Node) -> None:
         """Replace an activation by exponentials and comparisons."""
         write = InsertionPoint(node)
-        write.replace(_FORMULAS[node.op_type](_Formula(write, node, self.opset)))
+        write.replace(_FORMULA_BY_OPERATOR[node.op_type](_Formula(write, node, self.opset)))
 
 
 class _Formula:
@@ -159,7 +159,7 @@ def _swish(f: _Formula) -> ir.Value:
     return f.op("Mul", f.x, f.op("Sigmoid", f.op("Mul", f.x, alpha) if alpha != 1 else f.x))
 
 
-_FORMULAS: dict[str, Callable[[_Formula], ir.Value]] = {
+_FORMULA_BY_OPERATOR: dict[str, Callable[[_Formula], ir.Value]] = {
     "Celu": _celu,
     "Elu": _elu,
     "Gelu": _gelu,

@@ -11,7 +11,7 @@ from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute, numpy_dtype
 
-_INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
+_INTEGER_TYPES = (ir.DataType.INT32, ir.DataType.INT64)
 
 
 class WriteOutModulo(Substitute):
@@ -35,7 +35,9 @@ class WriteOutModulo(Substitute):
         """Return whether Mod computes signed integers, or floats with the dividend's sign."""
         value = node.inputs[0]
         kind = None if value is None else value.dtype
-        return kind in _INTEGERS or (kind in FLOAT_TYPES and bool(int_attribute(node, "fmod", 0)))
+        return kind in _INTEGER_TYPES or (
+            kind in FLOAT_TYPES and bool(int_attribute(node, "fmod", 0))
+        )
 
     def replace(self, node: ir.Node) -> None:
         """Replace Mod: subtract the divisor's largest multiple from the dividend."""
@@ -44,7 +46,7 @@ class WriteOutModulo(Substitute):
         assert x is not None
         assert y is not None
         zero = write.constant(np.zeros((), numpy_dtype(x)))
-        if x.dtype in _INTEGERS:  # Case 1
+        if x.dtype in _INTEGER_TYPES:  # Case 1
             write.replace(_integer_remainder(write, x, y, zero, int_attribute(node, "fmod", 0)))
             return
         write.replace(_float_remainder(write, x, y, zero))  # Case 2

@@ -10,7 +10,7 @@ from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, required
 
-_INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
+_INTEGER_TYPES = (ir.DataType.INT32, ir.DataType.INT64)
 # Up to this number, a dtype represents every integer.
 _EXACT_INTEGERS = {ir.DataType.FLOAT: 2**24, ir.DataType.FLOAT16: 2**11, ir.DataType.DOUBLE: 2**53}
 
@@ -40,7 +40,11 @@ class ClipBeforeCast(NodeRewrite):
             if source_node is not None and is_op(source_node, "Cast")
             else None
         )
-        if x is None or x.dtype not in _EXACT_INTEGERS or node.inputs[0].dtype not in _INTEGERS:
+        if (
+            x is None
+            or x.dtype not in _EXACT_INTEGERS
+            or node.inputs[0].dtype not in _INTEGER_TYPES
+        ):
             return False
         bounds = _bounds(node)
         return bounds is not None and all(

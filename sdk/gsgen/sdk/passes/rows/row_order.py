@@ -9,7 +9,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.detached_graph import DetachedGraph
 
-_INT, _BOOL = ir.DataType.INT32, ir.DataType.BOOL
+_INT32, _BOOL = ir.DataType.INT32, ir.DataType.BOOL
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,18 +29,18 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
     one Gather per bit. Unlike a sort or a scatter, every WebGPU runtime captures these operators.
     """
     # Step 1: the prefix sum; its last element is the count.
-    flags = draft.op("Cast", mask, dtype=_INT, shape=[size], to=_INT.value)
+    flags = draft.op("Cast", mask, dtype=_INT32, shape=[size], to=_INT32.value)
     axis = draft.constant(0, np.int64)
-    sums = draft.op("CumSum", flags, axis, dtype=_INT, shape=[size])
+    sums = draft.op("CumSum", flags, axis, dtype=_INT32, shape=[size])
     last_index = draft.constant([size - 1], np.int32)
-    count = draft.op("Gather", sums, last_index, dtype=_INT, shape=[1], axis=0)
+    count = draft.op("Gather", sums, last_index, dtype=_INT32, shape=[1], axis=0)
     number = draft.constant(np.arange(size), np.int32)
     live = draft.op("Less", number, count, dtype=_BOOL, shape=[size])
     # Step 2: pad the prefix sum to a power of two; the padding compares as larger than any j.
     bits = size.bit_length()
     padding = (1 << bits) - size
     filler = draft.constant(np.full(padding, np.iinfo(np.int32).max), np.int32)
-    padded_sums = draft.op("Concat", sums, filler, dtype=_INT, shape=[size + padding], axis=0)
+    padded_sums = draft.op("Concat", sums, filler, dtype=_INT32, shape=[size + padding], axis=0)
     zero = draft.constant(0, np.int32)
     kept_rows = draft.constant(np.zeros(size), np.int32)
     # Step 3: set the bits of i from the highest to the lowest.
@@ -49,12 +49,12 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
         probe = kept_rows
         if step > 1:
             before_first = draft.constant(step - 1, np.int32)
-            probe = draft.op("Add", kept_rows, before_first, dtype=_INT, shape=[size])
-        prefix = draft.op("Gather", padded_sums, probe, dtype=_INT, shape=[size], axis=0)
+            probe = draft.op("Add", kept_rows, before_first, dtype=_INT32, shape=[size])
+        prefix = draft.op("Gather", padded_sums, probe, dtype=_INT32, shape=[size], axis=0)
         is_below = draft.op("LessOrEqual", prefix, number, dtype=_BOOL, shape=[size])
         step_increment = draft.op(
-            "Where", is_below, draft.constant(step, np.int32), zero, dtype=_INT, shape=[size]
+            "Where", is_below, draft.constant(step, np.int32), zero, dtype=_INT32, shape=[size]
         )
-        kept_rows = draft.op("Add", kept_rows, step_increment, dtype=_INT, shape=[size])
-    rows = draft.op("Where", live, kept_rows, zero, dtype=_INT, shape=[size])
+        kept_rows = draft.op("Add", kept_rows, step_increment, dtype=_INT32, shape=[size])
+    rows = draft.op("Where", live, kept_rows, zero, dtype=_INT32, shape=[size])
     return RowOrder(count, rows, live)

@@ -19,7 +19,12 @@ from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, 
 from gsgen.sdk.passes.rows.row_operators import axes_of
 
 # The neutral element of each reduction.
-_NEUTRAL = {"ReduceSum": 0.0, "ReduceMean": 0.0, "ReduceMax": -np.inf, "ReduceMin": np.inf}
+_NEUTRAL_BY_OPERATOR = {
+    "ReduceSum": 0.0,
+    "ReduceMean": 0.0,
+    "ReduceMax": -np.inf,
+    "ReduceMin": np.inf,
+}
 
 RowFacts = Sequence[RowFact | None]
 
@@ -56,7 +61,7 @@ def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | N
 
     Without any row the sum and (in ONNX Runtime) the mean are zero, and the maximum is −∞.
     """
-    if not is_op(node, *_NEUTRAL):
+    if not is_op(node, *_NEUTRAL_BY_OPERATOR):
         return None
     rows, axes = facts[0], axes_of(node)
     shape = fixed_shape(rows.value) if isinstance(rows, Rows) else None
@@ -70,7 +75,7 @@ def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | N
     dims = [1] * len(shape)
     dims[rows.axis] = rows.mask.size
     row_mask = draft.reshaped(draft.boolean_mask(rows.mask), dims)
-    filler = draft.constant(_NEUTRAL[node.op_type], kind.numpy())
+    filler = draft.constant(_NEUTRAL_BY_OPERATOR[node.op_type], kind.numpy())
     masked_values = draft.op("Where", row_mask, rows.value, filler, dtype=kind, shape=shape)
     if not is_op(node, "ReduceMean"):
         return draft.like(node, [masked_values, *node.inputs[1:]])[0]

@@ -11,7 +11,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 
-_CHUNK = 1 << 24
+_CHUNK_BYTES = 1 << 24
 
 
 class DeduplicateWeights(CautiousRewrite):
@@ -96,5 +96,5 @@ def _parts(tensor: ir.TensorProtocol | None) -> Iterator[memoryview]:
     """Yield the bytes of a weight in parts of 16 MiB; external weights are memory-mapped."""
     assert tensor is not None
     flat = np.ascontiguousarray(tensor.numpy()).reshape(-1).view(np.uint8)
-    for start in range(0, flat.size, _CHUNK):
-        yield flat[start : start + _CHUNK].data
+    for start in range(0, flat.size, _CHUNK_BYTES):
+        yield flat[start : start + _CHUNK_BYTES].data

@@ -10,7 +10,7 @@ from gsgen.sdk.passes.framework.base import NodeRewrite, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, required
 
-_AXES = 3
+_AXES_INPUT_INDEX = 3
 
 
 class MakeDefaultsExplicit(NodeRewrite):
@@ -36,9 +36,9 @@ class MakeDefaultsExplicit(NodeRewrite):
         if is_op(node, "Conv"):
             rank = rank_of(node.inputs[0])
             return "dilations" not in node.attributes and rank is not None and rank > 2
-        if not is_op(node, "Slice") or len(node.inputs) < _AXES:
+        if not is_op(node, "Slice") or len(node.inputs) < _AXES_INPUT_INDEX:
             return False
-        missing = len(node.inputs) == _AXES or node.inputs[_AXES] is None
+        missing = len(node.inputs) == _AXES_INPUT_INDEX or node.inputs[_AXES_INPUT_INDEX] is None
         return missing and constant_of(node.inputs[1]) is not None
 
     def replace(self, node: ir.Node) -> None:
@@ -48,6 +48,6 @@ class MakeDefaultsExplicit(NodeRewrite):
             node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial)
             return
         starts = required(constant_of(node.inputs[1]))
-        if len(node.inputs) == _AXES:
-            node.resize_inputs(_AXES + 1)
-        node.replace_input_with(_AXES, InsertionPoint(node).int64(*range(len(starts))))
+        if len(node.inputs) == _AXES_INPUT_INDEX:
+            node.resize_inputs(_AXES_INPUT_INDEX + 1)
+        node.replace_input_with(_AXES_INPUT_INDEX, InsertionPoint(node).int64(*range(len(starts))))

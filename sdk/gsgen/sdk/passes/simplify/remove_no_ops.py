@@ -14,7 +14,7 @@ _REDUCTIONS = frozenset({"ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "
 # If the shape does not change, neither does the order of the elements.
 _KEEP_ORDER = frozenset({"Expand", "Flatten", "Reshape", "Squeeze", "Unsqueeze"})
 # The neutral second operand; for Mul, also the neutral first operand.
-_NEUTRAL = {"Div": 1, "Mul": 1, "Sub": 0}
+_NEUTRAL_BY_OPERATOR = {"Div": 1, "Mul": 1, "Sub": 0}
 
 
 class RemoveNoOps(NodeRewrite):
@@ -70,7 +70,7 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
         return x if x.dtype is not None and x.dtype == node.outputs[0].dtype else None
     if is_op(node, *_REDUCTIONS):
         return x if _reduces_nothing(node) else None
-    if is_op(node, *_NEUTRAL):
+    if is_op(node, *_NEUTRAL_BY_OPERATOR):
         return _neutral_operand_partner(node)
     shape, result_shape = fixed_shape(x), fixed_shape(node.outputs[0])
     if shape is None or shape != result_shape:
@@ -98,7 +98,9 @@ def _neutral_operand_partner(node: ir.Node) -> ir.Value | None:
     shape = fixed_shape(node.outputs[0])
     for operand, neutral in pairs:
         number = constant_of(neutral)
-        is_neutral = number is not None and bool((number == _NEUTRAL[node.op_type]).all())
+        is_neutral = number is not None and bool(
+            (number == _NEUTRAL_BY_OPERATOR[node.op_type]).all()
+        )
         if (
             is_neutral
             and number is not None
