@@ -103,11 +103,9 @@ class Renderer:
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
             )
         self._chooses_rasteriser = rasteriser == "auto"
-        self.rasteriser: Rasteriser = "tiles"
-        with self.device.translate_errors():
-            if rasteriser != "auto":
-                self.rasteriser = rasteriser
-            else:
+        self.rasteriser: Rasteriser = "tiles" if rasteriser == "auto" else rasteriser
+        if rasteriser == "auto":
+            with self.device.translate_errors():
                 self.rasteriser = choose(self.device, self._kernels)
                 if (sort_config := chosen_sort_config(self.device)) != self._kernels.sort_config:
                     self._kernels = Kernels(self.device, sort_config=sort_config)
@@ -345,9 +343,8 @@ class Renderer:
         plan = self.plan(placed, camera, requested, meshes)
         if self._steady_counts is None or not self._is_steady(plan):
             self._steady_counts = None  # keeps the rows of other sets
-            band = Band.of(camera)
             plan, counts, _ = self._redraw(
-                scene, band, rgba, requested, placed, meshes, fetch=False
+                scene, Band.of(camera), rgba, requested, placed, meshes, fetch=False
             )
             self._steady_counts = (self._plan_shape, counts)
             return plan, counts

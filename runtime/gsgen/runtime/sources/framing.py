@@ -63,7 +63,7 @@ def box_around(data: SplatData) -> Box | None:
 
 
 def union_of_boxes(boxes: Sequence[Box | None]) -> Box | None:
-    """Return the box around several; None if there is none."""
+    """Return the box around all given boxes; None without any."""
     known = [box for box in boxes if box is not None]
     if not known:
         return None
