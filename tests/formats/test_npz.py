@@ -199,7 +199,8 @@ def test_a_file_that_is_no_archive_is_not_recognised(tmp_path):
     file = tmp_path / "bad.npz"
     file.write_bytes(b"\x93NUMPY\x01\x00")
     assert refusal(file, NotRecognised) == (
-        "first bytes: 93 4e 55 4d\nexpected 50 4b 03 04, the start of an .npz"
+        "this is a NumPy array\nexpected 50 4b 03 04, the start of an .npz\n"
+        "Save named arrays with `np.savez`."
     )
 
 

@@ -19,11 +19,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fnmatch import filter as matching
 from pathlib import Path
-from typing import Final, final
+from typing import BinaryIO, Final, final
 
 import numpy as np
 from jaxtyping import Int64
 
+from gsgen.contract.file_kinds.recognition import HEAD_BYTES
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.checkpoints.torch_archive import PICKLE_MEMBER
 from gsgen.formats.glb import container as glb_container
@@ -34,11 +35,10 @@ from gsgen.formats.ply.compressed_ply import compressed_order, write_compressed_
 from gsgen.formats.ply.header import MAGIC as PLY_MAGIC
 from gsgen.formats.ply.ply import read_ply, write_ply
 from gsgen.formats.ply.write import PlyFrames
-from gsgen.formats.shared.bytes import Data
-from gsgen.formats.shared.files import FilePath
+from gsgen.formats.shared.files import FilePath, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-from gsgen.formats.sog.meta import META_FILE, STREAMED_META
+from gsgen.formats.sog.meta import META_FILE, STREAMED_META, looks_like_meta
 from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.sog.write import sog_order, write_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat
@@ -47,8 +47,6 @@ from gsgen.formats.spz.spz import read_spz, write_spz
 
 Content = Splats | PointCloud | PackedRows
 """The content of a file of splats."""
-
-_JSON_PREFIXES = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
 
 
 @final
@@ -66,8 +64,8 @@ class Codec:
         frame_writer: Returns a writer of successive frames, which does not repeat what they share;
             None where each file is written anew.
         magic_prefixes: The first bytes of a file; any of them marks it.
-        archive_member: A pattern of a file that a zip archive of this format holds; empty if any will do.
-        matches_content: Recognises a file without marks by its content.
+        archive_members: Patterns of files of which a zip archive of this format holds one.
+        matches_content: Recognises a file without marks by its first bytes and its size.
         keeps_flags: The flags of ``Splats`` that a file can state.
         most_degree: The highest SH degree that is written.
         order: Returns the order in which rows are written; None keeps the order in memory.
@@ -83,8 +81,8 @@ class Codec:
     write: Callable[[FilePath, Splats], None] | None = None
     frame_writer: Callable[[], Callable[[FilePath, Splats], None]] | None = None
     magic_prefixes: tuple[bytes, ...] = ()
-    archive_member: str = ""
-    matches_content: Callable[[Data], bool] | None = None
+    archive_members: tuple[str, ...] = ()
+    matches_content: Callable[[bytes, int], bool] | None = None
     keeps_flags: frozenset[str] = frozenset()
     most_degree: int = 4
     order: Callable[[Splats], Int64[np.ndarray, " n"]] | None = None
@@ -154,8 +152,9 @@ CODECS: Final = (
         suffixes=(".sog", META_FILE, STREAMED_META),
         read=read_sog,
         write=write_sog,
-        magic_prefixes=(ZIP_MAGIC, *_JSON_PREFIXES),
-        archive_member=META_FILE,
+        magic_prefixes=(ZIP_MAGIC,),
+        archive_members=(META_FILE, f"*/{META_FILE}"),
+        matches_content=lambda head, _: looks_like_meta(head),
         keeps_flags=frozenset({"antialiased"}),
         most_degree=3,
         order=sog_order,
@@ -193,7 +192,7 @@ CODECS: Final = (
         suffixes=(".pt", ".pth", ".ckpt"),
         read=read_checkpoint,
         magic_prefixes=(ZIP_MAGIC,),
-        archive_member=PICKLE_MEMBER,
+        archive_members=(PICKLE_MEMBER,),
         source="nerfstudio-project/gsplat",
     ),
     Codec(
@@ -203,6 +202,7 @@ CODECS: Final = (
         suffixes=(".npz",),
         read=read_npz,
         magic_prefixes=(ZIP_MAGIC,),
+        archive_members=("*.npy",),
     ),
 )
 """All formats, in the order in which a file is compared with them."""
@@ -237,20 +237,24 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
     return codec_named(max(matches)[1]) if matches else None
 
 
-def recognise_codec(path: FilePath, data: Data) -> Codec | None:
-    """Detect the splat file format from the first bytes of a file; None if unknown."""
-    matching_codecs = [
-        codec for codec in CODECS if bytes(data[:6]).startswith(codec.magic_prefixes)
-    ]
-    if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
-        with unpacking("archive"), zipfile.ZipFile(path) as archive:
+def recognise_codec(file: BinaryIO) -> Codec | None:
+    """Detect the splat file format from the content of an open file; None if unknown."""
+    file.seek(0)
+    head = file.read(HEAD_BYTES)
+    matching_codecs = [codec for codec in CODECS if head.startswith(codec.magic_prefixes)]
+    if head.startswith(ZIP_MAGIC):
+        with unpacking("archive"), zipfile.ZipFile(file) as archive:
             members = archive.namelist()
         matching_codecs = [
             codec
             for codec in matching_codecs
-            if not codec.archive_member or matching(members, codec.archive_member)
+            if any(matching(members, pattern) for pattern in codec.archive_members)
         ]
+    if matching_codecs:
+        return matching_codecs[0]
     similar_codecs = (
-        codec for codec in CODECS if codec.matches_content and codec.matches_content(data)
+        codec
+        for codec in CODECS
+        if codec.matches_content and codec.matches_content(head, stream_size(file))
     )
-    return matching_codecs[0] if matching_codecs else next(similar_codecs, None)
+    return next(similar_codecs, None)

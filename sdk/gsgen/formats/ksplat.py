@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, read_array, require_length
-from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, ValueInvalid
+from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
+from gsgen.formats.shared.recognition import not_recognised
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
@@ -79,16 +80,14 @@ def read_ksplat(path: FilePath) -> Splats:
         return splats
 
 
-def looks_like_ksplat(data: Data) -> bool:
-    """Return whether ``data`` starts like a KSPLAT file, with a known version and valid sizes."""
-    if len(data) < FILE_HEADER_BYTES:
+def looks_like_ksplat(head: bytes, size: int) -> bool:
+    """Return whether a file starts like a KSPLAT file, with a known version and valid sizes."""
+    if size < FILE_HEADER_BYTES:
         return False
-    major, minor, sections, _, _, _, level, *_ = _FILE_HEADER.unpack_from(data)
-    reserved = data[2:4] == b"\0\0"
+    major, minor, sections, _, _, _, level, *_ = _FILE_HEADER.unpack_from(head)
+    reserved = head[2:4] == b"\0\0"
     known = (major, minor) == (0, 1) and reserved and level <= 2
-    return (
-        known and sections > 0 and FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES <= len(data)
-    )
+    return known and sections > 0 and FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES <= size
 
 
 def decode_ksplat(data: Data) -> Splats:
@@ -97,9 +96,8 @@ def decode_ksplat(data: Data) -> Splats:
     fields = _FILE_HEADER.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
     if major or data[2:4] != b"\0\0":
-        raise NotRecognised(
-            data[:4].hex(" "), where="first bytes", expected="00 01 00 00, the start of KSPLAT 0.1"
-        )
+        shown = bytes(data[:4]).hex(" ")
+        raise not_recognised(data, "00 01 00 00, the start of KSPLAT 0.1", shown)
     if minor != 1:
         raise NotSupported(
             f"the file has KSPLAT version 0.{minor}", where="byte 1", expected="version 0.1"

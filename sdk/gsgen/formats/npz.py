@@ -6,15 +6,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from gsgen.formats.shared.errors import (
-    NotRecognised,
-    NotSupported,
-    PropertyMissing,
-    ValueInvalid,
-    join_names,
-)
+from gsgen.contract.file_kinds.recognition import HEAD_BYTES
+from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInvalid, join_names
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, read_arrays, unpacking
+from gsgen.formats.shared.recognition import not_recognised
 from gsgen.formats.shared.splats import PackedRows, PointCloud
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
@@ -51,11 +47,9 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
         ValueInvalid: An array has the wrong shape, type or values.
     """
     with open_file(path) as file:
-        first = file.read(len(ZIP_MAGIC))
-        if first != ZIP_MAGIC:
-            raise NotRecognised(
-                first.hex(" "), where="first bytes", expected="50 4b 03 04, the start of an .npz"
-            )
+        head = file.read(HEAD_BYTES)
+        if not head.startswith(ZIP_MAGIC):
+            raise not_recognised(head, "50 4b 03 04, the start of an .npz", head[:4].hex(" "))
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
             keys = _choose_arrays([name[:-4] for name in archive.namelist() if name[-4:] == ".npy"])
             arrays = read_arrays(archive, keys, max_bytes)

@@ -1,12 +1,13 @@
 """Opens a splat file of any supported format."""
 
-__all__ = ["open_splats"]
+__all__ = ["open_splats", "require_codec"]
 
-from gsgen.formats.codecs import codec_of_suffix, format_titles, recognise_codec
+from gsgen.contract.file_kinds.recognition import HEAD_BYTES, kind_of
+from gsgen.formats.codecs import Codec, codec_of_suffix, format_titles, recognise_codec
+from gsgen.formats.inputs import resolve_input
 from gsgen.formats.ply.ply import read_ply
-from gsgen.formats.shared.bytes import contents
 from gsgen.formats.shared.errors import NotRecognised, NotSupported
-from gsgen.formats.shared.files import FilePath
+from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.tileset_paths import names_tileset
 
@@ -38,17 +39,35 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
             hint="gsgen.tiles.open_splats reads tilesets",
             path=str(path),
         )
-    with contents(path) as data:
-        codec, first = recognise_codec(path, data), bytes(data[:5])
-    codec = codec or codec_of_suffix(path)
-    if codec is None:
-        raise NotRecognised(
-            first.hex(" "),
-            where="first bytes",
-            expected=f"a file of splats: {format_titles()}",
-            hint="if it is of another format, convert it to one of these first",
-            path=str(path),
-        )
+    file = resolve_input(path)
+    codec = require_codec(file)
     if drop_invalid and codec.name == "ply":
-        return read_ply(path, drop_invalid=True)
-    return codec.read(path)
+        return read_ply(file, drop_invalid=True)
+    return codec.read(file)
+
+
+def require_codec(file: FilePath) -> Codec:
+    """Return the splat file format of a file, by its content, or by its suffix if it is unknown.
+
+    Raises:
+        NotRecognised: The content is of another kind, which the error names.
+    """
+    with open_file(file) as stream:
+        codec = recognise_codec(stream)
+        stream.seek(0)
+        head = stream.read(HEAD_BYTES)
+        if codec is not None:
+            return codec
+        codec, kind = codec_of_suffix(file), kind_of(head, stream)
+        # The reader explains what is wrong with a file of unknown content.
+        if codec is not None and (kind is None or kind.name == "zeros"):
+            return codec
+        expected = f"a file of splats: {format_titles()}"
+        if kind is not None:
+            raise NotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)
+        raise NotRecognised(
+            head[:5].hex(" "),
+            where="first bytes",
+            expected=expected,
+            hint="If it is of another format, convert it to one of these first.",
+        )

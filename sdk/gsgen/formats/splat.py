@@ -93,16 +93,16 @@ def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> 
     return records
 
 
-def looks_like_splat(data: Data) -> bool:
-    """Return whether ``data`` can be a SPLAT file, by its size and its first records.
+def looks_like_splat(head: bytes, size: int) -> bool:
+    """Return whether a file can be a SPLAT file, by its size and its first records.
 
     The first records must hold finite positions, scales of at least 0 and quaternions of length
     one.
     """
-    if len(data) == 0 or len(data) % ROW_DTYPE.itemsize:
+    if size == 0 or size % ROW_DTYPE.itemsize:
         return False
-    count = min(len(data) // ROW_DTYPE.itemsize, _SAMPLED_ROWS)
-    records = np.frombuffer(data, ROW_DTYPE, count)
+    count = min(size // ROW_DTYPE.itemsize, _SAMPLED_ROWS)
+    records = np.frombuffer(head, ROW_DTYPE, count)
     scale = records["scale"]
     length = np.linalg.norm((records["rotation"].astype(np.float64) - 128) / 128, axis=1)
     return bool(

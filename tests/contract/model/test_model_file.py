@@ -71,24 +71,22 @@ def test_last_value_of_a_repeated_metadata_key_wins(tmp_path):
     ("content", "text"),
     [
         (b"", "is empty (0 bytes), expected an ONNX model"),
-        (b"PK\x03\x04" + bytes(40), "is not an ONNX model but a zip archive"),
-        (
-            b"ply\nformat ascii 1.0\n",
-            "is not an ONNX model but a PLY file: `gsgen export static` turns splats into",
-        ),
+        (b"PK\x03\x04" + bytes(40), "is not an ONNX model but a damaged or cut off ZIP archive"),
+        (b"ply\nformat ascii 1.0\n", "is not an ONNX model but a PLY file without vertices"),
         (b"\x80\x02}q\x00.", "is not an ONNX model but a pickle"),
-        (b"<!DOCTYPE html><html></html>", "is not an ONNX model but an XML or HTML page"),
+        (b"<!DOCTYPE html><html></html>", "is not an ONNX model but a web page (HTML)"),
         (b'{"contract": "1.0"}', "is not an ONNX model but a JSON document"),
         (
             b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n",
-            "is not an ONNX model but a git LFS pointer: fetch the file with `git lfs pull`",
+            "is not an ONNX model but a git LFS pointer\n  The file itself is not here: fetch it with `git lfs pull`.",
         ),
         (b"Hello, world!\n", "is not an ONNX model but text"),
         (
-            bytes(100),
+            b"\x02\x01" + bytes(range(100)),
             "is damaged or cut off at byte 0: protobuf field number 0, expected 1 or more"
             + REWRITE_HINT,
         ),
+        (bytes(100), "is not an ONNX model but a file that begins with zeros only"),
         (b"\x3a\x03\x0a\x7f\x0a", "does not parse as ONNX ("),
         (b"\x08\x0a", "holds no ONNX graph" + REWRITE_HINT),
         (b"\x3a\x00", "holds no ONNX graph" + REWRITE_HINT),

@@ -37,6 +37,7 @@ from onnx import (
 )
 
 from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.contract.model.protobuf_scan import (
     BYTES,
     STUB_BYTES,
@@ -62,25 +63,6 @@ _MANIFEST_KEYS = (MANIFEST_KEY, NEUTRAL_KEY)
 _METADATA_FIELD = 14  # ModelProto.metadata_props
 _MAX_LENGTH = (1 << 63) - 1
 _MAX_DIGITS = 100  # Python refuses to read numbers of thousands
-
-_SPLATS_HINT = ": `gsgen export static` turns splats into a model, `gsgen convert` into other files"
-# First bytes of files that people pass by mistake.
-_OTHER_FORMATS = (
-    (b"PK\x03\x04", f"a zip archive, such as a torch checkpoint{_SPLATS_HINT}"),
-    (b"ply", f"a PLY file{_SPLATS_HINT}"),
-    (b"glTF", f"a binary glTF file{_SPLATS_HINT}"),
-    (b"\x1f\x8b", f"a gzip file{_SPLATS_HINT}"),
-    (b"\x93NUMPY", "a NumPy array"),
-    (b"\x89HDF", "an HDF5 file"),
-    (b"\x89PNG", "a picture"),
-    (b"\xff\xd8\xff", "a picture"),
-    (b"\x80\x02", "a pickle"),
-    (b"\x80\x04", "a pickle"),
-    (b"\x80\x05", "a pickle"),
-    (b"<", "an XML or HTML page"),
-    (b"{", "a JSON document"),
-    (b"version https://git-lfs", "a git LFS pointer: fetch the file with `git lfs pull`"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +170,7 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=str(path)) from error
     proto = _parse(path, stripped_model.data)
     parts = list(bodies(proto))
-    _check_texts(path, proto, parts, stripped_model.data[:32])
+    _check_texts(path, proto, parts)
     detached = list(_detach_external(parts))
     external = tuple(ref for ref, _ in detached)
     whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse, parts)))
@@ -228,48 +210,39 @@ def _strip_weights(path: Path, view: mmap.mmap) -> StrippedModel:
         try:
             return strip_payloads(data)
         except WireFault as fault:
-            raise _not_onnx(path, f"is damaged or cut off at {fault}", bytes(data[:32])) from fault
+            raise _not_onnx(path, f"is damaged or cut off at {fault}") from fault
 
 
 def _parse(path: Path, data: bytes) -> ModelProto:
     try:
         proto = ModelProto.FromString(data)
     except (DecodeError, RecursionError) as error:
-        raise _not_onnx(path, f"does not parse as ONNX ({error})", data[:32]) from error
+        raise _not_onnx(path, f"does not parse as ONNX ({error})") from error
     if not proto.HasField("graph") or not (proto.ir_version or proto.opset_import):
-        raise _not_onnx(path, "holds no ONNX graph", data[:32])
+        raise _not_onnx(path, "holds no ONNX graph")
     return proto
 
 
-def _check_texts(path: Path, proto: ModelProto, parts: list[Body], head: bytes) -> None:
+def _check_texts(path: Path, proto: ModelProto, parts: list[Body]) -> None:
     for text in _texts(proto, parts):
         if isinstance(text, bytes):  # protobuf returns bytes that are not valid UTF-8
-            raise _not_onnx(path, f"has a name that is not valid UTF-8 ({text[:32]!r})", head)
+            raise _not_onnx(path, f"has a name that is not valid UTF-8 ({text[:32]!r})")
 
 
 def _has_sparse(body: Body) -> bool:
     return isinstance(body, GraphProto) and bool(body.sparse_initializer)
 
 
-def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
-    for magic, name in _OTHER_FORMATS:
-        if head.startswith(magic):
-            return ModelUnreadable(f"is not an ONNX model but {name}", where=str(path))
-    if head[8:9] == b"{" and head[:8].endswith(bytes(3)):
-        message = "is not an ONNX model but weights in safetensors"
-        return ModelUnreadable(message, where=str(path))
-    if _is_text(head):
-        return ModelUnreadable("is not an ONNX model but text", where=str(path))
+def _not_onnx(path: Path, message: str) -> ModelUnreadable:
+    kind = kind_of_file(path)
+    if kind is not None and kind.name != "onnx":
+        message = f"is not an ONNX model but {kind.title}"
+        return ModelUnreadable(message, where=str(path), hint=kind.hint)
+    suffix = path.suffix.lower()
+    if kind is None and suffix not in ("", ".onnx"):
+        message = f"is not an ONNX model; by its name, it is a {suffix} file"
     hint = "Write the file again; a partial download or an interrupted export looks like this."
     return ModelUnreadable(message, where=str(path), hint=hint)
-
-
-def _is_text(head: bytes) -> bool:
-    """Return whether a file starts like text; an ONNX model starts with a protobuf tag."""
-    decoded_text = head.decode("utf-8", errors="ignore")
-    return len(decoded_text) >= len(head) - 3 and all(
-        char.isprintable() or char in "\t\r\n" for char in decoded_text
-    )
 
 
 def _detach_external(parts: list[Body]) -> Iterator[tuple[ExternalRef, TensorProto]]:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.formats.glb.container import COMPRESSION_EXTENSIONS
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 """Suffixes of files that may hold meshes."""
+
+# Kinds of text that an OBJ or STL file may look like.
+_MESH_KINDS: Final = ("obj", "stl", "text", "numbers", "zeros")
 
 # glTF is x left, y up, z forward; worlds here, and PLY files, are x right, y down.
 _SCENE_FROM_GLTF: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -53,14 +57,19 @@ def is_mesh(path: Path) -> bool:
         size = path.stat().st_size
         with path.open("rb") as file:
             header = file.read(_MAX_HEADER_BYTES)
+        kind = kind_of_file(path)
     except OSError:
         return False
     suffix = path.suffix.lower()
     if header.startswith((b"ply\n", b"ply\r\n")):
         return _faces_in_ply(header) > 0 and not _splats_in_ply(header)
-    if header.startswith(b"glTF") or suffix == ".gltf":
+    if header.startswith(b"glTF") or (kind is not None and kind.name.startswith("gltf")):
         return _SPLAT_EXTENSION not in _json_of(path)
-    return suffix in (".obj", ".stl") or _is_binary_stl(header, size)
+    # The first bytes of an STL file are free: they may look like another kind.
+    if _is_binary_stl(header, size):
+        return True
+    has_mesh_kind = kind is None or kind.name in _MESH_KINDS
+    return suffix in (".obj", ".stl", ".gltf") and has_mesh_kind
 
 
 def read_mesh(path: str | Path) -> tuple[Mesh, ...]:

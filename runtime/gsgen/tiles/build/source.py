@@ -23,8 +23,11 @@ from jaxtyping import Bool
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, splats_of_rows
+from gsgen.formats.inputs import STANDARD_INPUT, resolve_input
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
+from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.splats import SH_COUNTS
+from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.loading.leaves import open_splats
 
 CHUNK_BYTES: Final = 64 << 20
@@ -105,6 +108,15 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
 
 def _opened(path: Path) -> SceneFile:
     try:
+        if str(path) == STANDARD_INPUT:
+            raise NotSupported(
+                "standard input cannot be read twice, as a build does",
+                expected="a file of splats",
+                hint="Save it to a file first.",
+                path=str(path),
+            )
+        if path.is_dir() and not names_tileset(path):
+            path = Path(resolve_input(path))
         table = ply_table(path) if _is_ply(path) else None
         status = path.stat()
         if table is None:

@@ -14,7 +14,6 @@ All store logarithms of scales, logits of opacities and quaternions (w, x, y, z)
 
 __all__ = ["read_checkpoint"]
 
-import os
 import re
 import warnings
 import zipfile
@@ -26,20 +25,16 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import Float32
 
+from gsgen.contract.file_kinds.recognition import HEAD_BYTES
 from gsgen.formats.checkpoints.methods import unsupported_content_error
 from gsgen.formats.checkpoints.pickled_data import TensorReference
 from gsgen.formats.checkpoints.torch_archive import TorchArchive
-from gsgen.formats.shared.errors import (
-    NotRecognised,
-    NotSupported,
-    PropertyMissing,
-    ValueInvalid,
-    join_names,
-)
-from gsgen.formats.shared.files import FilePath, open_file
+from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInvalid, join_names
+from gsgen.formats.shared.files import FilePath, open_file, stream_size
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
+from gsgen.formats.shared.recognition import not_recognised
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
@@ -77,18 +72,14 @@ def read_checkpoint(path: FilePath) -> Splats:
         ValueInvalid: A tensor has a wrong shape or type, or a value that cannot be drawn.
     """
     with open_file(path) as file:
-        first = file.read(len(ZIP_MAGIC))
-        if first != ZIP_MAGIC:
-            raise NotRecognised(
-                first.hex(" "),
-                where="first bytes",
-                expected="50 4b 03 04, the start of a checkpoint of torch 1.6 or later",
-                hint="load an older checkpoint with torch, and save it again",
-            )
+        head = file.read(HEAD_BYTES)
+        if not head.startswith(ZIP_MAGIC):
+            expected = "50 4b 03 04, the start of a checkpoint of torch 1.6 or later"
+            raise not_recognised(head, expected, head[:4].hex(" "))
         with unpacking("archive"):
             opened_archive = zipfile.ZipFile(file)
         with opened_archive as archive:
-            torch_archive = TorchArchive(archive, os.fstat(file.fileno()).st_size)
+            torch_archive = TorchArchive(archive, stream_size(file))
             layout = _layout_of(torch_archive, Path(path))
             splats = _splats(torch_archive, layout)
         require_drawable(splats)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, require_length
-from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, quoted
+from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, quoted
+from gsgen.formats.shared.recognition import not_recognised
 
 MAGIC: Final = b"glTF"
 
@@ -69,9 +70,7 @@ def parse(data: Data) -> Container:
     require_length(data, 0, _FILE_HEADER.size + _CHUNK_HEADER.size, "header")
     magic, version, length = _FILE_HEADER.unpack_from(data)
     if magic != MAGIC:
-        raise NotRecognised(
-            magic.hex(" "), where="first bytes", expected="67 6c 54 46 (glTF), the start of a GLB"
-        )
+        raise not_recognised(data, "67 6c 54 46 (glTF), the start of a GLB", magic.hex(" "))
     if version != 2:
         raise NotSupported(
             f"the file has glTF version {version}", where="byte 4", expected="version 2"

@@ -9,7 +9,8 @@ import re
 from dataclasses import dataclass
 from typing import Final, Literal, final, get_args
 
-from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, NotRecognised, quoted
+from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, quoted
+from gsgen.formats.shared.recognition import not_recognised
 
 Encoding = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 """The encodings of the rows of a PLY file."""
@@ -167,10 +168,10 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
     """Return the lines of a PLY header between ``ply`` and ``end_header``, and the data offset."""
     first_bytes = data[:MAX_HEADER]
     if not first_bytes.startswith(MAGIC):
-        raise NotRecognised(
+        raise not_recognised(
+            first_bytes,
+            "`ply` on a line of its own, the start of a PLY file",
             quoted(first_bytes[:4].decode("latin-1")),
-            where="first bytes",
-            expected="`ply` on a line of its own, the start of a PLY file",
         )
     end = re.search(rb"(?<=\n)end_header[ \t]*\r?\n", first_bytes)
     if end is None:

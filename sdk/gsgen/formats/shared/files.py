@@ -5,8 +5,10 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, final
 
 from gsgen.contract.process.atomic_files import is_device
 from gsgen.contract.process.drafts import temporary_folder
@@ -15,12 +17,25 @@ from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatEr
 FilePath = str | os.PathLike[str]
 """The types of path arguments."""
 
-# Files and folders that the training code of most methods writes.
-_TRAINING_FILES = ("cfg_args", "point_cloud", "point_cloud.ply")
-_TRAINING_HINT = (
-    "`gsgen export METHOD --checkpoint FOLDER -o OUT.onnx` exports the folder of a training; "
-    "`gsgen plugins` lists the methods"
-)
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FileContent(os.PathLike[str]):
+    """The content of a file in memory, such as a member of an archive, for readers of files.
+
+    Attributes:
+        name: The name in error messages, whose suffix counts: that of the archive, and the member.
+        data: The bytes, in anonymous memory.
+    """
+
+    name: str
+    data: mmap.mmap
+
+    def __fspath__(self) -> str:
+        return self.name
+
+    def __str__(self) -> str:
+        return self.name
 
 
 @contextmanager
@@ -37,6 +52,9 @@ def naming(path: FilePath) -> Iterator[None]:
 def open_file(path: FilePath) -> Iterator[BinaryIO]:
     """Open the file at ``path`` for reading; faults raise FileUnreadable."""
     with naming(path):
+        if isinstance(path, FileContent):
+            yield BytesIO(path.data)
+            return
         try:
             _require_regular(path)
             with open(path, "rb") as file:
@@ -48,6 +66,10 @@ def open_file(path: FilePath) -> Iterator[BinaryIO]:
 @contextmanager
 def map_file(path: FilePath) -> Iterator[mmap.mmap]:
     """Map the file at ``path`` into memory, read-only."""
+    if isinstance(path, FileContent):
+        with naming(path):
+            yield path.data
+        return
     with open_file(path) as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
@@ -81,6 +103,14 @@ def replace_file(path: FilePath) -> Iterator[BinaryIO]:
             ) from error
 
 
+def stream_size(file: BinaryIO) -> int:
+    """Return the number of bytes of an open file, whose position stays."""
+    position = file.tell()
+    size = file.seek(0, os.SEEK_END)
+    file.seek(position)
+    return size
+
+
 def make_folder(path: FilePath) -> None:
     """Create the parent folder of ``path``, and the folders above it."""
     with naming(path):
@@ -98,9 +128,7 @@ def _require_regular(path: FilePath) -> None:
     except ValueError as error:  # a NUL byte in the path
         raise FileUnreadable(f"the file cannot be read: {error}") from error
     if stat.S_ISDIR(status.st_mode):
-        has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
-        hint = _TRAINING_HINT if has_training else ""
-        raise FileUnreadable("the path is a folder", expected="a file", hint=hint)
+        raise FileUnreadable("the path is a folder", expected="a file")
     if not stat.S_ISREG(status.st_mode):
         raise FileUnreadable("the path is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:

@@ -9,9 +9,11 @@ from typing import Any, Final, NoReturn, final
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsgen.contract.file_kinds.recognition import kind_of
 from gsgen.formats.shared.bytes import MAX_SPLATS
 from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, quoted
 from gsgen.formats.shared.files import FilePath
+from gsgen.formats.shared.recognition import not_recognised
 
 META_FILE: Final = "meta.json"
 """The file that describes the images."""
@@ -28,12 +30,21 @@ CODEBOOK_SIZE: Final = 256
 MAX_PALETTE_SIZE: Final = 1 << 16
 """The most entries of the palette of harmonics."""
 
+_EXPECTED: Final = "the meta.json of a SOG"
 _SH_BANDS = (1, 2, 3)
 
 
 def is_meta(path: FilePath) -> bool:
     """Return whether a path is that of a SOG's meta.json, beside which its images lie."""
     return Path(path).name.lower() == META_FILE
+
+
+def looks_like_meta(head: bytes) -> bool:
+    """Return whether a file begins as the meta.json of a SOG or the lod-meta.json of several."""
+    if head.lstrip()[:1] != b"{":
+        return False
+    kind = kind_of(head)
+    return kind is not None and kind.name in ("sog", "streamed-sog")
 
 
 def is_streamed_meta(path: FilePath) -> bool:
@@ -75,11 +86,7 @@ class Meta:
                 hint="read one of the files that it lists",
             )
         if "means" not in data:
-            raise NotRecognised(
-                "the JSON object lacks the key 'means'",
-                where=META_FILE,
-                expected="the meta.json of a SOG",
-            )
+            raise not_recognised(content, _EXPECTED, "{")
         version = data.get("version", 1)
         if version != 2:
             raise NotSupported(
@@ -159,21 +166,16 @@ def parse_object(content: bytes) -> dict[str, Any]:
     Raises:
         NotRecognised: The content is not JSON, or not an object.
     """
+    if not content.lstrip().startswith(b"{"):
+        raise not_recognised(content, _EXPECTED, content[:4].hex(" "))
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         reason = "it nests too deeply" if isinstance(error, RecursionError) else error
         raise NotRecognised(
-            f"the file has invalid JSON ({reason})",
-            where=META_FILE,
-            expected="the meta.json of a SOG",
+            f"the file has invalid JSON ({reason})", where=META_FILE, expected=_EXPECTED
         ) from error
-    if not isinstance(data, dict):
-        raise NotRecognised(
-            f"the JSON value is a {type(data).__name__}",
-            where=META_FILE,
-            expected="an object, the meta.json of a SOG",
-        )
+    assert isinstance(data, dict)  # it begins with a brace
     return data
 
 

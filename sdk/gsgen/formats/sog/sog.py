@@ -4,7 +4,6 @@ The format is that of PlayCanvas (playcanvas/splat-transform, "SOG"). Pillow rea
 """
 
 import math
-import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +20,7 @@ from gsgen.formats.shared.errors import (
     SizeExceeded,
     quoted,
 )
-from gsgen.formats.shared.files import FilePath, naming, open_file
+from gsgen.formats.shared.files import FilePath, naming, open_file, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import logit, quaternions_from_largest, unit
 from gsgen.formats.shared.splat_values import require_drawable
@@ -72,9 +71,7 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
         if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
             return _read_unpacked(path, max_bytes)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
-            return _decode(
-                _fetch_from_archive(archive, Path(path).stat().st_size), META_FILE, max_bytes
-            )
+            return _decode(_fetch_from_archive(archive, stream_size(file)), META_FILE, max_bytes)
 
 
 def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
@@ -114,8 +111,12 @@ def written_bytes(path: FilePath) -> int:
 
 def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
     names = set(archive.namelist())
+    metas = [name for name in names if name.rpartition("/")[2] == META_FILE]
+    # Archives made of a folder hold its name, too.
+    folder = min(metas, key=len).removesuffix(META_FILE) if metas else ""
 
     def fetch(name: str, limit: int) -> bytes:
+        name = folder + name
         if name not in names:
             raise PropertyMissing(f"the archive holds no file {quoted(name)}", where="archive")
         most = min(limit, size * _MAX_INFLATION)
@@ -134,7 +135,7 @@ def _fetch_from_folder(path: FilePath) -> FetchFile:
                 quoted(name), where=META_FILE, expected="the name of a file in the same folder"
             )
         with open_file(folder / name) as file:
-            most = min(limit, os.fstat(file.fileno()).st_size)
+            most = min(limit, stream_size(file))
             return _require_size_limit(file.read(most + 1), most, name)
 
     return fetch

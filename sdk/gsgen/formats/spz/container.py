@@ -20,12 +20,12 @@ from gsgen.formats.shared.errors import (
     ArchiveDamaged,
     FileTruncated,
     HeaderMalformed,
-    NotRecognised,
     NotSupported,
     SizeExceeded,
     ValueInvalid,
 )
 from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.shared.recognition import not_recognised
 from gsgen.formats.spz import zstd
 from gsgen.formats.spz.streams import STREAM_NAMES, sizes
 
@@ -125,7 +125,8 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
         raise HeaderMalformed(
             f"the gzip file has SPZ version {version}", where="byte 4", expected="1, 2 or 3"
         )
-    _require_header(magic, version, count, degree, fraction, size)
+    _require_magic(magic, body)
+    _require_header(version, count, degree, fraction, size)
     parts = sizes(version, count, degree)
     end = _FILE_HEADER.size + sum(parts.values())
     _require_memory(end, max_bytes)
@@ -168,7 +169,8 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
     require_length(data, 0, _LONG_HEADER.size, "header")
     fields = _LONG_HEADER.unpack_from(data)
     magic, version, count, degree, fraction, flags, stream_count, toc = fields
-    _require_header(magic, version, count, degree, fraction, len(data))
+    _require_magic(magic, data)
+    _require_header(version, count, degree, fraction, len(data))
     parts = {name: size for name, size in sizes(version, count, degree).items() if size}
     _require_memory(sum(parts.values()), max_bytes)
     if stream_count != len(parts):
@@ -218,13 +220,12 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
     )
 
 
-def _require_header(
-    magic: bytes, version: int, count: int, degree: int, fraction: int, size: int
-) -> None:
+def _require_magic(magic: bytes, data: Data) -> None:
     if magic != MAGIC:
-        raise NotRecognised(
-            magic.hex(" "), where="first bytes", expected="4e 47 53 50 (NGSP), the start of an SPZ"
-        )
+        raise not_recognised(data, "4e 47 53 50 (NGSP), the start of an SPZ", magic.hex(" "))
+
+
+def _require_header(version: int, count: int, degree: int, fraction: int, size: int) -> None:
     if not 1 <= version <= NEWEST_VERSION:
         raise NotSupported(
             f"the file has SPZ version {version}", where="byte 4", expected="1, 2, 3 or 4"

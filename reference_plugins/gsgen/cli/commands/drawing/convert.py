@@ -183,7 +183,7 @@ def _with_reported_warnings(
         try:
             result = run(step=report_step)
         except FormatError as error:
-            is_unreadable = is_reading and error.path in sources
+            is_unreadable = is_reading and error.path is not None
             echo_error(_mesh_error(error) if is_unreadable else error)
             code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
             raise typer.Exit(code) from error

@@ -1,0 +1,137 @@
+"""Tells the kind of a file from its first bytes, and for an archive from the names within."""
+
+__all__ = ["HEAD_BYTES", "archive_kind", "kind_of", "kind_of_file"]
+
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import PurePath
+from typing import BinaryIO, Final
+
+from gsgen.contract.file_kinds.kind import (
+    DOWNLOAD,
+    DRAWN,
+    EXPORT,
+    SPLATS,
+    TILESET,
+    UNPACK,
+    FileKind,
+)
+from gsgen.contract.file_kinds.signatures import kind_by_signature
+from gsgen.contract.file_kinds.text_kinds import SPLAT_EXTENSION, decoded_text, ply_kind, text_kind
+
+HEAD_BYTES: Final = 1 << 16
+"""The bytes at the beginning of a file that decide."""
+
+_ZIP, _GZIP = b"PK\x03\x04", b"\x1f\x8b"
+_MAX_NESTING: Final = 2
+_MOST_NAMES: Final = 4
+
+
+def kind_of_file(path: str | os.PathLike[str]) -> FileKind | None:
+    """Return the kind of the file at ``path``; None if its content is not known.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    with open(path, "rb") as file:
+        head = file.read(HEAD_BYTES)
+        return kind_of(head, file)
+
+
+def kind_of(head: bytes, file: BinaryIO | None = None) -> FileKind | None:
+    """Return the kind of a file from its first bytes; None if its content is not known.
+
+    Args:
+        head: The first ``HEAD_BYTES`` bytes, or the whole of a smaller file.
+        file: The file, whose list of members says what a ZIP archive holds.
+    """
+    return _kind(head, file, 0)
+
+
+def _kind(head: bytes, file: BinaryIO | None, nesting: int) -> FileKind | None:
+    if not head:
+        hint = "Write or download it again: the program that wrote it may have failed."
+        return FileKind(name="empty", title="an empty file (0 bytes)", hint=hint)
+    if head.startswith(_ZIP):
+        return _zip_kind(head, file)
+    if head.startswith(_GZIP):
+        return _gzip_kind(head, nesting)
+    if head.startswith((b"ply\n", b"ply\r")):
+        return ply_kind(head)
+    if head.startswith(b"glTF"):
+        return _glb_kind(head)
+    kind = kind_by_signature(head)
+    if kind is not None:
+        return kind
+    text = decoded_text(head)
+    if text is not None:
+        return text_kind(text)
+    if not any(head):
+        return FileKind(name="zeros", title="a file that begins with zeros only", hint=DOWNLOAD)
+    return None
+
+
+def _glb_kind(head: bytes) -> FileKind:
+    if head[4:8] == b"\x01\0\0\0":
+        return FileKind(name="glb", title="a GLB file of version 1", hint=EXPORT)
+    if SPLAT_EXTENSION.encode() in head or b'"_ROTATION"' in head:
+        return FileKind(name="glb-splats", title="a GLB file of splats", hint=SPLATS)
+    return FileKind(name="glb", title="a GLB file without splats", hint=DRAWN)
+
+
+def _gzip_kind(head: bytes, nesting: int) -> FileKind:
+    try:
+        content = zlib.decompressobj(wbits=31).decompress(head, HEAD_BYTES)
+    except zlib.error:
+        return FileKind(name="gzip", title="a damaged gzip file", hint=DOWNLOAD)
+    if content.startswith(b"NGSP"):
+        return FileKind(name="spz", title="an SPZ file of splats", hint=SPLATS)
+    inner = None
+    if content and nesting < _MAX_NESTING:
+        inner = _kind(content, None, nesting + 1)
+    title = f"a gzip file of {inner.title}" if inner else "a gzip file"
+    return FileKind(name="gzip", title=title, hint=UNPACK)
+
+
+def _zip_kind(head: bytes, file: BinaryIO | None) -> FileKind:
+    stream = BytesIO(head) if file is None else file
+    try:
+        with zipfile.ZipFile(stream) as archive:
+            return archive_kind(archive.namelist())
+    except Exception:
+        if file is None:
+            return FileKind(name="zip", title="a ZIP archive", hint=UNPACK)
+        title = "a damaged or cut off ZIP archive"
+        return FileKind(name="damaged-zip", title=title, hint=DOWNLOAD)
+
+
+def archive_kind(names: Sequence[str]) -> FileKind:
+    """Return the kind of a ZIP archive from the names of its members."""
+    files = [name for name in names if not name.endswith("/")]
+    bases = {PurePath(name).name.lower() for name in files}
+    suffixes = {PurePath(name).suffix.lower() for name in files}
+    if "data.pkl" in bases:
+        is_script = "constants.pkl" in bases
+        title = "a network in TorchScript" if is_script else "a checkpoint of torch"
+        hint = "`gsgen export` takes checkpoints of the methods that `gsgen plugins` lists."
+        return FileKind(name="torchscript" if is_script else "torch", title=title, hint=hint)
+    if files and suffixes == {".npy"}:
+        return FileKind(name="npz", title="an NPZ archive of NumPy arrays", hint=SPLATS)
+    if "tileset.json" in bases or "@3dtilesindex1@" in bases:
+        return FileKind(name="3tz", title="an archive of a tileset (3TZ)", hint=TILESET)
+    if "lod-meta.json" in bases:
+        title = "a ZIP archive of a streamed SOG"
+        return FileKind(name="streamed-sog", title=title, hint="Unpack it, and name lod-meta.json.")
+    if "meta.json" in bases and ".webp" in suffixes:
+        return FileKind(name="sog", title="a SOG file of splats", hint=SPLATS)
+    if files and PurePath(files[0]).suffix.lower() in (".usda", ".usdc", ".usd"):
+        return FileKind(name="usd", title="a USD archive (usdz)", hint=EXPORT)
+    if "[content_types].xml" in bases:
+        return FileKind(name="office", title="an office document or 3MF model", hint=EXPORT)
+    shown = ", ".join(files[:_MOST_NAMES]) + (", …" if len(files) > _MOST_NAMES else "")
+    count = f"{len(files)} files: " if len(files) > _MOST_NAMES else ""
+    title = f"a ZIP archive of {count}{shown}" if files else "a ZIP archive without files"
+    return FileKind(name="zip", title=title, hint=UNPACK)
