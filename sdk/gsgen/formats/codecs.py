@@ -126,7 +126,8 @@ CODECS: Final = (
         suffixes=(".spz",),
         read=read_spz,
         write=write_spz,
-        magic_prefixes=(spz_container.GZIP, spz_container.MAGIC),
+        magic_prefixes=(spz_container.MAGIC,),
+        matches_content=lambda head, _: spz_container.is_packed(head),
         keeps_flags=frozenset({"antialiased"}),
         loss="positions 1/4096 unit (coarser beyond 2048 units; float16 in version 1), scales 6 % "
         "from e⁻¹⁰ to e⁵·⁹, opacity 1/255, rotations 0.2° (up to version 2: 1°, more where w is "

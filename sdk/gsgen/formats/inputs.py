@@ -20,12 +20,12 @@ from typing import BinaryIO, Final, final
 
 from gsgen.contract.file_kinds.recognition import HEAD_BYTES, archive_kind, kind_of
 from gsgen.formats.codecs import codec_of_suffix, recognise_codec
-from gsgen.formats.shared.bytes import MAX_BYTES
+from gsgen.formats.shared.bytes import MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import ArchiveDamaged, FileUnreadable, NotSupported, SizeExceeded
 from gsgen.formats.shared.files import FileContent, FilePath, naming, open_file, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.sog.meta import META_FILE, STREAMED_META
-from gsgen.formats.spz.container import GZIP
+from gsgen.formats.spz.container import GZIP, is_packed
 
 STANDARD_INPUT: Final = "-"
 """The path that means standard input."""
@@ -47,9 +47,9 @@ _TRAINING_HINT: Final = (
     "`gsgen plugins` lists the methods"
 )
 _SPLAT_KINDS: Final = frozenset(
-    ["ply-splats", "compressed-ply", "ply-points", "spz", "glb-splats", "gltf-splats"]
+    ["ply-splats", "compressed-ply", "ply-points", "spz", "glb-splats", "sog", "torch", "npz"]
 )
-_MAX_INFLATION: Final = 1040  # the most bytes that deflate unpacks from one
+
 _MAX_NESTING: Final = 2
 _MOST_MEMBERS: Final = 4096
 _PIECE: Final = 1 << 20
@@ -105,7 +105,7 @@ def resolve_input(path: FilePath, *, max_bytes: int = MAX_BYTES) -> FilePath:
     """Return the splat file that a path names.
 
     ``-`` is standard input; a folder stands for its newest iteration or its one file of splats; a
-    ZIP archive that is none of the formats for its one file of splats, and a gzip file for its
+    ZIP archive of another format for its one file of splats, and a gzip file for its
     content. The latter are unpacked in memory.
 
     Args:
@@ -206,12 +206,15 @@ def _unpacked(path: FilePath, max_bytes: int) -> FileContent | None:
 
 def _from_gzip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
     file.seek(0)
-    limit = min(max_bytes, stream_size(file) * _MAX_INFLATION)
+    if is_packed(file.read(HEAD_BYTES)):
+        return None  # SPZ is a gzip file itself
+    file.seek(0)
+    limit = min(max_bytes, stream_size(file) * MAX_INFLATION)
     with unpacking("gzip stream"), gzip.GzipFile(fileobj=file) as stream:
         head = stream.read(HEAD_BYTES)
         kind = kind_of(head)
-        if kind is not None and kind.name in ("spz", "archive"):
-            return None  # SPZ is a gzip file itself; a tar archive is named as such
+        if kind is not None and kind.name == "archive":
+            return None  # such as a tar archive, which is named as what it is
         content = bytearray(head)
         while piece := stream.read(_PIECE):
             content += piece
@@ -246,7 +249,7 @@ def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | N
                 f"this is {kind.title}", expected="a file of splats in it", hint=kind.hint
             )
         (entry,) = readable
-        limit = min(max_bytes, size * _MAX_INFLATION)
+        limit = min(max_bytes, size * MAX_INFLATION)
         if entry.file_size > limit:
             raise _size_error(str(entry.file_size), limit)
         with archive.open(entry) as stream:
@@ -279,8 +282,8 @@ def _is_readable(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bool:
     kind = kind_of(head)
     if kind is not None and kind.name in _SPLAT_KINDS:
         return True
-    is_unknown = kind is None or kind.name == "zip"
-    return is_unknown and codec_of_suffix(entry.filename) is not None
+    is_unknown = kind is None or kind.name in ("zip", "damaged-zip", "gzip")
+    return is_unknown and codec_of_suffix(entry.filename.removesuffix(".gz")) is not None
 
 
 def _size_error(actual: str, limit: int) -> SizeExceeded:

@@ -2,9 +2,12 @@
 
 __all__ = ["open_splats", "require_codec"]
 
+from dataclasses import replace
+from functools import partial
+
 from gsgen.contract.file_kinds.recognition import HEAD_BYTES, kind_of
 from gsgen.formats.codecs import Codec, codec_of_suffix, format_titles, recognise_codec
-from gsgen.formats.inputs import resolve_input
+from gsgen.formats.inputs import resolve_input, training_folder
 from gsgen.formats.ply.ply import read_ply
 from gsgen.formats.shared.errors import NotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
@@ -39,11 +42,14 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
             hint="gsgen.tiles.open_splats reads tilesets",
             path=str(path),
         )
+    run = training_folder(path)
     file = resolve_input(path)
     codec = require_codec(file)
-    if drop_invalid and codec.name == "ply":
-        return read_ply(file, drop_invalid=True)
-    return codec.read(file)
+    read = partial(read_ply, drop_invalid=True) if drop_invalid and codec.name == "ply" else None
+    content = (read or codec.read)(file)
+    if run is not None and run.antialiased and isinstance(content, Splats):
+        return replace(content, antialiased=True)
+    return content
 
 
 def require_codec(file: FilePath) -> Codec:
@@ -59,7 +65,7 @@ def require_codec(file: FilePath) -> Codec:
         if codec is not None:
             return codec
         codec, kind = codec_of_suffix(file), kind_of(head, stream)
-        # The reader explains what is wrong with a file of unknown content.
+        # The reader explains the fault of a file of unknown content.
         if codec is not None and (kind is None or kind.name == "zeros"):
             return codec
         expected = f"a file of splats: {format_titles()}"

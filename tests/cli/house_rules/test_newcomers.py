@@ -160,8 +160,8 @@ def test_python_m_gsgen_is_gsgen() -> None:
     ("content", "visited_cameras"),
     [
         (b"# Models\n\nare \xc3\xa4 here\n", "text"),
-        (b"\x10\x00\x00\x00\x00\x00\x00\x00{}        ", "weights in safetensors"),
-        (b"glTF\x02\x00\x00\x00", "a binary glTF file: `gsgen export static` turns"),
+        (b"\x10\x00\x00\x00\x00\x00\x00\x00{}        ", "a file of weights (safetensors)"),
+        (b"glTF\x02\x00\x00\x00", "a GLB file without splats"),
         (b"\x80\x05\x95\x00\x00", "a pickle"),
     ],
 )

@@ -344,7 +344,7 @@ WRONG = {
     "[]": "has no cameras",
     "{": "is not valid JSON",
     "[" * 100_000: "is not valid JSON",
-    "ply\n": "begins with b'ply",
+    "ply\n": "is a PLY file without vertices, expected a camera file",
     '{"a": 1}': "is JSON without cameras, but with a",
     "[3]": "is JSON without cameras, but with 3",
     '{"frames": []}': "has no frames",
@@ -386,7 +386,7 @@ def test_paths_without_cameras_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigInvalid, match="does not exist"):
         open_cameras(tmp_path / "none")
     (tmp_path / "empty.json").touch()
-    with pytest.raises(ConfigInvalid, match="begins with b''"):
+    with pytest.raises(ConfigInvalid, match="is an empty file"):
         open_cameras(tmp_path / "empty.json")
 
 

@@ -1,1 +1,1 @@
-"""What is this file? Tells kinds of files apart by their first bytes, for error messages."""
+"""Which kind of file is this, by its first bytes? For error messages, and for opening files."""

@@ -10,7 +10,7 @@ _OLD_TILES = (
     "Upgrade its tileset to 3D Tiles 1.1, whose contents are GLB: `3d-tiles-tools upgrade`."
 )
 _POINTS = "A point cloud: convert it to a PLY with x, y, z and colours."
-_PICTURE = "Pictures are no scenes: name the splats, mesh or model that it shows."
+_PICTURE = "A picture cannot be opened as a scene: name the splats, mesh or model that it shows."
 _TORCH = "Load it with torch, and save it again: `torch.save(torch.load(OLD), NEW)`."
 _PICKLE = "Only checkpoints of `torch.save` are read: save the tensors with torch 1.6 or later."
 _TENSORS = "Save the tensors as a 3DGS PLY, or in a checkpoint of gsplat."

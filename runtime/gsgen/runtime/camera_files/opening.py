@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.runtime.camera_files.camera_lists import (
     is_camera_path,
     is_gsgen_camera,
@@ -148,6 +149,10 @@ def _from_json(content: bytes, location: Path, size: tuple[int, int] | None) -> 
             "has no cameras, expected at least one", where=str(location), hint=_KNOWN_FORMATS
         )
     first = document[0] if isinstance(document, list) else document
+    kind = kind_of_file(location)
+    if kind is not None and kind.name != "json":
+        message = f"is {kind.title}, expected a camera file"
+        raise ConfigInvalid(message, where=str(location), hint=f"{kind.hint} {_KNOWN_FORMATS}")
     keys = ", ".join(map(str, list(first)[:8])) if isinstance(first, dict) else repr(first)[:60]
     raise ConfigInvalid(
         f"is JSON without cameras, but with {keys}", where=str(location), hint=_KNOWN_FORMATS

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final, final
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.file_kinds.recognition import kind_of_file
 
 
 @final
@@ -70,10 +71,15 @@ def unreadable_camera_file(start: bytes, path: Path, supported: str) -> ConfigIn
         path: Path of the file.
         supported: A sentence on the supported formats.
     """
-    for program in _PROGRAMS:
+    kind = kind_of_file(path)
+    is_download_fault = kind is not None and kind.name in ("html", "error")
+    for program in () if is_download_fault else _PROGRAMS:
         if program.pattern.match(start):
             message = f"is {program.title}, expected a camera file that gsgen reads"
             return ConfigInvalid(message, where=str(path), hint=f"{program.way_out} {supported}")
+    if kind is not None and kind.name not in ("json", "text"):
+        message = f"is {kind.title}, expected a camera file"
+        return ConfigInvalid(message, where=str(path), hint=f"{kind.hint} {supported}".strip())
     return ConfigInvalid(
         f"begins with {start[:16]!r}, expected a camera file", where=str(path), hint=supported
     )

@@ -20,6 +20,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, final
 
+from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, write_ply
@@ -98,9 +99,11 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
 
     Raises:
         SceneUnreadable: The file cannot be read, or holds no splats that a page draws.
+        ModelUnreadable: The file is called a model, and is something else.
     """
     try:
         if path.suffix.lower() == MODEL_SUFFIX:
+            open_model(path)  # which names a file of another kind
             return path.read_bytes()
         if is_mesh(path):
             hint = f"`gsgen render {path} -o picture.png` draws it."
@@ -110,7 +113,7 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
                 hint=hint,
             )
         content = read(path, drop_invalid=True)
-        raw = path.read_bytes()
+        raw = path.read_bytes() if path.is_file() else b""  # else a folder, or standard input
     except (OSError, FormatError) as error:
         raise SceneUnreadable(str(error)) from error
     if not isinstance(content, Splats):

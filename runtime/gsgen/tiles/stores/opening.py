@@ -4,23 +4,35 @@ __all__ = ["address_of", "open_store"]
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 from urllib.parse import unquote, urlsplit
 
+from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.formats.tileset_paths import INDEX_FILE
+from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import ZipStore
 
+_TILESET_KINDS: Final = ("tileset", "json")
+_CONTENT_KINDS: Final = ("glb", "glb-splats", "gltf", "gltf-splats")
 
-def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tuple[Store, str]:
+
+def open_store(
+    source: str | Path, *, allow_origins: Sequence[str] = (), allow_content: bool = False
+) -> tuple[Store, str]:
     """Return the file store of a tileset, and the path of ``tileset.json`` in the store.
 
     Args:
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
             (http, https) of a ``tileset.json`` or a ``.3tz`` archive.
         allow_origins: Other origins that redirects of a server may lead to.
+        allow_content: Whether a file may be the content of a tile.
+
+    Raises:
+        TilesetInvalid: The file is of another kind, which the error names.
     """
     address = address_of(source)
     if address:
@@ -34,7 +46,18 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
         return ZipStore(path), INDEX_FILE
     if path.is_dir():
         return FolderStore(path), INDEX_FILE
+    if path.is_file():
+        _refuse_other_kind(path, allow_content=allow_content)
     return FolderStore(path.parent), path.name
+
+
+def _refuse_other_kind(path: Path, *, allow_content: bool) -> None:
+    kind = kind_of_file(path)
+    known_names = (*_TILESET_KINDS, *(_CONTENT_KINDS if allow_content else ()))
+    if kind is not None and kind.name not in known_names:
+        raise TilesetInvalid(
+            f"this is {kind.title}", location=str(path), expected="a tileset", hint=kind.hint
+        )
 
 
 def address_of(source: str | Path) -> str:

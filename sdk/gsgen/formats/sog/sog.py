@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import (
     FileTruncated,
     HeaderMalformed,
@@ -41,7 +41,6 @@ __all__ = ["read_sog"]
 
 MAX_META: Final = 1 << 22
 _MAX_PIXELS_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
-_MAX_INFLATION = 1040  # the most bytes that deflate unpacks from one
 _BYTES_PER_PIXEL = 8  # lossless WebP of noise takes little more than four
 _BYTES_PER_SPLAT = 236  # the memory of a splat of degree 3
 
@@ -119,7 +118,7 @@ def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
         name = folder + name
         if name not in names:
             raise PropertyMissing(f"the archive holds no file {quoted(name)}", where="archive")
-        most = min(limit, size * _MAX_INFLATION)
+        most = min(limit, size * MAX_INFLATION)
         with unpacking(f"file {quoted(name)}"), archive.open(name) as stream:
             return _require_size_limit(stream.read(most + 1), most, name)
 

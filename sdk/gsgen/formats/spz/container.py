@@ -66,6 +66,18 @@ class Frame:
     signs: AxisSigns = RDF_RUB
 
 
+def is_packed(head: bytes) -> bool:
+    """Return whether a file begins as a gzip file of an SPZ file of version 1 to 3."""
+    if not head.startswith(GZIP):
+        return False
+    try:
+        content = zlib.decompressobj(wbits=31).decompress(head, _HEADER.size)
+    except zlib.error:
+        return False
+    # Version 4 has no gzip stream; a gzip file of it was packed by someone else.
+    return content[:4] == MAGIC and int.from_bytes(content[4:8], "little") <= NEWEST_GZIP_VERSION
+
+
 def unpack(data: Data, max_bytes: int) -> Frame:
     """Unpack the header and the attribute streams of the SPZ file ``data``.
 

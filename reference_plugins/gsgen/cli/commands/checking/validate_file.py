@@ -3,18 +3,13 @@
 __all__ = ["every_rule", "is_tileset", "validate_file"]
 
 from pathlib import Path
-from typing import Final
 
-from gsgen.contract.errors import InputUnreadable
-from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.validation.engine import Progress
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-
-_TILESET_KINDS: Final = ("tileset", "3tz", "json", "glb", "gltf", "glb-splats", "gltf-splats")
 
 
 def is_tileset(path: Path) -> bool:
@@ -30,23 +25,9 @@ def validate_file(path: Path, settings: Settings, progress: Progress) -> Report:
     """Validate a model, a tileset or a tile's content, and return the report."""
     if not is_tileset(path):
         return validate(path, settings, progress=progress)
-    _refuse_other_kind(path)
     from gsgen.tiles.validation.validate import validate as validate_tileset
 
     return validate_tileset(path, settings, progress=progress)
-
-
-def _refuse_other_kind(path: Path) -> None:
-    """Raise if the content of a file that is named like a tileset is known to be something else."""
-    if not path.is_file():
-        return
-    kind = kind_of_file(path)
-    if kind is not None and kind.name not in _TILESET_KINDS:
-        raise InputUnreadable(
-            f"is {kind.title}, expected a model, a tileset or its content",
-            where=str(path),
-            hint=kind.hint,
-        )
 
 
 def every_rule() -> Registry:
