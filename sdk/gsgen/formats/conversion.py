@@ -129,7 +129,7 @@ def convert(
     is_compared = sum(getattr(reduced, name).nbytes for name in SPLAT_ARRAY_NAMES) <= MAX_COMPARED
     entries: tuple[Difference, ...] = ()
     if is_compared:
-        step(f"comparing {target} with what was to be written")
+        step(f"comparing {target} with the source")
         entries = _compare_written(reduced, target, codec, read_back or codec.read)
     return Conversion(
         source=", ".join(map(str, sources)),

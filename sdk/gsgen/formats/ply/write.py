@@ -86,7 +86,7 @@ class PlyFrames:
 
     Most generators move Gaussians that keep their colours, four fifths of a file at SH degree 3.
     The rows of the last file stay in memory: where the next frame has the very same array of SH
-    coefficients, which nobody may have changed meanwhile, the other properties alone are checked and
+    coefficients, which must not have changed meanwhile, the other properties alone are checked and
     replaced.
     """
 
