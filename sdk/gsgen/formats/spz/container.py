@@ -71,7 +71,7 @@ def is_packed(head: bytes) -> bool:
     if not head.startswith(GZIP):
         return False
     try:
-        content = zlib.decompressobj(wbits=31).decompress(head, _HEADER.size)
+        content = zlib.decompressobj(wbits=31).decompress(head, _FILE_HEADER.size)
     except zlib.error:
         return False
     # Version 4 has no gzip stream; a gzip file of it was packed by someone else.
