@@ -12,6 +12,8 @@ from gsgen.reference_plugins.bodies.motions import read_motion
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import write_motion
 from plugins.people.harmful_pickles import Harmful
+from support.hostile.motions import MOTIONS
+from support.hostile.motions import write_motion as write_damaged_motion
 
 
 @pytest.mark.parametrize("joints", [24, 55])
@@ -33,6 +35,15 @@ def test_poses_of_one_body_become_those_of_another(width: int, joints: int, tmp_
         np.testing.assert_allclose(tail, poses[:, 66:])
     else:
         assert not tail.any()
+
+
+@pytest.mark.parametrize("name", sorted({*MOTIONS, "pipe.npz"} - {"rate_is_empty.npz"}))
+def test_a_damaged_motion_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    path = write_damaged_motion(tmp_path, name)
+    with pytest.raises(CheckpointInvalid) as refused:
+        read_motion(path, 24)
+    assert refused.value.where.startswith(str(path))
+    assert "\n" not in refused.value.message
 
 
 def test_frames_of_a_folder_are_put_in_the_order_of_their_numbers(tmp_path: Path) -> None:

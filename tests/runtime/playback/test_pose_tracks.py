@@ -12,6 +12,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.playback.pose_tracks import pose_tracks
 from gsgen.runtime.sources.source import Source, named
+from support.hostile.motions import MOTIONS, write_motion
 
 POSE = np.random.default_rng(0).uniform(-0.4, 0.4, (5, 24, 3))
 
@@ -189,7 +190,16 @@ def test_empty_folder_is_refused(tmp_path: Path) -> None:
         read_tracks(tmp_path)
 
 
+@pytest.mark.parametrize("name", [*MOTIONS, "pipe.npz", "pipe.json"])
+def test_a_damaged_motion_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    path = write_motion(tmp_path, name)
+    with pytest.raises(ConfigInvalid) as refused:
+        read_tracks(path)
+    assert refused.value.where.startswith((str(path), f"--pose {path}"))
+    assert "\n" not in refused.value.message
+
+
 def test_objects_are_not_unpickled(tmp_path: Path) -> None:
     path = write(tmp_path / "a.npz", poses=np.asarray([{}], object))
-    with pytest.raises(ConfigInvalid, match="allow_pickle"):
+    with pytest.raises(ConfigInvalid, match="holds object, expected numbers"):
         read_tracks(path)

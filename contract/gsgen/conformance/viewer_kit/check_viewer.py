@@ -141,7 +141,7 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
     path = kit / "expected" / f"{name}.npy"
     try:
         return np.asarray(np.load(path, allow_pickle=False), np.float64)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or error
         raise KitUnreadable(f"{path}: the expected picture cannot be read: {reason}") from error
 

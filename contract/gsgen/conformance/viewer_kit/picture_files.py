@@ -86,7 +86,7 @@ def _array_over_black(path: Path) -> np.ndarray:
         )
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, SyntaxError) as error:
+    except (ValueError, EOFError, SyntaxError, MemoryError) as error:
         raise PictureUnreadable(
             f"the picture cannot be read: its {path.stat().st_size:,} bytes are not a whole array "
             "of numbers"

@@ -1,1 +1,1 @@
-"""How does a process limit its resources, end with its parent, and write files atomically?"""
+"""How does a process limit its resources, end with its parent, read arrays and write files?"""

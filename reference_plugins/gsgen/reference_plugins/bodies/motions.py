@@ -159,7 +159,7 @@ def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Mot
         turn = Rotation.from_rotvec(_rows(path, "Rh", read["Rh"], frames, 3)).as_matrix()
     shape = read.get("shapes")
     if shape is not None:  # the same person in every frame
-        shape = shape.reshape(len(shape), -1)[0] if shape.ndim > 1 else shape
+        shape = shape[0].ravel() if shape.ndim > 1 and len(shape) else shape.ravel()
     speed = read.get("mocap_framerate", read.get("mocap_frame_rate"))
     fps = float(speed.ravel()[0]) if speed is not None and speed.size else None
     return Motion(path=path, pose=pose, shift=shift, turn=turn, shape=shape, fps=fps)
@@ -195,6 +195,8 @@ def _convert_poses(
 
 def _json(path: Path) -> Any:
     try:
+        if not path.is_file():
+            raise ValueError("the file is a pipe or a device")
         return json.loads(path.read_text("utf-8"))
     except (ValueError, OSError, RecursionError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error

@@ -15,6 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import Shaped
 
+from gsgen.contract.process.array_files import read_array_header
 from gsgen.formats.checkpoints.pickled_data import OpaqueObject, pickled_data
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
@@ -60,11 +61,8 @@ def read_array_pickle(path: Path, names: Iterable[str]) -> dict[str, _Array]:
 
 def _holds_object(file: Any) -> bool:
     """Read the header of an ``.npy`` file, and return whether a pickle follows."""
-    version = np.lib.format.read_magic(file)
-    header = np.lib.format.read_array_header_1_0
-    if version != (1, 0):
-        header = np.lib.format.read_array_header_2_0
-    return bool(header(file)[2].hasobject)
+    _, dtype = read_array_header(file)
+    return bool(dtype.hasobject)
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:

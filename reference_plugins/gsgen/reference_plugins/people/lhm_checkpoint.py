@@ -20,7 +20,7 @@ from torch import Tensor
 
 from gsgen.formats import read_ply_columns
 from gsgen.reference_plugins.bodies.body_models import Body, read_body, required_body
-from gsgen.reference_plugins.loading.array_archives import read_npz
+from gsgen.reference_plugins.loading.array_archives import read_npy, read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
 from gsgen.reference_plugins.loading.folder import likely_folders, required_file
@@ -113,10 +113,7 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
     required_file(flame, "FLAME, from https://flame.is.tue.mpg.de after registration")
     required_file(ids, "SMPL-X__FLAME_vertex_ids.npy, which comes with SMPL-X")
     dirs = np.asarray(_face_dirs(flame))
-    try:
-        vertices = np.asarray(np.load(ids, allow_pickle=False))
-    except (ValueError, OSError, EOFError) as error:
-        raise CheckpointInvalid(f"cannot be read: {error}", where=str(ids)) from error
+    vertices = read_npy(ids)
     last_expression = FIRST_EXPRESSION + EXPRESSIONS
     if dirs.ndim != 3 or dirs.shape[1] != 3 or dirs.shape[2] < last_expression:
         message = f"shapedirs is {list(dirs.shape)}, expected [5023, 3, 400]"

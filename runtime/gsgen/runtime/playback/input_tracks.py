@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.array_files import ArraysUnreadable, read_array_file
 
 _FORMS_HINT: Final = (
     "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
@@ -104,7 +105,9 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
         if path.suffix.lower() == ".json":
             array = np.asarray(json.loads(path.read_text("utf-8")))
         else:
-            array = _load_array(path)
+            array = _only_array(path)
+    except ArraysUnreadable as error:
+        raise ConfigInvalid(error.message, where=str(path)) from error
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
         raise ConfigInvalid(message, where=str(path)) from error
@@ -113,14 +116,11 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
     return numbers_of(array, str(path))
 
 
-def _load_array(path: Path) -> Shaped[np.ndarray, "..."]:
-    with path.open("rb") as file:
-        array = np.load(file, allow_pickle=False)
-        if isinstance(array, np.ndarray):
-            return array
-        if len(array.files) != 1:
-            raise ValueError(f"the .npz has {len(array.files)} arrays, expected one")
-        return np.asarray(array[array.files[0]])
+def _only_array(path: Path) -> Shaped[np.ndarray, "..."]:
+    arrays = read_array_file(path)
+    if len(arrays) != 1:
+        raise ValueError(f"the .npz has {len(arrays)} arrays, expected one")
+    return next(iter(arrays.values()))
 
 
 def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarray, "..."]:

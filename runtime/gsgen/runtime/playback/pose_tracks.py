@@ -13,7 +13,6 @@ __all__ = ["named_file", "pose_tracks"]
 
 import json
 import re
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.array_files import ArraysUnreadable, read_array_file
 from gsgen.runtime.playback.input_tracks import ARRAY_SUFFIXES, Track, numbers_of
 from gsgen.runtime.sources.source import Source
 
@@ -31,6 +31,15 @@ _MOTION_FORMATS: Final = (
     "LHM's .json, or a folder of such files."
 )
 _RATE_FIELDS: Final = ("mocap_framerate", "mocap_frame_rate")
+_POSE_NAMES: Final = ("poses", "pose")
+# An array of a motion file → the role of the input that it feeds, and its numbers a frame.
+_EXTRA_ARRAYS: Final = {
+    "trans": ("root_translation", 3),
+    "Th": ("root_translation", 3),
+    "Rh": ("root_rotation", 3),
+    "R": ("root_rotation", 9),
+}
+_ARRAY_NAMES: Final = (*_POSE_NAMES, *_EXTRA_ARRAYS, *_RATE_FIELDS)
 # LHM's names for the parts of an SMPL-X pose, in order, with their numbers of values.
 _BODY_PARTS: Final = {
     "root_pose": 3,
@@ -159,17 +168,21 @@ def _join_frames(path: Path, frames: list[_Motion]) -> _Motion:
 
 def _read_file(path: Path) -> _Motion:
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("the file is a pipe or a device")
         if path.suffix.lower() == ".json":
             return _motion_of_json(json.loads(path.read_text("utf-8")), str(path))
-        with path.open("rb") as file:
-            contents = np.load(file, allow_pickle=False)
-            if isinstance(contents, np.ndarray):
-                return _Motion(_with_frame_axis(contents, str(path)), {})
-            return _motion_of_arrays({name: contents[name] for name in contents.files}, str(path))
+        arrays = read_array_file(path, _ARRAY_NAMES)
+        if "" in arrays:
+            return _Motion(_with_frame_axis(arrays[""], str(path)), {})
+        has_pose = any(name in arrays for name in _POSE_NAMES)
+        return _motion_of_arrays(arrays if has_pose else read_array_file(path), str(path))
+    except ArraysUnreadable as error:
+        raise ConfigInvalid(error.message, where=str(path), hint=_MOTION_FORMATS) from error
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
         raise ConfigInvalid(message, where=str(path), hint=_MOTION_FORMATS) from error
-    except (ValueError, EOFError, RecursionError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise ConfigInvalid(
             f"cannot be read: {error}", where=str(path), hint=_MOTION_FORMATS
         ) from error
@@ -221,7 +234,7 @@ def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
 
 
 def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
-    names = [name for name in ("poses", "pose") if name in arrays]
+    names = [name for name in _POSE_NAMES if name in arrays]
     if not names and len(arrays) == 1:
         names = list(arrays)
     if not names:
@@ -229,17 +242,20 @@ def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
         raise ConfigInvalid(message, where=where, hint=_MOTION_FORMATS)
     pose = _with_frame_axis(arrays[names[0]], where)
     extra_inputs = {}
-    for name, role, size in (
-        ("trans", "root_translation", 3),
-        ("Th", "root_translation", 3),
-        ("Rh", "root_rotation", 3),
-        ("R", "root_rotation", 9),
-    ):
+    for name, (role, size) in _EXTRA_ARRAYS.items():
         if name in arrays:
             rows = numbers_of(np.asarray(arrays[name]), f"{where}, {name}").astype(np.float64)
             if rows.size != len(pose) * size:
                 message = f"has shape {list(rows.shape)}, expected [{len(pose)}, {size}]: {size} numbers a frame"
                 raise ConfigInvalid(message, where=f"{where}, {name}")
             extra_inputs[role] = rows.reshape(len(pose), size)
-    fps = next((float(np.ravel(arrays[n])[0]) for n in _RATE_FIELDS if n in arrays), None)
-    return _Motion(pose, extra_inputs, fps)
+    rates = [(name, arrays[name]) for name in _RATE_FIELDS if name in arrays]
+    return _Motion(pose, extra_inputs, _rate(*rates[0], where) if rates else None)
+
+
+def _rate(name: str, array: np.ndarray, where: str) -> float:
+    rate = numbers_of(np.asarray(array), f"{where}, {name}")
+    if rate.size != 1 or not rate.item() > 0:
+        message = f"is {rate.ravel()[:3].tolist()}, expected frames per second above 0"
+        raise ConfigInvalid(message, where=f"{where}, {name}")
+    return float(rate.item())

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Shaped
 
+from gsgen.contract.process.array_files import read_array, read_array_header
 from gsgen.formats.shared.errors import ArchiveDamaged, FormatError, NotSupported, SizeExceeded
 
 ZIP_MAGIC: Final = b"PK\x03\x04"
@@ -81,7 +82,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
     with unpacking(f"array {key}"), archive.open(entry) as stream:
         # This limit holds for any length that the header declares.
         header_bytes = BytesIO(stream.read(MAX_HEADER))
-        shape, dtype = _parse_header(header_bytes)
+        shape, dtype = read_array_header(header_bytes)
     if dtype.hasobject:
         raise NotSupported(
             "the array holds Python objects",
@@ -100,21 +101,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
     return size
 
 
-def _parse_header(header_bytes: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
-    """Read the header of a .npy array from a stream, up to the first byte of the data."""
-    version = np.lib.format.read_magic(header_bytes)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(header_bytes)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(header_bytes)
-    else:
-        # Version 3 is for field names beyond Latin-1, which plain arrays do not have.
-        raise ValueError(
-            f"the array has version {version} of the .npy format, which is not supported"
-        )
-    return shape, dtype
-
-
 def _read_array(archive: zipfile.ZipFile, key: str) -> Shaped[np.ndarray, "..."]:
-    with unpacking(f"array {key}"), archive.open(f"{key}.npy") as stream:
-        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+    entry = archive.getinfo(f"{key}.npy")
+    with unpacking(f"array {key}"), archive.open(entry) as stream:
+        return read_array(stream, entry.file_size)
