@@ -4,6 +4,7 @@ __all__ = [
     "ARRAY_MAGIC",
     "ArraysUnreadable",
     "array_limit",
+    "first_line",
     "read_array",
     "read_array_file",
     "read_array_header",
@@ -140,7 +141,7 @@ def read_array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     """Read the header of an .npy file up to the first byte of the data: shape and dtype.
 
     Raises:
-        ValueError: It is no such header.
+        ValueError: The header is damaged or of an unknown version.
     """
     version = np.lib.format.read_magic(stream)
     # Version 3 is for field names beyond Latin-1, which plain arrays do not have.
@@ -156,9 +157,8 @@ def read_array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     try:
         shape, _, dtype = reader(stream)
     except Exception as error:  # ValueError, struct.error, SyntaxError, tokenize.TokenError, …
-        # NumPy's further lines advise to unpickle.
-        line = next(iter(str(error).splitlines()), type(error).__name__)
-        raise ValueError(f"the array has an invalid header ({line})") from error
+        reason = first_line(str(error)) or type(error).__name__
+        raise ValueError(f"the array has an invalid header ({reason})") from error
     return shape, dtype
 
 
@@ -172,7 +172,7 @@ class _Joined:
     def __init__(self, start: BytesIO, rest: IO[bytes]) -> None:
         self._start, self._rest = start, rest
 
-    def read(self, count: int) -> bytes:
+    def read(self, count: int = -1, /) -> bytes:
         """Read up to ``count`` bytes."""
         data = self._start.read(count)
         return data if len(data) == count else data + self._rest.read(count - len(data))
@@ -194,6 +194,11 @@ def _array_faults(path: Path) -> Iterator[None]:
 
 
 def _refuse(path: Path, reason: str, cause: Exception | None = None) -> NoReturn:
+    raise ArraysUnreadable(f"cannot be read: {first_line(reason)}", where=str(path)) from cause
+
+
+def first_line(text: str) -> str:
+    """Return the first line of a library's error message, cut if it is long."""
     # It may quote the file. NumPy's further lines advise to unpickle.
-    line = next(iter(reason.splitlines()), "")[:_MAX_MESSAGE_LENGTH]
-    raise ArraysUnreadable(f"cannot be read: {line}", where=str(path)) from cause
+    line = next(iter(text.splitlines()), "")
+    return line if len(line) <= _MAX_MESSAGE_LENGTH else f"{line[:_MAX_MESSAGE_LENGTH]}…"

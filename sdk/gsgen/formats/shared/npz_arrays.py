@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Shaped
 
-from gsgen.contract.process.array_files import read_array, read_array_header
+from gsgen.contract.process.array_files import first_line, read_array, read_array_header
 from gsgen.formats.shared.errors import ArchiveDamaged, FormatError, NotSupported, SizeExceeded
 
 ZIP_MAGIC: Final = b"PK\x03\x04"
@@ -19,8 +19,6 @@ ZIP_MAGIC: Final = b"PK\x03\x04"
 
 MAX_HEADER = 1 << 16
 """The largest header of an array that is read, in bytes; plain arrays need 128."""
-
-_MAX_MESSAGE_LENGTH = 200
 
 
 @contextmanager
@@ -43,13 +41,8 @@ def unpacking(where: str) -> Iterator[None]:
 
 
 def _damaged_error(where: str, error: Exception) -> ArchiveDamaged:
-    # It may quote the file. NumPy's further lines advise to unpickle.
-    reason = next(iter(str(error).splitlines()), "")
-    short_reason = (
-        reason if len(reason) <= _MAX_MESSAGE_LENGTH else f"{reason[:_MAX_MESSAGE_LENGTH]}…"
-    )
     return ArchiveDamaged(
-        f"the archive cannot be unpacked ({type(error).__name__}: {short_reason})",
+        f"the archive cannot be unpacked ({type(error).__name__}: {first_line(str(error))})",
         where=where,
         hint="copy, download or save the file again",
     )
