@@ -21,7 +21,7 @@ from gsgen.sdk.authoring.misspelled_names import misspelling_hint
 from gsgen.sdk.authoring.module_checks import input_order_hint
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.source_checks import check_gaussians
-from gsgen.sdk.exporting.tracing.hazards import HazardWatch, hint_of
+from gsgen.sdk.exporting.tracing.hazards import HazardWatch, describe_hazard
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.model_runs import MAX_KEPT_BYTES
 from gsgen.sdk.parity import Reference
@@ -145,7 +145,7 @@ def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
         message = f"forward raised {type(error).__name__}: {error}"
         where = user_line_of(error) or type(module).__name__
         is_linalg = isinstance(error, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
-        hint = hint_of("linalg") if is_linalg else ""
+        hint = describe_hazard("linalg")[1] if is_linalg else ""
         hint = hint or misspelling_hint(error) or input_order_hint(module)
         raise GeneratorInvalid(message, where=where, hint=hint) from error
 

@@ -158,7 +158,7 @@ def export(
         )
         # Steps 2 to 4: tracing, rewriting and manifest.
         progress("tracing the graph")
-        traced = _trace(prepared, options)
+        traced = _trace(prepared, options, notes)
         progress("rewriting the graph")
         rewritten = _rewrite(traced, prepared, options, half=half)
         # Steps 5 to 7: verification, validation and atomic write.
@@ -185,13 +185,15 @@ def export(
     )
 
 
-def _trace(prepared: PreparedExport, options: ExportOptions) -> ir.Model:
+def _trace(prepared: PreparedExport, options: ExportOptions, notes: list[str]) -> ir.Model:
     gaussians = prepared.manifest.outputs.gaussians
     assert gaussians is not None
     storage = Packed(getattr(torch, gaussians.dtype), gaussians.capacity)
     packed = PackedGenerator(prepared.generator, storage)
     hazards = prepared.watch.hazards
-    return trace_generator(packed, prepared.example, prepared.manifest, options.opset, hazards)
+    return trace_generator(
+        packed, prepared.example, prepared.manifest, options.opset, hazards, notes
+    )
 
 
 def _rewrite(

@@ -60,6 +60,20 @@ def test_a_mask_of_bits_is_a_remainder() -> None:
     np.testing.assert_array_equal(run(model, x=x)[0], before)
 
 
+@pytest.mark.parametrize("between", ["BitwiseAnd (mixed, wide)", "Mod (mixed, multiple)"])
+def test_a_remainder_that_keeps_the_low_bits_changes_no_hash(between: str) -> None:
+    text = hashing(9, 100, last=f"low_bits = {between} y = Mod (low_bits, size)").replace(
+        "<", "<int64 wide = {4294967295}, int64 multiple = {1048576}, ", 1
+    )
+    model = parsed(text)
+    x = np.random.default_rng(0).uniform(0, 100, (40, 3)).astype(np.float32)
+    (before,) = run(model, x=x)
+    assert NarrowHashes()(model).modified
+    RemoveUnusedNodesPass()(model)
+    assert not operators(model) & {"BitwiseXor", "BitwiseAnd", "Mod"}
+    np.testing.assert_array_equal(run(model, x=x)[0], before)
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -69,8 +83,10 @@ def test_a_mask_of_bits_is_a_remainder() -> None:
 )
 def test_a_hash_that_may_leave_int32_stays_with_the_reason(text: str, reason: str) -> None:
     rewrite, model = NarrowHashes(), parsed(text)
+    size = len(model.graph), len(model.graph.initializers)
     assert not rewrite(model).modified
     assert reason in rewrite.refusals[0].reason
+    assert (len(model.graph), len(model.graph.initializers)) == size
 
 
 @pytest.mark.parametrize("last", ["y = Add (mixed, size)", "y = Mod <fmod = 1> (mixed, size)"])

@@ -7,7 +7,7 @@ attributes that forward sets for later frames, and for random numbers.
 A hazard alone does not make an export wrong, so it is reported only if another check fails.
 """
 
-__all__ = ["Hazard", "HazardWatch", "hint_of"]
+__all__ = ["Hazard", "HazardKind", "HazardWatch", "describe_hazard"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -86,9 +86,9 @@ _RANDOM_FUNCTIONS = frozenset(
 _INPUT_MARK = "_gsgen_of_an_input"
 
 
-def hint_of(kind: HazardKind) -> str:
-    """Return the code to write instead of a kind of operation that tracing cannot follow."""
-    return _DESCRIPTIONS_AND_HINTS[kind][1]
+def describe_hazard(kind: HazardKind) -> tuple[str, str]:
+    """Return what a kind of operation does that tracing cannot follow, and what to write instead."""
+    return _DESCRIPTIONS_AND_HINTS[kind]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +101,12 @@ class Hazard:
     @property
     def description(self) -> str:
         """A short description of the operation that tracing cannot follow."""
-        return _DESCRIPTIONS_AND_HINTS[self.kind][0]
+        return describe_hazard(self.kind)[0]
 
     @property
     def hint(self) -> str:
         """The code to write instead of an operation that tracing cannot follow."""
-        return hint_of(self.kind)
+        return describe_hazard(self.kind)[1]
 
     def __str__(self) -> str:
         return f"{self.where}: {self.description}. {self.hint}"
@@ -132,6 +132,7 @@ class HazardWatch(TorchFunctionMode):
         self._module_tensors = {
             id(tensor): tensor for tensor in (*module.parameters(), *module.buffers())
         }
+        self._modules = {id(part) for part in module.modules()}  # not those that forward makes
         self._undo_steps: list[Callable[[], None]] = []
         self._saved_keys: set[tuple[int, str]] = set()
         for tensor in inputs:
@@ -216,6 +217,9 @@ class HazardWatch(TorchFunctionMode):
         original_setattr: Callable[[nn.Module, str, Any], None] = self._plain_setattr
 
         def record_and_set(module: nn.Module, name: str, value: Any) -> None:
+            if id(module) not in self._modules:
+                original_setattr(module, name, value)
+                return
             self._record_hazard("state", f"{type(module).__name__}.{name}, ")
             if (id(module), name) not in self._saved_keys:
                 self._saved_keys.add((id(module), name))

@@ -22,11 +22,19 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
-from gsgen.sdk.exporting.tracing.hazards import Hazard
+from gsgen.sdk.exporting.tracing.hazards import Hazard, HazardKind, describe_hazard
+from gsgen.sdk.exporting.tracing.optimize import optimize
+from gsgen.sdk.exporting.tracing.partial_evaluation import (
+    ConstantFolding,
+    ValueNeeded,
+    fold_constants,
+)
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 _MAX_HAZARDS = 3
+# Kinds of operations by which the value of an input leaves torch without a torch operator.
+_LEAKS: tuple[HazardKind, ...] = ("number", "numpy", "rebuilt")
 _TRACE_HINT = (
     "Shapes must not depend on data: use masks and torch.where, not boolean indexing, and "
     "keep `.item()`, numpy and Python branches on tensors out of forward."
@@ -39,14 +47,45 @@ def trace_generator(
     manifest: GeneratorManifest,
     opset: int,
     hazards: Sequence[Hazard] = (),
+    notes: list[str] | None = None,
 ) -> ir.Model:
     """Trace a torch generator with packed outputs, and return its ONNX graph.
 
+    Where torch cannot, the operations that no input reaches are computed first
+    (:mod:`gsgen.sdk.exporting.tracing.partial_evaluation`), and a sentence of ``notes`` says so.
     ``hazards`` explain an error.
     """
     names = TensorNames(tuple(example.inputs), output_names(manifest))
     where = type(packed.generator).__name__
-    return trace_module(packed, example, names, opset, where=where, hazards=hazards)
+    try:
+        return trace_module(packed, example, names, opset, where=where, hazards=hazards)
+    except ExportFailed as error:
+        folding = _fold_constants(packed, example, hazards, error)
+        model = trace_module(folding.graph, example, names, opset, where=error.where)
+    if notes is not None:
+        notes.append(folding.describe())
+    return model
+
+
+def _fold_constants(
+    packed: PackedGenerator, example: Probe, hazards: Sequence[Hazard], error: ExportFailed
+) -> ConstantFolding:
+    """Compute what no input reaches; raise the error of the usual trace where that fails, too."""
+    if any(hazard.kind in _LEAKS for hazard in hazards):
+        raise error  # a value of an input would become a constant
+    try:
+        return fold_constants(packed, _tensors(example))
+    except ValueNeeded as needed:
+        here = [h for h in hazards if needed.where and needed.where in h.where]
+        kinds = [h.kind for h in here] or ["shape" if needed.is_shape else "number"]
+        description, hint = describe_hazard(kinds[0])
+        raise ExportFailed(
+            f"{description}, and torch cannot export it ({needed})",
+            where=needed.where or error.where,
+            hint=hint,
+        ) from error
+    except Exception:  # the module's code may raise anything when a mode watches it
+        raise error from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,31 +112,43 @@ def trace_module(
     ``where`` is the module's name in an error, which ``hazards`` explain and which names the line
     of the user's code.
     """
-    arguments = tuple(torch.from_numpy(np.array(value)) for value in example.inputs.values())
     try:
-        with _silence_exporter():
-            program = torch.onnx.export(
-                module,
-                arguments,
-                dynamo=True,
-                input_names=list(names.inputs),
-                output_names=list(names.outputs),
-                opset_version=opset,
-                dynamic_shapes=names.dynamic and (names.dynamic,),
-                custom_translation_table=_TRANSLATIONS,
-                verbose=False,
-            )
+        model = _run_exporter(module, tuple(_tensors(example)), names, opset)
     except GeneratorInvalid:
         raise
     except Exception as error:  # the exporter's errors share no base class
         raise _export_error(where, error, hazards) from error
-    assert program is not None
-    _widen_indices(program.model)
-    exported_opset = program.model.opset_imports.get("", opset)
+    _widen_indices(model)
+    exported_opset = model.opset_imports.get("", opset)
     if exported_opset != opset:  # torch only logs that it could not convert the graph
         message = f"torch cannot convert the graph to operator set {opset}; it has {exported_opset}"
         raise ExportFailed(message, where="opset", hint=f"Export at operator set {exported_opset}.")
-    return program.model
+    return model
+
+
+def _tensors(example: Probe) -> list[torch.Tensor]:
+    return [torch.from_numpy(np.array(value)) for value in example.inputs.values()]
+
+
+def _run_exporter(
+    module: nn.Module, arguments: tuple[torch.Tensor, ...], names: TensorNames, opset: int
+) -> ir.Model:
+    with _silence_exporter():
+        program = torch.onnx.export(
+            module,
+            arguments,
+            dynamo=True,
+            input_names=list(names.inputs),
+            output_names=list(names.outputs),
+            opset_version=opset,
+            dynamic_shapes=names.dynamic and (names.dynamic,),
+            custom_translation_table=_TRANSLATIONS,
+            optimize=False,
+            verbose=False,
+        )
+        assert program is not None
+        optimize(program.model)
+        return program.model
 
 
 def _widen_indices(model: ir.Model) -> None:

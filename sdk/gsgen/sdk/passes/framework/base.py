@@ -29,11 +29,13 @@ from typing import ClassVar, Self
 
 import onnx_ir as ir
 from onnx_ir import passes
+from onnx_ir.passes.common import RemoveUnusedNodesPass
 
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import KERNEL_TYPE_INPUT, MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import GRAPH_CAPTURE, OperatorTable, operator_table
 from gsgen.contract.spec.targets import Target, known_targets
+from gsgen.sdk.passes.framework.graph_builder import remembered_names
 
 # WebGPU guarantees eight storage buffers a stage, and the joined tensor needs one of them.
 SAFE_TENSOR_COUNT = 7
@@ -151,7 +153,13 @@ class Rewrite(passes.InPlacePass):
     def call(self, model: ir.Model) -> passes.PassResult:
         """Rewrite a model in place, and record the changed nodes in :attr:`changed`."""
         self.changed, self.opset = [], opset_of(model)
-        self.rewrite(model)
+        size = len(model.graph), len(model.graph.initializers)
+        with remembered_names(model.graph):
+            self.rewrite(model)
+        if not self.changed and size != (len(model.graph), len(model.graph.initializers)):
+            # It gave up after it had added nodes or weights: nothing reads them, but the next round
+            # would find them, and rewriting would not end.
+            RemoveUnusedNodesPass()(model)
         return passes.PassResult(model, modified=bool(self.changed))
 
     @abstractmethod

@@ -1,14 +1,24 @@
 """Functions that add weights and typed nodes to an ONNX graph, and replace values."""
 
 __all__ = [
-    "InsertionPoint", "append_output", "constant_array", "free_name", "new_node", "replace_value",
+    "InsertionPoint",
+    "append_output",
+    "constant_array",
+    "free_name",
+    "new_node",
+    "remembered_names",
+    "replace_value",
     "weight",
 ]  # fmt: skip
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import onnx_ir as ir
+
+# Where a graph keeps the names that it uses while a pass runs.
+_USED_NAMES = "gsgen used names"
 
 Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
 
@@ -29,12 +39,28 @@ def free_name(graph: ir.Graph, name: str) -> str:
 
     Subgraphs are not searched, which would take long: duplicates there are renamed at the end.
     """
-    values = [*graph.inputs, *graph.initializers.values()]
-    values += [value for node in graph for value in node.outputs]
-    used_names = {value.name for value in values}
+    used_names = graph.meta.get(_USED_NAMES) or _names(graph)
+    if _USED_NAMES in graph.meta:
+        graph.meta[_USED_NAMES] = used_names
     while name in used_names:
         name += "_"
+    used_names.add(name)
     return name
+
+
+@contextmanager
+def remembered_names(graph: ir.Graph) -> Iterator[None]:
+    """Collect the names that a graph uses once while a pass runs, not for each new weight."""
+    graph.meta[_USED_NAMES] = None
+    try:
+        yield
+    finally:
+        del graph.meta[_USED_NAMES]
+
+
+def _names(graph: ir.Graph) -> set[str | None]:
+    values = [*graph.inputs, *graph.initializers.values()]
+    return {value.name for value in values} | {v.name for node in graph for v in node.outputs}
 
 
 def new_node(
@@ -96,7 +122,7 @@ class InsertionPoint:
         result_dtype = dtype if dtype is not None else next(known, None)
         name = self._next_name(kind)
         node = new_node(kind, inputs, name, dtype=result_dtype, shape=shape, **attributes)
-        self.graph.insert_before(self.node, node)
+        self._insert(node)
         return node.outputs[0]
 
     def ops(
@@ -112,7 +138,7 @@ class InsertionPoint:
         for index, value in enumerate(node.outputs):
             value.name = f"{name}_{index}"
             value.type = inputs[0].type if inputs[0] is not None else None
-        self.graph.insert_before(self.node, node)
+        self._insert(node)
         return list(node.outputs)
 
     def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
@@ -140,6 +166,11 @@ class InsertionPoint:
     def _next_name(self, kind: str) -> str:
         self._count += 1
         return f"{self._stem}_{self._count}_{kind}"
+
+    def _insert(self, node: ir.Node) -> None:
+        self.graph.insert_before(self.node, node)
+        if used_names := self.graph.meta.get(_USED_NAMES):
+            used_names.update(value.name for value in node.outputs)
 
 
 def replace_value(old_value: ir.Value, new: ir.Value) -> None:

@@ -50,7 +50,7 @@ class NarrowHashes(TableRewrite, CautiousRewrite):
         2  Mod(a ⊕ b, 2ᵏ)   →   Σ Gather(table, (a mod 2⁷) · 2⁷ + b mod 2⁷), over every 7 bits
 
     A node is rewritten only if range analysis proves that no product leaves int32: cell indices up
-    to 2³¹⁻ᵏ. Positions need a known range for that, such as after Clip or Sigmoid.
+    to 2³¹⁻ᵏ. A remainder by a larger power of two in between changes nothing. Positions need a known range for that, such as after Clip or Sigmoid.
     """
 
     name = "narrow-hashes"
@@ -59,7 +59,10 @@ class NarrowHashes(TableRewrite, CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Replace nodes that compute an XOR modulo a power of two by int32 arithmetic."""
         spans: dict[str, Interval] | None = None
-        for node in [n for n in every_node(model) if _modulus_bits(n) and _has_xor(n.inputs[0])]:
+        remainders = [n for n in every_node(model) if _modulus_bits(n) and _has_xor(n.inputs[0])]
+        for node in reversed(remainders):  # the last of two needs the fewest bits
+            if not (node.outputs[0].uses() or node.outputs[0].is_graph_output()):
+                continue
             if node.graph is not model.graph:
                 self.refuse(node, "the node is inside a subgraph, whose value ranges are unknown")
                 continue
@@ -89,9 +92,21 @@ def _modulus_bits(node: ir.Node) -> int:
     return number.bit_length() - 1 if is_power else 0
 
 
+def _keeps_low_bits(node: ir.Node, bits: int) -> bool:
+    """Return whether a node leaves the lowest bits as they are, as ``h & 0xFFFFFFFF`` does."""
+    divisor = constant_of(node.inputs[1]) if is_op(node, "Mod", "BitwiseAnd") else None
+    if divisor is None or divisor.size != 1 or int_attribute(node, "fmod", 0):
+        return False
+    # A multiple of 2ᵏ as divisor, or a mask that ends with k ones.
+    number = int(divisor.reshape(-1)[0]) + (1 if is_op(node, "BitwiseAnd") else 0)
+    return number % (1 << bits) == 0
+
+
 def _has_xor(value: ir.Value | None) -> bool:
     """Return whether a value derives from an XOR through Adds, Casts, Reshapes and the like."""
     node = None if value is None else value.producer()
+    if node is not None and _keeps_low_bits(node, 1):
+        return _has_xor(node.inputs[0])
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVE_OPERATORS):
         return False
     return is_op(node, "BitwiseXor") or any(_has_xor(entry) for entry in node.inputs)
@@ -117,6 +132,8 @@ class _RemainderMatch:
         node = value.producer()
         if node is not None and is_op(node, "BitwiseXor"):  # Case 2
             return self._xor_digits(*(self.remainder_of(required(entry)) for entry in node.inputs))
+        if node is not None and _keeps_low_bits(node, self.bits):
+            return self.remainder_of(required(node.inputs[0]))
         if node is not None and is_op(node, *_MOVE_OPERATORS):
             moved_value = self.remainder_of(required(node.inputs[0]))
             return self.write.op(
