@@ -82,7 +82,7 @@ def test_a_page_draws_the_tiles_that_python_selects(
     folder: Path, site: WebSite, renderer: Renderer
 ) -> None:
     """From a slow server; while tiles arrive, frames are drawn and no GPU objects are made."""
-    with served(folder, NetworkFaults(bytes_per_second=200_000, latency=0.02)) as address:
+    with served(folder, NetworkFaults(bytes_per_second=200_000, latency=0.02), cors="*") as address:
         result = frames_of(site, address)
     assert (result["failures"], result["errors"]) == ([], [])
     counts = set()
@@ -99,7 +99,7 @@ def test_a_page_draws_the_tiles_that_python_selects(
 
 
 def test_a_budget_keeps_coarser_tiles(folder: Path, site: WebSite) -> None:
-    with served(folder) as address:
+    with served(folder, cors="*") as address:
         result = frames_of(site, address, maxSplats=3 * _SLOT_ROWS)
     assert result["failures"] == []
     far, near = result["frames"]
@@ -119,7 +119,7 @@ def test_damaged_tile_is_reported_and_others_are_drawn(
         copy.write_bytes(path.read_bytes())
     uri = max(expected_sets(folder, CAMERAS[1]))
     (tiles / uri).write_bytes((folder / uri).read_bytes()[:-40])
-    with served(tiles) as address:
+    with served(tiles, cors="*") as address:
         result = frames_of(site, address, CAMERAS[1:])
     [failure] = result["failures"]
     assert uri in failure
@@ -147,7 +147,7 @@ def test_a_tile_may_hold_another_tileset(folder: Path, site: WebSite, tmp_path: 
         "root": root,
     }
     (tmp_path / "tileset.json").write_text(json.dumps(outer_tileset), "utf-8")
-    with served(tmp_path) as address, served(folder) as alone:
+    with served(tmp_path, cors="*") as address, served(folder, cors="*") as alone:
         [frame] = frames_of(site, address, [moved])["frames"]
         [expected] = frames_of(site, alone, CAMERAS[:1])["frames"]
     assert frame["drawn"] == expected["drawn"]
@@ -166,7 +166,7 @@ def implicit_folder(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 def test_a_page_draws_the_implicit_tiles_that_python_selects(
     implicit_folder: Path, site: WebSite, renderer: Renderer
 ) -> None:
-    with served(implicit_folder) as address:
+    with served(implicit_folder, cors="*") as address:
         result = frames_of(site, address)
     assert (result["failures"], result["errors"]) == ([], [])
     for camera, frame in zip(CAMERAS, result["frames"], strict=True):
@@ -218,7 +218,7 @@ def test_implicit_trees_have_the_tiles_of_python(
     seed: int, dimensions: int, site: WebSite, tmp_path: Path
 ) -> None:
     path = foreign_tree(tmp_path, np.random.default_rng(seed), dimensions)
-    with served(path.parent) as address:
+    with served(path.parent, cors="*") as address:
         actual = site.call("implicitTiles", f"{address}/tileset.json")
     tiles = list(open_tileset(path).tiles())
     expected = {
@@ -257,6 +257,6 @@ def test_damaged_subtree_is_reported(
     shutil.copytree(implicit_folder, tmp_path / "tiles")
     [subtree] = (tmp_path / "tiles").rglob("*.subtree")
     subtree.write_bytes(data)
-    with served(tmp_path / "tiles") as address:
+    with served(tmp_path / "tiles", cors="*") as address:
         [failure] = frames_of(site, address, CAMERAS[:1])["failures"]
     assert message in failure

@@ -1,4 +1,4 @@
-"""Web addresses: their origins, and what is requested of them."""
+"""Parses web addresses: origins, paths and queries."""
 
 __all__ = ["Origin", "WebAddress", "parse_address", "parse_origin"]
 

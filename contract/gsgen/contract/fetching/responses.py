@@ -1,4 +1,4 @@
-"""What is requested of a file, and what the headers of a response say about it."""
+"""The part of a file that a request asks for, and the checks of a response's headers."""
 
 __all__ = ["FilePart", "check_status"]
 

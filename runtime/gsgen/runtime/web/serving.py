@@ -5,13 +5,13 @@ __all__ = ["ModelServer"]
 import json
 from collections.abc import Callable, Sequence
 from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Final, final
 from urllib.parse import quote, unquote, urlsplit
 
 from gsgen.contract.errors import GsgenError
 from gsgen.formats import open_splats
+from gsgen.runtime.web.local_server import LocalHandler, LocalServer
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from gsgen.runtime.web.pages import (
     ModelView,
@@ -34,7 +34,7 @@ TypedContent = tuple[str, bytes]
 
 
 @final
-class ModelServer(ThreadingHTTPServer):
+class ModelServer(LocalServer):
     """Serves an HTML page of models on this machine.
 
     Args:
@@ -44,11 +44,7 @@ class ModelServer(ThreadingHTTPServer):
         port: Port; 0 takes one that is free.
         read: Reads files of splats.
 
-    Attributes:
-        address: Address of the page.
     """
-
-    daemon_threads = True
 
     def __init__(
         self,
@@ -59,8 +55,7 @@ class ModelServer(ThreadingHTTPServer):
         port: int = 0,
         read: SplatReader = open_splats,
     ) -> None:
-        super().__init__(("127.0.0.1", port), _Handler)
-        self.address = f"http://127.0.0.1:{self.server_port}/"
+        super().__init__("127.0.0.1", port, _Handler)
         self._models = {f"/models/{number}/{path.name}": path for number, path in enumerate(models)}
         addresses = {quote(address): path for address, path in self._models.items()}
         page = served_page(addresses, view).encode()
@@ -105,28 +100,27 @@ def _model(path: Path, read: SplatReader) -> TypedContent:
 
 
 @final
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(LocalHandler):
     server: ModelServer
 
-    def do_GET(self) -> None:
-        """Answer an HTTP GET request with a file of the web page, or with the status 404."""
+    def answer(self, *, with_body: bool) -> None:
+        """Answer a request with a file of the web page, or with the status 404."""
         try:
             content = self.server.content(unquote(urlsplit(self.path).path))
         except GsgenError as error:
-            self._send_response(500, "text/plain; charset=utf-8", str(error).encode())
+            kind, body = "text/plain; charset=utf-8", str(error).encode(errors="replace")
+            self._send_response(500, kind, body, with_body=with_body)
             return
         if content is None:
-            self._send_response(404, "text/plain", b"not found")
+            self._send_response(404, "text/plain", b"not found", with_body=with_body)
         else:
-            self._send_response(200, *content)
+            self._send_response(200, *content, with_body=with_body)
 
-    def _send_response(self, status: int, kind: str, body: bytes) -> None:
+    def _send_response(self, status: int, kind: str, body: bytes, *, with_body: bool) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-cache")
         self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, format: str, *words: object) -> None:
-        """Print nothing for an HTTP request, which is of no interest to the user."""
+        if with_body:
+            self.wfile.write(body)

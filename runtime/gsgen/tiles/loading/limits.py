@@ -49,7 +49,7 @@ class LoadingTime:
         """Raise if the time is over.
 
         Args:
-            progress: What was read so far.
+            progress: The files that were read so far.
 
         Raises:
             StoreUnavailable: The time is over.

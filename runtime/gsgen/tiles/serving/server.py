@@ -1,25 +1,25 @@
-"""An HTTP server of a folder with ranges, CORS, ETags and simulated network faults."""
+"""An HTTP server of a folder with ranges, ETags and simulated network faults."""
 
 __all__ = ["TileServer", "serve_folder"]
 
 import re
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import BinaryIO, Final, final
 from urllib.parse import unquote, urlsplit
 
-from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.format.uris import resolve_uri
+from gsgen.contract.reporters.summary import printable
+from gsgen.runtime.web.local_server import LocalHandler, LocalServer
 from gsgen.tiles.serving.faults import NetworkFaults
 
 _CHUNK_BYTES = 16 << 10
 _STALL_SECONDS = 60.0
 _RANGE_PATTERN = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
+_NOT_IN_NAMES: Final = frozenset("\\:\0")
 _TYPES: Final = {
     ".json": "application/json",
     ".glb": "model/gltf-binary",
@@ -48,7 +48,8 @@ class _ByteSpan:
     size: int
 
 
-class TileServer(ThreadingHTTPServer):
+@final
+class TileServer(LocalServer):
     """Serves the files of a folder over HTTP.
 
     Attributes:
@@ -57,19 +58,18 @@ class TileServer(ThreadingHTTPServer):
         log: Called with a line per response.
     """
 
-    daemon_threads = True
-
     def __init__(
-        self, folder: Path, *, host: str, port: int, faults: NetworkFaults, log: LogFunction
+        self,
+        folder: Path,
+        *,
+        host: str,
+        port: int,
+        faults: NetworkFaults,
+        log: LogFunction,
+        cors: Collection[str],
     ) -> None:
-        super().__init__((host, port), _Handler)
         self.folder, self.faults, self.log = folder.resolve(), faults, log
-
-    @property
-    def address(self) -> str:
-        """The URL of the served folder."""
-        host, port = self.server_address[:2]
-        return f"http://{host if isinstance(host, str) else host.decode()}:{port}/"
+        super().__init__(host, port, _Handler, cors=cors)
 
 
 def serve_folder(
@@ -79,46 +79,32 @@ def serve_folder(
     port: int = 0,
     faults: NetworkFaults | None = None,
     log: LogFunction = lambda line: None,
+    cors: Collection[str] = (),
 ) -> TileServer:
     """Return a listening server of ``folder``; call ``serve_forever`` to answer requests.
 
     Args:
-        folder: Served; files outside it are not.
+        folder: Served; files outside it, and hidden ones, are not.
         host: The address to listen at.
         port: The port; 0 for one that is free.
         faults: What happens to answers; nothing where absent.
         log: Called with a line per response.
+        cors: Origins whose pages may read the files, beside the server's own; ``*`` for all.
 
     Raises:
         OSError: The port is taken.
     """
-    return TileServer(folder, host=host, port=port, faults=faults or NetworkFaults(), log=log)
+    return TileServer(
+        folder, host=host, port=port, faults=faults or NetworkFaults(), log=log, cors=cors
+    )
 
 
-class _Handler(BaseHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
+@final
+class _Handler(LocalHandler):
     server: TileServer
-    timeout = _STALL_SECONDS
 
-    def do_GET(self) -> None:
-        """Answer an HTTP GET request with a file, or a byte range of it."""
-        self._answer(with_body=True)
-
-    def do_HEAD(self) -> None:
-        """Answer an HTTP HEAD request with the headers alone."""
-        self._answer(with_body=False)
-
-    def do_OPTIONS(self) -> None:
-        """Answer the preflight request of a browser (CORS)."""
-        self.send_response(HTTPStatus.NO_CONTENT)
-        self._send_cors()
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Write no log line of ``http.server``, since gsgen logs the HTTP responses itself."""
-
-    def _answer(self, *, with_body: bool) -> None:
+    def answer(self, *, with_body: bool) -> None:
+        """Answer a request with a file, or a byte range of it."""
         faults = self.server.faults
         faults.wait_to_begin()
         failure = faults.choose()
@@ -157,15 +143,18 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_body(file, span, cut=failure == "cut")
 
     def _file(self) -> Path | None:
-        """Return the requested file, or None if it is not a regular file in the folder."""
-        path = unquote(urlsplit(self.path).path).lstrip("/") or "index.html"
-        try:
-            file = self.server.folder / resolve_uri("", path, self.path)
-            inside = file.resolve().is_relative_to(self.server.folder)
-            is_regular = stat.S_ISREG(file.stat().st_mode)
-        except (TilesetInvalid, OSError, ValueError):
+        """Return the requested file; None if it is hidden, or not a regular file in the folder."""
+        path = unquote(urlsplit(self.path).path, errors="surrogateescape")
+        parts = (path.removeprefix("/") or "index.html").split("/")
+        if not all(map(_is_served, parts)):
             return None
-        return file if inside and is_regular else None
+        try:
+            file = self.server.folder.joinpath(*parts)
+            resolved = file.resolve().relative_to(self.server.folder)
+            is_regular = stat.S_ISREG(file.stat().st_mode)
+        except (OSError, ValueError):
+            return None
+        return file if is_regular and all(map(_is_served, resolved.parts)) else None
 
     def _span(self, size: int, etag: str) -> _ByteSpan | None:
         """Return the byte range that an HTTP request asks for; None if unsatisfiable."""
@@ -197,16 +186,11 @@ class _Handler(BaseHTTPRequestHandler):
             *headers,
         ]:
             self.send_header(name, value)
-        self._send_cors()
         self.end_headers()
-        self.server.log(f"{status.value} {self.path}")
+        self._log(status)
 
-    def _send_cors(self) -> None:
-        self.send_header("Access-Control-Allow-Origin", "*")
-        self.send_header("Access-Control-Allow-Headers", "Range, If-None-Match, If-Range")
-        self.send_header("Access-Control-Allow-Methods", "GET, HEAD, OPTIONS")
-        exposed_headers = "Content-Range, Content-Length, ETag, Accept-Ranges"
-        self.send_header("Access-Control-Expose-Headers", exposed_headers)
+    def _log(self, status: HTTPStatus) -> None:
+        self.server.log(f"{status.value} {printable(self.path)}")
 
     def _refuse(
         self, status: HTTPStatus, *, with_body: bool, headers: list[tuple[str, str]] | None = None
@@ -217,24 +201,28 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         for name, value in headers or []:
             self.send_header(name, value)
-        self._send_cors()
         self.end_headers()
         if with_body:
             self.wfile.write(body)
-        self.server.log(f"{status.value} {self.path}")
+        self._log(status)
 
     def _send_body(self, file: Path, span: _ByteSpan, *, cut: bool) -> None:
         size = span.size // 2 if cut else span.size
-        try:
-            with file.open("rb") as stream:
-                stream.seek(span.start)
-                for chunk in _chunks(stream, size):
-                    self.server.faults.wait_to_send(len(chunk))
-                    self.wfile.write(chunk)
-        except (BrokenPipeError, ConnectionResetError):
-            self.close_connection = True  # the viewer went away
-        if cut:
-            self.close_connection = True
+        self.close_connection = self.close_connection or cut
+        with file.open("rb") as stream:
+            if self.server.faults.bytes_per_second is None and size > self.wbufsize:
+                self.wfile.flush()
+                self.connection.sendfile(stream, span.start, size)
+                return
+            stream.seek(span.start)
+            for chunk in _chunks(stream, size):
+                self.server.faults.wait_to_send(len(chunk))
+                self.wfile.write(chunk)
+
+
+def _is_served(name: str) -> bool:
+    """Return whether a file or folder of this name is served: hidden ones and ``..`` are not."""
+    return bool(name) and not name.startswith(".") and not set(name) & _NOT_IN_NAMES
 
 
 def _chunks(stream: BinaryIO, size: int) -> Iterator[bytes]:

@@ -34,10 +34,18 @@ def serve(
             metavar="WHAT:SHARE",
         ),
     ] = None,
+    cors: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="An origin whose pages may read the files, such as https://viewer.example, or *; "
+            "repeatable. [default: the server's own pages]",
+            metavar="ORIGIN",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the choice which answers fail.")] = 0,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print each answer.")] = False,
 ) -> None:
-    """Serve FOLDER until Ctrl-C, with ranges, CORS and ETags.
+    """Serve FOLDER until Ctrl-C, with ranges and ETags; hidden files are left out.
 
     Prints the address first. Exits 130 at Ctrl-C, 2 for wrong options or a port that is taken,
     4 if there is no such folder.
@@ -62,6 +70,7 @@ def serve(
             port=port,
             faults=faults,
             log=_print_answer if verbose else _print_nothing,
+            cors=cors or (),
         )
     except OSError as error:
         raise ConfigInvalid(
