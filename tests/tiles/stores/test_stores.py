@@ -215,7 +215,7 @@ def _second(failing: tuple[FailureRule, ...], seed: int) -> object:
 def test_a_server_that_always_fails_is_named(
     folder: Path, monkeypatch: pytest.MonkeyPatch, failure
 ) -> None:
-    monkeypatch.setattr(client, "_BACKOFF", 0.01)
+    monkeypatch.setattr(client, "_BACKOFF_SECONDS", 0.01)
     faults = NetworkFaults(failures=(FailureRule(failure, 1.0),))
     expected = ContentMissing if failure == 404 else StoreUnavailable
     with (
