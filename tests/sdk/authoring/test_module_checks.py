@@ -53,6 +53,15 @@ class NamedInputs(Cloud):
     inputs = "time"  # type: ignore[assignment]
 
 
+class TakesPicture(Cloud):
+    inputs = (inputs.image(3, (16, 16)),)
+
+
+class FourDegrees(Cloud):
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        return replace(super().forward(time), rgb=None, sh=torch.ones(8, 25, 3))
+
+
 class Sepia(PostProcess):
     """A post-process model, which is no generator."""
 
@@ -86,6 +95,18 @@ class Sepia(PostProcess):
         ),
         (lambda: Cloud, "Cloud", "the generator is a class, expected an instance", "Cloud()"),
         (dict, "dict", "the object is not a torch module", "GaussianGenerator"),
+        (
+            TakesPicture,
+            "TakesPicture.inputs",
+            "input 'image' has the role image, which a gaussian-generator lacks",
+            "`gsgen export static`",
+        ),
+        (
+            FourDegrees,
+            "Gaussians.sh",
+            "shape is [8, 25, 3], expected [8, 1, 3] or [8, 4, 3] or [8, 9, 3] or [8, 16, 3]",
+            "gsgen.sdk.math.sh_of_degree(sh, 3)",
+        ),
         (
             lambda: Cloud(-3.0),
             "Gaussians.scale",

@@ -29,6 +29,9 @@ TABLES = [seeded(64, 2), seeded(32, 2)]
 CALLS: dict[str, Call] = {
     "safe_normalize": lambda x, v, p, t: math.safe_normalize(x[:, :3] * t),
     "quaternion_to_matrix": lambda x, v, p, t: math.quaternion_to_matrix(x[:, :4]),
+    "matrix_to_quaternion": lambda x, v, p, t: math.matrix_to_quaternion(
+        math.axis_angle_to_matrix(x[:, :3] * t)
+    ),
     "quaternion_multiply": lambda x, v, p, t: math.quaternion_multiply(x[:, :4], x[:, 2:]),
     "axis_angle_to_matrix": lambda x, v, p, t: math.axis_angle_to_matrix(x[:, :3] * t),
     "covariance_upper": lambda x, v, p, t: math.covariance_upper(x[:, :3].exp(), x[:, 2:]),

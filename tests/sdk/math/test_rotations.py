@@ -19,6 +19,19 @@ def test_rotation_matrices_are_those_of_the_oracle(quaternions: np.ndarray) -> N
     np.testing.assert_allclose(actual, geometry.rotation_matrix(quaternions), atol=2e-6)
 
 
+def test_quaternions_of_matrices_are_those_of_scipy_up_to_their_sign() -> None:
+    """Random rotations, and half turns about each axis, where three of the four forms divide by 0."""
+    half_turns = Rotation.from_rotvec(np.pi * np.eye(3))
+    rotations = Rotation.concatenate(
+        [Rotation.random(300, rng=4), half_turns, Rotation.identity(1)]
+    )
+    matrices = torch.from_numpy(rotations.as_matrix().astype(np.float32))
+    actual = math.matrix_to_quaternion(matrices).numpy()
+    expected = rotations.as_quat(scalar_first=True)
+    assert np.abs(np.abs((actual * expected).sum(axis=1)) - 1).max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(actual, axis=1), 1, atol=1e-6)
+
+
 def test_normalising_zero_gives_zero_and_a_finite_gradient() -> None:
     zero = torch.zeros(2, 3, requires_grad=True)
     result = math.safe_normalize(zero)

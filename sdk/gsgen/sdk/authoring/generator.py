@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from gsgen.contract.spec.manifest import Input, Producer, Space, WeightedSum
-from gsgen.contract.spec.spherical_harmonics import SH_COEFFICIENT_COUNTS
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, SH_COEFFICIENT_COUNTS
 from gsgen.sdk.authoring.cells import Cells, expect_shape, expect_spread
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.math import covariance_upper
@@ -78,6 +78,11 @@ class Gaussians:
             hint = "It looks channel-major [N, 3, K]: transpose(1, 2) makes it coefficient-major."
         if name == "sh" and value.ndim == 2:
             hint = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
+        if name == "sh" and value.ndim == 3 and value.shape[1] > SH_COEFFICIENT_COUNTS[-1]:
+            hint = (
+                f"Harmonics end at degree {MAX_DEGREE} in every viewer: "
+                f"gsgen.sdk.math.sh_of_degree(sh, {MAX_DEGREE}) leaves the higher ones out."
+            )
         expect_shape(f"Gaussians.{name}", value, *shapes, hint=hint)
 
     def take(self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None) -> "Gaussians":

@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import nn
 
+from gsgen.contract.spec.fields.roles import GENERATOR, POST_PROCESS, ROLES
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.post_process import PostProcess
@@ -80,7 +81,11 @@ def _require_inputs(declared: Any, where: str) -> None:
 
 def _require_names_and_shapes(declared: Sequence[Input], kind: type[nn.Module], where: str) -> None:
     names = [entry.name for entry in declared]
+    model_kind = POST_PROCESS if kind is PostProcess else GENERATOR
     for entry in declared:
+        if entry.role in ROLES and model_kind not in ROLES[entry.role].kinds:
+            message = f"input {entry.name!r} has the role {entry.role}, which a {model_kind} lacks"
+            raise GeneratorInvalid(message, where=where, hint=_role_hint(entry.role))
         if names.count(entry.name) > 1:
             hint = "Give each input a name of its own."
             raise GeneratorInvalid(f"two inputs are named {entry.name!r}", where=where, hint=hint)
@@ -88,6 +93,15 @@ def _require_names_and_shapes(declared: Sequence[Input], kind: type[nn.Module], 
         if entry.shape is None and not is_image:
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
             raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
+
+
+def _role_hint(role: str) -> str:
+    if role == "image":
+        return (
+            "Run the network once, and export its Gaussians as a file of splats with "
+            "`gsgen export static`; or give what the picture becomes as inputs.condition(…)."
+        )
+    return "Declare what it holds with another function of gsgen.sdk.inputs, such as condition."
 
 
 def input_order_hint(module: nn.Module) -> str:

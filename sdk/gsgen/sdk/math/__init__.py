@@ -9,7 +9,8 @@ fixed number of rows is gathered. Some operators have no GPU kernel, or one that
 
 __all__ = [
     "axis_angle_to_matrix", "camera_centre", "covariance_matrix", "covariance_upper",
-    "frustum_mask", "hash_grid", "hex_plane", "inverse_3x3", "keep_rows", "quaternion_multiply", "quaternion_to_matrix",
+    "frustum_mask", "hash_grid", "hex_plane", "inverse_3x3", "keep_rows", "matrix_to_quaternion",
+    "quaternion_multiply", "quaternion_to_matrix",
     "rotate_covariance", "safe_normalize", "sample_plane", "sh_from_channel_major",
     "sh_from_coefficient_major", "sh_from_ply", "sh_from_rgb", "sh_of_degree", "skin",
     "skinning_transforms", "to_unit_cube", "top_rows", "transform_points", "tri_plane",
@@ -36,6 +37,7 @@ from gsgen.sdk.math.inverses import inverse_3x3
 from gsgen.sdk.math.planes import hex_plane, sample_plane, to_unit_cube, tri_plane
 from gsgen.sdk.math.rotations import (
     axis_angle_to_matrix,
+    matrix_to_quaternion,
     quaternion_multiply,
     quaternion_to_matrix,
     safe_normalize,

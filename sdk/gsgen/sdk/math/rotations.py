@@ -4,6 +4,7 @@ __all__ = [
     "SMALL_ANGLE",
     "axis_angle_to_matrix",
     "matrix_entries",
+    "matrix_to_quaternion",
     "quaternion_multiply",
     "quaternion_to_matrix",
     "safe_normalize",
@@ -47,6 +48,31 @@ def quaternion_to_matrix(quaternion: Float[Tensor, "... 4"]) -> Float[Tensor, ".
         1 - 2 * (x * x + y * y),
     )
     return torch.stack(entries, dim=-1).reshape(*quaternion.shape[:-1], 3, 3)
+
+
+def matrix_to_quaternion(matrix: Float[Tensor, "... 3 3"]) -> Float[Tensor, "... 4"]:
+    """Convert rotation matrices to unit quaternions (w, x, y, z); q and −q are the same rotation.
+
+    Shepperd's method ("Quaternion from Rotation Matrix", Journal of Guidance and Control 1, 1978):
+    of four forms, which each divide by one component, the one with the largest divisor is taken.
+    """
+    rows = matrix.flatten(-2).unbind(dim=-1)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows[:3], rows[3:6], rows[6:]
+    # Four times the square of each component.
+    squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
+    # The quaternion times four times one of its components.
+    forms = (
+        (squares[0], zy - yz, xz - zx, yx - xy),
+        (zy - yz, squares[1], yx + xy, xz + zx),
+        (xz - zx, yx + xy, squares[2], zy + yz),
+        (yx - xy, xz + zx, zy + yz, squares[3]),
+    )
+    best, largest = torch.stack(forms[0], dim=-1), squares[0]
+    for form, square in zip(forms[1:], squares[1:], strict=True):
+        is_larger = square > largest
+        best = torch.where(is_larger[..., None], torch.stack(form, dim=-1), best)
+        largest = torch.maximum(square, largest)
+    return safe_normalize(best)
 
 
 def quaternion_multiply(
